@@ -1,0 +1,48 @@
+"""Every exception that the package raises on purpose.
+
+All derive from :class:`PhasePPLError`; those about a value also derive from
+``ValueError``, so that code that knows nothing of this package still catches them.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class PhasePPLError(Exception):
+    """Base of all errors of this package."""
+
+
+class InvalidEventError(PhasePPLError, ValueError):
+    """An event, scene or trajectory that cannot be used; the message names the bad value."""
+
+
+class UnknownNameError(PhasePPLError, ValueError):
+    """A name that is none of the allowed ones; the message lists close matches."""
+
+
+class InvalidSettingError(PhasePPLError, ValueError):
+    """A setting outside its allowed range; the message names the range."""
+
+
+class OutputError(PhasePPLError, OSError):
+    """A result that cannot be written where it was asked for."""
+
+
+class SimulationError(PhasePPLError, RuntimeError):
+    """A simulation that failed; the message names the hypothesis and the seed."""
+
+
+def unknown_name(what: str, name: object, allowed: Iterable[str]) -> UnknownNameError:
+    """Return the error for ``name``, naming close matches, or all allowed names if there are few."""
+    names = list(allowed)
+    by_lower = {candidate.lower(): candidate for candidate in names}
+    close = difflib.get_close_matches(str(name).lower(), list(by_lower), n=4, cutoff=0.5)
+    if close:
+        hint = "did you mean " + " or ".join(repr(by_lower[c]) for c in close) + "?"
+    elif len(names) <= 20:
+        hint = "allowed: " + ", ".join(repr(n) for n in names)
+    else:
+        hint = f"{len(names)} names are allowed, such as {names[0]!r}"
+    return UnknownNameError(f"unknown {what} {name!r}; {hint}")

@@ -1,0 +1,70 @@
+"""An event: a scene, what was seen in it, and perhaps what is known about it."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+from phase_ppl.world.goals import GOALS, goal_index
+from phase_ppl.world.observation import Observation
+from phase_ppl.world.relations import RELATIONS, SCENARIOS, relation, scenario
+from phase_ppl.world.errors import unknown_name
+from phase_ppl.world.scene import Scene, check_inside
+
+
+@dataclasses.dataclass(frozen=True)
+class Truth:
+    """What generated an event: effective goals, and whatever else is known.
+
+    Attributes:
+        goal_red, goal_green: effective goals, paper strings.
+        relation, scenario: derived from the goals where not given.
+        strength_red, strength_green: newtons, or None.
+    """
+
+    goal_red: str
+    goal_green: str
+    relation: str = ""
+    scenario: str = ""
+    strength_red: float | None = None
+    strength_green: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("goal_red", "goal_green"):
+            object.__setattr__(self, name, GOALS[goal_index(getattr(self, name))])
+        if not self.scenario:
+            object.__setattr__(self, "scenario", scenario(self.goal_red, self.goal_green))
+        if not self.relation:
+            object.__setattr__(self, "relation", relation(self.goal_red, self.goal_green))
+        if self.relation not in RELATIONS:
+            raise unknown_name("relation", self.relation, RELATIONS)
+        if self.scenario not in SCENARIOS:
+            raise unknown_name("scenario", self.scenario, SCENARIOS)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Event:
+    """One social event. Inference reads ``scene`` and ``observation`` only.
+
+    Attributes:
+        scene: what is known before anybody moves.
+        observation: the trajectories.
+        id: name of the event; of no meaning to inference.
+        truth: what generated it, if known.
+        judgments: human judgments, as read from the file.
+        predictions: stored predictions of other models, as read from the file.
+
+    Raises:
+        InvalidEventError: the trajectory leaves the arena.
+    """
+
+    scene: Scene
+    observation: Observation
+    id: str = "event"
+    truth: Truth | None = None
+    judgments: Mapping[str, Any] | None = None
+    predictions: Mapping[str, Any] | None = None
+
+    def __post_init__(self) -> None:
+        check_inside(self.observation.trajectory, self.scene, "trajectory")

@@ -1,0 +1,126 @@
+"""Shapes of the entities and the geometry of the predicates.
+
+An item is a disc of radius R. An agent is a trapezoid whose short side, local +y, is its
+front: at angle a it looks along (-sin a, cos a). Positions are the origin of the body frame;
+an agent's centre of mass lies at local (0, -R / 6).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phase_ppl.world.names import AGENTS
+
+FloatArray = NDArray[np.float64]
+
+UNIT_TRAPEZOID: Final = np.array([[-1.5, -1.0], [-0.5, 1.0], [0.5, 1.0], [1.5, -1.0]])
+"""Corners of an agent of size 1 in its body frame, clockwise from the back left."""
+
+CENTRE_OF_MASS_Y: Final = -1.0 / 6.0
+"""Local y of an agent's centre of mass, in units of its size R."""
+
+TOUCH_ENLARGEMENT: Final = 1.2
+"""Factor by which the other's shape grows in the touch test."""
+
+GRAB_REACH: Final = 0.5
+"""An item can be grabbed within its radius + this distance of a grab point, units."""
+
+GRAB_POINTS: Final = np.array([[0.0, 1.0], [0.0, -1.0], [1.0, 0.0], [-1.0, 0.0]])
+"""Grab points of an agent of size 1 in its body frame."""
+
+
+def rotation(angle: float) -> FloatArray:
+    """Return the (2, 2) matrix that turns body-frame vectors by ``angle`` radians."""
+    cos, sin = math.cos(angle), math.sin(angle)
+    return np.array([[cos, -sin], [sin, cos]])
+
+
+def heading(angle: float) -> FloatArray:
+    """Return the unit vector an agent at ``angle`` looks along."""
+    return np.array([-math.sin(angle), math.cos(angle)])
+
+
+def is_agent(entity: int) -> bool:
+    return entity < len(AGENTS)
+
+
+def centre_of_mass(position: FloatArray, angle: float, radius: float, entity: int) -> FloatArray:
+    """Return the centre of mass of an entity whose body origin is at ``position``."""
+    if not is_agent(entity):
+        return np.asarray(position, float)
+    return np.asarray(position, float) + CENTRE_OF_MASS_Y * radius * heading(angle)
+
+
+def agent_outline(pose: FloatArray, radius: float, enlarge: float = 1.0) -> FloatArray:
+    """Return the (4, 2) corners of an agent at ``pose`` = (x, y, angle).
+
+    Enlargement is about the centre of mass.
+    """
+    centre = np.array([0.0, CENTRE_OF_MASS_Y * radius])
+    local = centre + enlarge * (radius * UNIT_TRAPEZOID - centre)
+    return np.asarray(pose[:2], float) + local @ rotation(float(pose[2])).T
+
+
+def _polygons_meet(first: FloatArray, second: FloatArray) -> bool:
+    for polygon in (first, second):
+        edges = np.roll(polygon, -1, axis=0) - polygon
+        for axis in np.column_stack([-edges[:, 1], edges[:, 0]]):
+            a, b = first @ axis, second @ axis
+            if a.max() < b.min() or b.max() < a.min():
+                return False
+    return True
+
+
+def _polygon_meets_disc(polygon: FloatArray, centre: FloatArray, radius: float) -> bool:
+    following = np.roll(polygon, -1, axis=0)
+    edge = following - polygon
+    to_centre = centre - polygon
+    # corners run clockwise, so the inside is to the right of every edge
+    inside = np.all(edge[:, 0] * to_centre[:, 1] - edge[:, 1] * to_centre[:, 0] <= 0)
+    if inside:
+        return True
+    along = np.clip((to_centre * edge).sum(axis=1) / (edge**2).sum(axis=1), 0, 1)
+    nearest = polygon + along[:, None] * edge
+    return bool(np.min(np.linalg.norm(nearest - centre, axis=1)) <= radius)
+
+
+def shapes_meet(
+    first: int,
+    second: int,
+    poses: FloatArray,
+    radii: FloatArray,
+    enlarge_first: float = 1.0,
+    enlarge_second: float = 1.0,
+) -> bool:
+    """Whether the (enlarged) shapes of two entities overlap.
+
+    Args:
+        first, second: entity indices.
+        poses: (4, 3) x, y, angle of all entities.
+        radii: (4,) sizes R.
+        enlarge_first, enlarge_second: factors about each shape's centre.
+    """
+    if not is_agent(first) and is_agent(second):
+        first, second = second, first
+        enlarge_first, enlarge_second = enlarge_second, enlarge_first
+    if not is_agent(first):
+        reach = radii[first] * enlarge_first + radii[second] * enlarge_second
+        return bool(np.linalg.norm(poses[first, :2] - poses[second, :2]) <= reach)
+    outline = agent_outline(poses[first], radii[first], enlarge_first)
+    if is_agent(second):
+        return _polygons_meet(outline, agent_outline(poses[second], radii[second], enlarge_second))
+    return _polygon_meets_disc(outline, poses[second, :2], radii[second] * enlarge_second)
+
+
+def touches(entity: int, other: int, poses: FloatArray, radii: FloatArray) -> bool:
+    """TOUCH(entity, other): the shape of ``entity`` meets that of ``other`` enlarged 1.2 times."""
+    return shapes_meet(entity, other, poses, radii, 1.0, TOUCH_ENLARGEMENT)
+
+
+def is_on(position: FloatArray, landmark_centre: FloatArray, half_width: float) -> bool:
+    """ON(entity, landmark): the entity's centre is inside the landmark's square."""
+    return bool(np.all(np.abs(np.asarray(position) - landmark_centre) <= half_width))

@@ -1,0 +1,120 @@
+"""The paper's 36 goals, and what an agent pursues once its social utility is counted in.
+
+A goal is a string of the paper or its index in :data:`GOALS`. An *effective* goal is what
+the agent acts on: its own goal, the other's (helping, alpha > 0) or the negation of the
+other's (hindering, alpha < 0).
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from phase_ppl.world.errors import unknown_name
+from phase_ppl.world.literals import Literal, Predicate
+from phase_ppl.world.names import AGENTS, ENTITIES, GREEN, LANDMARKS, RED
+
+_ALPHABETICAL = ("blue item", "green agent", "pink item", "red agent")
+
+GOALS: Final[tuple[str, ...]] = tuple(
+    [
+        f"Get {entity} {way} {landmark}"
+        for entity in _ALPHABETICAL
+        for way in ("to", "away from")
+        for landmark in LANDMARKS
+    ]
+    + [f"get {way} {agent}" for way in ("away from", "to") for agent in sorted(AGENTS)]
+)
+"""The goal space of the paper, in the order of its data: 32 about landmarks, 4 about agents."""
+
+N_GOALS: Final = len(GOALS)
+_INDEX: Final = {goal: index for index, goal in enumerate(GOALS)}
+_INDEX_LOWER: Final = {goal.lower(): index for index, goal in enumerate(GOALS)}
+
+
+def goal_index(goal: str | int) -> int:
+    """Return the index of ``goal`` in :data:`GOALS`.
+
+    Raises:
+        UnknownNameError: ``goal`` is no goal; the message names close matches.
+    """
+    if isinstance(goal, str):
+        index = _INDEX_LOWER.get(" ".join(goal.split()).lower())
+        if index is None:
+            raise unknown_name("goal", goal, GOALS)
+        return index
+    if isinstance(goal, bool) or not 0 <= int(goal) < N_GOALS or int(goal) != goal:
+        raise unknown_name("goal index", goal, [f"0..{N_GOALS - 1}"])
+    return int(goal)
+
+
+def goal_literal(goal: str | int, holder: int) -> Literal:
+    """Return the literal that makes ``goal`` true for the agent ``holder`` (0 red, 1 green).
+
+    A goal that names its own holder ("get to red agent" held by red) has subject = target.
+    """
+    words = GOALS[goal_index(goal)]
+    if words.startswith("get"):
+        positive = words.startswith("get to")
+        named = AGENTS.index(words.removeprefix("get to ").removeprefix("get away from "))
+        return Literal(Predicate.TOUCH, holder, named, positive)
+    positive = " away from " not in words
+    entity, landmark = words.removeprefix("Get ").split(" to " if positive else " away from ")
+    return Literal(Predicate.ON, ENTITIES.index(entity), LANDMARKS.index(landmark), positive)
+
+
+def literal_goal(literal: Literal) -> int:
+    """Return the goal index whose literal is ``literal`` (inverse of :func:`goal_literal`)."""
+    if literal.predicate is Predicate.ON:
+        way = "to" if literal.positive else "away from"
+        return _INDEX[f"Get {ENTITIES[literal.subject]} {way} {LANDMARKS[literal.target]}"]
+    if literal.predicate is Predicate.TOUCH and literal.target in (RED, GREEN):
+        way = "to" if literal.positive else "away from"
+        return _INDEX[f"get {way} {AGENTS[literal.target]}"]
+    raise unknown_name("goal literal", literal, GOALS)
+
+
+def is_self_referring(goal: str | int, holder: int) -> bool:
+    """Whether ``goal`` names its own holder as the agent to approach or avoid (prior mass 0)."""
+    literal = goal_literal(goal, holder)
+    return literal.predicate is Predicate.TOUCH and literal.subject == literal.target
+
+
+def shared_goal(goal: str | int, owner: int) -> int:
+    """Return the goal that the other agent has when it helps ``owner`` with ``goal``.
+
+    The same goal, but for "get to" and "get away from", whose literal is seen from the other side.
+    """
+    index = goal_index(goal)
+    literal = goal_literal(index, owner)
+    if literal.predicate is not Predicate.TOUCH:
+        return index
+    return literal_goal(literal._replace(subject=1 - owner, target=owner))
+
+
+def opposed_goal(goal: str | int, owner: int) -> int:
+    """Return the goal that the other agent has when it hinders ``owner`` in ``goal``."""
+    helping = goal_literal(shared_goal(goal, owner), 1 - owner)
+    return literal_goal(helping.negated())
+
+
+def effective_goals(
+    goal_red: str | int, goal_green: str | int, alpha: tuple[int, int]
+) -> tuple[int, int]:
+    """Return the effective goals of (red, green).
+
+    Args:
+        goal_red: stated goal of the red agent.
+        goal_green: stated goal of the green agent.
+        alpha: signs of (alpha red -> green, alpha green -> red); 0 means the agent pursues
+            its own goal, > 0 the other's, < 0 the negation of the other's.
+    """
+    red, green = goal_index(goal_red), goal_index(goal_green)
+    if alpha[0] != 0:
+        effective_red = (shared_goal if alpha[0] > 0 else opposed_goal)(green, GREEN)
+    else:
+        effective_red = red
+    if alpha[1] != 0:
+        effective_green = (shared_goal if alpha[1] > 0 else opposed_goal)(red, RED)
+    else:
+        effective_green = green
+    return effective_red, effective_green

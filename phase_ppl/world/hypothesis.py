@@ -1,0 +1,105 @@
+"""The hypothesis h = <g_i, g_j, alpha_ij, alpha_ji, f_i, f_j> of the paper (Eq. 1)."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any, Final
+
+from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.goals import GOALS, effective_goals, goal_index, is_self_referring
+from phase_ppl.world.names import AGENTS, GREEN, RED
+from phase_ppl.world.relations import relation, scenario
+
+ALPHAS: Final = ((0, 0), (1, 0), (0, 1), (-1, 0), (0, -1))
+"""Values of site ``alpha``: signs of (alpha red -> green, alpha green -> red)."""
+
+STRENGTH_LEVELS: Final = (150.0, 300.0, 450.0, 600.0)
+"""Maximum forces of the original world, newtons (strength ids 0..3)."""
+
+STRENGTH_RANGE: Final = (150.0, 600.0)
+"""Support of a strength, newtons."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Hypothesis:
+    """What the two agents want, how they stand to each other, and how strong they are.
+
+    Attributes:
+        goal_red: stated goal of the red agent, index into ``GOALS`` (a goal string is accepted).
+        goal_green: stated goal of the green agent, likewise.
+        alpha: signs of (alpha red -> green, alpha green -> red), one of ``ALPHAS``.
+        strength_red: maximum force of the red agent, newtons.
+        strength_green: maximum force of the green agent, newtons.
+
+    Raises:
+        UnknownNameError: a goal is unknown.
+        InvalidSettingError: alpha or a strength is not allowed, or an agent is to get to itself.
+    """
+
+    goal_red: int
+    goal_green: int
+    alpha: tuple[int, int] = (0, 0)
+    strength_red: float = 450.0
+    strength_green: float = 450.0
+
+    def __post_init__(self) -> None:
+        for holder, name in ((RED, "goal_red"), (GREEN, "goal_green")):
+            index = goal_index(getattr(self, name))
+            if is_self_referring(index, holder):
+                raise InvalidSettingError(
+                    f"{name}={GOALS[index]!r} names its own holder, the {AGENTS[holder]}"
+                )
+            object.__setattr__(self, name, index)
+        if tuple(self.alpha) not in ALPHAS:
+            raise InvalidSettingError(f"alpha={self.alpha!r} is none of {list(ALPHAS)}")
+        object.__setattr__(self, "alpha", (int(self.alpha[0]), int(self.alpha[1])))
+        for name in ("strength_red", "strength_green"):
+            value = float(getattr(self, name))
+            if not (math.isfinite(value) and value > 0):
+                raise InvalidSettingError(f"{name}={value!r} is no positive force in newtons")
+            object.__setattr__(self, name, value)
+
+    @property
+    def effective_goals(self) -> tuple[int, int]:
+        """Effective goals of (red, green), indices into ``GOALS``."""
+        return effective_goals(self.goal_red, self.goal_green, self.alpha)
+
+    def effective(self) -> Hypothesis:
+        """Return the same hypothesis with effective goals as stated ones and alpha = (0, 0)."""
+        red, green = self.effective_goals
+        return dataclasses.replace(self, goal_red=red, goal_green=green, alpha=(0, 0))
+
+    @property
+    def strengths(self) -> tuple[float, float]:
+        return self.strength_red, self.strength_green
+
+    @property
+    def relation(self) -> str:
+        return relation(*self.effective_goals)
+
+    @property
+    def scenario(self) -> str:
+        return scenario(*self.effective_goals)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the plain form: goal strings, alpha, strengths in newtons."""
+        return {
+            "goal_red": GOALS[self.goal_red],
+            "goal_green": GOALS[self.goal_green],
+            "alpha": list(self.alpha),
+            "strength_red": self.strength_red,
+            "strength_green": self.strength_green,
+        }
+
+    @classmethod
+    def from_dict(cls, record: dict[str, Any]) -> Hypothesis:
+        """Return the hypothesis written by :meth:`to_dict`."""
+        return cls(**{**record, "alpha": tuple(record.get("alpha", (0, 0)))})
+
+    def __str__(self) -> str:
+        red, green = self.effective_goals
+        return (
+            f"red: {GOALS[red]} ({self.strength_red:.0f} N), "
+            f"green: {GOALS[green]} ({self.strength_green:.0f} N), {self.relation}"
+        )

@@ -1,0 +1,48 @@
+"""Predicates and literals: the language of goals, subgoals and symbolic states.
+
+Source: paper, Appendix "Predicates, Symbolic States, Goals, and Subgoals" (Table of predicates).
+"""
+
+from __future__ import annotations
+
+import enum
+from typing import NamedTuple
+
+from phase_ppl.world.names import ENTITIES, LANDMARKS
+
+
+class Predicate(enum.IntEnum):
+    """The paper's predicates, and STOP for "nothing is left to do"."""
+
+    ON = 0
+    """ON(agent | item, landmark): the centre is inside the landmark's square."""
+    TOUCH = 1
+    """TOUCH(agent, agent | item): the shapes meet when one is enlarged 1.2 times."""
+    ATTACH = 2
+    """ATTACH(agent, item): the item is welded to the agent."""
+    CLOSE = 3
+    """CLOSE(agent | item, landmark): in the landmark's room."""
+    STOP = 4
+
+
+class Literal(NamedTuple):
+    """A predicate or its negation over entity ``subject`` and entity or landmark ``target``."""
+
+    predicate: Predicate
+    subject: int
+    target: int
+    positive: bool = True
+
+    def negated(self) -> Literal:
+        return self._replace(positive=not self.positive)
+
+    def __str__(self) -> str:
+        if self.predicate is Predicate.STOP:
+            return "STOP"
+        over_landmarks = self.predicate in (Predicate.ON, Predicate.CLOSE)
+        target = (LANDMARKS if over_landmarks else ENTITIES)[self.target]
+        sign = "" if self.positive else "not "
+        return f"{sign}{self.predicate.name}({ENTITIES[self.subject]}, {target})"
+
+
+STOP = Literal(Predicate.STOP, 0, 0)
