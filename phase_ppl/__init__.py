@@ -1,1 +1,86 @@
+"""phase_ppl: social perception grounded in intuitive physics, as a probabilistic program.
 
+Everything a user needs is here; nothing is imported before it is used.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+
+_WHERE = {
+    "AGENTS": "phase_ppl.world.names",
+    "ALPHAS": "phase_ppl.world.hypothesis",
+    "Event": "phase_ppl.world.event",
+    "GOALS": "phase_ppl.world.goals",
+    "Hypothesis": "phase_ppl.world.hypothesis",
+    "Interrupted": "phase_ppl.inference.infer",
+    "JointSimulator": "phase_ppl.simulator.joint",
+    "Model": "phase_ppl.models.model",
+    "Observation": "phase_ppl.world.observation",
+    "PhasePPLError": "phase_ppl.world.errors",
+    "PlannerConfig": "phase_ppl.agents.config",
+    "Posterior": "phase_ppl.analysis.posterior",
+    "RadialLikelihood": "phase_ppl.models.likelihood",
+    "Scene": "phase_ppl.world.scene",
+    "SimpleSettings": "phase_ppl.inference.infer",
+    "SimulationError": "phase_ppl.world.errors",
+    "Truth": "phase_ppl.world.event",
+    "available_kernels": "phase_ppl.inference.registry",
+    "bundled_events": "phase_ppl.dataset.bundled",
+    "infer": "phase_ppl.inference.infer",
+    "load_event": "phase_ppl.dataset.load",
+    "load_events": "phase_ppl.dataset.load",
+    "register_kernel": "phase_ppl.inference.registry",
+    "save_event": "phase_ppl.dataset.load",
+    "simulate": "phase_ppl.simulator.simulate",
+    "simulations": "phase_ppl.inference.infer",
+}
+
+_MODULES = {
+    "plot": "phase_ppl.analysis.plots",
+    "priors": "phase_ppl.models.priors",
+    "render": "phase_ppl.render",
+    "sites": "phase_ppl.models.sites",
+}
+
+__all__ = ["__version__", *sorted(_WHERE), *sorted(_MODULES)]
+
+if TYPE_CHECKING:
+    from phase_ppl import render
+    from phase_ppl.agents.config import PlannerConfig
+    from phase_ppl.analysis import plots as plot
+    from phase_ppl.analysis.posterior import Posterior
+    from phase_ppl.dataset.bundled import bundled_events
+    from phase_ppl.dataset.load import load_event, load_events, save_event
+    from phase_ppl.inference.infer import Interrupted, SimpleSettings, infer, simulations
+    from phase_ppl.inference.registry import available_kernels, register_kernel
+    from phase_ppl.models import priors, sites
+    from phase_ppl.models.likelihood import RadialLikelihood
+    from phase_ppl.models.model import Model
+    from phase_ppl.simulator.joint import JointSimulator
+    from phase_ppl.simulator.simulate import simulate
+    from phase_ppl.world.errors import PhasePPLError, SimulationError
+    from phase_ppl.world.event import Event, Truth
+    from phase_ppl.world.goals import GOALS
+    from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
+    from phase_ppl.world.names import AGENTS
+    from phase_ppl.world.observation import Observation
+    from phase_ppl.world.scene import Scene
+
+
+def __getattr__(name: str) -> Any:
+    if name in _MODULES:
+        value: Any = importlib.import_module(_MODULES[name])
+    elif name in _WHERE:
+        value = getattr(importlib.import_module(_WHERE[name]), name)
+    else:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

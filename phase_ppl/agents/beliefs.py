@@ -1,0 +1,252 @@
+"""Belief particles: possible world states consistent with what an agent has observed.
+
+Source: paper, Appendix "Belief Representation and Update": K particles; each step predict with
+the physics, overwrite what is observed, and resample what contradicts the observation.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phase_ppl.agents.ground import Ground
+from phase_ppl.agents.rng import below
+from phase_ppl.agents.shapes import MAX_OUTLINE_CELLS, OUTSIDE, outline_cells, shapes_meet
+from phase_ppl.physics import compiled
+from phase_ppl.physics.actions import NO_ACTION
+from phase_ppl.physics.compiled import Params, Scratch
+from phase_ppl.physics.jit import kernel
+from phase_ppl.world.names import AGENTS, ENTITIES, NOTHING
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+OBSERVED_ENLARGEMENT: Final = 1.1
+"""An unobserved entity must not overlap an observed shape enlarged this much."""
+
+POSITION_TOLERANCE: Final = 1.0
+"""In view, a particle's entity must lie within this of the truth in x and y, units."""
+
+START_INSET: Final = 2.0
+"""Initial positions are integer points at least this far from the border, units."""
+
+N_HEADINGS: Final = 8
+DRAWS_WITHOUT_OVERLAP: Final = 10
+DRAWS_IN_ALL: Final = 20
+
+
+class Beliefs(NamedTuple):
+    """The belief of one agent.
+
+    Attributes:
+        bodies: (K, 4, 9) physical states, as in ``physics.compiled``.
+        held: (K, 2) held items; weld: (K, 2, 3) how they are held.
+        ever_seen: (cells,) cells that have ever been in view.
+        visible: (cells,) cells in view now.
+        observed: (4,) entities observed now.
+        cells, open_cells: scratch.
+    """
+
+    bodies: FloatArray
+    held: IntArray
+    weld: FloatArray
+    ever_seen: BoolArray
+    visible: BoolArray
+    observed: BoolArray
+    cells: IntArray
+    open_cells: IntArray
+
+
+def initial_beliefs(
+    truth: FloatArray, agent: int, n_particles: int, ground: Ground, generator: np.random.Generator
+) -> Beliefs:
+    """Return particles whose other entities lie uniformly on integer points, at rest.
+
+    Args:
+        truth: (4, 9) true bodies; only the agent's own row is used.
+        agent: 0 red, 1 green.
+        n_particles: K.
+    """
+    n_cells = ground.size**2
+    bodies = np.zeros((n_particles, len(ENTITIES), truth.shape[1]))
+    x_points = np.arange(ground.origin[0] + START_INSET, ground.origin[0] + ground.size - 1)
+    y_points = np.arange(ground.origin[1] - ground.size + START_INSET, ground.origin[1] - 1)
+    shape = bodies.shape[:2]
+    bodies[..., 0] = generator.choice(x_points, size=shape)
+    bodies[..., 1] = generator.choice(y_points, size=shape)
+    bodies[:, agent] = truth[agent]
+    return Beliefs(
+        bodies=bodies,
+        held=np.full((n_particles, len(AGENTS)), NOTHING, np.int64),
+        weld=np.zeros((n_particles, len(AGENTS), 3)),
+        ever_seen=np.zeros(n_cells, np.bool_),
+        visible=np.zeros(n_cells, np.bool_),
+        observed=np.zeros(len(ENTITIES), np.bool_),
+        cells=np.zeros(MAX_OUTLINE_CELLS, np.int64),
+        open_cells=np.zeros(n_cells, np.int64),
+    )
+
+
+@kernel
+def _consistent(
+    bodies: FloatArray,
+    entity: int,
+    truth: FloatArray,
+    beliefs: Beliefs,
+    params: Params,
+    ground: Ground,
+) -> bool:
+    """Whether a particle's unobserved entity agrees with what is seen."""
+    n = outline_cells(bodies, entity, params, ground, beliefs.cells)
+    off = (
+        abs(bodies[entity, 0] - truth[entity, 0]) > POSITION_TOLERANCE
+        or abs(bodies[entity, 1] - truth[entity, 1]) > POSITION_TOLERANCE
+    )
+    for i in range(n):
+        if beliefs.cells[i] == OUTSIDE:
+            return False
+        if off and beliefs.visible[beliefs.cells[i]]:
+            return False
+    for other in range(4):
+        if beliefs.observed[other] and shapes_meet(
+            bodies, entity, other, 1.0, OBSERVED_ENLARGEMENT, params
+        ):
+            return False
+    return True
+
+
+@kernel
+def _overlaps(bodies: FloatArray, entity: int, settled: int, params: Params) -> bool:
+    for other in range(4):
+        if (settled >> other) & 1 and shapes_meet(bodies, entity, other, 1.0, 1.0, params):
+            return True
+    return False
+
+
+@kernel
+def _resample(
+    bodies: FloatArray,
+    entity: int,
+    settled: int,
+    n_open: int,
+    truth: FloatArray,
+    beliefs: Beliefs,
+    params: Params,
+    ground: Ground,
+    rng: NDArray[np.uint64],
+) -> None:
+    """Draw a new place for ``entity`` among the open cells, at rest and holding nothing.
+
+    Bounded: up to 10 draws that must be consistent and free of overlap, 10 more that must be
+    consistent, then the last draw stands.
+    """
+    for column in range(bodies.shape[1]):
+        bodies[entity, column] = 0.0
+    for draw in range(DRAWS_IN_ALL):
+        cell = beliefs.open_cells[below(rng, n_open)]
+        for turn in range(N_HEADINGS):
+            angle = 2.0 * math.pi * turn / N_HEADINGS
+            bodies[entity, 2] = angle
+            # the drawn corner is where the body origin goes
+            cog = params.cog[entity]
+            bodies[entity, 0] = ground.origin[0] + cell % ground.size - math.sin(angle) * cog
+            bodies[entity, 1] = ground.origin[1] - cell // ground.size + math.cos(angle) * cog
+            if _consistent(bodies, entity, truth, beliefs, params, ground) and (
+                draw >= DRAWS_WITHOUT_OVERLAP or not _overlaps(bodies, entity, settled, params)
+            ):
+                return
+            if entity >= 2:
+                break
+
+
+@kernel
+def _list_open_cells(beliefs: Beliefs) -> int:
+    """List the cells never seen; if none is left, those not in view; else all. Return how many."""
+    n = 0
+    for cell in range(beliefs.ever_seen.shape[0]):
+        if not beliefs.ever_seen[cell]:
+            beliefs.open_cells[n] = cell
+            n += 1
+    if n > 0:
+        return n
+    for cell in range(beliefs.visible.shape[0]):
+        if not beliefs.visible[cell]:
+            beliefs.open_cells[n] = cell
+            n += 1
+    if n > 0:
+        return n
+    for cell in range(beliefs.visible.shape[0]):
+        beliefs.open_cells[cell] = cell
+    return beliefs.visible.shape[0]
+
+
+@kernel
+def update(
+    beliefs: Beliefs,
+    truth: FloatArray,
+    truth_held: IntArray,
+    truth_weld: FloatArray,
+    agent: int,
+    own_action: int,
+    predict: bool,
+    params: Params,
+    ground: Ground,
+    scratch: Scratch,
+    rng: NDArray[np.uint64],
+) -> None:
+    """Bring all particles up to date in place.
+
+    Args:
+        beliefs: with ``visible`` and ``observed`` already those of this step.
+        truth, truth_held, truth_weld: true state; only observed entities are read.
+        agent: whose beliefs.
+        own_action: the action it has just executed; the other agent is taken to coast.
+        predict: simulate one step first (not before the first action).
+    """
+    other = 1 - agent
+    for cell in range(beliefs.visible.shape[0]):
+        if beliefs.visible[cell]:
+            beliefs.ever_seen[cell] = True
+    n_open = _list_open_cells(beliefs)
+    red_action = own_action if agent == 0 else NO_ACTION
+    green_action = own_action if agent == 1 else NO_ACTION
+    all_observed = True
+    for entity in range(4):
+        all_observed = all_observed and beliefs.observed[entity]
+    for k in range(beliefs.bodies.shape[0]):
+        bodies, held, weld = beliefs.bodies[k], beliefs.held[k], beliefs.weld[k]
+        if predict and not all_observed:
+            compiled.step(bodies, held, weld, red_action, green_action, params, scratch)
+        settled = 0
+        for entity in range(4):
+            if not beliefs.observed[entity]:
+                continue
+            settled |= 1 << entity
+            bodies[entity] = truth[entity]
+            if entity < 2:
+                held[entity] = truth_held[entity]
+                weld[entity] = truth_weld[entity]
+        if not beliefs.observed[other] and held[other] >= 0 and beliefs.observed[held[other]]:
+            held[other] = NOTHING
+        # keep what agrees first, so that what must move can avoid it
+        moved = 0
+        for entity in range(4):
+            if beliefs.observed[entity]:
+                continue
+            if _consistent(bodies, entity, truth, beliefs, params, ground):
+                settled |= 1 << entity
+            else:
+                moved |= 1 << entity
+        if held[other] >= 0 and ((moved >> other) & 1 or (moved >> held[other]) & 1):
+            held[other] = NOTHING
+        for entity in range(4):
+            if (moved >> entity) & 1:
+                _resample(
+                    bodies, entity, settled, n_open, truth, beliefs, params, ground, rng
+                )
+                settled |= 1 << entity
+

@@ -1,0 +1,78 @@
+"""Settings of the hierarchical planner: the paper's values, and a faster preset."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+from phase_ppl.world.errors import InvalidSettingError, unknown_name
+
+
+@dataclasses.dataclass(frozen=True)
+class PlannerConfig:
+    """How agents believe and plan. The defaults are the paper's (Appendix 3).
+
+    Attributes:
+        particles: K, belief particles per agent.
+        cost_weight: lambda, weight of the mean cost in the value V of a subgoal.
+        simulations: POMCP simulations per decision.
+        rollout_length: random steps after each new node.
+        c_init, c_base: constants of PUCT.
+        discount: of rewards per step (authors' code).
+        early_stop: end a search once no other action can catch up; never changes the action.
+        tree_reuse: keep the subtree of the executed action while the subgoal stays; a deviation.
+        baseline: count rewards from the reward of the drawn particle's present state, so that
+            returns compare actions and not particles.
+        inner_steps: solver steps per physics substep in imagination.
+        touch_override: ablation: a subgoal to touch something wins over V (authors' code).
+        full_observation: ablation: agents see everything.
+    """
+
+    particles: int = 50
+    cost_weight: float = 0.05
+    simulations: int = 1000
+    rollout_length: int = 10
+    c_init: float = 1.25
+    c_base: float = 1000.0
+    discount: float = 0.95
+    early_stop: bool = True
+    tree_reuse: bool = False
+    baseline: bool = True
+    inner_steps: int = 1
+    touch_override: bool = False
+    full_observation: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("particles", "simulations", "rollout_length", "inner_steps"):
+            value = getattr(self, name)
+            if not isinstance(value, int) or value < 1:
+                raise InvalidSettingError(f"{name}={value!r}, expected a whole number >= 1")
+        if not 0 < self.discount <= 1:
+            raise InvalidSettingError(f"discount={self.discount!r}, expected a number in (0, 1]")
+        for name in ("cost_weight", "c_init"):
+            if not getattr(self, name) >= 0:
+                raise InvalidSettingError(f"{name}={getattr(self, name)!r}, expected >= 0")
+        if not self.c_base > 0:
+            raise InvalidSettingError(f"c_base={self.c_base!r}, expected > 0")
+
+    @classmethod
+    def fast(cls) -> PlannerConfig:
+        """Return the provisional fast preset: 300 simulations and reuse of the search tree."""
+        return cls(simulations=300, tree_reuse=True)
+
+    @classmethod
+    def named(cls, planner: str | PlannerConfig) -> PlannerConfig:
+        """Return the preset "paper" or "fast", or ``planner`` itself if it is a config.
+
+        Raises:
+            UnknownNameError: another name.
+        """
+        if isinstance(planner, PlannerConfig):
+            return planner
+        presets = {"paper": cls, "fast": cls.fast}
+        if planner not in presets:
+            raise unknown_name("planner", planner, presets)
+        return presets[planner]()
+
+    def to_dict(self) -> dict[str, Any]:
+        return dataclasses.asdict(self)

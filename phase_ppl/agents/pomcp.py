@@ -1,0 +1,309 @@
+"""The low-level planner: POMCP over an agent's own actions, with PUCT, on the compiled physics.
+
+Source: paper, Appendix "Hierarchical Planner"; Silver and Veness (2010); the PUCT variant of
+Silver et al. (2018). Each simulation draws a particle, walks down the tree of the agent's own
+actions (the other agent coasts), adds one node, and rolls out with random actions of both.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phase_ppl.agents.ground import Ground
+from phase_ppl.agents.rewards import reward
+from phase_ppl.agents.rng import below
+from phase_ppl.physics import compiled
+from phase_ppl.physics.actions import N_ACTIONS, NO_ACTION
+from phase_ppl.physics.compiled import Params, Scratch
+from phase_ppl.physics.jit import kernel
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+NO_NODE: Final = -1
+_UNVISITED_SCORE = 1e200
+
+
+class Search(NamedTuple):
+    """Settings of one search, as compiled code wants them (see ``PlannerConfig``)."""
+
+    n_simulations: int
+    rollout_length: int
+    discount: float
+    c_init: float
+    c_base: float
+    early_stop: bool
+    baseline: bool
+
+
+class Tree(NamedTuple):
+    """A search tree in flat arrays; node 0 is the root.
+
+    Attributes:
+        child: (nodes, actions) node reached by each action column, or NO_NODE.
+        visits: (nodes,); total: (nodes,) sum of returns.
+        count: (1,) nodes in use.
+        spare_child, spare_visits, spare_total: room for moving a subtree to the root.
+        path, rewards: (nodes,) scratch of one simulation.
+        particle, particle_held, particle_weld: scratch state of one simulation.
+        statistics: (3,) simulations run, physics steps, sum of depths; since creation.
+    """
+
+    child: NDArray[np.int32]
+    visits: NDArray[np.int32]
+    total: FloatArray
+    count: IntArray
+    spare_child: NDArray[np.int32]
+    spare_visits: NDArray[np.int32]
+    spare_total: FloatArray
+    path: IntArray
+    rewards: FloatArray
+    particle: FloatArray
+    particle_held: IntArray
+    particle_weld: FloatArray
+    statistics: IntArray
+
+
+def make_tree(n_simulations: int) -> Tree:
+    """Return an empty tree with room for ``n_simulations``."""
+    nodes = n_simulations + 2
+    child = np.full((nodes, N_ACTIONS), NO_NODE, np.int32)
+    visits = np.zeros(nodes, np.int32)
+    total = np.zeros(nodes)
+    return Tree(
+        child,
+        visits,
+        total,
+        np.ones(1, np.int64),
+        child.copy(),
+        visits.copy(),
+        total.copy(),
+        np.zeros(nodes + 1, np.int64),
+        np.zeros(nodes + 1),
+        np.zeros((4, 9)),
+        np.zeros(2, np.int64),
+        np.zeros((2, 3)),
+        np.zeros(3, np.int64),
+    )
+
+
+@kernel
+def clear(tree: Tree) -> None:
+    """Forget everything."""
+    tree.count[0] = 1
+    tree.visits[0] = 0
+    tree.total[0] = 0.0
+    tree.child[0, :] = NO_NODE
+
+
+@kernel
+def keep_subtree(tree: Tree, column: int) -> None:
+    """Make the node behind a root action the new root, with all that was learnt below it."""
+    start = tree.child[0, column]
+    if start < 0:
+        clear(tree)
+        return
+    n_actions = tree.child.shape[1]
+    tree.path[0] = start
+    count = 1
+    node = 0
+    while node < count:
+        old = tree.path[node]
+        tree.spare_visits[node] = tree.visits[old]
+        tree.spare_total[node] = tree.total[old]
+        for a in range(n_actions):
+            below_old = tree.child[old, a]
+            if below_old >= 0:
+                tree.path[count] = below_old
+                tree.spare_child[node, a] = count
+                count += 1
+            else:
+                tree.spare_child[node, a] = NO_NODE
+        node += 1
+    visits = 0
+    for a in range(n_actions):
+        if tree.spare_child[0, a] >= 0:
+            visits += tree.spare_visits[tree.spare_child[0, a]]
+    tree.spare_visits[0] = visits
+    for node in range(count):
+        tree.visits[node] = tree.spare_visits[node]
+        tree.total[node] = tree.spare_total[node]
+        tree.child[node] = tree.spare_child[node]
+    tree.count[0] = count
+
+
+@kernel
+def _select(tree: Tree, node: int, n_actions: int, search: Search, rng: NDArray[np.uint64]) -> int:
+    """Return the column with the highest Q + U; unvisited ones first, ties at random.
+
+    U = (ln((1 + N + c_base) / c_base) + c_init) p sqrt(N) / (1 + n), p = 1 / actions.
+    """
+    n_parent = tree.visits[node]
+    factor = (
+        (math.log((1.0 + n_parent + search.c_base) / search.c_base) + search.c_init)
+        * math.sqrt(n_parent)
+        / n_actions
+    )
+    best, best_score, ties = 0, -1e300, 0
+    for column in range(n_actions):
+        child = tree.child[node, column]
+        if child < 0 or tree.visits[child] == 0:
+            score = _UNVISITED_SCORE
+        else:
+            n = tree.visits[child]
+            score = tree.total[child] / n + factor / (1.0 + n)
+        if score > best_score:
+            best, best_score, ties = column, score, 1
+        elif score == best_score:
+            ties += 1
+            if below(rng, ties) == 0:
+                best = column
+    return best
+
+
+@kernel
+def _rollout(
+    tree: Tree,
+    agent: int,
+    subgoal: IntArray,
+    actions: IntArray,
+    baseline: float,
+    search: Search,
+    params: Params,
+    ground: Ground,
+    scratch: Scratch,
+    rng: NDArray[np.uint64],
+) -> float:
+    """Return the discounted rewards of random actions of both agents."""
+    n_actions = actions.shape[0]
+    value, weight = 0.0, 1.0
+    for _ in range(search.rollout_length):
+        own = actions[below(rng, n_actions)]
+        other = actions[below(rng, n_actions)]
+        compiled.step(
+            tree.particle,
+            tree.particle_held,
+            tree.particle_weld,
+            own if agent == 0 else other,
+            own if agent == 1 else other,
+            params,
+            scratch,
+        )
+        gain = reward(tree.particle, tree.particle_held, subgoal, own, params, ground) - baseline
+        value += weight * gain
+        weight *= search.discount
+    return value
+
+
+@kernel
+def _leader_is_safe(tree: Tree, n_actions: int, left: int) -> bool:
+    """Whether no other root action can catch up with the most visited one any more."""
+    first, second = 0, 0
+    for column in range(n_actions):
+        child = tree.child[0, column]
+        n = tree.visits[child] if child >= 0 else 0
+        if n > first:
+            first, second = n, first
+        elif n > second:
+            second = n
+    return first - second > left
+
+
+@kernel
+def _most_visited(tree: Tree, n_actions: int, rng: NDArray[np.uint64]) -> int:
+    best, most, ties = 0, -1, 0
+    for column in range(n_actions):
+        child = tree.child[0, column]
+        n = tree.visits[child] if child >= 0 else 0
+        if n > most:
+            best, most, ties = column, n, 1
+        elif n == most:
+            ties += 1
+            if below(rng, ties) == 0:
+                best = column
+    return best
+
+
+@kernel
+def run(
+    tree: Tree,
+    bodies: FloatArray,
+    held: IntArray,
+    weld: FloatArray,
+    agreeing: IntArray,
+    agent: int,
+    subgoal: IntArray,
+    actions: IntArray,
+    search: Search,
+    params: Params,
+    ground: Ground,
+    scratch: Scratch,
+    rng: NDArray[np.uint64],
+) -> int:
+    """Search until the root has ``n_simulations`` visits; return the column of the best action.
+
+    Args:
+        tree: empty, or the kept subtree of the previous step.
+        bodies, held, weld: (K, ...) the agent's belief particles.
+        agreeing: indices of the particles that agree with the subgoal.
+        subgoal: (4,) from ``subgoal_code``.
+        actions: (A,) actions to consider; columns of the tree stand for them in this order.
+    """
+    n_actions = actions.shape[0]
+    state, state_held, state_weld = tree.particle, tree.particle_held, tree.particle_weld
+    for visit in range(tree.visits[0], search.n_simulations):
+        k = agreeing[below(rng, agreeing.shape[0])]
+        state[:] = bodies[k]
+        state_held[:] = held[k]
+        state_weld[:] = weld[k]
+        baseline = 0.0
+        if search.baseline:
+            baseline = reward(state, state_held, subgoal, NO_ACTION, params, ground)
+        node, depth = 0, 0
+        while True:
+            column = _select(tree, node, n_actions, search, rng)
+            action = actions[column]
+            compiled.step(
+                state,
+                state_held,
+                state_weld,
+                action if agent == 0 else NO_ACTION,
+                action if agent == 1 else NO_ACTION,
+                params,
+                scratch,
+            )
+            gain = reward(state, state_held, subgoal, action, params, ground) - baseline
+            tree.rewards[depth] = gain
+            child = tree.child[node, column]
+            if child < 0:
+                child = tree.count[0]
+                tree.count[0] += 1
+                tree.child[node, column] = child
+                tree.child[child, :] = NO_NODE
+                tree.visits[child] = 0
+                tree.total[child] = 0.0
+                tree.path[depth] = child
+                depth += 1
+                break
+            tree.path[depth] = child
+            depth += 1
+            node = child
+        value = _rollout(
+            tree, agent, subgoal, actions, baseline, search, params, ground, scratch, rng
+        )
+        for level in range(depth - 1, -1, -1):
+            value = tree.rewards[level] + search.discount * value
+            tree.visits[tree.path[level]] += 1
+            tree.total[tree.path[level]] += value
+        tree.visits[0] += 1
+        tree.statistics[0] += 1
+        tree.statistics[1] += depth + search.rollout_length
+        tree.statistics[2] += depth
+        left = search.n_simulations - 1 - visit
+        if search.early_stop and left <= visit and _leader_is_safe(tree, n_actions, left):
+            break
+    return _most_visited(tree, n_actions, rng)

@@ -1,0 +1,346 @@
+"""The high-level planner: one subgoal per belief particle, by A* over symbolic states.
+
+Source: paper, Algorithm 1 (HP) and Appendix "Hierarchical Planner". The planning agent first
+looks for a plan of its own; where its body cannot do it, for a plan of both agents; where there
+is none, it goes as near as it can. An agent that hinders looks for the cheapest state from which
+the opponent's plan is broken, and from there acts on the negated goal itself.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+
+from phase_ppl.agents.operators import Abilities, Node, Step, plan, start_node
+from phase_ppl.agents.symbols import SymbolicState
+from phase_ppl.world.literals import STOP, Literal, Predicate
+from phase_ppl.world.names import NOTHING
+from phase_ppl.world.rooms import N_ROOMS
+
+NodeTest = Callable[[Node], bool]
+
+
+class SubgoalPlanner:
+    """Chooses subgoals of one agent, remembering each symbolic state it has planned for.
+
+    Args:
+        agent: who plans, 0 red or 1 green.
+        own: literal of its effective goal.
+        other: literal of the other agent's effective goal.
+        abilities: what the bodies can do.
+    """
+
+    def __init__(self, agent: int, own: Literal, other: Literal, abilities: Abilities) -> None:
+        self.agent = agent
+        self.opponent = 1 - agent
+        self.own = own
+        self.other = other
+        self.abilities = abilities
+        self._memory: dict[tuple[SymbolicState, tuple[bool, ...]], Literal] = {}
+
+    def subgoal(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
+        """Return the subgoal for one symbolic state.
+
+        Args:
+            state: facts of a belief particle.
+            observed: (4,) entities the agent observes now; it heads straight for those in view.
+        """
+        key = (state, observed)
+        found = self._memory.get(key)
+        if found is None:
+            found = self._memory[key] = self._choose(state, observed)
+        return found
+
+    def _choose(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
+        subject = self.own.subject
+        if self.own.positive:
+            if subject >= 2:
+                return self._deliver(state, observed)
+            if subject == self.agent:
+                return self._go(state, observed)
+            return self._help_to_move(state, observed)
+        if self.abilities.is_open:
+            return self._free_hands(state) or self.own
+        if subject >= 2:
+            return self._guard_item(state, observed)
+        if subject == self.opponent and self.own.predicate is Predicate.ON:
+            return self._keep_away(state, observed)
+        return self._free_hands(state) or self.own
+
+    # --- own goals and helping -------------------------------------------------------------
+
+    def _free_hands(self, state: SymbolicState, keep: int = NOTHING) -> Literal | None:
+        """Return the subgoal to let go of whatever is held (other than ``keep``), if anything."""
+        held = state.held[self.agent]
+        if held in (NOTHING, keep):
+            return None
+        return Literal(Predicate.ATTACH, self.agent, held, positive=False)
+
+    def _go(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
+        """ON(self, landmark) or TOUCH(self, other)."""
+        if self.own.predicate is Predicate.ON and state.own_done:
+            return self._free_hands(state) or STOP
+        letting_go = self._free_hands(state)
+        if letting_go is not None:
+            return letting_go
+        if self.own.predicate is Predicate.TOUCH:
+            goal_room = state.rooms[self.own.target]
+            in_view = observed[self.own.target]
+        else:
+            goal_room, in_view = self._landmark_room(self.own.target), False
+        return self._approach(state, goal_room, in_view, self.own)
+
+    def _approach(
+        self, state: SymbolicState, room: int, in_view: bool, arrived: Literal
+    ) -> Literal:
+        """Go to a room, and there act on ``arrived``."""
+        if state.rooms[self.agent] == room or in_view:
+            return arrived
+        steps = self._plan(
+            state, (self.agent,), frozenset(), lambda node: node.rooms[self.agent] == room
+        )
+        return steps[0].literal if steps else self._press_on(state, room)
+
+    def _press_on(self, state: SymbolicState, room: int) -> Literal:
+        """Head for a room that the body does not fit into: as near as the walls allow."""
+        way = self.abilities.route((), state.rooms[self.agent], room)
+        if way is None or len(way) < 2:
+            return STOP
+        return Literal(Predicate.CLOSE, self.agent, way[1])
+
+    def _deliver(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
+        """ON(item, landmark)."""
+        item, room = self.own.subject, self._landmark_room(self.own.target)
+        holding = state.held[self.agent] == item
+        if state.own_done:
+            return self.own if holding else self._free_hands(state) or STOP
+        letting_go = self._free_hands(state, keep=item)
+        if letting_go is not None:
+            return letting_go
+        if self.abilities.is_open and holding:
+            return self.own
+        cooperative = self.other == self.own
+
+        def delivered(node: Node) -> bool:
+            return node.rooms[item] == room and node.placed[item]
+
+        steps = self._plan(state, (self.agent,), frozenset({item}), delivered)
+        if steps is None and cooperative:
+            steps = self._plan(state, (self.agent, self.opponent), frozenset({item}), delivered)
+        own_step = self._first_own_step(steps)
+        if own_step is not None and self._can_start(steps, own_step, state):
+            return self._in_sight(own_step.literal, item, observed)
+        if holding:
+            # too weak or too wide: keep pulling towards the goal
+            way = self.abilities.route((), state.rooms[item], room)
+            if way is None or len(way) < 2:
+                return self.own
+            return Literal(Predicate.CLOSE, item, way[1])
+        if state.rooms[self.agent] == state.rooms[item] or observed[item]:
+            # the other does what this agent's body cannot
+            if cooperative and steps and own_step is None and state.held[self.opponent] == item:
+                return STOP
+            if state.in_reach[2 * self.agent + item - 2]:
+                return Literal(Predicate.ATTACH, self.agent, item)
+            return Literal(Predicate.TOUCH, self.agent, item)
+        return self._press_on(state, state.rooms[item])
+
+    def _in_sight(self, literal: Literal, item: int, observed: tuple[bool, ...]) -> Literal:
+        """Head straight for an item in view instead of for its room."""
+        walking = literal.predicate is Predicate.CLOSE and literal.subject == self.agent
+        if walking and observed[item]:
+            return Literal(Predicate.TOUCH, self.agent, item)
+        return literal
+
+    def _help_to_move(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
+        """ON(other, landmark): clear a door that an item closes on the other's way."""
+        if self.abilities.is_open or state.other_done or state.own_done:
+            return self._free_hands(state) or STOP
+        goal_room = self._landmark_room(self.own.target)
+        way = self.abilities.route((), state.rooms[self.opponent], goal_room)
+        on_way = self._doors(way)
+        held = state.held[self.agent]
+        closing = [2 + i for i in range(2) if state.door_filled_by[i] in on_way]
+        item = held if held != NOTHING else (closing[0] if closing else NOTHING)
+        if item == NOTHING or (held != NOTHING and item not in closing):
+            return self._free_hands(state) or STOP
+
+        def cleared(node: Node) -> bool:
+            return node.clear[item - 2] not in on_way
+
+        steps = self._plan(state, (self.agent,), frozenset({item}), cleared)
+        if not steps:
+            return STOP
+        step = steps[0].literal
+        if step.predicate is Predicate.CLOSE and step.subject == item:
+            return Literal(Predicate.ON, item, state.rooms[item])
+        return self._in_sight(step, item, observed)
+
+    # --- hindering -------------------------------------------------------------------------
+
+    def _keep_away(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
+        """not ON(other, landmark): fill a door on its way, or meet it there and push it back."""
+        goal_room = self._landmark_room(self.own.target)
+        rival_room = state.rooms[self.opponent]
+        way = self.abilities.route((self.opponent,), rival_room, goal_room)
+        if way is None:
+            return self._free_hands(state) or STOP
+        doors = self._doors(way)
+        for i in range(2):
+            item = 2 + i
+            useful = [d for d in doors if self.abilities.fills[i][d]]
+            near = state.rooms[self.agent] == state.rooms[item]
+            if not useful or not near or not self.abilities.carries_alone[self.agent]:
+                continue
+            if state.door_filled_by[i] in useful:
+                return self._free_hands(state) or STOP
+            reachable = [
+                d for d in useful if d in {ray for ray, _ in self._open(state.rooms[item])}
+            ]
+            if reachable:
+                if state.held[self.agent] == item:
+                    return Literal(Predicate.CLOSE, item, N_ROOMS + reachable[0])
+                return self._take(state, item)
+        letting_go = self._free_hands(state)
+        if letting_go is not None:
+            return letting_go
+        meeting = set(way[1:]) if len(way) > 1 else set(way)
+        if state.rooms[self.agent] in meeting or observed[self.opponent]:
+            return self.own
+        steps = self._plan(
+            state, (self.agent,), frozenset(), lambda node: node.rooms[self.agent] in meeting
+        )
+        return steps[0].literal if steps else self._press_on(state, goal_room)
+
+    def _guard_item(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
+        """not ON(item, landmark): take it away, hold it back, or stand in the way."""
+        item = self.own.subject
+        me, rival = state.rooms[self.agent], state.rooms[self.opponent]
+        item_room, goal_room = state.rooms[item], self._landmark_room(self.own.target)
+        ability = self.abilities
+        letting_go = self._free_hands(state, keep=item)
+        if letting_go is not None:
+            return letting_go
+        rival_way = ability.route((self.opponent,), rival, item_room)
+        rival_holds = state.held[self.opponent] == item
+        if ability.route((self.agent,), me, item_room) is None:
+            if rival_holds or rival == item_room or rival_way is None:
+                return STOP
+            return self._stand_in_door(state, rival_way)
+        holding = state.held[self.agent] == item
+        if rival_holds:
+            if ability.route((self.opponent, item), item_room, goal_room) is None:
+                return self._free_hands(state) or STOP
+            return Literal(Predicate.ON, item, item_room) if holding else self._take(
+                state, item, observed
+            )
+        if rival_way is None:
+            return self._free_hands(state) or STOP
+        refuge = self._refuge(item_room, rival)
+        if refuge is None:
+            return Literal(Predicate.ON, self.opponent, rival, positive=False)
+        if refuge == item_room:
+            return Literal(Predicate.ON, item, item_room) if holding else self.own
+        if not holding:
+            return self._take(state, item, observed)
+        way = ability.route((self.agent, item), item_room, refuge)
+        return Literal(Predicate.CLOSE, item, way[1]) if way else self.own
+
+    def _refuge(self, item_room: int, rival: int) -> int | None:
+        """Return the best room to take an item to: closed to the rival, or else farthest from it
+        among the rooms nearer to the item than to the rival."""
+        ability = self.abilities
+        best: tuple[float, int] | None = None
+        for room in range(N_ROOMS):
+            if ability.route((self.agent,), item_room, room) is None:
+                continue
+            if ability.route((self.opponent,), rival, room) is None:
+                return room
+            from_rival = ability.room_distance[rival][room]
+            if ability.room_distance[item_room][room] < from_rival and (
+                best is None or from_rival > best[0]
+            ):
+                best = (from_rival, room)
+        return None if best is None else best[1]
+
+    def _take(
+        self, state: SymbolicState, item: int, observed: tuple[bool, ...] = (False,) * 4
+    ) -> Literal:
+        """Get hold of an item."""
+        steps = self._plan(
+            state, (self.agent,), frozenset({item}), lambda node: node.held[self.agent] == item
+        )
+        if not steps:
+            return self._press_on(state, state.rooms[item])
+        return self._in_sight(steps[0].literal, item, observed)
+
+    def _stand_in_door(self, state: SymbolicState, rival_way: tuple[int, ...]) -> Literal:
+        """Go to the nearest door on the rival's way that this agent can get to."""
+        for ray in reversed(self._doors(rival_way)):
+            if ray in {r for r, _ in self._open(state.rooms[self.agent])}:
+                return Literal(Predicate.CLOSE, self.agent, N_ROOMS + ray)
+        target = rival_way[-2] if len(rival_way) > 1 else rival_way[-1]
+        return self._press_on(state, target)
+
+    # --- searching -------------------------------------------------------------------------
+
+    def _open(self, room: int) -> tuple[tuple[int, int], ...]:
+        return self.abilities.neighbours[room]
+
+    def _doors(self, way: tuple[int, ...] | None) -> list[int]:
+        """Return the rays of the doors that a way through rooms uses."""
+        doors = []
+        for start, end in zip(way or (), (way or ())[1:], strict=False):
+            doors += [ray for ray, following in self._open(start) if following == end][:1]
+        return doors
+
+    def _landmark_room(self, landmark: int) -> int:
+        """Rooms carry the ids of their landmarks; an arena without inner walls is one room."""
+        return 0 if self.abilities.is_open else landmark
+
+    def _plan(
+        self,
+        state: SymbolicState,
+        willing: tuple[int, ...],
+        targets: frozenset[int],
+        is_goal: NodeTest,
+    ) -> list[Step] | None:
+        done = [False] * 4
+        if self.own.predicate is Predicate.ON:
+            done[self.own.subject] = state.own_done
+        start = start_node(state, tuple(done), targets)  # type: ignore[arg-type]
+        distance = self.abilities.room_distance
+        moving = self.own.subject if self.own.predicate is Predicate.ON else None
+        goal_room = self._landmark_room(self.own.target) if moving in targets else None
+
+        def heuristic(node: Node) -> float:
+            if moving is None or goal_room is None or not self.own.positive:
+                return 0.0
+            return distance[node.rooms[moving]][goal_room]
+
+        return plan(start, willing, targets, is_goal, heuristic, self.abilities)
+
+    def _first_own_step(self, steps: list[Step] | None) -> Step | None:
+        return next((s for s in steps or () if self.agent in s.agents), None)
+
+    def _can_start(
+        self, steps: list[Step] | None, step: Step, state: SymbolicState
+    ) -> bool:
+        """Whether the first own step of a joint plan needs nothing of the other agent first."""
+        if not steps or steps[0] is step:
+            return True
+        item = step.literal.target if step.literal.predicate is Predicate.TOUCH else NOTHING
+        before = steps[: steps.index(step)]
+        walks = step.literal.predicate is Predicate.CLOSE and step.literal.subject == self.agent
+        touches_here = item != NOTHING and state.rooms[item] == state.rooms[self.agent]
+        return walks or (
+            touches_here and all(s.literal.predicate is not Predicate.CLOSE for s in before)
+        )
+
+
+@functools.lru_cache(maxsize=512)
+def subgoal_planner(
+    agent: int, own: Literal, other: Literal, abilities: Abilities
+) -> SubgoalPlanner:
+    """Return the planner for these arguments; simulations that agree on them share its memory."""
+    return SubgoalPlanner(agent, own, other, abilities)

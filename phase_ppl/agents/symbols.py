@@ -1,0 +1,165 @@
+"""From belief particles to symbolic states: the facts that the subgoal planner reasons over.
+
+Source: paper, Appendix "Predicates, Symbolic States, Goals, and Subgoals".
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phase_ppl.agents.ground import DISTANCE_UNIT, Ground, body_origin, path_distance, room_of
+from phase_ppl.physics.compiled import Params
+from phase_ppl.physics.jit import kernel
+from phase_ppl.world.geometry import GRAB_REACH
+from phase_ppl.world.literals import Predicate
+
+FloatArray = NDArray[np.float64]
+
+NEAR_AGENT_ON: Final = 0.02 * DISTANCE_UNIT
+"""An agent is done with ON(itself, landmark) this close to the centre, units."""
+
+NEAR_ITEM_ON: Final = 0.05 * DISTANCE_UNIT
+"""Likewise for ON(item, landmark)."""
+
+NEAR_TOUCH: Final = 0.1 * DISTANCE_UNIT
+"""Likewise for TOUCH."""
+
+NO_DOOR: Final = -1
+_ON, _TOUCH = int(Predicate.ON), int(Predicate.TOUCH)
+N_FACTS: Final = 14
+
+
+class SymbolicState(NamedTuple):
+    """Which facts hold in one particle.
+
+    Attributes:
+        rooms: room of each entity (0 for all in an arena without inner walls).
+        held: item held by each agent, or -1.
+        in_reach: whether (red, blue), (red, pink), (green, blue), (green, pink) can be grabbed.
+        own_done, other_done: whether the positive form of the agent's own and of the other's
+            goal is reached.
+        door_filled_by: the door (ray) that the (blue, pink) item closes, or -1.
+    """
+
+    rooms: tuple[int, int, int, int]
+    held: tuple[int, int]
+    in_reach: tuple[bool, bool, bool, bool]
+    own_done: bool
+    other_done: bool
+    door_filled_by: tuple[int, int]
+
+
+def unpack(facts: NDArray[np.int8]) -> SymbolicState:
+    """Return the symbolic state of one row written by :func:`describe`."""
+    f = facts.tolist()
+    return SymbolicState(
+        rooms=(f[0], f[1], f[2], f[3]),
+        held=(f[4], f[5]),
+        in_reach=(bool(f[6]), bool(f[7]), bool(f[8]), bool(f[9])),
+        own_done=bool(f[10]),
+        other_done=bool(f[11]),
+        door_filled_by=(f[12], f[13]),
+    )
+
+
+@kernel
+def _in_reach(bodies: FloatArray, agent: int, item: int, params: Params) -> bool:
+    x, y = body_origin(bodies, agent, params.cog)
+    radius = params.radius[agent]
+    c, s = math.cos(bodies[agent, 2]), math.sin(bodies[agent, 2])
+    reach = params.radius[item] + GRAB_REACH
+    for side in range(4):
+        lx = radius * (1 if side == 2 else -1) if side >= 2 else 0.0
+        ly = radius * (1 if side == 0 else -1) if side < 2 else 0.0
+        dx = x + lx * c - ly * s - bodies[item, 0]
+        dy = y + lx * s + ly * c - bodies[item, 1]
+        if dx * dx + dy * dy < reach * reach:
+            return True
+    return False
+
+
+@kernel
+def _done(
+    bodies: FloatArray, goal: NDArray[np.int64], params: Params, ground: Ground
+) -> bool:
+    x, y = body_origin(bodies, goal[1], params.cog)
+    if goal[0] == _ON:
+        near = NEAR_ITEM_ON if goal[1] >= 2 else NEAR_AGENT_ON
+        lx, ly = ground.landmarks[goal[2], 0], ground.landmarks[goal[2], 1]
+        return path_distance(x, y, lx, ly, ground) < near
+    tx, ty = body_origin(bodies, goal[2], params.cog)
+    return path_distance(x, y, tx, ty, ground) < NEAR_TOUCH
+
+
+@kernel
+def _cost_to_go(
+    bodies: FloatArray,
+    held: NDArray[np.int64],
+    agent: int,
+    goal: NDArray[np.int64],
+    params: Params,
+    ground: Ground,
+) -> float:
+    if goal[3] < 0:
+        return 0.0
+    x, y = body_origin(bodies, agent, params.cog)
+    sx, sy = body_origin(bodies, goal[1], params.cog)
+    if goal[1] != agent and held[agent] != goal[1]:
+        return path_distance(x, y, sx, sy, ground)
+    if goal[0] == _ON:
+        lx, ly = ground.landmarks[goal[2], 0], ground.landmarks[goal[2], 1]
+        return path_distance(sx, sy, lx, ly, ground)
+    tx, ty = body_origin(bodies, goal[2], params.cog)
+    return path_distance(sx, sy, tx, ty, ground)
+
+
+@kernel
+def describe(
+    bodies: FloatArray,
+    held: NDArray[np.int64],
+    agent: int,
+    own_goal: NDArray[np.int64],
+    other_goal: NDArray[np.int64],
+    params: Params,
+    ground: Ground,
+    facts: NDArray[np.int8],
+    costs: FloatArray,
+) -> None:
+    """Write the facts of every particle, and its distance to the agent's goal state.
+
+    Args:
+        bodies, held: (K, ...) particles.
+        own_goal, other_goal: (4,) codes of the goal literals of the agent and of the other.
+        facts: (K, N_FACTS) output, the fields of :class:`SymbolicState` in order.
+        costs: (K,) output, the cost C of Algorithm 1: path length of the leg the agent is on, to
+            the item it is after or from there to the goal, units; 0 for negative goals.
+    """
+    for k in range(bodies.shape[0]):
+        particle = bodies[k]
+        for entity in range(4):
+            x, y = body_origin(particle, entity, params.cog)
+            facts[k, entity] = 0 if ground.is_open else room_of(x, y, ground)
+        for a in range(2):
+            facts[k, 4 + a] = held[k, a]
+            for i in range(2):
+                facts[k, 6 + 2 * a + i] = _in_reach(particle, a, 2 + i, params)
+        facts[k, 10] = _done(particle, own_goal, params, ground)
+        facts[k, 11] = _done(particle, other_goal, params, ground)
+        for i in range(2):
+            facts[k, 12 + i] = NO_DOOR
+            for door in range(4):
+                if ground.is_open or ground.door_width[door] <= 0.0:
+                    continue
+                dx = particle[2 + i, 0] - ground.doors[door, 0]
+                dy = particle[2 + i, 1] - ground.doors[door, 1]
+                # a narrower item can be pushed through
+                radius = params.radius[2 + i]
+                if 2.0 * radius <= ground.door_width[door]:
+                    continue
+                if dx * dx + dy * dy < (radius + params.radius[1 - agent]) ** 2:
+                    facts[k, 12 + i] = door
+        costs[k] = _cost_to_go(particle, held[k], agent, own_goal, params, ground)

@@ -1,0 +1,52 @@
+"""Running a simulator forward: a hypothesis becomes an event."""
+
+from __future__ import annotations
+
+from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.simulator.contract import Simulator, simulate_trajectory
+from phase_ppl.simulator.joint import JointSimulator
+from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.event import Event, Truth
+from phase_ppl.world.goals import GOALS
+from phase_ppl.world.hypothesis import Hypothesis
+from phase_ppl.world.observation import MIN_FRAMES, Observation
+from phase_ppl.world.scene import Scene
+
+
+def simulate(
+    scene: Scene,
+    hypothesis: Hypothesis,
+    *,
+    frames: int = 101,
+    seed: int = 0,
+    planner: str | PlannerConfig = "fast",
+    simulator: Simulator | None = None,
+    id: str = "simulated",
+) -> Event:
+    """Simulate an event under a hypothesis; it carries its truth.
+
+    Args:
+        scene: where it starts.
+        hypothesis: who wants what.
+        frames: length of the trajectory, 12 per simulated second; frame 0 is the start.
+        seed: the same seed gives the same event.
+        planner: "fast", "paper" or a ``PlannerConfig``; only for the joint simulator.
+        simulator: another simulator than the joint one.
+        id: name of the event.
+
+    Raises:
+        InvalidSettingError: fewer than 2 frames.
+        SimulationError: the simulator failed.
+    """
+    if frames < MIN_FRAMES:
+        raise InvalidSettingError(f"frames={frames}, expected at least {MIN_FRAMES}")
+    run = JointSimulator(planner) if simulator is None else simulator
+    trajectory = simulate_trajectory(run, scene, hypothesis, seed, frames)
+    red, green = hypothesis.effective_goals
+    truth = Truth(
+        GOALS[red],
+        GOALS[green],
+        strength_red=hypothesis.strength_red,
+        strength_green=hypothesis.strength_green,
+    )
+    return Event(scene, Observation(trajectory), id=id, truth=truth)
