@@ -1,0 +1,181 @@
+"""How the chains went, and in words whether their posterior can be trusted."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from phase_ppl.analysis.tree import HYPOTHESIS
+from phase_ppl.analysis.weights import aborted_mass_bound
+from phase_ppl.world.goals import N_GOALS
+from phase_ppl.world.names import AGENTS
+
+AGREED = 0.8
+"""Share of particles with the same leading goal from which on they are said to agree."""
+
+STUCK = 0.05
+"""Acceptance rate below which the particles are said to have hardly moved."""
+
+FloatArray = NDArray[np.float64]
+
+
+def diagnostics(tree: xr.DataTree, weights: str, row_weights: FloatArray) -> dict[str, Any]:
+    """Return the diagnostics of a tree of draws as plain numbers, lists and text.
+
+    Keys, beside ``weights``, ``kernel`` and ``validity``:
+
+    * ``particles``, ``iterations``: chains M and draws L.
+    * ``acceptance_by_iteration``, ``acceptance_rate``: share of particles that accepted.
+    * ``move_rate``: share of iterations in which a particle's pair of effective goals changed,
+      None with a single draw.
+    * ``distinct_hypotheses``, ``distinct_goal_pairs``: among the draws.
+    * ``effective_rows``: 1 / sum of squared weights, of the weighting in use.
+    * ``agreement``: per goal, the share of particles whose own leading goal leads overall.
+    * ``between_chain_tv``: per goal, mean and max over pairs of particles of the total
+      variation between their marginals; None with one particle.
+    * ``monte_carlo_error``: per goal, the standard error of the leading goal's probability
+      under equal draws, from the spread between particles; None with one particle.
+    * ``simulations``: total, completed, aborted (stopped early), failed.
+    * ``frames_saved``, ``frames_saved_share``: by stopping early.
+    * ``aborted_mass_bound``: see :func:`phase_ppl.analysis.weights.aborted_mass_bound`.
+    * ``best_error_per_frame``: smallest mean error of a draw, units: the norm over x, y of all
+      four entities.
+    * ``verdict``: a sentence or two.
+
+    R-hat and effective sample size of goal codes mean nothing and are not given.
+    """
+    posterior, stats = tree["posterior"].dataset, tree["sample_stats"].dataset
+    n_chains, n_draws = posterior["goal_red"].shape
+    accepted = stats["accepted"].values.astype(float)
+    goals = {name: posterior[name].values for name in ("goal_red", "goal_green")}
+    by_chain = {name: _chain_marginals(codes) for name, codes in goals.items()}
+    pair = goals["goal_red"].astype(np.int64) * N_GOALS + goals["goal_green"]
+    n_frames = tree["observed_data"].sizes["time"]
+    result: dict[str, Any] = {
+        "weights": weights,
+        "kernel": str(tree.attrs["kernel"]),
+        "validity": str(tree.attrs["validity"]),
+        "particles": n_chains,
+        "iterations": n_draws,
+        "acceptance_by_iteration": [float(rate) for rate in accepted.mean(axis=0)],
+        "acceptance_rate": float(accepted.mean()),
+        "move_rate": float((pair[:, 1:] != pair[:, :-1]).mean()) if n_draws > 1 else None,
+        "distinct_hypotheses": _n_distinct([posterior[name].values for name in HYPOTHESIS]),
+        "distinct_goal_pairs": len(np.unique(pair)),
+        "effective_rows": float(1 / (row_weights**2).sum()),
+        "agreement": {name: _agreement(p) for name, p in by_chain.items()},
+        "between_chain_tv": {name: _between_chain_tv(p) for name, p in by_chain.items()},
+        "monte_carlo_error": {name: _monte_carlo_error(p) for name, p in by_chain.items()},
+        **_simulation_costs(tree, n_frames),
+        "aborted_mass_bound": aborted_mass_bound(tree),
+        "best_error_per_frame": float(stats["total_error"].min()) / n_frames,
+    }
+    result["verdict"] = verdict(result)
+    return result
+
+
+def _chain_marginals(codes: NDArray[Any]) -> FloatArray:
+    """Return (chain, goal): each chain's share of draws per goal."""
+    return np.stack([np.bincount(chain, minlength=N_GOALS) / len(chain) for chain in codes])
+
+
+def _agreement(by_chain: FloatArray) -> float:
+    leading = by_chain.mean(axis=0).argmax()
+    return float((by_chain.argmax(axis=1) == leading).mean())
+
+
+def _between_chain_tv(by_chain: FloatArray) -> dict[str, float] | None:
+    distances = [
+        0.5 * float(np.abs(one - other).sum()) for one, other in itertools.combinations(by_chain, 2)
+    ]
+    if not distances:
+        return None
+    return {"mean": float(np.mean(distances)), "max": max(distances)}
+
+
+def _monte_carlo_error(by_chain: FloatArray) -> float | None:
+    if len(by_chain) < 2:
+        return None
+    leading = by_chain.mean(axis=0).argmax()
+    return float(by_chain[:, leading].std(ddof=1) / np.sqrt(len(by_chain)))
+
+
+def _n_distinct(columns: list[NDArray[Any]]) -> int:
+    return len(set(zip(*(column.reshape(-1).tolist() for column in columns), strict=True)))
+
+
+def _simulation_costs(tree: xr.DataTree, n_frames: int) -> dict[str, Any]:
+    simulations = tree["simulations"].dataset
+    failed = simulations["failed"].values.astype(bool)
+    completed = simulations["completed"].values.astype(bool) & ~failed
+    aborted = ~completed & ~failed
+    saved = int((n_frames - simulations["frames_simulated"].values[aborted]).sum())
+    wanted = n_frames * int((~failed).sum())
+    return {
+        "simulations": {
+            "total": len(failed),
+            "completed": int(completed.sum()),
+            "aborted": int(aborted.sum()),
+            "failed": int(failed.sum()),
+        },
+        "frames_saved": saved,
+        "frames_saved_share": saved / wanted if wanted else 0.0,
+    }
+
+
+def verdict(found: dict[str, Any]) -> str:
+    """Return in a few sentences whether the posterior with these diagnostics can be trusted."""
+    sentences = [_agreement_in_words(found)]
+    rate = found["acceptance_rate"]
+    if rate == 0:
+        sentences.append(
+            "No proposal was accepted: this is still the bottom-up guess, not a posterior."
+        )
+    elif rate < STUCK:
+        sentences.append(
+            f"Only {rate:.0%} of the proposals were accepted: the particles have hardly left "
+            "the bottom-up guess."
+        )
+    if found["weights"] == "visited":
+        sentences.append(
+            "The weights 'visited' are an approximation; simulations stopped early hide at most "
+            f"{found['aborted_mass_bound']:.1%} of their mass."
+        )
+    elif found["weights"] == "likelihood":
+        sentences.append("The weights 'likelihood' make every probability too extreme.")
+    if found["validity"] == "approximate":
+        sentences.append(
+            f"The kernel {found['kernel']} is approximate: its probabilities are biased however "
+            "long it runs."
+        )
+    simulations = found["simulations"]
+    if simulations["failed"]:
+        sentences.append(f"{simulations['failed']} of {simulations['total']} simulations failed.")
+    return " ".join(sentences)
+
+
+def _agreement_in_words(found: dict[str, Any]) -> str:
+    particles = found["particles"]
+    if particles == 1:
+        return "With one particle nothing shows whether another would agree: use more."
+    error = max(found["monte_carlo_error"].values())
+    margin = f" (Monte-Carlo error of a leading goal's probability: {error:.2f})"
+    agreed = [share >= AGREED for share in found["agreement"].values()]
+    if all(agreed):
+        return (
+            f"The {particles} particles agree on both agents' goals{margin}: "
+            "nothing speaks against the leading goals."
+        )
+    if any(agreed):
+        yes, no = (AGENTS[0], AGENTS[1]) if agreed[0] else (AGENTS[1], AGENTS[0])
+        on_what = f"agree on the {yes}'s goal but not on the {no}'s"
+    else:
+        on_what = "agree on neither agent's goal"
+    return (
+        f"The {particles} particles {on_what}{margin}: more iterations would tell real "
+        "uncertainty from chains that have not mixed."
+    )

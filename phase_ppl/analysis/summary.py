@@ -1,0 +1,119 @@
+"""A posterior in short: as plain data for a file, and as a table for a terminal."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from phase_ppl.world.names import AGENTS
+
+if TYPE_CHECKING:
+    from phase_ppl.analysis.posterior import Posterior
+
+WIDTH: Final = 88
+"""Columns of the table."""
+
+_LABEL, _NAME, _BAR = 13, 38, 28
+_GOALS: Final = dict(zip(AGENTS, ("goal_red", "goal_green"), strict=True))
+_STRENGTHS: Final = dict(zip(AGENTS, ("strength_red", "strength_green"), strict=True))
+
+
+def summary(post: Posterior) -> dict[str, Any]:
+    """Return ``post`` in JSON's types; numbers that do not exist are None.
+
+    Keys: ``goals`` (agent -> all 36 goals), ``relation``, ``scenario``, ``strengths`` (agent ->
+    mean, sd, hdi_low, hdi_high in newtons), ``map``, ``diagnostics``, ``settings``, ``cost``.
+    """
+    strengths = {}
+    for agent, name in _STRENGTHS.items():
+        low, high = post.hdi(name).values
+        strengths[agent] = {
+            "mean": post.mean(name),
+            "sd": post.sd(name),
+            "hdi_low": low,
+            "hdi_high": high,
+        }
+    record = {
+        "goals": {agent: _as_dict(post, name) for agent, name in _GOALS.items()},
+        "relation": _as_dict(post, "relation"),
+        "scenario": _as_dict(post, "scenario"),
+        "strengths": strengths,
+        "map": post.map_record(),
+        "diagnostics": post.diagnostics(),
+        "settings": post.settings,
+        "cost": post.cost,
+    }
+    return {name: plain(value) for name, value in record.items()}
+
+
+def _as_dict(post: Posterior, name: str) -> dict[str, float]:
+    marginal = post.marginal(name)
+    return dict(zip(marginal[name].values.tolist(), marginal.values.tolist(), strict=True))
+
+
+def plain(value: Any) -> Any:
+    """Return ``value`` in JSON's types; numbers that are not finite become None."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(entry) for entry in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value
+
+
+def table(post: Posterior) -> str:
+    """Return ``post`` as a table of at most 88 columns."""
+    found = post.diagnostics()
+    head = (
+        f"{found['particles']} particles x {found['iterations']} iterations, "
+        f"{found['kernel']}, weights {found['weights']}"
+    )
+    lines = [*_wrapped("posterior", f"{post.event_id}: {head}"), ""]
+    for agent, name in _GOALS.items():
+        lines += _bars(agent, [entry for entry in post.top(name, 3) if entry[1] > 0])
+    lines += _bars("relation", post.top("relation", 3))
+    lines += _bars("scenario", post.top("scenario", 4))
+    for agent, name in _STRENGTHS.items():
+        low, high = post.hdi(name).values
+        text = f"{agent}: {post.mean(name):.0f} N (94 % interval {low:.0f} to {high:.0f} N)"
+        lines.append(f"{'strength' if agent == AGENTS[0] else '':<{_LABEL}}{text}")
+    lines += ["", *_wrapped("fit", _fit(found)), *_wrapped("cost", _cost(post.cost, found))]
+    return "\n".join([*lines, *_wrapped("verdict", found["verdict"])])
+
+
+def _bars(label: str, entries: list[tuple[str, float]]) -> Iterator[str]:
+    for name, probability in entries:
+        bar = "#" * round(probability * _BAR)
+        yield f"{label:<{_LABEL}}{name:<{_NAME}}{probability:5.3f}  {bar}".rstrip()
+        label = ""
+
+
+def _fit(found: Mapping[str, Any]) -> str:
+    return (
+        f"the best draw stays {found['best_error_per_frame']:.2f} units per frame from the "
+        "observation (all four entities together)"
+    )
+
+
+def _cost(cost: Mapping[str, Any], found: Mapping[str, Any]) -> str:
+    simulations = found["simulations"]
+    words = f"{simulations['total']} simulations"
+    if isinstance(cost.get("seconds"), int | float):
+        words += f" in {cost['seconds']:.0f} s"
+    if isinstance(cost.get("workers"), int):
+        words += f" on {cost['workers']} worker{'' if cost['workers'] == 1 else 's'}"
+    return (
+        f"{words}; {simulations['aborted']} stopped early, which saved "
+        f"{found['frames_saved_share']:.0%} of the frames; {simulations['failed']} failed"
+    )
+
+
+def _wrapped(label: str, text: str) -> list[str]:
+    indent = " " * _LABEL
+    return textwrap.wrap(text, WIDTH, initial_indent=f"{label:<{_LABEL}}", subsequent_indent=indent)

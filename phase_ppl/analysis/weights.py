@@ -1,0 +1,196 @@
+"""Three ways to turn a tree of draws into a table of hypotheses with weights.
+
+Every query is a sum over such a table. Which weighting is valid when:
+
+``"count"``
+    Every draw weighs the same. Valid for every kernel whose stationary law is the posterior,
+    and the only one that is: a chain visits a hypothesis in proportion to its probability.
+``"visited"``
+    Every distinct hypothesis that was simulated weighs P(h) times the mean of its likelihood
+    over seeds, whether the chain stayed there or not. It uses rejected proposals too and does
+    not depend on the acceptance rule, which helps when chains are as short as the paper's
+    L = 6. It is an approximation: hypotheses that were never proposed weigh nothing, and a
+    region that was proposed often counts once for each of its points. P(h) is the prior of the
+    stated hypothesis; the own goal that a helper or hinderer does not pursue is not summed
+    out, so one visit to a helping hypothesis stands for one of its 35 equals. Simulations that
+    were stopped early are bounded, not dropped: see :func:`aborted_mass_bound`.
+``"likelihood"``
+    Every draw weighs its own likelihood. This is how the authors' published probabilities
+    behave, and for reproducing them only: on the draws of an exact kernel the likelihood
+    counts twice, which makes every probability too extreme.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+from numpy.typing import NDArray
+
+from phase_ppl.analysis.tree import HYPOTHESIS, SITES, array, simulation_of_draw
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Rows:
+    """A table of hypotheses.
+
+    Attributes:
+        values: site -> (row,) codes or numbers.
+        weights: (row,) non-negative, sum 1.
+        index: what identifies a row in the tree: column -> (row,) integers.
+    """
+
+    values: Mapping[str, NDArray[Any]]
+    weights: FloatArray
+    index: Mapping[str, NDArray[np.int64]]
+
+
+def log_sum_exp(values: FloatArray) -> float:
+    """Return log(sum(exp(values))) without overflow; -inf for no values or all -inf."""
+    highest = np.max(values, initial=-np.inf)
+    if not np.isfinite(highest):
+        return float(highest)
+    return float(highest + np.log(np.exp(values - highest).sum()))
+
+
+def normalised(log_weights: FloatArray) -> FloatArray:
+    """Return weights of sum 1 that are proportional to exp(log_weights).
+
+    Raises:
+        InvalidSettingError: all weights are zero, or one is not a number.
+    """
+    total = log_sum_exp(log_weights)
+    if not np.isfinite(total):
+        raise InvalidSettingError(
+            f"the hypotheses cannot be weighted: their log weights sum to {total}"
+        )
+    weights = np.exp(log_weights - total)
+    return weights / weights.sum()
+
+
+def count(tree: xr.DataTree) -> Rows:
+    """Return all draws with equal weights."""
+    values, index = _draws(tree)
+    n_draws = len(index["draw"])
+    return Rows(values, np.full(n_draws, 1.0 / n_draws), index)
+
+
+def likelihood(tree: xr.DataTree) -> Rows:
+    """Return all draws, each weighted by its own likelihood.
+
+    Raises:
+        InvalidEventError: a draw rests on no simulation of the tree.
+    """
+    values, index = _draws(tree)
+    simulation = simulation_of_draw(tree).reshape(-1)
+    if (simulation < 0).any():
+        lost = int(np.argmax(simulation < 0))
+        raise InvalidEventError(
+            f"draw {index['draw'][lost]} of chain {index['chain'][lost]} rests on no completed "
+            "simulation of the tree, so its likelihood is unknown"
+        )
+    log_likelihood = array(tree, "simulations", "log_likelihood").astype(float)
+    return Rows(values, normalised(log_likelihood[simulation]), index)
+
+
+def visited(tree: xr.DataTree) -> Rows:
+    """Return every distinct hypothesis with a completed simulation, by P(h) mean_seeds L.
+
+    A hypothesis is distinct by its stated goals, alpha, strengths and any further site. Its
+    likelihood is the mean over its seeds, in which a run that was stopped early counts as 0:
+    an under-estimate by no more than :func:`aborted_mass_bound`.
+
+    Raises:
+        InvalidSettingError: no simulation was completed.
+    """
+    table = _evaluations(tree)
+    weighed = table[table["completed"]]
+    if weighed.empty:
+        raise InvalidSettingError("weights 'visited' need at least one completed simulation")
+    _, first, row = np.unique(
+        weighed["hypothesis"].to_numpy(), return_index=True, return_inverse=True
+    )
+    log_weights = np.full(len(first), -np.inf)
+    np.logaddexp.at(log_weights, row, weighed["log_mass"].to_numpy())
+    simulation = weighed["simulation"].to_numpy()[first]
+    simulations = tree["simulations"].dataset
+    values = {name: simulations[name].values[simulation] for name in _sites(tree)}
+    return Rows(values, normalised(log_weights), {"simulation": simulation})
+
+
+def aborted_mass_bound(tree: xr.DataTree) -> float:
+    """Return the largest share of the visited mass that early-stopped simulations can hide.
+
+    Finishing them would change no probability under weights ``"visited"`` by more than this
+    (total variation); 1 where nothing was completed.
+    """
+    table = _evaluations(tree)
+    completed = table["completed"].to_numpy()
+    log_mass = table["log_mass"].to_numpy()
+    if completed.all():
+        return 0.0
+    hidden = log_sum_exp(log_mass[~completed])
+    everything = log_sum_exp(log_mass)
+    return float(np.exp(hidden - everything)) if np.isfinite(everything) else 1.0
+
+
+def _evaluations(tree: xr.DataTree) -> pd.DataFrame:
+    """Return one row per distinct (hypothesis, seed) that did not fail.
+
+    Columns: simulation (first row in the tree), hypothesis (number), completed, and log_mass =
+    log P(h) + log likelihood (a bound where not completed) - log(number of the hypothesis' seeds).
+    """
+    simulations = tree["simulations"].dataset
+    key = [name for name in _sites(tree) if name in HYPOTHESIS or name not in SITES]
+    columns = (*key, "seed", "log_prior", "log_likelihood", "completed")
+    table = pd.DataFrame({name: simulations[name].values for name in columns})
+    table.insert(0, "simulation", np.arange(len(table)))
+    table = table[~simulations["failed"].values]
+    # a completed run of a hypothesis and seed says more than a stopped one of the same
+    table = table.sort_values("completed", ascending=False, kind="stable")
+    table = table.drop_duplicates([*key, "seed"]).sort_values("simulation")
+    hypothesis = table.groupby(key, sort=False).ngroup()
+    log_joint = table["log_prior"].astype(float) + table["log_likelihood"].astype(float)
+    seeds = table.groupby(hypothesis)["seed"].transform("size")
+    return pd.DataFrame(
+        {
+            "simulation": table["simulation"],
+            "hypothesis": hypothesis,
+            "completed": table["completed"].astype(bool),
+            "log_mass": log_joint - np.log(seeds),
+        }
+    )
+
+
+def _sites(tree: xr.DataTree) -> list[str]:
+    """Return the sites that both draws and simulations give: ours, then a user's own."""
+    posterior, simulations = tree["posterior"].dataset, tree["simulations"].dataset
+    own = [
+        str(name)
+        for name, variable in posterior.data_vars.items()
+        if name not in SITES and variable.ndim == 2 and name in simulations
+    ]
+    return [*SITES, *own]
+
+
+def _draws(tree: xr.DataTree) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[np.int64]]]:
+    posterior = tree["posterior"].dataset
+    values = {name: posterior[name].values.reshape(-1) for name in _sites(tree)}
+    n_chains, n_draws = posterior["goal_red"].shape
+    chain, draw = np.divmod(np.arange(n_chains * n_draws), n_draws)
+    return values, {"chain": chain, "draw": draw}
+
+
+WEIGHTINGS: Final[Mapping[str, Callable[[xr.DataTree], Rows]]] = {
+    "count": count,
+    "visited": visited,
+    "likelihood": likelihood,
+}
+"""Name of a weighting -> the function that makes the table."""

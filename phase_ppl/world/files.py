@@ -1,0 +1,46 @@
+"""Writing files so that nobody ever finds half of one."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import secrets
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from phase_ppl.world.errors import OutputError
+
+
+@contextlib.contextmanager
+def atomic_output(path: str | os.PathLike[str], suffixes: Sequence[str]) -> Iterator[Path]:
+    """Yield a fresh path beside ``path``; what was written there becomes ``path`` at the end.
+
+    If the block raises, ``path`` stays as it was and what was written is deleted. Whether the
+    folder can be written is found out before the block begins.
+
+    Args:
+        path: where the result is to be.
+        suffixes: file name endings that are allowed, such as (".png",).
+
+    Raises:
+        OutputError: another ending, a folder in the way, or the folder cannot be written.
+    """
+    target = Path(path)
+    if target.suffix.lower() not in suffixes:
+        raise OutputError(f"cannot write {target}: expected a name in {' or '.join(suffixes)}")
+    if target.is_dir():
+        raise OutputError(f"cannot write {target}: it is a folder")
+    # a short name of its own: a long target name must not become too long
+    part = target.with_name(f".part-{secrets.token_hex(4)}{target.suffix}")
+    try:
+        part.touch(exist_ok=False)
+        yield part
+        os.replace(part, target)
+    except OSError as error:
+        if isinstance(error, OutputError):
+            raise
+        reason = error.strerror or str(error)
+        raise OutputError(f"cannot write {target}: {reason}") from error
+    finally:
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)

@@ -1,0 +1,1 @@
+"""Tests of phase_ppl.analysis."""

@@ -1,0 +1,233 @@
+"""Trees of draws made by hand or at random, as inference would write them."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from phase_ppl.analysis.tree import SCHEMA
+from phase_ppl.world.goals import GOALS, goal_index, is_self_referring
+from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
+from phase_ppl.world.names import ENTITIES
+from phase_ppl.world.observation import FRAMES_PER_SECOND
+from phase_ppl.world.scene import Scene
+
+BLUE_TO_RED = "Get blue item to red lm"
+PINK_TO_BLUE = "Get pink item to blue lm"
+TO_RED = "get to red agent"
+TO_GREEN = "get to green agent"
+AWAY_FROM_RED = "get away from red agent"
+
+
+@dataclasses.dataclass(frozen=True)
+class Simulation:
+    """One simulation that was paid for."""
+
+    hypothesis: Hypothesis
+    seed: int = 0
+    log_prior: float = 0.0
+    log_likelihood: float = 0.0
+    completed: bool = True
+    failed: bool = False
+    frames: int = 5
+    chain: int = 0
+    iteration: int = 0
+
+
+def hypothesis(
+    red: str | int = BLUE_TO_RED,
+    green: str | int = PINK_TO_BLUE,
+    alpha: tuple[int, int] = (0, 0),
+    strengths: tuple[float, float] = (300.0, 450.0),
+) -> Hypothesis:
+    return Hypothesis(goal_index(red), goal_index(green), alpha, *strengths)
+
+
+def default_scene() -> Scene:
+    start = np.array([[8, 20, 0.3], [24, 10, 1.0], [14, 16, 0], [18, 4, 0]], float)
+    return Scene(start, np.array([0.8, 1.2, 1.01, 0.8]), np.array([[[16, 12], [16, 17]]], float))
+
+
+def make_tree(
+    simulations: Sequence[Simulation],
+    draws: Sequence[Sequence[int]],
+    *,
+    n_frames: int = 5,
+    weights: str = "count",
+    validity: str = "exact",
+    scene: Scene | None = None,
+    observed: NDArray[np.float64] | None = None,
+    predicted: NDArray[np.float64] | None = None,
+    own_site: Sequence[int] | None = None,
+) -> xr.DataTree:
+    """Return a tree of draws.
+
+    Args:
+        simulations: all that were paid for.
+        draws: (chain, draw) which simulation each draw rests on.
+        n_frames: number of frames, where no trajectories are given.
+        weights, validity: root attributes.
+        scene: of the event.
+        observed: (time, entity, coord).
+        predicted: (simulation, time, entity, coord); default: the simulation's number everywhere.
+        own_site: a value per simulation of a user's site ``mood``.
+    """
+    scene = scene or default_scene()
+    if observed is None:
+        observed = np.repeat(scene.start[None], n_frames, axis=0)
+    n_frames = len(observed)
+    if predicted is None:
+        predicted = np.broadcast_to(
+            np.arange(len(simulations), dtype=float)[:, None, None, None],
+            (len(simulations), *observed.shape),
+        )
+    table = _simulation_table(simulations, own_site)
+    index = np.array(draws, np.int64)
+    sites = [name for name in table if name.startswith(("goal", "stated", "alpha", "str", "mood"))]
+    frame = {"time": np.arange(n_frames) / FRAMES_PER_SECOND, "entity": list(ENTITIES)}
+    frame["coord"] = ["x", "y", "angle"]
+    draw_coords = {"chain": np.arange(index.shape[0]), "draw": np.arange(index.shape[1])}
+    pair = ("chain", "draw")
+    error = np.linalg.norm((predicted - observed)[..., :2], axis=(-2, -1)).astype(np.float32)
+    log_joint = table["log_prior"] + table["log_likelihood"]
+    stayed = np.zeros(index.shape, bool)
+    stayed[:, :1] = table["iteration"][index[:, :1]] == 0
+    stayed[:, 1:] = index[:, 1:] == index[:, :-1]
+    flags = {"flag_values": list(range(len(GOALS))), "flag_meanings": json.dumps(GOALS)}
+    posterior = {
+        name: (pair, table[name][index], flags if "goal" in name else {}) for name in sites
+    }
+    groups = {
+        "posterior": xr.Dataset(posterior, draw_coords),
+        "sample_stats": xr.Dataset(
+            {
+                "log_joint": (pair, log_joint[index]),
+                "total_error": (pair, error.sum(axis=1, dtype=float)[index]),
+                "accepted": (pair, ~stayed),
+                "window": (pair, np.full(index.shape, -1)),
+                "frames_simulated": (pair, table["frames_simulated"][index]),
+                "sim_seed": (pair, table["seed"][index]),
+                "step_error": ((*pair, "time"), error[index]),
+            },
+            {**draw_coords, "time": ("time", frame["time"], {"units": "seconds"})},
+        ),
+        "posterior_predictive": xr.Dataset(
+            {
+                "trajectory": (
+                    (*pair, "time", "entity", "coord"),
+                    predicted[index].astype(np.float32),
+                )
+            },
+            {**draw_coords, **frame},
+        ),
+        "observed_data": xr.Dataset({"trajectory": (("time", "entity", "coord"), observed)}, frame),
+        "simulations": xr.Dataset({name: ("simulation", table[name]) for name in table}),
+        "constant_data": xr.Dataset(
+            {
+                "start": (("entity", "coord"), scene.start),
+                "radius": (("entity",), scene.radius),
+                "walls": (("wall", "end", "xy"), scene.walls),
+                "arena": (("bound",), np.array(scene.arena)),
+                "landmark_centres": (("landmark", "xy"), scene.landmark_centres),
+            },
+            attrs={"turning": scene.turning, "landmark_half_width": scene.landmark_half_width},
+        ),
+    }
+    tree = xr.DataTree.from_dict(groups)
+    tree.attrs = {
+        "event_id": "made-up",
+        "settings": json.dumps({"seed": 0, "kernel": "local_mh", "beta": 0.05}),
+        "cost": json.dumps({"simulations": len(simulations), "seconds": 12.5, "workers": 2}),
+        "versions": json.dumps({"phase_ppl": "0"}),
+        "kernel": "local_mh",
+        "validity": validity,
+        "weights": weights,
+        "schema": SCHEMA,
+    }
+    return tree
+
+
+def _simulation_table(
+    simulations: Sequence[Simulation], own_site: Sequence[int] | None
+) -> dict[str, NDArray[Any]]:
+    def column(values: Sequence[object], dtype: type) -> NDArray[Any]:
+        return np.array(values, dtype)
+
+    hypotheses = [s.hypothesis for s in simulations]
+    table = {
+        "goal_red": column([h.effective_goals[0] for h in hypotheses], np.int16),
+        "goal_green": column([h.effective_goals[1] for h in hypotheses], np.int16),
+        "stated_goal_red": column([h.goal_red for h in hypotheses], np.int16),
+        "stated_goal_green": column([h.goal_green for h in hypotheses], np.int16),
+        "alpha": column([ALPHAS.index(h.alpha) for h in hypotheses], np.int8),
+        "strength_red": column([h.strength_red for h in hypotheses], np.float64),
+        "strength_green": column([h.strength_green for h in hypotheses], np.float64),
+        "seed": column([s.seed for s in simulations], np.int64),
+        "chain": column([s.chain for s in simulations], np.int64),
+        "iteration": column([s.iteration for s in simulations], np.int64),
+        "log_prior": column([s.log_prior for s in simulations], np.float64),
+        "log_likelihood": column([s.log_likelihood for s in simulations], np.float64),
+        "total_error": column([-20 * s.log_likelihood for s in simulations], np.float64),
+        "completed": column([s.completed for s in simulations], np.bool_),
+        "frames_simulated": column([s.frames for s in simulations], np.int64),
+        "failed": column([s.failed for s in simulations], np.bool_),
+    }
+    if own_site is not None:
+        table["mood"] = column(own_site, np.int64)
+    return table
+
+
+def random_hypothesis(rng: np.random.Generator) -> Hypothesis:
+    goals = [
+        rng.choice([g for g in range(len(GOALS)) if not is_self_referring(g, holder)])
+        for holder in range(2)
+    ]
+    alpha = ALPHAS[rng.integers(len(ALPHAS))]
+    return Hypothesis(int(goals[0]), int(goals[1]), alpha, *rng.uniform(150, 600, 2))
+
+
+def random_tree(
+    seed: int = 0,
+    n_chains: int = 4,
+    n_draws: int = 6,
+    n_frames: int = 8,
+    **options: object,
+) -> xr.DataTree:
+    """Return a tree with chains that accept about half of their random proposals."""
+    rng = np.random.default_rng(seed)
+    pool = [random_hypothesis(rng) for _ in range(6)]
+    simulations: list[Simulation] = []
+    draws: list[list[int]] = []
+    for chain in range(n_chains):
+        current = len(simulations)
+        row = []
+        for iteration in range(n_draws + 1):
+            accepted = iteration == 0 or rng.random() < 0.5
+            completed = accepted or rng.random() < 0.5
+            proposed = dataclasses.replace(
+                pool[rng.integers(len(pool))], strength_red=float(rng.uniform(150, 600))
+            )
+            simulations.append(
+                Simulation(
+                    proposed,
+                    seed=int(rng.integers(2**40)),
+                    log_prior=-8.5 if proposed.alpha == (0, 0) else -9.2,
+                    log_likelihood=float(rng.uniform(-6, -1)),
+                    completed=completed,
+                    frames=n_frames if completed else int(rng.integers(1, n_frames)),
+                    chain=chain,
+                    iteration=iteration,
+                )
+            )
+            if accepted:
+                current = len(simulations) - 1
+            if iteration:
+                row.append(current)
+        draws.append(row)
+    return make_tree(simulations, draws, n_frames=n_frames, **options)  # type: ignore[arg-type]

@@ -1,0 +1,248 @@
+"""Queries of a posterior."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from phase_ppl.analysis import Posterior
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
+from phase_ppl.world.goals import GOALS
+from phase_ppl.world.hypothesis import ALPHAS
+from phase_ppl.world.relations import RELATIONS, SCENARIOS
+
+from .factory import (
+    AWAY_FROM_RED,
+    BLUE_TO_RED,
+    PINK_TO_BLUE,
+    TO_GREEN,
+    TO_RED,
+    Simulation,
+    hypothesis,
+    make_tree,
+    random_tree,
+)
+
+CATEGORICAL = (
+    *("goal_red", "goal_green", "stated_goal_red", "stated_goal_green"),
+    *("relation", "scenario", "alpha"),
+)
+WEIGHTS = ("count", "visited", "likelihood")
+
+
+@pytest.fixture(scope="module", params=WEIGHTS)
+def post(request: pytest.FixtureRequest) -> Posterior:
+    return Posterior(random_tree(5, n_chains=6), request.param)
+
+
+@pytest.fixture(scope="module")
+def small() -> Posterior:
+    """Four draws: friendly twice, adversarial once, neutral once."""
+    simulations = [
+        Simulation(hypothesis(BLUE_TO_RED, BLUE_TO_RED, strengths=(200, 300)), 0),
+        Simulation(hypothesis(PINK_TO_BLUE, BLUE_TO_RED, (1, 0), strengths=(250, 300)), 1),
+        Simulation(hypothesis(TO_GREEN, AWAY_FROM_RED, strengths=(400, 300)), 2),
+        Simulation(hypothesis(BLUE_TO_RED, PINK_TO_BLUE, strengths=(600, 300)), 3),
+    ]
+    return Posterior(make_tree(simulations, [[0, 1], [2, 3]]))
+
+
+@pytest.mark.parametrize("name", CATEGORICAL)
+def test_marginal_sums_to_one_over_all_labels(post: Posterior, name: str) -> None:
+    marginal = post.marginal(name)
+    labels = {
+        "relation": RELATIONS,
+        "scenario": SCENARIOS,
+        "alpha": tuple(map(str, ALPHAS)),
+    }.get(name, GOALS)
+    assert tuple(marginal[name].values) == labels
+    assert float(marginal.sum()) == pytest.approx(1)
+    assert float(marginal.min()) >= 0
+
+
+@pytest.mark.parametrize(("first", "second"), [("goal_red", "goal_green"), ("relation", "alpha")])
+def test_margins_of_the_joint_are_the_marginals(post: Posterior, first: str, second: str) -> None:
+    joint = post.joint(first, second)
+    assert joint.dims == (first, second)
+    np.testing.assert_allclose(joint.sum(second), post.marginal(first), atol=1e-12)
+    np.testing.assert_allclose(joint.sum(first), post.marginal(second), atol=1e-12)
+
+
+def test_conditional_is_joint_over_marginal(post: Posterior) -> None:
+    goal, _ = post.top("goal_red", 1)[0]
+    joint = post.joint("goal_red", "relation").sel(goal_red=goal)
+    for relation in RELATIONS:
+        expected = float(
+            joint.sel(relation=relation) / post.marginal("goal_red").sel(goal_red=goal)
+        )
+        found = post.probability(relation=relation, given={"goal_red": goal})
+        assert found == pytest.approx(expected)
+
+
+def test_probability_of_several_labels_is_the_sum_of_theirs(post: Posterior) -> None:
+    either = post.probability(relation=["friendly", "neutral"])
+    assert either == pytest.approx(1 - post.probability(relation="adversarial"))
+
+
+def test_goals_are_effective_and_the_stated_ones_stay_available(small: Posterior) -> None:
+    # the second hypothesis helps green with the blue item, whatever red's own goal was
+    assert small.probability(goal_red=BLUE_TO_RED) == pytest.approx(3 / 4)
+    assert small.probability(stated_goal_red=PINK_TO_BLUE) == pytest.approx(1 / 4)
+    assert small.probability(relation="friendly") == pytest.approx(1 / 2)
+    assert small.probability(scenario="opposing") == pytest.approx(1 / 4)
+
+
+def test_conditioning_counts_only_what_fulfils_the_condition(small: Posterior) -> None:
+    given = {"goal_red": BLUE_TO_RED}
+    assert small.probability(given, relation="friendly") == pytest.approx(2 / 3)
+    assert small.probability(given, relation="friendly", alpha=(1, 0)) == pytest.approx(1 / 3)
+    assert small.probability(given, strength_red=(240, 600)) == pytest.approx(2 / 3)
+
+
+@pytest.mark.parametrize("alpha", [(1, 0), "(1, 0)", "(1,0)"])
+def test_alpha_is_asked_for_as_a_pair_or_in_words(small: Posterior, alpha: object) -> None:
+    assert small.probability(alpha=alpha) == pytest.approx(1 / 4)
+
+
+def test_goal_strings_may_differ_in_case_and_spacing(small: Posterior) -> None:
+    assert small.probability(goal_red=" get  BLUE item to red lm") == pytest.approx(3 / 4)
+
+
+def test_mean_and_interval_of_a_strength(small: Posterior) -> None:
+    assert small.mean("strength_red") == pytest.approx((200 + 250 + 400 + 600) / 4)
+    assert small.sd("strength_green") == 0
+    assert small.hdi("strength_red", 0.5).values.tolist() == [200, 250]
+    assert small.hdi("strength_red", 0.75).sel(bound="upper") == 400
+    assert small.hdi("strength_red", 1.0).values.tolist() == [200, 600]
+
+
+def test_interval_of_weighted_strengths_holds_the_mass_and_no_shorter_one_does() -> None:
+    post = Posterior(random_tree(2, n_chains=8), "visited")
+    table = post.to_dataframe()
+    low, high = post.hdi("strength_red", 0.6).values
+    mass = post.probability(strength_red=(low, high))
+    assert mass >= 0.6 - 1e-9
+    for a in table["strength_red"]:
+        for b in table["strength_red"]:
+            if a <= b and b - a < high - low - 1e-9:
+                assert post.probability(strength_red=(a, b)) < 0.6
+
+
+def test_top_goals_come_in_order_and_ties_in_label_order() -> None:
+    simulations = [Simulation(hypothesis(g), i) for i, g in enumerate((5, 9, 2))]
+    post = Posterior(make_tree(simulations, [[0, 1], [1, 2]]))
+    assert post.top("goal_red", 3) == [(GOALS[9], 0.5), (GOALS[2], 0.25), (GOALS[5], 0.25)]
+
+
+def test_map_is_the_best_completed_simulation_accepted_or_not() -> None:
+    best = hypothesis(TO_GREEN, BLUE_TO_RED, (1, 0), (222, 333))
+    simulations = [
+        Simulation(hypothesis(), 0, log_prior=-1, log_likelihood=-4),
+        Simulation(best, 1, log_prior=-2, log_likelihood=-2),
+        Simulation(hypothesis(3), 2, log_prior=0, log_likelihood=-1, completed=False),
+        Simulation(hypothesis(4), 3, log_prior=0, log_likelihood=0, failed=True),
+    ]
+    post = Posterior(make_tree(simulations, [[0]]))
+    assert post.map() == best
+    record = post.map_record()
+    assert record["goal_red"] == BLUE_TO_RED
+    assert record["stated_goal_red"] == TO_GREEN
+    assert record["relation"] == "friendly"
+    assert record["log_joint"] == -4
+
+
+def test_replay_is_the_stored_simulation_of_the_map_where_a_chain_kept_it() -> None:
+    simulations = [
+        Simulation(hypothesis(), 7, log_likelihood=-4),
+        Simulation(hypothesis(), 8, log_likelihood=-2),
+        Simulation(hypothesis(3), 9, log_likelihood=-1),
+    ]
+    kept = Posterior(make_tree(simulations, [[0, 2], [1, 1]]))
+    assert kept.replay().shape == (5, 4, 3)
+    assert (kept.replay() == 2).all()
+    rejected = Posterior(make_tree(simulations, [[0, 0], [1, 1]]))
+    assert rejected.map().goal_red == 3
+    assert (rejected.replay() == 1).all()
+
+
+def test_scenario_and_relation_follow_a_users_own_definition() -> None:
+    tree = random_tree(1)
+
+    def all_compete(goal_red: str, goal_green: str) -> str:
+        assert goal_red in GOALS
+        assert goal_green in GOALS
+        return "competing"
+
+    post = Posterior(tree, scenario=all_compete)
+    assert post.probability(scenario="competing") == 1
+    assert post.probability(relation="adversarial") == 1
+    assert post.map_record()["scenario"] == "competing"
+    with pytest.raises(UnknownNameError, match="rivalry"):
+        Posterior(tree, scenario=lambda red, green: "rivalry")
+
+
+def test_a_site_of_the_users_own_can_be_asked_for() -> None:
+    simulations = [Simulation(hypothesis(), seed) for seed in range(3)]
+    post = Posterior(make_tree(simulations, [[0, 1, 2, 2]], own_site=[0, 2, 1]))
+    np.testing.assert_allclose(post.marginal("mood"), [0.25, 0.5, 0.25])
+    assert post.probability(mood=1, given={"goal_red": BLUE_TO_RED}) == pytest.approx(0.5)
+
+
+def test_a_site_of_the_users_own_may_carry_labels_or_negative_codes() -> None:
+    simulations = [Simulation(hypothesis(), seed) for seed in range(2)]
+    negative = Posterior(make_tree(simulations, [[0, 1]], own_site=[-3, 4]))
+    assert negative.marginal("mood")["mood"].values.tolist() == ["-3", "4"]
+    tree = make_tree(simulations, [[0, 1]], own_site=[0, 2])
+    tree["posterior"].dataset["mood"].attrs["flag_meanings"] = '["calm", "keen", "angry"]'
+    named = Posterior(tree)
+    assert named.probability(mood="angry") == pytest.approx(0.5)
+    assert named.probability(mood="keen") == 0
+    tree["posterior"].dataset["mood"].attrs["flag_meanings"] = '["calm"]'
+    with pytest.raises(InvalidEventError, match="mood"):
+        Posterior(tree)
+
+
+def test_dataframe_holds_one_labelled_row_per_draw(small: Posterior) -> None:
+    table = small.to_dataframe()
+    assert table["weight"].sum() == pytest.approx(1)
+    assert table["chain"].tolist() == [0, 0, 1, 1]
+    assert table["relation"].tolist() == ["friendly", "friendly", "adversarial", "neutral"]
+    assert table["alpha"].tolist()[1] == "(1, 0)"
+
+
+@pytest.mark.parametrize(
+    ("query", "named"),
+    [
+        (lambda post: post.marginal("goal_rde"), "goal_red"),
+        (lambda post: post.joint("goal_red", "relations"), "relation"),
+        (lambda post: post.probability(relation="freindly"), "friendly"),
+        (lambda post: post.probability(goal_red="Get blue item to redd lm"), BLUE_TO_RED),
+        (lambda post: post.probability(relation="neutral", given={"scenari": "x"}), "scenario"),
+        (lambda post: post.probability(alpha=(1, 1)), r"\(1, 0\)"),
+        (lambda post: post.hdi("strength_rad"), "strength_red"),
+        (lambda post: post.top("gaol_green"), "goal_green"),
+    ],
+)
+def test_unknown_names_raise_with_close_matches(small: Posterior, query, named: str) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(UnknownNameError, match=named):
+        query(small)
+
+
+@pytest.mark.parametrize(
+    ("query", "said"),
+    [
+        (lambda post: post.probability({"goal_red": TO_RED}, relation="friendly"), "probability 0"),
+        (lambda post: post.probability({"strength_red": (500, 550)}, relation="friendly"), "500"),
+        (lambda post: post.probability(), "name the event"),
+        (lambda post: post.probability(strength_red=300), "interval"),
+        (lambda post: post.probability(strength_red=(400, 300)), "empty"),
+        (lambda post: post.marginal("strength_red"), "mean or hdi"),
+        (lambda post: post.mean("relation"), "categories"),
+        (lambda post: post.joint("relation", "relation"), "twice"),
+        (lambda post: post.hdi("strength_red", 94), "prob=94"),
+        (lambda post: post.top("goal_red", 0), "n=0"),
+    ],
+)
+def test_impossible_questions_raise_and_say_why(small: Posterior, query, said: str) -> None:  # type: ignore[no-untyped-def]
+    with pytest.raises(InvalidSettingError, match=said):
+        query(small)

@@ -1,0 +1,184 @@
+"""Every weighting against weights worked out by hand."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from phase_ppl.analysis import Posterior
+from phase_ppl.analysis.tree import array
+from phase_ppl.analysis.weights import aborted_mass_bound, log_sum_exp, normalised, visited
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
+
+from .factory import BLUE_TO_RED, PINK_TO_BLUE, TO_GREEN, Simulation, hypothesis, make_tree
+
+A = hypothesis(BLUE_TO_RED)
+B = hypothesis(PINK_TO_BLUE)
+C = hypothesis("Get pink item to red lm")
+LOG = math.log
+
+
+def goal_probabilities(post: Posterior) -> dict[str, float]:
+    return {goal: value for goal, value in post.top("goal_red", 36) if value > 0}
+
+
+def test_count_gives_every_draw_the_same_weight() -> None:
+    tree = make_tree([Simulation(A), Simulation(B)], [[0, 0, 1], [1, 1, 1]])
+    assert goal_probabilities(Posterior(tree, "count")) == pytest.approx(
+        {BLUE_TO_RED: 2 / 6, PINK_TO_BLUE: 4 / 6}
+    )
+
+
+def test_likelihood_weighs_each_draw_by_its_own_likelihood() -> None:
+    simulations = [Simulation(A, 1, log_likelihood=LOG(0.3)), Simulation(B, 2, 0.0, LOG(0.1))]
+    tree = make_tree(simulations, [[0, 1, 1]])
+    # 0.3 against 0.1 + 0.1
+    assert goal_probabilities(Posterior(tree, "likelihood")) == pytest.approx(
+        {BLUE_TO_RED: 0.6, PINK_TO_BLUE: 0.4}
+    )
+
+
+def test_likelihood_takes_the_seed_of_the_draw_where_a_hypothesis_was_simulated_twice() -> None:
+    simulations = [
+        Simulation(A, 1, log_likelihood=LOG(0.9)),
+        Simulation(A, 2, log_likelihood=LOG(0.1)),
+        Simulation(B, 3, log_likelihood=LOG(0.3)),
+    ]
+    post = Posterior(make_tree(simulations, [[1, 2]]), "likelihood")
+    assert goal_probabilities(post) == pytest.approx({BLUE_TO_RED: 0.25, PINK_TO_BLUE: 0.75})
+
+
+def test_likelihood_refuses_a_draw_that_rests_on_no_simulation() -> None:
+    tree = make_tree([Simulation(A, 1), Simulation(B, 2)], [[0, 1]])
+    array(tree, "sample_stats", "sim_seed")[0, 1] = 77
+    with pytest.raises(InvalidEventError, match="draw 1 of chain 0"):
+        Posterior(tree, "likelihood")
+
+
+def test_visited_weighs_distinct_hypotheses_by_prior_times_mean_likelihood_over_seeds() -> None:
+    simulations = [
+        Simulation(A, 1, LOG(0.2), LOG(0.5)),
+        Simulation(A, 2, LOG(0.2), LOG(0.1)),
+        Simulation(B, 3, LOG(0.1), LOG(0.4)),
+        Simulation(C, 4, LOG(0.5), LOG(0.2)),
+    ]
+    post = Posterior(make_tree(simulations, [[0, 0, 0]]), "visited")
+    # A: 0.2 (0.5 + 0.1) / 2 = 0.06, B: 0.04, C: 0.10; how often a chain stayed does not count
+    assert goal_probabilities(post) == pytest.approx(
+        {BLUE_TO_RED: 0.3, PINK_TO_BLUE: 0.2, "Get pink item to red lm": 0.5}
+    )
+    assert len(post.to_dataframe()) == 3
+
+
+def test_visited_counts_a_repeated_seed_of_a_hypothesis_once() -> None:
+    simulations = [
+        Simulation(A, 1, 0.0, LOG(0.5)),
+        Simulation(A, 1, 0.0, LOG(0.5)),
+        Simulation(A, 2, 0.0, LOG(0.1)),
+        Simulation(B, 3, 0.0, LOG(0.3)),
+    ]
+    post = Posterior(make_tree(simulations, [[0]]), "visited")
+    assert goal_probabilities(post) == pytest.approx({BLUE_TO_RED: 0.5, PINK_TO_BLUE: 0.5})
+
+
+def test_visited_tells_hypotheses_apart_by_strength_and_alpha() -> None:
+    simulations = [
+        Simulation(hypothesis(strengths=(300.0, 450.0)), 1),
+        Simulation(hypothesis(strengths=(300.5, 450.0)), 1),
+        Simulation(hypothesis(TO_GREEN, BLUE_TO_RED, (1, 0)), 1),
+    ]
+    assert len(visited(make_tree(simulations, [[0]])).weights) == 3
+
+
+def test_visited_drops_failed_runs_and_takes_a_stopped_run_as_its_lower_bound() -> None:
+    simulations = [
+        Simulation(A, 1, 0.0, LOG(0.4)),
+        Simulation(A, 2, 0.0, LOG(0.2), completed=False),
+        Simulation(A, 3, 0.0, math.nan, completed=False, failed=True),
+        Simulation(B, 4, 0.0, LOG(0.2)),
+        Simulation(C, 5, 0.0, LOG(0.1), completed=False),
+    ]
+    tree = make_tree(simulations, [[0]])
+    # A: (0.4 + at least 0) / 2 seeds; C was never completed
+    assert goal_probabilities(Posterior(tree, "visited")) == pytest.approx(
+        {BLUE_TO_RED: 0.5, PINK_TO_BLUE: 0.5}
+    )
+    # hidden at most 0.2 / 2 + 0.1 of 0.2 + 0.2 + 0.2
+    assert aborted_mass_bound(tree) == pytest.approx(1 / 3)
+
+
+def test_aborted_mass_bound_limits_what_finishing_the_runs_could_change() -> None:
+    rng = np.random.default_rng(3)
+    hypotheses = [hypothesis(goal) for goal in rng.permutation(32)[:12].tolist()]
+    bounds = rng.uniform(-4, 0, len(hypotheses))
+    stopped = rng.random(len(hypotheses)) < 0.5
+    finished = np.where(stopped, bounds - rng.exponential(1, len(hypotheses)), bounds)
+
+    def goals(values: np.ndarray, done: np.ndarray) -> tuple[np.ndarray, float]:
+        simulations = [
+            Simulation(h, seed, 0.0, float(value), completed=bool(ok))
+            for seed, (h, value, ok) in enumerate(zip(hypotheses, values, done, strict=True))
+        ]
+        first = int(np.argmax(done))
+        tree = make_tree(simulations, [[first]])
+        return Posterior(tree, "visited").marginal("goal_red").values, aborted_mass_bound(tree)
+
+    before, bound = goals(bounds, ~stopped)
+    after, nothing_left = goals(finished, np.ones(len(stopped), bool))
+    assert 0 < 0.5 * np.abs(before - after).sum() <= bound < 1
+    assert nothing_left == 0.0
+
+
+def test_visited_distinguishes_by_a_site_of_the_users_own() -> None:
+    simulations = [Simulation(A, 1), Simulation(A, 1), Simulation(A, 1)]
+    post = Posterior(make_tree(simulations, [[0]], own_site=[0, 1, 1]), "visited")
+    np.testing.assert_allclose(post.marginal("mood"), [0.5, 0.5])
+
+
+@pytest.mark.parametrize("weights", ["visited", "likelihood"])
+def test_weights_survive_log_densities_far_below_the_smallest_float(weights: str) -> None:
+    simulations = [
+        Simulation(A, 1, -5000.0, -90000.0),
+        Simulation(B, 2, -5000.0, -90000.0 + LOG(3)),
+    ]
+    post = Posterior(make_tree(simulations, [[0, 1]]), weights)
+    assert goal_probabilities(post) == pytest.approx({BLUE_TO_RED: 0.25, PINK_TO_BLUE: 0.75})
+
+
+def test_visited_gives_a_hypothesis_outside_the_prior_no_weight() -> None:
+    simulations = [Simulation(A, 1), Simulation(B, 2, log_prior=-math.inf)]
+    post = Posterior(make_tree(simulations, [[0]]), "visited")
+    assert goal_probabilities(post) == {BLUE_TO_RED: 1.0}
+
+
+def test_visited_needs_a_completed_simulation() -> None:
+    tree = make_tree([Simulation(A, 1, completed=False)], [[0]])
+    assert aborted_mass_bound(tree) == 1.0
+    with pytest.raises(InvalidSettingError, match="at least one completed"):
+        Posterior(tree, "visited")
+
+
+def test_weights_default_to_what_the_run_recorded() -> None:
+    simulations = [Simulation(A, 1, 0.0, LOG(0.9)), Simulation(B, 2, 0.0, LOG(0.1))]
+    tree = make_tree(simulations, [[0, 1]], weights="visited")
+    assert Posterior(tree).weights == "visited"
+    assert goal_probabilities(Posterior(tree))[BLUE_TO_RED] == pytest.approx(0.9)
+
+
+def test_unknown_weights_name_the_close_one() -> None:
+    with pytest.raises(UnknownNameError, match="'visited'"):
+        Posterior(make_tree([Simulation(A)], [[0]]), "visitd")
+
+
+def test_log_sum_exp_of_nothing_and_of_zeros_is_minus_infinity() -> None:
+    assert log_sum_exp(np.array([])) == -math.inf
+    assert log_sum_exp(np.array([-math.inf, -math.inf])) == -math.inf
+    assert log_sum_exp(np.array([1000.0, 1000.0])) == pytest.approx(1000 + LOG(2))
+
+
+@pytest.mark.parametrize("bad", [[-math.inf], [math.nan, 0.0], []])
+def test_weights_that_cannot_be_normalised_are_refused(bad: list[float]) -> None:
+    with pytest.raises(InvalidSettingError, match="cannot be weighted"):
+        normalised(np.array(bad))
