@@ -108,7 +108,6 @@ class Agent:
             config.c_init,
             config.c_base,
             config.early_stop,
-            config.baseline,
         )
         self.tree = pomcp.make_tree(config.simulations)
         self._scratch = compiled.make_scratch()

@@ -21,8 +21,6 @@ class PlannerConfig:
         discount: of rewards per step (authors' code).
         early_stop: end a search once no other action can catch up; never changes the action.
         tree_reuse: keep the subtree of the executed action while the subgoal stays; a deviation.
-        baseline: count rewards from the reward of the drawn particle's present state, so that
-            returns compare actions and not particles.
         inner_steps: solver steps per physics substep in imagination.
         touch_override: ablation: a subgoal to touch something wins over V (authors' code).
         full_observation: ablation: agents see everything.
@@ -37,7 +35,6 @@ class PlannerConfig:
     discount: float = 0.95
     early_stop: bool = True
     tree_reuse: bool = False
-    baseline: bool = True
     inner_steps: int = 1
     touch_override: bool = False
     full_observation: bool = False
@@ -57,8 +54,12 @@ class PlannerConfig:
 
     @classmethod
     def fast(cls) -> PlannerConfig:
-        """Return the provisional fast preset: 300 simulations and reuse of the search tree."""
-        return cls(simulations=300, tree_reuse=True)
+        """Return the provisional fast preset: 300 simulations per decision instead of 1000.
+
+        Reuse of the search tree is left off: it made the simulated agents less like those of the
+        original recordings (mean error under the true hypothesis 11.5 with, 10.4 without).
+        """
+        return cls(simulations=300)
 
     @classmethod
     def named(cls, planner: str | PlannerConfig) -> PlannerConfig:

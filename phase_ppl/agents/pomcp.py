@@ -37,7 +37,6 @@ class Search(NamedTuple):
     c_init: float
     c_base: float
     early_stop: bool
-    baseline: bool
 
 
 class Tree(NamedTuple):
@@ -171,7 +170,6 @@ def _rollout(
     agent: int,
     subgoal: IntArray,
     actions: IntArray,
-    baseline: float,
     search: Search,
     params: Params,
     ground: Ground,
@@ -193,8 +191,7 @@ def _rollout(
             params,
             scratch,
         )
-        gain = reward(tree.particle, tree.particle_held, subgoal, own, params, ground) - baseline
-        value += weight * gain
+        value += weight * reward(tree.particle, tree.particle_held, subgoal, own, params, ground)
         weight *= search.discount
     return value
 
@@ -260,9 +257,6 @@ def run(
         state[:] = bodies[k]
         state_held[:] = held[k]
         state_weld[:] = weld[k]
-        baseline = 0.0
-        if search.baseline:
-            baseline = reward(state, state_held, subgoal, NO_ACTION, params, ground)
         node, depth = 0, 0
         while True:
             column = _select(tree, node, n_actions, search, rng)
@@ -276,8 +270,7 @@ def run(
                 params,
                 scratch,
             )
-            gain = reward(state, state_held, subgoal, action, params, ground) - baseline
-            tree.rewards[depth] = gain
+            tree.rewards[depth] = reward(state, state_held, subgoal, action, params, ground)
             child = tree.child[node, column]
             if child < 0:
                 child = tree.count[0]
@@ -292,9 +285,7 @@ def run(
             tree.path[depth] = child
             depth += 1
             node = child
-        value = _rollout(
-            tree, agent, subgoal, actions, baseline, search, params, ground, scratch, rng
-        )
+        value = _rollout(tree, agent, subgoal, actions, search, params, ground, scratch, rng)
         for level in range(depth - 1, -1, -1):
             value = tree.rewards[level] + search.discount * value
             tree.visits[tree.path[level]] += 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
@@ -27,6 +28,16 @@ class JointSimulator:
     def __init__(self, planner: str | PlannerConfig = "fast", inner_steps: int = 4) -> None:
         self.planner = PlannerConfig.named(planner)
         self.inner_steps = inner_steps
+
+    def warm_up(self) -> None:
+        """Compile what simulating needs, or load it from the cache on disk."""
+        spots = [[8.0, 20.0, 0.0], [24.0, 20.0, 0.0], [24.0, 4.0, 0.0], [8.0, 4.0, 0.0]]
+        scene = Scene(start=np.array(spots), radius=np.full(4, 0.8))
+        hypothesis = Hypothesis("Get blue item to red lm", "Get red agent to red lm")  # type: ignore[arg-type]
+        planner = dataclasses.replace(self.planner, simulations=2)
+        frames = JointSimulator(planner)(scene, hypothesis, np.random.default_rng(0))
+        for _ in range(3):
+            next(frames)
 
     def __call__(
         self, scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator

@@ -1,1 +1,1 @@
-
+"""The world in the paper's words: goals, relations, rooms, scene, event, hypothesis."""

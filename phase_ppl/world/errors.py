@@ -9,6 +9,8 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+_SHOWN_CHARACTERS = 80
+
 
 class PhasePPLError(Exception):
     """Base of all errors of this package."""
@@ -35,14 +37,23 @@ class SimulationError(PhasePPLError, RuntimeError):
 
 
 def unknown_name(what: str, name: object, allowed: Iterable[str]) -> UnknownNameError:
-    """Return the error for ``name``, naming close matches, or all allowed names if there are few."""
+    """Return the error for ``name``, naming close matches or, if few, all allowed."""
     names = list(allowed)
+    wanted = str(name)[:_SHOWN_CHARACTERS].lower()
+    containing = [n for n in names if len(wanted) > 1 and wanted in n.lower()]
     by_lower = {candidate.lower(): candidate for candidate in names}
-    close = difflib.get_close_matches(str(name).lower(), list(by_lower), n=4, cutoff=0.5)
+    similar = difflib.get_close_matches(wanted, list(by_lower), n=4, cutoff=0.5)
+    close = list(dict.fromkeys([by_lower[s] for s in similar] + containing))[:4]
     if close:
-        hint = "did you mean " + " or ".join(repr(by_lower[c]) for c in close) + "?"
+        hint = "did you mean " + " or ".join(repr(c) for c in close) + "?"
     elif len(names) <= 20:
         hint = "allowed: " + ", ".join(repr(n) for n in names)
     else:
         hint = f"{len(names)} names are allowed, such as {names[0]!r}"
-    return UnknownNameError(f"unknown {what} {name!r}; {hint}")
+    return UnknownNameError(f"unknown {what} {shown(name)}; {hint}")
+
+
+def shown(value: object) -> str:
+    """Return ``value`` as an error message shows it: one line, cut where it is long."""
+    text = repr(value)
+    return text if len(text) <= _SHOWN_CHARACTERS else text[: _SHOWN_CHARACTERS - 3] + "..."

@@ -6,10 +6,11 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
+from phase_ppl.world.errors import unknown_name
 from phase_ppl.world.goals import GOALS, goal_index
+from phase_ppl.world.hypothesis import checked_strength
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.relations import RELATIONS, SCENARIOS, relation, scenario
-from phase_ppl.world.errors import unknown_name
 from phase_ppl.world.scene import Scene, check_inside
 
 
@@ -21,6 +22,10 @@ class Truth:
         goal_red, goal_green: effective goals, paper strings.
         relation, scenario: derived from the goals where not given.
         strength_red, strength_green: newtons, or None.
+
+    Raises:
+        UnknownNameError: a goal, relation or scenario is unknown.
+        InvalidSettingError: a strength is no positive force.
     """
 
     goal_red: str
@@ -41,6 +46,10 @@ class Truth:
             raise unknown_name("relation", self.relation, RELATIONS)
         if self.scenario not in SCENARIOS:
             raise unknown_name("scenario", self.scenario, SCENARIOS)
+        for name in ("strength_red", "strength_green"):
+            value = getattr(self, name)
+            if value is not None:
+                object.__setattr__(self, name, checked_strength(f"truth.{name}", value))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -39,7 +39,7 @@ def atomic_output(path: str | os.PathLike[str], suffixes: Sequence[str]) -> Iter
     except OSError as error:
         if isinstance(error, OutputError):
             raise
-        reason = error.strerror or str(error)
+        reason = error.strerror or str(error).split("\n")[0]
         raise OutputError(f"cannot write {target}: {reason}") from error
     finally:
         with contextlib.suppress(OSError):

@@ -45,6 +45,7 @@ def heading(angle: float) -> FloatArray:
 
 
 def is_agent(entity: int) -> bool:
+    """Whether the entity index is that of an agent."""
     return entity < len(AGENTS)
 
 

@@ -42,9 +42,13 @@ def goal_index(goal: str | int) -> int:
         if index is None:
             raise unknown_name("goal", goal, GOALS)
         return index
-    if isinstance(goal, bool) or not 0 <= int(goal) < N_GOALS or int(goal) != goal:
-        raise unknown_name("goal index", goal, [f"0..{N_GOALS - 1}"])
-    return int(goal)
+    try:
+        index = int(goal)
+    except (TypeError, ValueError, OverflowError):
+        index = -1
+    if isinstance(goal, bool) or not 0 <= index < N_GOALS or index != goal:
+        raise unknown_name("goal", goal, [f"0..{N_GOALS - 1}"])
+    return index
 
 
 def goal_literal(goal: str | int, holder: int) -> Literal:

@@ -6,7 +6,9 @@ import dataclasses
 import math
 from typing import Any, Final
 
-from phase_ppl.world.errors import InvalidSettingError
+import numpy as np
+
+from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.goals import GOALS, effective_goals, goal_index, is_self_referring
 from phase_ppl.world.names import AGENTS, GREEN, RED
 from phase_ppl.world.relations import relation, scenario
@@ -19,6 +21,21 @@ STRENGTH_LEVELS: Final = (150.0, 300.0, 450.0, 600.0)
 
 STRENGTH_RANGE: Final = (150.0, 600.0)
 """Support of a strength, newtons."""
+
+
+def checked_strength(name: str, value: object) -> float:
+    """Return ``value`` as a force in newtons.
+
+    Raises:
+        InvalidSettingError: no positive finite number; the message begins with ``name``.
+    """
+    try:
+        force = math.nan if isinstance(value, (str, bool)) else float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        force = math.nan
+    if not (math.isfinite(force) and force > 0):
+        raise InvalidSettingError(f"{name}={shown(value)} is no positive force in newtons")
+    return force
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,14 +68,12 @@ class Hypothesis:
                     f"{name}={GOALS[index]!r} names its own holder, the {AGENTS[holder]}"
                 )
             object.__setattr__(self, name, index)
-        if tuple(self.alpha) not in ALPHAS:
-            raise InvalidSettingError(f"alpha={self.alpha!r} is none of {list(ALPHAS)}")
-        object.__setattr__(self, "alpha", (int(self.alpha[0]), int(self.alpha[1])))
+        alpha = next((a for a in ALPHAS if np.array_equal(self.alpha, a)), None)
+        if alpha is None:
+            raise InvalidSettingError(f"alpha={shown(self.alpha)} is none of {list(ALPHAS)}")
+        object.__setattr__(self, "alpha", alpha)
         for name in ("strength_red", "strength_green"):
-            value = float(getattr(self, name))
-            if not (math.isfinite(value) and value > 0):
-                raise InvalidSettingError(f"{name}={value!r} is no positive force in newtons")
-            object.__setattr__(self, name, value)
+            object.__setattr__(self, name, checked_strength(name, getattr(self, name)))
 
     @property
     def effective_goals(self) -> tuple[int, int]:
@@ -94,7 +109,19 @@ class Hypothesis:
 
     @classmethod
     def from_dict(cls, record: dict[str, Any]) -> Hypothesis:
-        """Return the hypothesis written by :meth:`to_dict`."""
+        """Return the hypothesis written by :meth:`to_dict`.
+
+        Raises:
+            UnknownNameError: a field that a hypothesis does not have.
+            InvalidSettingError: a goal is missing.
+        """
+        names = [field.name for field in dataclasses.fields(cls)]
+        for name in record:
+            if name not in names:
+                raise unknown_name("field of a hypothesis", name, names)
+        for name in ("goal_red", "goal_green"):
+            if name not in record:
+                raise InvalidSettingError(f"a hypothesis needs {name}")
         return cls(**{**record, "alpha": tuple(record.get("alpha", (0, 0)))})
 
     def __str__(self) -> str:

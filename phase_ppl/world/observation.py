@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.names import ENTITIES
-from phase_ppl.world.scene import _array
+from phase_ppl.world.scene import finite_array
 
 FRAMES_PER_SECOND: Final = 12.0
 """Frames per second of simulated time."""
@@ -36,7 +36,7 @@ class Observation:
     trajectory: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        trajectory = _array("trajectory", self.trajectory, (None, len(ENTITIES), 3))
+        trajectory = finite_array("trajectory", self.trajectory, (None, len(ENTITIES), 3))
         if len(trajectory) < MIN_FRAMES:
             raise InvalidEventError(
                 f"trajectory has {len(trajectory)} frame(s), expected at least {MIN_FRAMES}"

@@ -34,7 +34,8 @@ def scenario(goal_red: str | int, goal_green: str | int) -> str:
     )
     if red == green or both_approach:
         return "collaborative"
-    if red == opposed_goal(green, GREEN):
+    # both ways, since a goal that names its own holder is nobody's to negate
+    if red == opposed_goal(green, GREEN) and green == opposed_goal(red, RED):
         return "opposing"
     same_item = literal_red.subject == literal_green.subject >= len(AGENTS)
     if same_item and literal_red.positive and literal_green.positive:

@@ -95,28 +95,41 @@ class Rooms:
         top = position[..., 1] > self.centre[1]
         return np.where(top, np.where(left, 0, 1), np.where(left, 3, 2))
 
-    @functools.cache  # noqa: B019  (a Rooms lives as long as its scene)
     def route(self, start: int, end: int, width: float = 0.0) -> tuple[int, ...] | None:
         """Return the doors on the way from room to room, or None where there is no way.
+
+        The way through the fewest doors; among those, the shortest from first to last door.
+        The way back is the same way.
 
         Args:
             start, end: room ids.
             width: doors must be wider than this to count, units.
         """
-        if start == end:
-            return ()
-        best: tuple[float, int, tuple[int, ...]] | None = None
-        for count in range(1, N_ROOMS):
-            for doors in itertools.permutations(range(4), count):
-                if not self._joins(start, end, doors, width):
-                    continue
-                points = self.door_position[list(doors)]
-                length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
-                candidate = (length, count, doors)
-                best = candidate if best is None or candidate < best else best
-            if best is not None:
-                return best[2]
+        key = (start, end, width)
+        if key not in self._routes:
+            self._routes[key] = self._find_route(start, end, width)
+        return self._routes[key]
+
+    @functools.cached_property
+    def _routes(self) -> dict[tuple[int, int, float], tuple[int, ...] | None]:
+        return {}
+
+    def _find_route(self, start: int, end: int, width: float) -> tuple[int, ...] | None:
+        for count in range(N_ROOMS):
+            ways = [
+                doors
+                for doors in itertools.permutations(range(4), count)
+                if self._joins(start, end, doors, width)
+            ]
+            if ways:
+                return min(ways, key=self._way_order)
         return None
+
+    def _way_order(self, doors: tuple[int, ...]) -> tuple[float, tuple[int, ...]]:
+        """Sort key of a way; equally long ways are told apart alike in both directions."""
+        points = self.door_position[list(doors)]
+        length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+        return length, min(doors, doors[::-1])
 
     def _joins(self, start: int, end: int, doors: tuple[int, ...], width: float) -> bool:
         room = start

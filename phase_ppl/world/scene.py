@@ -9,7 +9,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.world.errors import InvalidEventError, unknown_name
+from phase_ppl.world.errors import InvalidEventError, shown, unknown_name
 from phase_ppl.world.names import ENTITIES, LANDMARKS
 from phase_ppl.world.rooms import Rooms
 
@@ -26,12 +26,22 @@ OUTSIDE_TOLERANCE: Final = 0.25
 """How far beyond the border a body's origin may lie before it counts as outside, units."""
 
 
-def _array(name: str, value: object, shape: tuple[int | None, ...]) -> FloatArray:
-    """Return ``value`` as a read-only finite float array of ``shape`` (None: any length)."""
+def finite_array(name: str, value: object, shape: tuple[int | None, ...]) -> FloatArray:
+    """Return ``value`` as a read-only float array of ``shape`` (None: any length).
+
+    Raises:
+        InvalidEventError: not numbers, not finite or of another shape; the message says which
+            value of ``name`` it is.
+    """
     try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InvalidEventError(f"{name} is not an array of numbers: {error}") from None
+        given = np.asarray(value)
+    except ValueError:
+        raise InvalidEventError(f"{name} is ragged: its rows differ in length") from None
+    if given.dtype.kind not in "iuf":
+        values = np.array(value, dtype=object).ravel().tolist()
+        odd = next((v for v in values if not _is_number(v)), value)
+        raise InvalidEventError(f"{name} holds {shown(odd)}, expected numbers")
+    array = np.array(given, dtype=np.float64)
     if array.size == 0 and None in shape:
         array = array.reshape([0 if n is None else n for n in shape])
     fits = array.ndim == len(shape) and all(
@@ -45,6 +55,10 @@ def _array(name: str, value: object, shape: tuple[int | None, ...]) -> FloatArra
         raise InvalidEventError(f"{name}{list(where)} is {array[where]}, expected a finite number")
     array.setflags(write=False)
     return array
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < 1e300
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -75,14 +89,14 @@ class Scene:
     def __post_init__(self) -> None:
         n = len(ENTITIES)
         set_field = functools.partial(object.__setattr__, self)
-        set_field("start", _array("scene.start", self.start, (n, 3)))
-        set_field("radius", _array("scene.radius", self.radius, (n,)))
-        set_field("walls", _array("scene.walls", self.walls, (None, 2, 2)))
+        set_field("start", finite_array("scene.start", self.start, (n, 3)))
+        set_field("radius", finite_array("scene.radius", self.radius, (n,)))
+        set_field("walls", finite_array("scene.walls", self.walls, (None, 2, 2)))
         set_field(
             "landmark_centres",
-            _array("scene.landmark_centres", self.landmark_centres, (len(LANDMARKS), 2)),
+            finite_array("scene.landmark_centres", self.landmark_centres, (len(LANDMARKS), 2)),
         )
-        arena = _array("scene.arena", self.arena, (4,))
+        arena = finite_array("scene.arena", self.arena, (4,))
         set_field("arena", tuple(float(v) for v in arena))
         if self.turning not in TURNINGS:
             raise unknown_name("turning", self.turning, TURNINGS)
@@ -94,7 +108,18 @@ class Scene:
                 f"scene.radius {self.radius.tolist()}: sizes must lie in (0, {width / 4:g}]"
             )
         check_inside(self.start[None], self, "scene.start")
-        self.rooms  # noqa: B018  (refuses impossible walls now, not during a run)
+        rooms = self.rooms  # refuses impossible walls now, not during a run
+        if list(rooms.room_of(self.landmark_centres)) != list(range(len(LANDMARKS))):
+            raise InvalidEventError(
+                f"scene.landmark_centres {self.landmark_centres.tolist()}: expected "
+                f"{', '.join(LANDMARKS)} top left, top right, bottom right, bottom left"
+            )
+        half_width = float(finite_array("scene.landmark_half_width", self.landmark_half_width, ()))
+        if not 0 < half_width <= width / 4:
+            raise InvalidEventError(
+                f"scene.landmark_half_width is {half_width:g}, expected one in (0, {width / 4:g}]"
+            )
+        set_field("landmark_half_width", half_width)
 
     @property
     def centre(self) -> FloatArray:

@@ -1,0 +1,173 @@
+"""Reading and writing events, whatever the format of the file."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import functools
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from phase_ppl.dataset import events_json, phase_test
+from phase_ppl.dataset.bundled import bundled_events, load_bundled
+from phase_ppl.dataset.documents import read_document
+from phase_ppl.dataset.fields import Entries
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    InvalidSettingError,
+    UnknownNameError,
+    shown,
+    unknown_name,
+)
+from phase_ppl.world.event import Event
+from phase_ppl.world.files import atomic_output
+from phase_ppl.world.scene import TURNINGS, Turning
+
+PathLike = str | os.PathLike[str]
+
+_READERS: Final[Mapping[str, Callable[[Mapping[str, Any]], Entries]]] = {
+    events_json.EVENT_FORMAT: events_json.read_one,
+    events_json.EVENTS_FORMAT: events_json.read_many,
+    phase_test.FORMAT: phase_test.read,
+}
+"""Per format tag the function that lists the events of a document."""
+
+
+def load_event(path: PathLike, video: str | None = None, turning: Turning | None = None) -> Event:
+    """Read one event.
+
+    Args:
+        path: an event file (:mod:`phase_ppl.dataset.events_json`), the authors' videos
+            (:mod:`phase_ppl.dataset.phase_test`), or the name of a bundled event, with or without
+            ".json", where no file of that name exists.
+        video: id of the wanted event; must be given if the file holds several.
+        turning: "both", "ccw" or "cw" instead of what the file says or shows.
+
+    Raises:
+        InvalidEventError: the file cannot be read as an event; the message names file and value.
+        UnknownNameError: the file holds no event ``video``; the message names close matches.
+        InvalidSettingError: the file holds several events and none was named.
+    """
+    _check_turning(turning)
+    entries = _entries(path)
+    ids = [name for name, _ in entries]
+    if video is None and len(ids) > 1:
+        some = ", ".join(repr(name) for name in ids[:3]) + (", ..." if len(ids) > 3 else "")
+        raise InvalidSettingError(f"{path} holds {len(ids)} videos; name one of them: {some}")
+    if video is not None and video not in ids:
+        with _naming(path):
+            raise unknown_name("video", video, ids)
+    index = 0 if video is None else ids.index(video)
+    return _read(path, entries[index], turning)
+
+
+def load_events(path: PathLike, turning: Turning | None = None) -> list[Event]:
+    """Read all events of a file, in the order of the file.
+
+    Arguments and errors as for :func:`load_event`.
+    """
+    _check_turning(turning)
+    return [_read(path, entry, turning) for entry in _entries(path)]
+
+
+def save_event(event: Event, path: PathLike) -> None:
+    """Write ``event`` to a ".json" file; :func:`load_event` gives the same event back.
+
+    Judgments and predictions come back as JSON has them: tuples as lists, names as strings.
+
+    Raises:
+        OutputError: the file cannot be written.
+        InvalidEventError: judgments or predictions hold something that JSON has no form for, or
+            the id is no printable text.
+    """
+    _write(lambda: events_json.event_record(event), path)
+
+
+def save_events(events: Sequence[Event], path: PathLike) -> None:
+    """Write several events to a ".json" file; :func:`load_events` gives them back.
+
+    Raises:
+        OutputError: the file cannot be written.
+        InvalidEventError: no events, an id given twice, or as for :func:`save_event`.
+    """
+    with _naming(path):
+        _check_ids([event.id for event in events])
+    _write(lambda: events_json.events_record(events), path)
+
+
+def _write(record: Callable[[], Mapping[str, Any]], path: PathLike) -> None:
+    with _naming(path):
+        text = events_json.to_text(record())
+    with atomic_output(path, (".json",)) as part:
+        part.write_text(text, encoding="utf-8")
+
+
+def _entries(path: PathLike) -> Entries:
+    bundled = _bundled_name(path)
+    if bundled is not None:
+        return [(bundled, functools.partial(load_bundled, bundled))]
+    with _naming(path):
+        document = read_document(path)
+        tag = document.get("format")
+        if tag is None:
+            raise InvalidEventError(f"is not an event file: it has no format, such as {_FORMATS}")
+        if not isinstance(tag, str) or tag not in _READERS:
+            raise InvalidEventError(f"has format {shown(tag)}, expected one of {_FORMATS}")
+        entries = _READERS[tag](document)
+        _check_ids([name for name, _ in entries])
+    return entries
+
+
+_FORMATS = ", ".join(repr(tag) for tag in _READERS)
+
+
+def _check_ids(ids: Sequence[str]) -> None:
+    if not ids:
+        raise InvalidEventError("holds no videos: the list is empty")
+    seen: set[str] = set()
+    for name in ids:
+        if name in seen:
+            raise InvalidEventError(f"holds two videos with the id {shown(name)}")
+        seen.add(name)
+
+
+def _read(path: PathLike, entry: tuple[str, Callable[[], Event]], turning: Turning | None) -> Event:
+    name, read = entry
+    with _naming(path, name):
+        event = read()
+    if turning is None:
+        return event
+    return dataclasses.replace(event, scene=dataclasses.replace(event.scene, turning=turning))
+
+
+def _bundled_name(path: PathLike) -> str | None:
+    """Return the bundled event that a bare name stands for, unless a file has that name."""
+    plain = Path(path)
+    if os.fspath(path) != plain.name or (plain.exists() and not plain.is_dir()):
+        return None
+    name, known = plain.name.removesuffix(".json"), bundled_events()
+    if name not in known:
+        if plain.exists():
+            return None
+        bundled = f" and no such bundled event ({', '.join(known)})" if known else ""
+        raise InvalidEventError(f"{path}: no such file{bundled}")
+    return name
+
+
+def _check_turning(turning: str | None) -> None:
+    if turning is not None and turning not in TURNINGS:
+        raise unknown_name("turning", turning, TURNINGS)
+
+
+@contextlib.contextmanager
+def _naming(path: PathLike, video: str | None = None) -> Iterator[None]:
+    """Put the file, and the video where there is one, in front of an error's message."""
+    try:
+        yield
+    except (InvalidEventError, InvalidSettingError, UnknownNameError) as error:
+        where = str(path) if video is None or video == Path(path).stem else f"{path}, video {video}"
+        # a wrong value in a file is the file's fault, not that of a setting
+        kind = UnknownNameError if isinstance(error, UnknownNameError) else InvalidEventError
+        raise kind(f"{where}: {error}") from None

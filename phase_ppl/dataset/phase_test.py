@@ -1,0 +1,133 @@
+"""The ``phase-test-1`` format: the authors' PHASE test videos, converted to JSON.
+
+One object; its head gives the arena and the landmarks' half width, ``videos`` is a list. Per
+video, ``observed`` holds what an observer may use (walls, landmarks, sizes, trajectories),
+``truth`` the generating parameters, ``human`` counts of people's relation judgments, ``models``
+the predictions of other models. Goals in ``truth`` are effective ones: helper and helpee share a
+goal, a hinderer holds the negation. ``mirror_of_original`` is not read.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phase_ppl.dataset.fields import (
+    Entries,
+    event_id,
+    optional,
+    per_name,
+    read_observation,
+    require,
+)
+from phase_ppl.dataset.turning import observed_turning
+from phase_ppl.world.errors import InvalidEventError, shown
+from phase_ppl.world.event import Event, Truth
+from phase_ppl.world.hypothesis import STRENGTH_LEVELS
+from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS
+from phase_ppl.world.observation import Observation
+from phase_ppl.world.scene import LANDMARK_HALF_WIDTH, Scene, finite_array
+
+FORMAT: Final = "phase-test-1"
+
+
+def read(document: Mapping[str, Any]) -> Entries:
+    """Return the videos of a document in :data:`FORMAT`, not yet read."""
+    entries: Entries = []
+    for index, record in enumerate(require(document, "videos", list)):
+        if not isinstance(record, dict):
+            raise InvalidEventError(f"videos[{index}] is no JSON object")
+        name = event_id(record, f"videos[{index}]")
+        entries.append((name, functools.partial(_event, record, document)))
+    return entries
+
+
+def _event(record: Mapping[str, Any], head: Mapping[str, Any]) -> Event:
+    observed = require(record, "observed", dict)
+    where = "observed.trajectories"
+    observation = read_observation(require(observed, "trajectories", dict, "observed"), where)
+    n_frames = optional(observed, "n_frames", int, "observed")
+    if n_frames not in (None, observation.n_frames):
+        raise InvalidEventError(
+            f"observed.n_frames is {n_frames}, but the trajectories have {observation.n_frames}"
+        )
+    scene = _scene(observed, head, observation)
+    turning = observed_turning(observation.trajectory, scene.radius)
+    truth = optional(record, "truth", dict)
+    return Event(
+        scene=dataclasses.replace(scene, turning=turning),
+        observation=observation,
+        id=event_id(record),
+        truth=None if truth is None else _truth(truth),
+        judgments=optional(record, "human", dict),
+        predictions=optional(record, "models", dict),
+    )
+
+
+def _scene(observed: Mapping[str, Any], head: Mapping[str, Any], observation: Observation) -> Scene:
+    arena = require(head, "arena", dict)
+    x0, x1 = finite_array("arena.x", require(arena, "x", list, "arena"), (2,))
+    y0, y1 = finite_array("arena.y", require(arena, "y", list, "arena"), (2,))
+    walls = require(observed, "wall_segments", list, "observed")
+    half_width = head.get("landmark_half_width", LANDMARK_HALF_WIDTH)
+    return Scene(
+        start=observation.trajectory[0],
+        radius=_by_name(observed, "entities", ENTITIES, "radius", (len(ENTITIES),)),
+        walls=finite_array("observed.wall_segments", walls, (None, 2, 2)),
+        arena=(x0, x1, y0, y1),
+        landmark_centres=_by_name(observed, "landmarks", LANDMARKS, "centre", (len(LANDMARKS), 2)),
+        landmark_half_width=half_width,
+    )
+
+
+def _by_name(
+    observed: Mapping[str, Any],
+    field: str,
+    names: Sequence[str],
+    value: str,
+    shape: tuple[int, ...],
+) -> NDArray[np.float64]:
+    """Return ``value`` of each object of the list ``field``, in the order of ``names``."""
+    where = f"observed.{field}"
+    found: dict[str, Any] = {}
+    for index, part in enumerate(require(observed, field, list, "observed")):
+        if not isinstance(part, dict):
+            raise InvalidEventError(f"{where}[{index}] is no JSON object")
+        name = require(part, "name", str, f"{where}[{index}]")
+        if name in found:
+            raise InvalidEventError(f"{where} names {name!r} twice")
+        if value not in part:
+            raise InvalidEventError(f"{where}[{index}], the {name}, has no {value}")
+        found[name] = part[value]
+    return finite_array(f"{where}.{value}", per_name(found, names, where), shape)
+
+
+def _truth(record: Mapping[str, Any]) -> Truth:
+    goals = per_name(require(record, "goals", dict, "truth"), AGENTS, "truth.goals")
+    levels = optional(record, "strength_id", dict, "truth")
+    red, green = (
+        (None, None)
+        if levels is None
+        else (_newtons(level) for level in per_name(levels, AGENTS, "truth.strength_id"))
+    )
+    return Truth(
+        goal_red=goals[0],
+        goal_green=goals[1],
+        relation=optional(record, "relation", str, "truth") or "",
+        scenario=optional(record, "scenario", str, "truth") or "",
+        strength_red=red,
+        strength_green=green,
+    )
+
+
+def _newtons(level: Any) -> float:
+    if isinstance(level, bool) or level not in range(len(STRENGTH_LEVELS)):
+        raise InvalidEventError(
+            f"truth.strength_id is {shown(level)}, expected one of 0..{len(STRENGTH_LEVELS) - 1}"
+        )
+    return STRENGTH_LEVELS[int(level)]

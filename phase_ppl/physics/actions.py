@@ -1,0 +1,57 @@
+"""The fourteen low-level actions of an agent."""
+
+from __future__ import annotations
+
+import enum
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Action(enum.IntEnum):
+    """What an agent does during one planner step. Directions are those of its own body."""
+
+    TURN_LEFT = 0
+    TURN_RIGHT = 1
+    UP = 2
+    DOWN = 3
+    LEFT = 4
+    RIGHT = 5
+    UP_LEFT = 6
+    UP_RIGHT = 7
+    DOWN_LEFT = 8
+    DOWN_RIGHT = 9
+    STOP = 10
+    NO_FORCE = 11
+    ATTACH = 12
+    DETACH = 13
+
+
+ACTION_NAMES: Final = tuple(action.name.lower().replace("_", "") for action in Action)
+"""Names used in recorded data, in the order of :class:`Action`: "turnleft", ..., "detach"."""
+
+N_ACTIONS: Final = len(Action)
+
+NO_ACTION: Final = -1
+"""Stands for an agent that does nothing; its body coasts as with ``NO_FORCE``."""
+
+_DIAGONAL = 0.707  # the original world's factor, not exactly 1 / sqrt(2)
+
+
+def _directions() -> NDArray[np.float64]:
+    directions = np.zeros((N_ACTIONS, 2))
+    directions[Action.UP] = 0.0, 1.0
+    directions[Action.DOWN] = 0.0, -1.0
+    directions[Action.LEFT] = -1.0, 0.0
+    directions[Action.RIGHT] = 1.0, 0.0
+    directions[Action.UP_LEFT] = -_DIAGONAL, _DIAGONAL
+    directions[Action.UP_RIGHT] = _DIAGONAL, _DIAGONAL
+    directions[Action.DOWN_LEFT] = -_DIAGONAL, -_DIAGONAL
+    directions[Action.DOWN_RIGHT] = _DIAGONAL, -_DIAGONAL
+    directions.setflags(write=False)
+    return directions
+
+
+DIRECTIONS: Final = _directions()
+"""(14, 2) direction of each action's force in the body frame; 0 for actions without one."""

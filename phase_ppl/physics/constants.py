@@ -1,0 +1,95 @@
+"""Constants of the dynamics, shared by the pymunk world and the compiled model.
+
+The two engines must agree in every choice below: even the anchor of the floor friction, at the
+body origin or at the centre of mass, moves a body by half a unit in ten steps.
+
+Units: lengths in units of the arena, simulated seconds, newtons.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from phase_ppl.world.geometry import is_agent
+
+SUBSTEP: Final = 1.0 / 60.0
+"""Length of one substep, the step of the original engine, s."""
+
+SUBSTEPS: Final = 5
+"""Substeps in one planner step; actions last that long."""
+
+STEP: Final = SUBSTEP * SUBSTEPS
+"""Length of one planner step and of one frame, s."""
+
+WORLD_INNER_STEPS: Final = 4
+"""Parts into which the world divides the movement of a substep. Bodies reach one unit per substep
+and there is no continuous collision detection: undivided, they jump through inner walls and
+squeeze through doors that are too narrow for them."""
+
+IMAGINATION_INNER_STEPS: Final = 1
+"""The same number in the agents' heads, where speed matters more; there it is a minimum."""
+
+LONGEST_MOVE: Final = 0.2
+"""In the agents' heads a substep is divided further, up to ``WORLD_INNER_STEPS``, while a body
+would move more than this in one part, units."""
+
+FLOOR_FRICTION: Final = 100.0
+"""Largest friction force on any body, whatever its mass, acting on the body origin, N."""
+
+AGENT_AREA: Final = 4.0
+"""Area (= mass at density 1) of an agent of size 1."""
+
+AGENT_INERTIA: Final = 26.0 / 9.0
+"""Moment of inertia of an agent of size 1 about its centre of mass."""
+
+FORCE_POINT_Y: Final = -1.0 / 12.0
+"""Local y of the point at which an agent pushes, in units of its size. It is not the centre of
+mass, so that sideways pushes also turn the body a little."""
+
+TURN_TORQUE: Final = 300.0
+"""Torque of a turning agent of size ``TURN_TORQUE_SIZE``, N m; it grows with the size squared."""
+
+TURN_TORQUE_SIZE: Final = 0.8
+
+WALL_RADIUS: Final = 0.01
+"""Half thickness of inner walls, and how far the arena's border reaches inside."""
+
+AGENT_SKIN: Final = 0.01
+"""How far an agent's collision shape reaches beyond its outline, as in the original engine."""
+
+COLLISION_SLOP: Final = 0.005
+"""Overlap that is left alone."""
+
+COLLISION_BIAS: Final = 0.2**60
+"""Share of an overlap that remains after one second of pushing apart; a fifth after a substep."""
+
+GRAB_CORRECTIONS: Final = 3
+"""Newton steps by which a grab pulls agent and item into place. Each moves and turns both as an
+impulse would, by their masses and inertias. One more after each substep keeps the hold rigid."""
+
+SHARED_WELD_SWEEPS: Final = 3
+"""How often the two welds of an item with two holders are mended after each substep."""
+
+WORLD_ITERATIONS: Final = 20
+"""Solver iterations per inner step in the world."""
+
+IMAGINATION_ITERATIONS: Final = 10
+"""Solver iterations per inner step in the agents' heads."""
+
+
+def mass(entity: int, radius: float) -> float:
+    """Return the mass of an entity of size ``radius``, at density 1."""
+    return (AGENT_AREA if is_agent(entity) else math.pi) * radius**2
+
+
+def inertia(entity: int, radius: float) -> float:
+    """Return the moment of inertia of an entity about its centre of mass."""
+    if is_agent(entity):
+        return AGENT_INERTIA * radius**4
+    return 0.5 * mass(entity, radius) * radius**2
+
+
+def turn_torque(radius: float) -> float:
+    """Return the torque of a turning agent of size ``radius``, N m."""
+    return TURN_TORQUE * (radius / TURN_TORQUE_SIZE) ** 2

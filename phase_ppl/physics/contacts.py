@@ -1,0 +1,232 @@
+"""Collision detection of the compiled model: which bodies overlap, and along which normal.
+
+The normal comes from separating axes, which for these shapes is the same as Chipmunk's GJK and
+EPA wherever shapes overlap.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phase_ppl.physics.constants import AGENT_SKIN, WALL_RADIUS
+from phase_ppl.physics.flat import Params, Scratch, X, Y
+from phase_ppl.physics.jit import bare_kernel, inlined_kernel
+from phase_ppl.physics.manifold import (
+    FAR,
+    WALL,
+    add_contact,
+    clamp,
+    clip,
+    place_outlines,
+    support_edge,
+)
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_TIE: Final = 1e-9
+"""Of faces as near as this the first one counts, not the one that rounding favours: back, right,
+front, left, as in the pymunk world."""
+
+
+@inlined_kernel
+def _boxes_meet(a: FloatArray, b: FloatArray) -> bool:
+    return (a[0] <= b[1]) & (a[1] >= b[0]) & (a[2] <= b[3]) & (a[3] >= b[2])
+
+
+@inlined_kernel
+def _border(bodies: FloatArray, n: int, body: int, params: Params, scratch: Scratch) -> int:
+    """Contacts with the arena's border, which is solid all the way out: nothing gets past it."""
+    box = scratch.boxes[body]
+    for side in range(4):
+        limit = params.border[side]
+        outward = 1.0 if side & 1 else -1.0
+        if (box[side] - limit) * outward < 0.0:
+            continue
+        upright = side < 2  # the left and right borders
+        nx, ny = (outward, 0.0) if upright else (0.0, outward)
+        if body < 2:
+            ax, ay, bx, by = support_edge(body, nx, ny, scratch)
+            thickness = AGENT_SKIN
+        else:
+            ax, ay = bodies[body, X], bodies[body, Y]
+            bx, by = ax, ay
+            thickness = params.radius[body]
+        for end in range(2 if body < 2 else 1):
+            x, y = (ax, ay) if end == 0 else (bx, by)
+            x += nx * thickness
+            y += ny * thickness
+            wx, wy = (limit, y) if upright else (x, limit)
+            if (wx - x) * nx + (wy - y) * ny <= 0.0:
+                n = add_contact(bodies, n, body, WALL, nx, ny, x, y, wx, wy, params, scratch)
+    return n
+
+
+@inlined_kernel
+def _agent_wall(
+    bodies: FloatArray, n: int, agent: int, wall: FloatArray, params: Params, scratch: Scratch
+) -> int:
+    corners, faces = scratch.corners[agent], scratch.faces[agent]
+    ax, ay, bx, by, wx, wy = wall[0], wall[1], wall[2], wall[3], wall[4], wall[5]
+    gap, nx, ny = -FAR, 0.0, 0.0
+    for k in range(4):
+        fx, fy = faces[k, 0], faces[k, 1]
+        reach = fx * corners[k, 0] + fy * corners[k, 1]
+        d = min(fx * ax + fy * ay, fx * bx + fy * by) - reach
+        if d > gap:
+            gap, nx, ny = d, fx, fy
+    if gap > WALL_RADIUS + AGENT_SKIN:
+        return n
+    low, high = FAR, -FAR
+    for k in range(4):
+        d = wx * (corners[k, 0] - ax) + wy * (corners[k, 1] - ay)
+        low, high = min(low, d), max(high, d)
+    if low > gap:
+        gap, nx, ny = low, -wx, -wy
+    if -high > gap:
+        gap, nx, ny = -high, wx, wy
+    if gap > WALL_RADIUS + AGENT_SKIN:
+        return n
+    edge = support_edge(agent, nx, ny, scratch)
+    # the wall's side that faces the agent, run through against the agent's edge
+    wall_edge = (ax, ay, bx, by) if wx * nx + wy * ny > 0.0 else (bx, by, ax, ay)
+    return clip(bodies, n, agent, WALL, nx, ny, edge, wall_edge, WALL_RADIUS, params, scratch)
+
+
+@inlined_kernel
+def _item_wall(
+    bodies: FloatArray, n: int, item: int, wall: FloatArray, params: Params, scratch: Scratch
+) -> int:
+    ax, ay = wall[0], wall[1]
+    ux, uy = wall[2] - ax, wall[3] - ay
+    x, y, r = bodies[item, X], bodies[item, Y], params.radius[item]
+    t = clamp(((x - ax) * ux + (y - ay) * uy) / (ux * ux + uy * uy))
+    px, py = ax + ux * t, ay + uy * t
+    dx, dy = px - x, py - y
+    squared = dx * dx + dy * dy
+    reach = r + WALL_RADIUS
+    if squared >= reach * reach:
+        return n
+    if squared > 0.0:
+        distance = math.sqrt(squared)
+        nx, ny = dx / distance, dy / distance
+    else:
+        nx, ny = wall[4], wall[5]
+    return add_contact(
+        bodies, n, item, WALL, nx, ny,
+        x + nx * r, y + ny * r, px - nx * WALL_RADIUS, py - ny * WALL_RADIUS, params, scratch,
+    )  # fmt: skip
+
+
+@inlined_kernel
+def _items(bodies: FloatArray, n: int, params: Params, scratch: Scratch) -> int:
+    dx, dy = bodies[3, X] - bodies[2, X], bodies[3, Y] - bodies[2, Y]
+    r2, r3 = params.radius[2], params.radius[3]
+    squared = dx * dx + dy * dy
+    if squared >= (r2 + r3) ** 2:
+        return n
+    nx, ny = 1.0, 0.0  # as good as any other for items on the same spot
+    if squared > 0.0:
+        distance = math.sqrt(squared)
+        nx, ny = dx / distance, dy / distance
+    return add_contact(
+        bodies, n, 2, 3, nx, ny,
+        bodies[2, X] + nx * r2, bodies[2, Y] + ny * r2,
+        bodies[3, X] - nx * r3, bodies[3, Y] - ny * r3, params, scratch,
+    )  # fmt: skip
+
+
+@inlined_kernel
+def _agent_item(
+    bodies: FloatArray, n: int, agent: int, item: int, params: Params, scratch: Scratch
+) -> int:
+    corners, faces = scratch.corners[agent], scratch.faces[agent]
+    x, y, r = bodies[item, X], bodies[item, Y], params.radius[item]
+    reach = r + AGENT_SKIN
+    gap, face = -FAR, 0
+    for k in range(4):
+        d = faces[k, 0] * (x - corners[k, 0]) + faces[k, 1] * (y - corners[k, 1])
+        if d > gap + _TIE:
+            gap, face = d, k
+    if gap > reach:
+        return n
+    nx, ny = faces[face, 0], faces[face, 1]
+    px, py = x - nx * gap, y - ny * gap
+    if gap > _TIE:
+        # outside, the nearest point may be a corner
+        start = (face + 3) & 3
+        ax, ay = corners[start, 0], corners[start, 1]
+        ux, uy = corners[face, 0] - ax, corners[face, 1] - ay
+        t = clamp(((x - ax) * ux + (y - ay) * uy) / (ux * ux + uy * uy))
+        px, py = ax + ux * t, ay + uy * t
+        dx, dy = x - px, y - py
+        squared = dx * dx + dy * dy
+        if squared >= reach * reach:
+            return n
+        distance = math.sqrt(squared)
+        nx, ny = dx / distance, dy / distance
+    return add_contact(
+        bodies, n, agent, item, nx, ny,
+        px + nx * AGENT_SKIN, py + ny * AGENT_SKIN, x - nx * r, y - ny * r, params, scratch,
+    )  # fmt: skip
+
+
+@inlined_kernel
+def _agents(bodies: FloatArray, n: int, params: Params, scratch: Scratch) -> int:
+    gap, nx, ny = -FAR, 0.0, 0.0
+    for owner in range(2):
+        corners, faces = scratch.corners[owner], scratch.faces[owner]
+        others = scratch.corners[1 - owner]
+        for k in range(4):
+            fx, fy = faces[k, 0], faces[k, 1]
+            nearest = FAR
+            for v in range(4):
+                nearest = min(nearest, fx * others[v, 0] + fy * others[v, 1])
+            d = nearest - fx * corners[k, 0] - fy * corners[k, 1]
+            if d > gap + _TIE:
+                sign = 1.0 if owner == 0 else -1.0
+                gap, nx, ny = d, sign * fx, sign * fy
+        if gap > 2.0 * AGENT_SKIN:
+            return n
+    edge_0 = support_edge(0, nx, ny, scratch)
+    edge_1 = support_edge(1, -nx, -ny, scratch)
+    return clip(bodies, n, 0, 1, nx, ny, edge_0, edge_1, AGENT_SKIN, params, scratch)
+
+
+@bare_kernel
+def find_contacts(bodies: FloatArray, held: IntArray, params: Params, scratch: Scratch) -> int:
+    """Write all contacts into ``scratch`` and mark the bodies touched; return their number.
+
+    A held item and its holder do not collide.
+    """
+    place_outlines(bodies, params, scratch)
+    boxes = scratch.boxes
+    border = params.border
+    n = 0
+    for body in range(4):
+        box = boxes[body]
+        if (
+            (box[0] < border[0])
+            | (box[1] > border[1])
+            | (box[2] < border[2])
+            | (box[3] > border[3])
+        ):
+            n = _border(bodies, n, body, params, scratch)
+        for w in range(params.walls.shape[0]):
+            if _boxes_meet(box, params.wall_boxes[w]):
+                if body < 2:
+                    n = _agent_wall(bodies, n, body, params.walls[w], params, scratch)
+                else:
+                    n = _item_wall(bodies, n, body, params.walls[w], params, scratch)
+    n = _items(bodies, n, params, scratch)
+    for agent in range(2):
+        for item in range(2, 4):
+            if held[agent] != item and _boxes_meet(boxes[agent], boxes[item]):
+                n = _agent_item(bodies, n, agent, item, params, scratch)
+    if _boxes_meet(boxes[0], boxes[1]):
+        n = _agents(bodies, n, params, scratch)
+    return n

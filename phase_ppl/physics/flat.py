@@ -1,0 +1,248 @@
+"""The compiled model's world as flat arrays: parameters, scratch space and states.
+
+Bodies are a (4, 9) array, columns ``X`` to ``BIAS_SPIN`` below, with the CENTRE OF MASS as the
+position. That is not the body origin of an agent, which is what trajectories contain.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phase_ppl.physics import constants
+from phase_ppl.world.geometry import CENTRE_OF_MASS_Y, UNIT_TRAPEZOID
+from phase_ppl.world.names import AGENTS, ENTITIES
+from phase_ppl.world.scene import Scene
+from phase_ppl.world.state import State
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+X: Final = 0
+Y: Final = 1
+ANGLE: Final = 2
+VX: Final = 3
+VY: Final = 4
+SPIN: Final = 5
+BIAS_VX: Final = 6
+BIAS_VY: Final = 7
+BIAS_SPIN: Final = 8
+"""Columns of ``bodies``. Bias velocities push overlapping bodies apart, once, at the beginning of
+the next inner step, so that pushing apart adds no momentum."""
+
+MAX_CONTACTS: Final = 64
+"""Room for contacts in one inner step; more would need bodies in impossible places."""
+
+_N, _N_AGENTS, _N_CORNERS = len(ENTITIES), len(AGENTS), len(UNIT_TRAPEZOID)
+
+
+class Params(NamedTuple):
+    """What stays the same during a simulation.
+
+    Attributes:
+        radius: (4,) sizes R.
+        cog: (4,) local y of the centre of mass: -R/6 for agents, 0 for items.
+        extent: (4,) radius of the circle about the centre of mass that holds the body.
+        inverse_mass, inverse_inertia: (4,).
+        origin_mass: (4, 2) effective mass of the body origin in local x and y.
+        force, torque: (2,) of the agents.
+        vertices: (2, 4, 2) corners of the agents about their centre of mass,
+            counter-clockwise; normals: (2, 4, 2) outward normal of the face that ENDS at the
+            corner of the same index.
+        border: (4,) least and greatest x, least and greatest y at which bodies fit.
+        walls: (n, 6) inner walls: end points x1, y1, x2, y2 and a unit normal.
+        wall_boxes: (n, 4) least and greatest x, least and greatest y of the thick walls.
+        substeps: per planner step; dt: length of one, s.
+        inner_steps: parts into which the movement of a substep is at least divided.
+        iterations: of the solver.
+        friction: largest impulse of the floor friction in a substep.
+        contact_rates: by number of parts, bias velocity per unit of overlap.
+    """
+
+    radius: FloatArray
+    cog: FloatArray
+    extent: FloatArray
+    inverse_mass: FloatArray
+    inverse_inertia: FloatArray
+    origin_mass: FloatArray
+    force: FloatArray
+    torque: FloatArray
+    vertices: FloatArray
+    normals: FloatArray
+    border: FloatArray
+    walls: FloatArray
+    wall_boxes: FloatArray
+    substeps: int
+    dt: float
+    inner_steps: int
+    iterations: int
+    friction: float
+    contact_rates: FloatArray
+
+
+class Scratch(NamedTuple):
+    """Work space of one thread; nothing in it outlives a planner step.
+
+    Attributes:
+        rotation: (4, 2) cosine and sine of the angle; 1, 0 for items, whose angle is not needed.
+        boxes: (4, 4) least and greatest x, least and greatest y of the bodies.
+        corners, faces: (2, 4, 2) the agents' vertices and normals in the world.
+        kick: (2, 3) change of velocity and spin by the agents' own force in one substep.
+        contact_bodies: (contacts, 2) the two bodies, -1 for a wall.
+        contacts: (contacts, 8): normal from the first to the second, lever arms, effective mass,
+            overlap, bias impulse, impulse.
+        touched: (4,) bodies that the solver must treat together.
+        rub: (4, 2) floor friction's impulse in the body frame.
+        welds: (2, 11) as ``welds.prepare_weld`` says.
+        frame: (4, 3) mean pose over the substeps so far.
+    """
+
+    rotation: FloatArray
+    boxes: FloatArray
+    corners: FloatArray
+    faces: FloatArray
+    kick: FloatArray
+    contact_bodies: IntArray
+    contacts: FloatArray
+    touched: BoolArray
+    rub: FloatArray
+    welds: FloatArray
+    frame: FloatArray
+
+
+def make_scratch() -> Scratch:
+    """Return fresh work space."""
+    rotation = np.zeros((_N, 2))
+    rotation[:, 0] = 1.0
+    return Scratch(
+        rotation=rotation,
+        boxes=np.zeros((_N, 4)),
+        corners=np.zeros((_N_AGENTS, _N_CORNERS, 2)),
+        faces=np.zeros((_N_AGENTS, _N_CORNERS, 2)),
+        kick=np.zeros((_N_AGENTS, 3)),
+        contact_bodies=np.zeros((MAX_CONTACTS, 2), np.int64),
+        contacts=np.zeros((MAX_CONTACTS, 8)),
+        touched=np.zeros(_N, np.bool_),
+        rub=np.zeros((_N, 2)),
+        welds=np.zeros((_N_AGENTS, 11)),
+        frame=np.zeros((_N, 3)),
+    )
+
+
+def _agent_outline() -> tuple[FloatArray, FloatArray]:
+    """Return corners about the centre of mass and face normals of an agent of size 1."""
+    corners = UNIT_TRAPEZOID[::-1] - np.array([0.0, CENTRE_OF_MASS_Y])
+    along = corners - np.roll(corners, 1, axis=0)
+    normals = np.column_stack([along[:, 1], -along[:, 0]])
+    return corners, normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+
+_UNIT_CORNERS, _UNIT_NORMALS = _agent_outline()
+_UNIT_EXTENT = float(np.linalg.norm(_UNIT_CORNERS, axis=1).max())
+
+
+def _walls(scene: Scene) -> tuple[FloatArray, FloatArray]:
+    ends = scene.walls.reshape(-1, 4)
+    # a wall of no length is no wall, and has no normal
+    ends = ends[np.abs(ends[:, 2:] - ends[:, :2]).sum(axis=1) > 0]
+    dx, dy = (ends[:, 2:] - ends[:, :2]).T
+    length = np.hypot(dx, dy)
+    x, y = ends[:, 0::2], ends[:, 1::2]
+    thickness = constants.WALL_RADIUS
+    boxes = np.column_stack(
+        [
+            x.min(axis=1) - thickness,
+            x.max(axis=1) + thickness,
+            y.min(axis=1) - thickness,
+            y.max(axis=1) + thickness,
+        ]
+    )
+    return np.column_stack([ends, -dy / length, dx / length]), boxes
+
+
+def make_params(
+    scene: Scene,
+    strengths: tuple[float, float],
+    inner_steps: int = constants.IMAGINATION_INNER_STEPS,
+    iterations: int = constants.IMAGINATION_ITERATIONS,
+) -> Params:
+    """Return the parameters of the compiled model for one scene and two strengths.
+
+    Args:
+        scene: sizes, walls and arena.
+        strengths: maximum forces of red and green, newtons.
+        inner_steps: parts into which the movement of a substep is divided, at least; from
+            ``WORLD_INNER_STEPS`` on exactly.
+        iterations: of the solver, per inner step.
+    """
+    radius = scene.radius
+    sizes = radius[:_N_AGENTS]
+    cog = np.append(CENTRE_OF_MASS_Y * sizes, np.zeros(_N - _N_AGENTS))
+    inverse_mass = np.array([1.0 / constants.mass(i, r) for i, r in enumerate(radius)])
+    inverse_inertia = np.array([1.0 / constants.inertia(i, r) for i, r in enumerate(radius)])
+    walls, wall_boxes = _walls(scene)
+    x0, x1, y0, y1 = scene.arena
+    inset = constants.WALL_RADIUS
+    most_parts = max(inner_steps, 2 * constants.WORLD_INNER_STEPS)
+    part_length = constants.SUBSTEP / np.maximum(1, np.arange(most_parts + 1))
+    return Params(
+        radius=np.array(radius),
+        cog=cog,
+        extent=np.append(_UNIT_EXTENT * sizes + constants.AGENT_SKIN, radius[_N_AGENTS:]),
+        inverse_mass=inverse_mass,
+        inverse_inertia=inverse_inertia,
+        origin_mass=1.0 / np.column_stack([inverse_mass + inverse_inertia * cog**2, inverse_mass]),
+        force=np.array(strengths, np.float64),
+        torque=np.array([constants.turn_torque(size) for size in sizes]),
+        vertices=sizes[:, None, None] * _UNIT_CORNERS,
+        normals=np.repeat(_UNIT_NORMALS[None], _N_AGENTS, axis=0),
+        border=np.array([x0 + inset, x1 - inset, y0 + inset, y1 - inset]),
+        walls=walls,
+        wall_boxes=wall_boxes,
+        substeps=constants.SUBSTEPS,
+        dt=constants.SUBSTEP,
+        inner_steps=inner_steps,
+        iterations=iterations,
+        friction=constants.FLOOR_FRICTION * constants.SUBSTEP,
+        contact_rates=(1.0 - constants.COLLISION_BIAS**part_length) / part_length,
+    )
+
+
+def from_state(state: State, radius: FloatArray) -> tuple[FloatArray, IntArray, FloatArray]:
+    """Return new (bodies, held, weld) arrays for ``state``.
+
+    Args:
+        state: any state of the world.
+        radius: (4,) sizes R.
+    """
+    bodies = np.zeros((_N, BIAS_SPIN + 1))
+    bodies[:, : ANGLE + 1] = state.pose
+    for agent in range(_N_AGENTS):
+        offset = CENTRE_OF_MASS_Y * radius[agent]
+        angle = float(state.pose[agent, 2])
+        bodies[agent, X] -= math.sin(angle) * offset
+        bodies[agent, Y] += math.cos(angle) * offset
+    bodies[:, VX : VY + 1] = state.velocity
+    bodies[:, SPIN] = state.spin
+    return bodies, np.array(state.held, np.int64), np.array(state.weld, np.float64)
+
+
+def to_state(bodies: FloatArray, held: IntArray, weld: FloatArray, radius: FloatArray) -> State:
+    """Return the state in the arrays; pending bias velocities are left out."""
+    pose = bodies[:, : ANGLE + 1].copy()
+    for agent in range(_N_AGENTS):
+        offset = CENTRE_OF_MASS_Y * radius[agent]
+        angle = float(pose[agent, 2])
+        pose[agent, 0] += math.sin(angle) * offset
+        pose[agent, 1] -= math.cos(angle) * offset
+    return State(
+        pose=pose,
+        velocity=bodies[:, VX : VY + 1].copy(),
+        spin=bodies[:, SPIN].copy(),
+        held=held.copy(),
+        weld=weld.copy(),
+    )

@@ -1,0 +1,85 @@
+"""Compilation of kernels, with an on-disk cache that notices changes in any kernel file.
+
+numba keeps compiled functions on disk and recompiles one when the file that holds it changes.
+But a kernel also contains, inlined, the kernels it calls and the constants it uses from other
+files; a change there would go unnoticed. Here a cached function is fresh only as long as no
+file that kernels draw on has changed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import hashlib
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any, Final, TypeVar, cast
+
+import numba
+from numba.core.caching import FunctionCache, IndexDataCacheFile
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+_PACKAGE: Final = Path(__file__).resolve().parent.parent
+_FOLDERS: Final = ("world", "physics", "agents")
+"""Folders of the package that hold kernels or constants used in kernels."""
+
+
+def source_stamp(files: Iterable[Path]) -> str:
+    """Return a hash of the names and contents of ``files``, whatever their order."""
+    digest = hashlib.sha256()
+    for file in sorted(files):
+        content = hashlib.sha256(file.read_bytes()).hexdigest()
+        digest.update(f"{file.name} {content}\n".encode())
+    return digest.hexdigest()
+
+
+@functools.cache
+def package_stamp() -> str:
+    """Return the hash of all files on which compiled kernels depend."""
+    return source_stamp(file for name in _FOLDERS for file in (_PACKAGE / name).glob("*.py"))
+
+
+class KernelCache(FunctionCache):
+    """numba's cache of one function, stale as soon as ``package_stamp`` changes."""
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        super().__init__(function)
+        self._cache_file = IndexDataCacheFile(
+            cache_path=self._cache_path,
+            filename_base=self._impl.filename_base,
+            source_stamp=package_stamp(),
+        )
+
+
+def _compiled(function: Function, **options: Any) -> Function:
+    compiled: Any = numba.njit(nogil=True, error_model="numpy", **options)(function)
+    # without a writable place for a cache every process compiles for itself
+    with contextlib.suppress(RuntimeError):
+        compiled._cache = KernelCache(function)
+    return cast(Function, compiled)
+
+
+def kernel(function: Function) -> Function:
+    """Compile ``function`` with numba on its first call: no Python objects, no GIL, cached.
+
+    Floating point is strict (no fastmath), so results are the same bits in every process;
+    division by zero gives inf or nan as in NumPy.
+    """
+    return _compiled(function)
+
+
+def bare_kernel(function: Function) -> Function:
+    """As ``kernel``, without reference counts: for functions that run millions of times.
+
+    numba counts references whenever an array is taken out of a tuple or sliced, one atomic
+    operation each time; in short functions on tuples of arrays that costs ten times more than
+    the arithmetic. Such a function cannot allocate, which rules out slice-to-slice copies too
+    (``a[i] = b[j]`` on rows needs a loop), and must not return an array.
+    """
+    return _compiled(function, _nrt=False)
+
+
+def inlined_kernel(function: Function) -> Function:
+    """As ``bare_kernel``, compiled into its callers: handing over a large tuple takes time too."""
+    return _compiled(function, _nrt=False, forceinline=True)

@@ -1,0 +1,331 @@
+"""The world: the reference implementation of the dynamics, on pymunk (Chipmunk).
+
+It reproduces the original generator's Box2D world: a square room seen from above, two trapezoid
+agents, two discs, floor friction, rigid grabs. One substep of 1/60 s is, as there,
+
+1. find the contacts;
+2. accelerate: the agents' own forces, and the floor's friction, at most 100 N on every body;
+3. solve: contacts, friction and grabs agree on new velocities;
+4. move with the new velocities.
+
+Two things make Chipmunk do that.
+
+*The due move.* Chipmunk's step is move, collide, accelerate, solve: the same cycle, cut at another
+place, so that its positions are always one move behind. Here a body's pose is Chipmunk's pose plus
+the move that is due, and whatever happens between steps (a stop, spin set to zero, a grab) happens
+to that pose. Without this, every change of velocity shows one substep late and every turn is too
+small.
+
+*Divided moves.* Chipmunk does not see collisions between two poses, so that moves are divided into
+inner steps. Forces and friction act in the first of them with all of the substep's impulse: free
+motion then does not depend on the number of inner steps.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+import pymunk
+from numpy.typing import NDArray
+
+from phase_ppl.physics import constants
+from phase_ppl.physics.actions import DIRECTIONS, Action
+from phase_ppl.world.geometry import (
+    CENTRE_OF_MASS_Y,
+    GRAB_POINTS,
+    GRAB_REACH,
+    UNIT_TRAPEZOID,
+    is_agent,
+    rotation,
+)
+from phase_ppl.world.names import AGENTS, ENTITIES, ITEMS, NOTHING
+from phase_ppl.world.scene import Scene
+from phase_ppl.world.state import State
+
+FloatArray = NDArray[np.float64]
+
+_BORDER_DEPTH: Final = 5.0
+"""Half thickness of the arena's border. A thin border could be jumped by a fast body and would
+then hold it outside; out of a thick one a body is always pushed back in."""
+
+_NUDGE: Final = 1e-6
+"""How far a body that starts on an agent's origin is moved off it, units."""
+
+_N_AGENTS: Final = len(AGENTS)
+
+
+class PymunkWorld:
+    """A running world.
+
+    Bodies are placed by their centre of mass, in pymunk as in the compiled model; only poses that
+    go in or out (``State``, frames) are those of the body origins.
+
+    Args:
+        scene: sizes, walls, arena and start poses.
+        strengths: maximum forces of red and green, newtons.
+        inner_steps: parts into which the movement of a substep is divided.
+        initial: state to start from; None for the scene's start, from which the world makes one
+            empty substep first, as the original does (it separates overlapping bodies).
+        iterations: solver iterations per inner step.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        strengths: tuple[float, float],
+        inner_steps: int = constants.WORLD_INNER_STEPS,
+        initial: State | None = None,
+        iterations: int = constants.WORLD_ITERATIONS,
+    ) -> None:
+        self._strengths = strengths
+        self._radius = [float(r) for r in scene.radius]
+        self._cog_y = [
+            CENTRE_OF_MASS_Y * r if is_agent(i) else 0.0 for i, r in enumerate(self._radius)
+        ]
+        self._inner_steps = inner_steps
+        self._dt = constants.SUBSTEP / inner_steps
+        self._space = pymunk.Space()
+        self._space.iterations = iterations
+        self._space.collision_slop = constants.COLLISION_SLOP
+        self._space.collision_bias = constants.COLLISION_BIAS
+        self._add_walls(scene)
+        state = State.at_start(scene) if initial is None else initial
+        self._floor: list[pymunk.PivotJoint] = []
+        self._bodies = [self._add_body(entity, state) for entity in range(len(ENTITIES))]
+        self._held = [NOTHING] * _N_AGENTS
+        self._weld = np.zeros((_N_AGENTS, 3))
+        self._joints: list[tuple[pymunk.Constraint, ...]] = [()] * _N_AGENTS
+        for agent in range(_N_AGENTS):
+            if state.held[agent] != NOTHING:
+                self._join(agent, int(state.held[agent]), state.weld[agent])
+        if initial is None:
+            self._break_ties()
+            self._substep((Action.NO_FORCE, Action.NO_FORCE))
+
+    def _add_walls(self, scene: Scene) -> None:
+        x0, x1, y0, y1 = scene.arena
+        depth = _BORDER_DEPTH
+        # the border's surface lies where that of a wall of normal thickness would
+        shift = depth - constants.WALL_RADIUS
+        left, right, bottom, top = x0 - shift, x1 + shift, y0 - shift, y1 + shift
+        corners = [(left, top), (right, top), (right, bottom), (left, bottom)]
+        lines = [(a, b, depth) for a, b in zip(corners, corners[1:] + corners[:1], strict=True)]
+        lines += [(tuple(a), tuple(b), constants.WALL_RADIUS) for a, b in scene.walls.tolist()]
+        for start, end, thickness in lines:
+            wall = pymunk.Segment(self._space.static_body, start, end, thickness)
+            wall.friction = 0.0
+            wall.elasticity = 0.0
+            self._space.add(wall)
+
+    def _add_body(self, entity: int, state: State) -> pymunk.Body:
+        radius, cog_y = self._radius[entity], self._cog_y[entity]
+        body = pymunk.Body(constants.mass(entity, radius), constants.inertia(entity, radius))
+        shape: pymunk.Shape
+        if is_agent(entity):
+            outline = radius * UNIT_TRAPEZOID - np.array([0.0, cog_y])
+            shape = pymunk.Poly(body, outline.tolist(), radius=constants.AGENT_SKIN)
+        else:
+            shape = pymunk.Circle(body, radius)
+        shape.friction = 0.0
+        shape.elasticity = 0.0
+        x, y, angle = state.pose[entity].tolist()
+        vx, vy = state.velocity[entity].tolist()
+        spin = float(state.spin[entity])
+        # one move back, as Chipmunk's first act is to move
+        body.position = (
+            x - math.sin(angle) * cog_y - vx * self._dt,
+            y + math.cos(angle) * cog_y - vy * self._dt,
+        )
+        body.angle = angle - spin * self._dt
+        body.velocity = vx, vy
+        body.angular_velocity = spin
+        # Floor friction: a joint that never pulls the body back (max_bias 0), only brakes its
+        # origin with limited force. The walls hang on the same static body, so that the joint
+        # must leave collisions between the two on.
+        floor = pymunk.PivotJoint(self._space.static_body, body, (x, y), (0.0, -cog_y))
+        floor.max_bias = 0.0
+        floor.collide_bodies = True
+        self._floor.append(floor)
+        self._space.add(body, shape, floor)
+        return body
+
+    def _break_ties(self) -> None:
+        """Move bodies that start on an agent's origin a hair away from it.
+
+        Chipmunk would not see two agents on the same spot, and let rounding decide on which side
+        an item leaves. In the original, items leave to the right and agents to the rear.
+        """
+        for agent in range(_N_AGENTS):
+            for other in range(agent + 1, len(ENTITIES)):
+                offset = self._poses()[other, :2] - self._poses()[agent, :2]
+                if np.abs(offset).max() < _NUDGE:
+                    direction = np.array([0.0, -1.0] if is_agent(other) else [1.0, 0.0])
+                    nudge = _NUDGE * rotation(self._bodies[agent].angle) @ direction
+                    self._bodies[other].position += tuple(nudge)
+
+    @property
+    def state(self) -> State:
+        """The current state; a copy."""
+        bodies = self._bodies
+        return State(
+            pose=self._poses(),
+            velocity=np.array([body.velocity for body in bodies]),
+            spin=np.array([body.angular_velocity for body in bodies]),
+            held=np.array(self._held, np.int64),
+            weld=self._weld.copy(),
+        )
+
+    def _pose(self, entity: int) -> tuple[float, float, float]:
+        """Return the pose of a body's centre of mass, the due move included."""
+        body, dt = self._bodies[entity], self._dt
+        (x, y), (vx, vy) = body.position, body.velocity
+        return x + vx * dt, y + vy * dt, body.angle + body.angular_velocity * dt
+
+    def _poses(self) -> FloatArray:
+        """Return the (4, 3) poses of the body origins, the due move included."""
+        poses = np.empty((len(ENTITIES), 3))
+        for entity, cog_y in enumerate(self._cog_y):
+            x, y, angle = self._pose(entity)
+            poses[entity] = x + math.sin(angle) * cog_y, y - math.cos(angle) * cog_y, angle
+        return poses
+
+    def _in_frame(self, agent: int, entity: int) -> FloatArray:
+        """Return a body's centre of mass in an agent's frame about its centre of mass."""
+        x, y, angle = self._pose(agent)
+        other_x, other_y, _ = self._pose(entity)
+        return np.array([other_x - x, other_y - y]) @ rotation(angle)
+
+    def step(self, actions: tuple[int, int]) -> FloatArray:
+        """Advance by one planner step and return its frame.
+
+        Args:
+            actions: of red and green, values of ``Action`` or ``NO_ACTION``.
+
+        Returns:
+            (4, 3) mean pose over the five substeps; angles are not wrapped.
+        """
+        for agent, action in enumerate(actions):
+            if action == Action.ATTACH:
+                self._attach(agent)
+            elif action == Action.DETACH:
+                self._detach(agent)
+        frame = np.zeros((len(ENTITIES), 3))
+        for _ in range(constants.SUBSTEPS):
+            self._substep(actions)
+            frame += self._poses()
+        for body in self._bodies[:_N_AGENTS]:
+            body.angle += body.angular_velocity * self._dt
+            body.angular_velocity = 0.0
+        return frame / constants.SUBSTEPS
+
+    def _substep(self, actions: tuple[int, int]) -> None:
+        n = self._inner_steps
+        for part in range(n):
+            if part == 0:
+                for agent, action in enumerate(actions):
+                    self._act(agent, action)
+            if part < 2:
+                force = constants.FLOOR_FRICTION * n if part == 0 else 0.0
+                for floor in self._floor:
+                    floor.max_force = force
+            self._space.step(self._dt)
+        shared = self._held[0] == self._held[1]
+        for _ in range(constants.SHARED_WELD_SWEEPS if shared else 1):
+            for agent, item in enumerate(self._held):
+                if item != NOTHING:
+                    self._mend(agent, item, self._weld[agent])
+
+    def _act(self, agent: int, action: int) -> None:
+        """Stop the body, or apply its force or torque for the next inner step only."""
+        body, n = self._bodies[agent], self._inner_steps
+        if action == Action.STOP:
+            body.position += body.velocity * self._dt
+            body.velocity = 0.0, 0.0
+        elif action == Action.TURN_LEFT:
+            body.torque = n * constants.turn_torque(self._radius[agent])
+        elif action == Action.TURN_RIGHT:
+            body.torque = -n * constants.turn_torque(self._radius[agent])
+        elif Action.UP <= action <= Action.DOWN_RIGHT:
+            force = n * self._strengths[agent] * DIRECTIONS[action]
+            arm = constants.FORCE_POINT_Y * self._radius[agent] - self._cog_y[agent]
+            body.force = tuple(rotation(self._pose(agent)[2]) @ force)
+            body.torque = -arm * float(force[0])
+
+    def find_grab(self, agent: int) -> tuple[int, int]:
+        """Return the item that ``agent`` would grab now, and the grab point it would use.
+
+        Of the items whose centre is less than their radius + ``GRAB_REACH`` away from a grab
+        point the nearest one, at the nearest point.
+
+        Returns:
+            (entity index, index into ``GRAB_POINTS``); -1, -1 if none is in reach or one is held.
+        """
+        best_item, best_point, best = NOTHING, -1, math.inf
+        if self._held[agent] != NOTHING:
+            return best_item, best_point
+        points = self._radius[agent] * GRAB_POINTS - [0.0, self._cog_y[agent]]
+        for item in range(_N_AGENTS, _N_AGENTS + len(ITEMS)):
+            distances = np.linalg.norm(points - self._in_frame(agent, item), axis=1)
+            point = int(np.argmin(distances))
+            distance = float(distances[point])
+            if distance < self._radius[item] + GRAB_REACH and distance < best:
+                best_item, best_point, best = item, point, distance
+        return best_item, best_point
+
+    def _attach(self, agent: int) -> None:
+        item, point = self.find_grab(agent)
+        if item == NOTHING:
+            return
+        length = self._radius[agent] + self._radius[item]
+        weld = np.zeros(3)
+        weld[:2] = length * GRAB_POINTS[point] - [0.0, self._cog_y[agent]]
+        weld[2] = self._pose(item)[2] - self._pose(agent)[2]
+        for _ in range(constants.GRAB_CORRECTIONS):
+            self._mend(agent, item, weld)
+        self._join(agent, item, weld)
+
+    def _mend(self, agent: int, item: int, weld: FloatArray) -> None:
+        """Move and turn both bodies towards the weld's pose, by their masses and inertias.
+
+        A Newton step on the weld's error e: with J = de/dq and M the masses, q -= M^-1 J' K^-1 e,
+        K = J M^-1 J'.
+        """
+        holder, thing = self._bodies[agent], self._bodies[item]
+        x, y, angle = self._pose(agent)
+        item_x, item_y, item_angle = self._pose(item)
+        rx, ry = rotation(angle) @ weld[:2]
+        error = np.array([item_x - x - rx, item_y - y - ry, item_angle - angle - weld[2]])
+        jacobian = np.array(
+            [[-1.0, 0.0, ry, 1.0, 0.0, 0.0], [0.0, -1.0, -rx, 0.0, 1.0, 0.0], [0, 0, -1, 0, 0, 1]]
+        )
+        masses = np.array([holder.mass] * 2 + [holder.moment] + [thing.mass] * 2 + [thing.moment])
+        weighted = jacobian / masses
+        change = -weighted.T @ np.linalg.solve(weighted @ jacobian.T, error)
+        holder.position += tuple(change[:2])
+        holder.angle += float(change[2])
+        thing.position += tuple(change[3:5])
+        thing.angle += float(change[5])
+
+    def _join(self, agent: int, item: int, weld: FloatArray) -> None:
+        """Weld an item to an agent: a pivot at the item's centre and a gear for the angle."""
+        holder, thing = self._bodies[agent], self._bodies[item]
+        x, y, angle = weld.tolist()
+        pivot = pymunk.PivotJoint(holder, thing, (x, y), (0.0, 0.0))
+        gear = pymunk.GearJoint(holder, thing, angle, 1.0)
+        for joint in (pivot, gear):
+            joint.collide_bodies = False
+            # Joints only equalise velocities. Errors of the pose are mended in ``_mend``: a joint
+            # that pulls back by velocities (error_bias) sags, or drives bodies on when two welds
+            # or a wall stand against each other.
+            joint.error_bias = 1.0
+        self._space.add(pivot, gear)
+        self._joints[agent] = (pivot, gear)
+        self._held[agent] = item
+        self._weld[agent] = weld
+
+    def _detach(self, agent: int) -> None:
+        self._space.remove(*self._joints[agent])
+        self._joints[agent] = ()
+        self._held[agent] = NOTHING

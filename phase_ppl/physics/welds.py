@@ -1,0 +1,174 @@
+"""Grabbing in the compiled model: which item, the pull at the grab, and the rigid hold."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phase_ppl.physics.constants import GRAB_CORRECTIONS
+from phase_ppl.physics.flat import ANGLE, SPIN, VX, VY, Params, Scratch, X, Y
+from phase_ppl.physics.jit import bare_kernel, inlined_kernel
+from phase_ppl.world.geometry import GRAB_POINTS, GRAB_REACH
+from phase_ppl.world.names import NOTHING
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+_N_POINTS: Final = len(GRAB_POINTS)
+
+
+@bare_kernel
+def find_grab(bodies: FloatArray, held: IntArray, agent: int, params: Params) -> tuple[int, int]:
+    """Return the item that ``agent`` would grab now, and the grab point it would use.
+
+    Of the items whose centre is less than their radius + ``GRAB_REACH`` away from a grab point
+    the nearest one, at the nearest point.
+
+    Returns:
+        (entity index, index into ``GRAB_POINTS``); -1, -1 if none is in reach or one is held.
+    """
+    best_item, best_point, best = NOTHING, -1, math.inf
+    if held[agent] >= 0:
+        return best_item, best_point
+    c, s = math.cos(bodies[agent, ANGLE]), math.sin(bodies[agent, ANGLE])
+    size, cog = params.radius[agent], params.cog[agent]
+    for item in range(2, 4):
+        dx, dy = bodies[item, X] - bodies[agent, X], bodies[item, Y] - bodies[agent, Y]
+        # the item's centre in the agent's body frame
+        x, y = c * dx + s * dy, c * dy - s * dx + cog
+        for point in range(_N_POINTS):
+            px, py = size * GRAB_POINTS[point, 0], size * GRAB_POINTS[point, 1]
+            distance = math.sqrt((x - px) ** 2 + (y - py) ** 2)
+            if distance < params.radius[item] + GRAB_REACH and distance < best:
+                best_item, best_point, best = item, point, distance
+    return best_item, best_point
+
+
+@inlined_kernel
+def place_frame(bodies: FloatArray, agent: int, scratch: Scratch) -> None:
+    """Bring the cosine and sine of an agent's angle up to date."""
+    scratch.rotation[agent, 0] = math.cos(bodies[agent, ANGLE])
+    scratch.rotation[agent, 1] = math.sin(bodies[agent, ANGLE])
+
+
+@inlined_kernel
+def prepare_weld(
+    bodies: FloatArray,
+    agent: int,
+    item: int,
+    weld: FloatArray,
+    params: Params,
+    scratch: Scratch,
+    row: FloatArray,
+) -> None:
+    """Write anchor, inverse effective mass and error of a weld into ``row``.
+
+    Args:
+        bodies, weld, params, scratch: of the model.
+        agent, item: holder and held.
+        row: (11,) of ``Scratch.welds``; afterwards 0, 1 the item's place from the agent's centre
+            of mass; 2..7 the upper triangle of the inverse of K = J M^-1 J', by rows; 8..10 the
+            error in x, y and angle.
+    """
+    c, s = scratch.rotation[agent, 0], scratch.rotation[agent, 1]
+    rx = weld[agent, 0] * c - weld[agent, 1] * s
+    ry = weld[agent, 0] * s + weld[agent, 1] * c
+    mass = params.inverse_mass[agent] + params.inverse_mass[item]
+    turn = params.inverse_inertia[agent]
+    k11, k12, k13 = mass + turn * ry * ry, -turn * rx * ry, -turn * ry
+    k22, k23 = mass + turn * rx * rx, turn * rx
+    k33 = turn + params.inverse_inertia[item]
+    m11 = k22 * k33 - k23 * k23
+    m12 = k13 * k23 - k12 * k33
+    m13 = k12 * k23 - k13 * k22
+    scale = 1.0 / (k11 * m11 + k12 * m12 + k13 * m13)
+    row[0], row[1] = rx, ry
+    row[2], row[3], row[4] = m11 * scale, m12 * scale, m13 * scale
+    row[5], row[6] = (k11 * k33 - k13 * k13) * scale, (k12 * k13 - k11 * k23) * scale
+    row[7] = (k11 * k22 - k12 * k12) * scale
+    row[8] = bodies[item, X] - bodies[agent, X] - rx
+    row[9] = bodies[item, Y] - bodies[agent, Y] - ry
+    row[10] = bodies[item, ANGLE] - bodies[agent, ANGLE] - weld[agent, 2]
+
+
+@inlined_kernel
+def _shift(
+    bodies: FloatArray,
+    agent: int,
+    item: int,
+    x: int,
+    error_x: float,
+    error_y: float,
+    error_angle: float,
+    params: Params,
+    row: FloatArray,
+) -> float:
+    """Change poses (``x`` = X) or velocities (``x`` = VX) by the impulse that mends an error.
+
+    Returns the square of the impulse.
+    """
+    jx = -(row[2] * error_x + row[3] * error_y + row[4] * error_angle)
+    jy = -(row[3] * error_x + row[5] * error_y + row[6] * error_angle)
+    jt = -(row[4] * error_x + row[6] * error_y + row[7] * error_angle)
+    bodies[agent, x] -= params.inverse_mass[agent] * jx
+    bodies[agent, x + 1] -= params.inverse_mass[agent] * jy
+    bodies[agent, x + 2] -= params.inverse_inertia[agent] * (row[0] * jy - row[1] * jx + jt)
+    bodies[item, x] += params.inverse_mass[item] * jx
+    bodies[item, x + 1] += params.inverse_mass[item] * jy
+    bodies[item, x + 2] += params.inverse_inertia[item] * jt
+    return jx * jx + jy * jy + jt * jt
+
+
+@inlined_kernel
+def pull(bodies: FloatArray, agent: int, item: int, params: Params, row: FloatArray) -> float:
+    """Make a held item move with its holder; return the squared impulse."""
+    spin = bodies[agent, SPIN]
+    slip_x = bodies[item, VX] - bodies[agent, VX] + row[1] * spin
+    slip_y = bodies[item, VY] - bodies[agent, VY] - row[0] * spin
+    slip_angle = bodies[item, SPIN] - spin
+    return _shift(bodies, agent, item, VX, slip_x, slip_y, slip_angle, params, row)
+
+
+@inlined_kernel
+def mend(
+    bodies: FloatArray,
+    agent: int,
+    item: int,
+    weld: FloatArray,
+    params: Params,
+    scratch: Scratch,
+) -> None:
+    """Move and turn holder and item towards the weld's pose, by their masses and inertias.
+
+    A Newton step. It changes no velocity: a weld that pulled its error back by velocities, as
+    Chipmunk's joints do, would drive bodies on when two welds or a wall stand against each other.
+    """
+    row = scratch.welds[agent]
+    prepare_weld(bodies, agent, item, weld, params, scratch, row)
+    _shift(bodies, agent, item, X, row[8], row[9], row[10], params, row)
+    place_frame(bodies, agent, scratch)
+
+
+@bare_kernel
+def attach(
+    bodies: FloatArray,
+    held: IntArray,
+    weld: FloatArray,
+    agent: int,
+    params: Params,
+    scratch: Scratch,
+) -> None:
+    """Grab the nearest item in reach, if any, and pull both bodies into place at once."""
+    item, point = find_grab(bodies, held, agent, params)
+    if item < 0:
+        return
+    length = params.radius[agent] + params.radius[item]
+    held[agent] = item
+    weld[agent, 0] = length * GRAB_POINTS[point, 0]
+    weld[agent, 1] = length * GRAB_POINTS[point, 1] - params.cog[agent]
+    weld[agent, 2] = bodies[item, ANGLE] - bodies[agent, ANGLE]
+    for _ in range(GRAB_CORRECTIONS):
+        mend(bodies, agent, item, weld, params, scratch)

@@ -1,0 +1,157 @@
+"""POMCP finds sensible actions, and its savings are what they claim to be."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from phase_ppl.agents import pomcp, rewards
+from phase_ppl.agents.agent import Agent, Mind
+from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.agents.rng import below, make_rng, uniform
+from phase_ppl.physics import compiled
+from phase_ppl.physics.actions import Action
+from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
+from phase_ppl.world.goals import goal_index
+from phase_ppl.world.literals import STOP, Literal, Predicate
+from phase_ppl.world.scene import Scene
+from phase_ppl.world.state import State
+from tests.agents.scenes import scene
+
+CONFIG = PlannerConfig(simulations=400, full_observation=True)
+GOALS = (goal_index("Get red agent to red lm"), goal_index("Get green agent to green lm"))
+
+
+def agent_in(where: Scene, config: PlannerConfig = CONFIG, seed: int = 0) -> Agent:
+    mind = Mind.of(where, (450.0, 450.0), config)
+    agent = Agent(0, GOALS, mind, config, np.random.default_rng(seed))
+    agent.perceive(*compiled.from_state(State.at_start(where), where.radius))
+    return agent
+
+
+ALL = np.arange(50)
+
+
+def test_an_agent_that_faces_its_goal_drives_straight_at_it() -> None:
+    agent = agent_in(scene(red=(23.5, 14.0, math.pi)))
+    decision = agent.choose_action(Literal(Predicate.ON, 0, 2), ALL)
+    assert decision.action is Action.UP
+
+
+def test_an_agent_that_has_its_back_to_the_goal_turns() -> None:
+    agent = agent_in(scene(red=(23.5, 9.5, -math.pi / 2), green=(8, 20, 0), blue=(10, 20)))
+    decision = agent.choose_action(Literal(Predicate.ON, 0, 2), ALL)
+    assert decision.action is Action.TURN_RIGHT
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_early_stop_never_changes_the_action(seed: int) -> None:
+    where = scene(red=(12.0, 9.0, float(seed)), blue=(14.0, 6.0))
+    subgoals = [Literal(Predicate.TOUCH, 0, 2), Literal(Predicate.ON, 2, 2)]
+    for subgoal in subgoals:
+        chosen, run = [], []
+        for early_stop in (False, True):
+            config = dataclasses.replace(CONFIG, early_stop=early_stop)
+            agent = agent_in(where, config, seed)
+            chosen.append(agent.choose_action(subgoal, ALL).action)
+            run.append(int(agent.tree.statistics[0]))
+        assert chosen[0] == chosen[1]
+        assert run[1] <= run[0] == CONFIG.simulations
+
+
+def test_a_kept_subtree_carries_its_visits_over() -> None:
+    agent = agent_in(scene(red=(23.5, 14.0, math.pi)))
+    subgoal = Literal(Predicate.ON, 0, 2)
+    decision = agent.choose_action(subgoal, ALL)
+    column = int(np.argmax(decision.visits))
+    node = agent.tree.child[0, column]
+    visits = int(agent.tree.visits[node])
+    children = np.sort(agent.tree.visits[agent.tree.child[node][agent.tree.child[node] >= 0]])
+    pomcp.keep_subtree(agent.tree, column)
+    kept = agent.tree.child[0][agent.tree.child[0] >= 0]
+    np.testing.assert_array_equal(np.sort(agent.tree.visits[kept]), children)
+    # the node's own first visit made no child
+    assert agent.tree.visits[0] == visits - 1
+
+
+def test_stop_and_letting_go_need_no_search() -> None:
+    agent = agent_in(scene())
+    assert agent.choose_action(STOP, ALL).action is Action.STOP
+    letting_go = Literal(Predicate.ATTACH, 0, 2, positive=False)
+    assert agent.choose_action(letting_go, ALL).action is Action.DETACH
+    assert agent.tree.statistics[0] == 0
+
+
+def test_an_item_in_reach_is_grabbed() -> None:
+    agent = agent_in(scene(red=(12.0, 9.0, 0.0), blue=(12.0, 11.0)))
+    assert agent.choose_action(Literal(Predicate.ATTACH, 0, 2), ALL).action is Action.ATTACH
+
+
+def test_the_same_seed_gives_the_same_decision() -> None:
+    where = scene(red=(12.0, 9.0, 1.0), blue=(14.0, 6.0))
+    subgoal = Literal(Predicate.TOUCH, 0, 2)
+    first, again = (agent_in(where, seed=3).choose_action(subgoal, ALL) for _ in range(2))
+    np.testing.assert_array_equal(first.visits, again.visits)
+    np.testing.assert_array_equal(first.values, again.values)
+
+
+def test_navigation_uses_five_actions_and_carrying_more() -> None:
+    count = {
+        Literal(Predicate.TOUCH, 0, 2): 5,
+        Literal(Predicate.CLOSE, 0, 1): 5,
+        Literal(Predicate.ON, 0, 1): 5,
+        Literal(Predicate.ON, 2, 1): 13,
+        Literal(Predicate.ATTACH, 0, 2): 13,
+        Literal(Predicate.ON, 1, 1, positive=False): 12,
+    }
+    for subgoal, expected in count.items():
+        assert len(rewards.actions_for(subgoal, 0, -1, "both")) == expected
+    assert len(rewards.actions_for(Literal(Predicate.CLOSE, 2, 1), 0, 2, "both")) == 12
+
+
+@pytest.mark.parametrize(
+    ("turning", "other"), [("ccw", Action.TURN_RIGHT), ("cw", Action.TURN_LEFT)]
+)
+def test_an_agent_that_turns_one_way_only_never_tries_the_other(
+    turning: str, other: Action
+) -> None:
+    for subgoal in (Literal(Predicate.TOUCH, 0, 2), Literal(Predicate.ON, 2, 1)):
+        actions = rewards.actions_for(subgoal, 0, -1, turning)  # type: ignore[arg-type]
+        assert int(other) not in actions
+
+
+def test_reward_falls_with_path_distance_and_sideways_steps_cost() -> None:
+    agent = agent_in(scene(red=(23.5, 14.0, math.pi)))
+    bodies, held, _ = compiled.from_state(State.at_start(agent.mind.scene), [0.8] * 4)
+    code = rewards.subgoal_code(Literal(Predicate.ON, 0, 2))
+    mind = agent.mind
+    ahead = rewards.reward(bodies, held, code, int(Action.UP), mind.params, mind.ground)
+    sideways = rewards.reward(bodies, held, code, int(Action.LEFT), mind.params, mind.ground)
+    assert ahead == pytest.approx(-9.5 / math.hypot(20, 20), abs=1e-6)
+    assert ahead - sideways == pytest.approx(0.02)
+
+
+def test_random_numbers_are_uniform_and_reproducible() -> None:
+    rng = make_rng(np.random.default_rng(5))
+    again = rng.copy()
+    draws = np.array([uniform(rng) for _ in range(4000)])
+    assert draws[0] == uniform(again)
+    assert abs(draws.mean() - 0.5) < 0.02
+    assert abs(draws.var() - 1 / 12) < 0.005
+    assert {below(rng, 3) for _ in range(50)} == {0, 1, 2}
+
+
+@pytest.mark.parametrize(
+    ("setting", "value"), [("simulations", 0), ("particles", 2.5), ("discount", 1.5), ("c_base", 0)]
+)
+def test_impossible_settings_are_refused(setting: str, value: float) -> None:
+    with pytest.raises(InvalidSettingError, match=setting):
+        PlannerConfig(**{setting: value})  # type: ignore[arg-type]
+
+
+def test_an_unknown_planner_is_refused_by_name() -> None:
+    with pytest.raises(UnknownNameError, match="'fast'"):
+        PlannerConfig.named("quick")

@@ -1,0 +1,283 @@
+"""Whatever is offered as an event: either an event, or one line that says why not."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import pickle
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from phase_ppl.dataset import documents, load_event, load_events, save_event, save_events
+from phase_ppl.dataset.events_json import event_record
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    InvalidSettingError,
+    PhasePPLError,
+    UnknownNameError,
+)
+from tests.dataset.test_phase_test import video, write
+from tests.world.examples import make_event
+
+
+class Trap:
+    """Its pickle, when loaded, leaves a file behind."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return os.mkdir, (str(self.path),)
+
+
+def refused(path: Path | str, error: type[Exception] = InvalidEventError) -> str:
+    """Return the message with which ``path`` is refused: one line that names it."""
+    with pytest.raises(error) as raised:
+        load_event(path)
+    with pytest.raises(error):
+        load_events(path)
+    message = str(raised.value)
+    assert message.startswith(str(path))
+    assert "\n" not in message
+    return message
+
+
+@pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
+@pytest.mark.parametrize("name", ["event.pkl", "event.json"])
+def test_a_pickle_is_refused_without_being_loaded(tmp_path: Path, name: str, protocol: int) -> None:
+    for content in (Trap(tmp_path / "sprung"), {"format": "phase-ppl-event-1"}, [1, 2]):
+        path = tmp_path / name
+        path.write_bytes(pickle.dumps(content, protocol))
+        assert "is a pickle, which is never loaded" in refused(path)
+    assert not (tmp_path / "sprung").exists()
+
+
+FILES = {
+    "empty": (b"", "is empty"),
+    "blank": (b" \n ", "is empty"),
+    "text": (b"hello world", "is not JSON: line 1, column 1"),
+    "binary": (bytes(range(100)), "is a binary file"),
+    "zip": (b"PK\x03\x04\x14\x00\x00\x00", "is a binary file"),
+    "latin1": ('{"id": "Mädchen"}'.encode("latin-1"), "is not text: byte 9 is not UTF-8"),
+    "list": (b"[1, 2, 3]", "holds [1, 2, 3], expected a JSON object"),
+    "number": (b"3", "holds 3, expected a JSON object"),
+    "no_format": (b'{"id": "x"}', "is not an event file: it has no format"),
+    "other_format": (b'{"format": "phase-replays-1"}', "has format 'phase-replays-1', expected"),
+    "format_list": (b'{"format": []}', "has format [], expected"),
+    "nan": (b'{"format": "phase-ppl-event-1", "id": NaN}', "holds NaN, expected finite"),
+    "infinity": (b'{"format": -Infinity}', "holds -Infinity, expected finite"),
+    "overflow": (b'{"format": 1e999}', "holds 1e999, expected finite"),
+    "digits": (b'{"format": ' + b"9" * 5000 + b"}", "whole number with thousands of digits"),
+    "key_twice": (b'{"format": "x", "format": "y"}', "gives 'format' twice"),
+    "deep": (b"[" * 100_000, "nested too deeply"),
+    "no_id": (b'{"format": "phase-ppl-event-1"}', "has no id"),
+    "control_id": (b'{"format": "phase-ppl-event-1", "id": "a\\nb"}', "id is 'a\\nb'"),
+    "events_object": (b'{"format": "phase-ppl-events-1", "events": {}}', "events is {}, expected"),
+    "events_empty": (b'{"format": "phase-ppl-events-1", "events": []}', "the list is empty"),
+    "events_odd": (b'{"format": "phase-ppl-events-1", "events": [3]}', "events[0] is no JSON"),
+    "events_no_id": (b'{"format": "phase-ppl-events-1", "events": [{}]}', "has no events[0].id"),
+    "no_videos": (b'{"format": "phase-test-1"}', "has no videos"),
+    "videos_empty": (b'{"format": "phase-test-1", "videos": []}', "the list is empty"),
+}
+
+
+@pytest.mark.parametrize("case", FILES)
+def test_a_file_that_is_no_event_is_refused_in_one_line(tmp_path: Path, case: str) -> None:
+    content, message = FILES[case]
+    path = tmp_path / "event.json"
+    path.write_bytes(content)
+    assert message in refused(path)
+
+
+def test_a_truncated_file_is_recognised_as_such(tmp_path: Path) -> None:
+    save_event(make_event(), tmp_path / "whole.json")
+    text = (tmp_path / "whole.json").read_text()
+    path = tmp_path / "part.json"
+    for cut in (len(text) // 3, len(text) - 3):
+        path.write_text(text[:cut])
+        assert "is not JSON" in refused(path)
+    path.write_text(text[: text.index("[8.0") + 1])
+    assert "(the file ends too early)" in refused(path)
+
+
+def test_a_byte_order_mark_does_no_harm(tmp_path: Path) -> None:
+    save_event(make_event(), tmp_path / "one.json")
+    path = tmp_path / "marked.json"
+    path.write_bytes(b"\xef\xbb\xbf" + (tmp_path / "one.json").read_bytes())
+    assert load_event(path).id == "example"
+
+
+def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
+    assert "no such file" in refused(tmp_path / "none.json")
+    assert "is a folder, expected an event file" in refused(tmp_path)
+    assert "cannot be read: Not a directory" in refused(_file(tmp_path) / "x.json")
+
+
+def _file(folder: Path) -> Path:
+    (folder / "file").write_text("")
+    return folder / "file"
+
+
+def test_a_file_that_is_too_large_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "large.json"
+    save_event(make_event(), path)
+    monkeypatch.setattr(documents, "MAX_BYTES", path.stat().st_size)
+    assert load_event(path).id == "example"
+    monkeypatch.setattr(documents, "MAX_BYTES", path.stat().st_size - 1)
+    assert "is larger than" in refused(path)
+
+
+VALUES: dict[str, tuple[tuple[str | int, ...], Any, str]] = {
+    "no_trajectories": (("trajectories",), None, "trajectories is None, expected an object"),
+    "no_entity": (("trajectories",), {}, "trajectories has no red agent and no green agent and"),
+    "lengths": (
+        ("trajectories", "blue item"),
+        [[12.0, 8.0, 0.0]] * 3,
+        "trajectories differ in length: 4 red agent, 4 green agent, 3 blue item, 4 pink item",
+    ),
+    "pairs": (("trajectories", "red agent", 2), [8.0, 20.0], "trajectories['red agent'] is ragged"),
+    "rows": (("trajectories", "red agent"), 7, "trajectories['red agent'] has shape ()"),
+    "text": (
+        ("trajectories", "red agent", 2, 0),
+        "8",
+        "trajectories['red agent'] holds '8', expected numbers",
+    ),
+    "null": (("trajectories", "red agent", 2, 0), None, "trajectories['red agent'] holds None"),
+    "outside": (
+        ("trajectories", "pink item", 3),
+        [26.0, 31.5, 0.0],
+        "trajectory: the pink item is at (26, 31.5) in frame 3, outside the arena",
+    ),
+    "far": (("trajectories", "pink item", 3, 0), 1e300, "the pink item is at (1e+300, "),
+    "start": (("scene", "start", "red agent"), [0.0, 0.0, 0.0], "the red agent is at (0, 0)"),
+    "radius": (("scene", "radius", "red agent"), -1.0, "scene.radius [-1.0, "),
+    "arena": (("scene", "arena", "x"), [6.0], "scene.arena is ragged"),
+    "wall": (("scene", "walls"), "none", "scene.walls holds 'none'"),
+    "strength": (("truth", "strengths", "red agent"), "strong", "truth.strength_red='strong'"),
+    "truth": (("truth",), [], "truth is [], expected an object"),
+    "goals": (("truth", "goals"), {}, "truth.goals has no red agent and no green agent"),
+    "judgments": (("judgments",), 3, "judgments is 3, expected an object"),
+    "id": (("id",), 7, "id is 7, expected a string"),
+}
+NAMES: dict[str, tuple[tuple[str | int, ...], Any, str]] = {
+    "goal": (("truth", "goals", "red agent"), "Get blue ball to red lm", "unknown goal 'Get blue"),
+    "turning": (("scene", "turning"), "left", "unknown turning 'left'; allowed: 'both', 'ccw'"),
+    "turning_list": (("scene", "turning"), ["cw"], "unknown turning ['cw']"),
+    "entity": (("trajectories", "blue ball"), [], "unknown field of trajectories 'blue ball'"),
+}
+
+
+@pytest.mark.parametrize("case", [*VALUES, *NAMES])
+def test_a_wrong_value_is_named_with_the_file(tmp_path: Path, case: str) -> None:
+    where, value, message = {**VALUES, **NAMES}[case]
+    record: Any = event_record(make_event(id="event"))
+    part = record
+    for step in where[:-1]:
+        part = part[step]
+    part[where[-1]] = value
+    path = tmp_path / "event.json"
+    path.write_text(json.dumps(record))
+    kind: type[Exception] = UnknownNameError if case in NAMES else InvalidEventError
+    assert message in refused(path, kind)
+
+
+def test_a_single_frame_is_no_event(tmp_path: Path) -> None:
+    record = event_record(make_event())
+    record["trajectories"] = {name: rows[:1] for name, rows in record["trajectories"].items()}
+    path = tmp_path / "event.json"
+    path.write_text(json.dumps(record))
+    assert "trajectory has 1 frame(s), expected at least 2" in refused(path)
+
+
+def test_one_of_several_videos_must_be_named(tmp_path: Path) -> None:
+    path = tmp_path / "all.json"
+    save_events([make_event(id=f"video{n}") for n in range(5)], path)
+    message = re.escape(
+        f"{path} holds 5 videos; name one of them: 'video0', 'video1', 'video2', ..."
+    )
+    with pytest.raises(InvalidSettingError, match=message):
+        load_event(path)
+    assert load_event(path, video="video3").id == "video3"
+
+
+def test_an_unknown_video_is_answered_with_close_matches(tmp_path: Path) -> None:
+    path = tmp_path / "all.json"
+    save_events([make_event(id=f"video{n}") for n in range(5)], path)
+    with pytest.raises(UnknownNameError, match=r"all.json: unknown video 'vidoe3'; .* 'video3'"):
+        load_event(path, video="vidoe3")
+    with pytest.raises(UnknownNameError, match="unknown video ''"):
+        load_event(path, video="")
+
+
+def test_two_videos_with_one_id_are_refused(tmp_path: Path) -> None:
+    assert "holds two videos with the id 'v1'" in refused(write(tmp_path, video(), video()))
+
+
+def test_turning_can_be_overridden_and_is_checked(tmp_path: Path) -> None:
+    path = tmp_path / "one.json"
+    save_event(make_event(), path)
+    assert load_event(path).scene.turning == "both"
+    assert load_event(path, turning="cw").scene.turning == "cw"
+    assert load_events(path, turning="ccw")[0].scene.turning == "ccw"
+    with pytest.raises(UnknownNameError, match="unknown turning 'left'"):
+        load_event(path, turning="left")  # type: ignore[arg-type]
+
+
+odd_values = st.one_of(
+    st.none(),
+    st.booleans(),
+    st.integers(-3, 30),
+    st.sampled_from([math.nan, math.inf, 1e300, -1e300, 10**30, 10**320]),
+    st.sampled_from(["", "red agent", "both", "8.0", "\ud800", "phase-test-1"]),
+    st.sampled_from([[], {}, [[]], [[1, 2], [3]], [{}], {"x": [1, 2]}, [[[16, 12], [16, 22]]]]),
+)
+
+
+def nodes(value: Any) -> list[tuple[Any, Any]]:
+    """Return every (container, key) in a JSON value."""
+    keys = list(value) if isinstance(value, dict) else range(len(value))
+    found = []
+    for key in keys:
+        found.append((value, key))
+        if isinstance(value[key], (dict, list)):
+            found.extend(nodes(value[key]))
+    return found
+
+
+@settings(
+    max_examples=250, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(own=st.booleans(), data=st.data())
+def test_a_damaged_file_is_an_event_or_refused_by_name(
+    tmp_path: Path, own: bool, data: st.DataObject
+) -> None:
+    if own:
+        document: Any = event_record(make_event(id="v1"))
+    else:
+        document = json.loads(write(tmp_path, video()).read_text())
+    places = nodes(document)
+    container, key = places[data.draw(st.integers(0, len(places) - 1))]
+    if data.draw(st.booleans()):
+        container[key] = data.draw(odd_values)
+    else:
+        del container[key]
+    path = tmp_path / "damaged.json"
+    path.write_text(json.dumps(document))
+    try:
+        event = load_event(path)
+    except PhasePPLError as error:
+        complaint = str(error)
+    else:
+        complaint = str(path)
+        save_event(event, tmp_path / "again.json")
+        assert load_event(tmp_path / "again.json").id == event.id
+    assert str(path) in complaint
+    assert "\n" not in complaint

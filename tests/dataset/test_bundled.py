@@ -1,0 +1,90 @@
+"""The events that come with the package."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from phase_ppl.dataset import (
+    bundled,
+    bundled_events,
+    load_bundled,
+    load_event,
+    load_events,
+    save_event,
+)
+from phase_ppl.world.errors import InvalidEventError, UnknownNameError
+from phase_ppl.world.relations import scenario
+from tests.world.examples import make_event
+
+
+@pytest.fixture
+def two_bundled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "events"
+    folder.mkdir()
+    for name in ("meet", "chase"):
+        save_event(make_event(id=name), folder / f"{name}.json")
+    (folder / "README.md").write_text("not an event")
+    monkeypatch.setattr(bundled, "_folder", lambda: folder)
+    (tmp_path / "work").mkdir()
+    monkeypatch.chdir(tmp_path / "work")
+
+
+@pytest.mark.usefixtures("two_bundled")
+def test_a_bundled_event_is_loaded_by_its_name() -> None:
+    assert bundled_events() == ["chase", "meet"]
+    assert load_bundled("meet").id == "meet"
+    for name in ("chase", "chase.json", Path("chase.json")):
+        assert load_event(name).id == "chase"
+        assert load_events(name)[0].id == "chase"
+    assert load_event("chase", turning="cw").scene.turning == "cw"
+
+
+@pytest.mark.usefixtures("two_bundled")
+def test_a_file_of_the_same_name_comes_first() -> None:
+    save_event(make_event(id="my own"), "chase.json")
+    assert load_event("chase.json").id == "my own"
+    assert load_event("chase").id == "chase"
+
+
+@pytest.mark.usefixtures("two_bundled")
+def test_a_folder_of_the_same_name_does_not_hide_a_bundled_event() -> None:
+    Path("chase").mkdir()
+    Path("results").mkdir()
+    assert load_event("chase").id == "chase"
+    with pytest.raises(InvalidEventError, match="results: is a folder"):
+        load_event("results")
+
+
+@pytest.mark.usefixtures("two_bundled")
+def test_a_missing_file_in_a_folder_is_not_replaced_by_a_bundled_event() -> None:
+    with pytest.raises(InvalidEventError, match=r"data/chase.json: no such file"):
+        load_event("data/chase.json")
+
+
+@pytest.mark.usefixtures("two_bundled")
+def test_an_unknown_name_is_answered_with_the_bundled_ones() -> None:
+    with pytest.raises(InvalidEventError, match=r"chasing: no such file .* \(chase, meet\)"):
+        load_event("chasing")
+    with pytest.raises(UnknownNameError, match=r"unknown bundled event 'chasing'.*'chase'"):
+        load_bundled("chasing")
+    with pytest.raises(UnknownNameError, match="chase: unknown video 'other'"):
+        load_event("chase", video="other")
+
+
+def test_without_bundled_events_there_are_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bundled, "_folder", lambda: tmp_path / "nowhere")
+    assert bundled_events() == []
+    with pytest.raises(InvalidEventError, match=r"no such file$"):
+        load_event("chase")
+
+
+@pytest.mark.parametrize("name", bundled_events())
+def test_every_bundled_event_carries_its_name_and_a_consistent_truth(name: str) -> None:
+    event = load_bundled(name)
+    assert event.id == name
+    assert event.truth is not None
+    assert event.truth.scenario == scenario(event.truth.goal_red, event.truth.goal_green)

@@ -1,0 +1,178 @@
+"""The package's own event files: nothing is lost, and a person can read and write them."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from phase_ppl.dataset import load_event, load_events, save_event, save_events
+from phase_ppl.dataset.events_json import event_from_record, event_record, to_text
+from phase_ppl.world.errors import InvalidEventError, OutputError, UnknownNameError
+from phase_ppl.world.event import Event, Truth
+from phase_ppl.world.goals import GOALS
+from phase_ppl.world.observation import Observation
+from phase_ppl.world.scene import TURNINGS
+from tests.world.examples import RADIUS, START, make_event, make_scene, make_trajectory, walls
+
+
+def assert_same(first: Event, second: Event) -> None:
+    """All that two events hold is equal, to the last bit."""
+    assert np.array_equal(first.observation.trajectory, second.observation.trajectory)
+    for name in ("start", "radius", "walls", "landmark_centres"):
+        assert np.array_equal(getattr(first.scene, name), getattr(second.scene, name)), name
+    for name in ("arena", "turning", "landmark_half_width"):
+        assert getattr(first.scene, name) == getattr(second.scene, name), name
+    for name in ("id", "truth", "judgments", "predictions"):
+        assert getattr(first, name) == getattr(second, name), name
+
+
+def inside(*, rows: st.SearchStrategy[int]) -> st.SearchStrategy[np.ndarray]:
+    shapes = rows.map(lambda n: (n, 4, 3))
+    x = hnp.arrays(np.float64, shapes, elements=st.floats(0, 1))
+    return x.map(lambda a: a * [20.0, 20.0, 50.0] + [6.0, 2.0, -25.0])
+
+
+plain = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False)
+    | st.text(),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
+    max_leaves=8,
+)  # fmt: skip
+events = st.builds(
+    Event,
+    scene=st.builds(
+        make_scene,
+        walls=st.sampled_from([walls(), walls(up=10), walls(up=10, left=7.5, down=5, right=7.5)]),
+        turning=st.sampled_from(TURNINGS),
+        radius=hnp.arrays(np.float64, 4, elements=st.floats(0.1, 3)),
+    ),
+    observation=inside(rows=st.integers(2, 6)).map(Observation),
+    id=st.text(st.characters(categories=["L", "N", "P"]), min_size=1, max_size=12),
+    truth=st.none()
+    | st.builds(
+        Truth,
+        st.sampled_from(GOALS),
+        st.sampled_from(GOALS),
+        strength_red=st.none() | st.floats(150, 600),
+        strength_green=st.none() | st.floats(150, 600),
+    ),
+    judgments=st.none() | st.dictionaries(st.text(), plain, max_size=3),
+    predictions=st.none() | st.dictionaries(st.text(), plain, max_size=3),
+)
+
+
+@settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow], deadline=None)
+@given(events)
+def test_writing_and_reading_changes_nothing(event: Event) -> None:
+    assert_same(event_from_record(json.loads(to_text(event_record(event)))), event)
+
+
+def test_a_saved_event_is_loaded_back(tmp_path: Path) -> None:
+    event = make_event()
+    save_event(event, tmp_path / "one.json")
+    assert_same(load_event(tmp_path / "one.json"), event)
+    assert_same(load_events(str(tmp_path / "one.json"))[0], event)
+
+
+def test_several_saved_events_are_loaded_back_in_order(tmp_path: Path) -> None:
+    given_events = [make_event(id=name) for name in ("b", "a", "c")]
+    save_events(given_events, tmp_path / "all.json")
+    loaded = load_events(tmp_path / "all.json")
+    for first, second in zip(loaded, given_events, strict=True):
+        assert_same(first, second)
+    assert load_event(tmp_path / "all.json", video="a").id == "a"
+
+
+def test_the_file_has_one_frame_per_line_and_short_things_on_one(tmp_path: Path) -> None:
+    save_event(make_event(n_frames=7), tmp_path / "one.json")
+    lines = (tmp_path / "one.json").read_text().splitlines()
+    assert lines[1:3] == ['  "format": "phase-ppl-event-1",', '  "id": "example",']
+    assert sum(line.strip().startswith("[8.") for line in lines) == 7
+    assert '    "arena": {"x": [6.0, 26.0], "y": [2.0, 22.0]},' in lines
+
+
+def handwritten() -> dict:
+    """What a person has to write at least."""
+    tracks = np.array([START, START]).transpose(1, 0, 2).tolist()
+    names = ["red agent", "green agent", "blue item", "pink item"]
+    return {
+        "format": "phase-ppl-event-1",
+        "id": "mine",
+        "scene": {"radius": dict(zip(names, RADIUS, strict=True))},
+        "trajectories": dict(zip(names, tracks, strict=True)),
+    }
+
+
+def test_the_shortest_file_is_the_original_world_without_inner_walls() -> None:
+    event = event_from_record(handwritten())
+    assert event.scene.rooms.is_open
+    assert event.scene.turning == "both"
+    assert np.array_equal(event.scene.start, START)
+    assert (event.truth, event.judgments, event.predictions) == (None, None, None)
+
+
+def test_entities_may_be_listed_in_any_order() -> None:
+    record = handwritten()
+    record["trajectories"] = dict(reversed(record["trajectories"].items()))
+    assert np.array_equal(event_from_record(record).observation.trajectory[0], START)
+
+
+def test_a_truth_of_goals_alone_implies_the_rest() -> None:
+    record = handwritten()
+    goals = {"red agent": "get to green agent", "green agent": "get away from red agent"}
+    record["truth"] = {"goals": goals}
+    assert event_from_record(record).truth == Truth(*goals.values())
+
+
+@pytest.mark.parametrize(
+    ("where", "message"),
+    [
+        ((), "unknown field of an event 'turnin'"),
+        (("scene",), "unknown field of scene 'turnin'; did you mean 'turning'"),
+        (("scene", "radius"), "unknown field of scene.radius 'turnin'"),
+        (("trajectories",), "unknown field of trajectories 'turnin'"),
+    ],
+)
+def test_a_misspelt_field_is_not_ignored(where: tuple[str, ...], message: str) -> None:
+    record = handwritten()
+    part = record
+    for name in where:
+        part = part[name]
+    part["turnin"] = "cw"
+    with pytest.raises(UnknownNameError, match=message):
+        event_from_record(record)
+
+
+@pytest.mark.parametrize("value", [math.nan, {1, 2}, np.arange(3), 1j])
+def test_judgments_without_a_json_form_are_not_written(tmp_path: Path, value: object) -> None:
+    event = Event(make_scene(), Observation(make_trajectory()), judgments={"odd": value})
+    with pytest.raises(InvalidEventError, match=r"one.json: cannot be written as JSON"):
+        save_event(event, tmp_path / "one.json")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["", " ", "two\nlines", "\ud800"])
+def test_an_id_that_cannot_be_printed_is_not_written(tmp_path: Path, name: str) -> None:
+    with pytest.raises(InvalidEventError, match=r"one.json: id is .*, expected printable text"):
+        save_event(make_event(id=name), tmp_path / "one.json")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_events_of_one_file_need_different_ids(tmp_path: Path) -> None:
+    with pytest.raises(InvalidEventError, match="two videos with the id 'example'"):
+        save_events([make_event(), make_event()], tmp_path / "all.json")
+    with pytest.raises(InvalidEventError, match="the list is empty"):
+        save_events([], tmp_path / "all.json")
+
+
+@pytest.mark.parametrize("name", ["one.txt", "one.pkl", "none/one.json"])
+def test_an_event_is_written_as_json_into_a_folder_that_exists(tmp_path: Path, name: str) -> None:
+    with pytest.raises(OutputError, match=name):
+        save_event(make_event(), tmp_path / name)

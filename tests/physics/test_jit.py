@@ -1,0 +1,62 @@
+"""Compiled kernels are cached on disk, but never stale."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from phase_ppl.physics import jit
+
+KERNEL = "from phase_ppl.physics import jit\n\n\n@jit.{decorator}\ndef add(x):\n    return x + 1\n"
+
+
+@pytest.fixture
+def load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Load a small kernel from a file, with numba's cache next to it, as a new process would."""
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    file = tmp_path / "small_kernel.py"
+
+    def make(decorator: str) -> Any:
+        file.write_text(KERNEL.format(decorator=decorator))
+        namespace: dict[str, Any] = {"__name__": "small_kernel", "__file__": str(file)}
+        exec(compile(file.read_text(), str(file), "exec"), namespace)
+        function = namespace["add"]
+        assert function(1.0) == 2.0
+        return function
+
+    return make
+
+
+@pytest.mark.parametrize("decorator", ["kernel", "bare_kernel", "inlined_kernel"])
+def test_kernels_are_loaded_from_disk_the_second_time(load: Any, decorator: str) -> None:
+    assert sum(load(decorator).stats.cache_misses.values()) == 1
+    assert sum(load(decorator).stats.cache_hits.values()) == 1
+
+
+def test_kernels_are_compiled_anew_when_any_kernel_file_has_changed(
+    load: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    load("kernel")
+    monkeypatch.setattr(jit, "package_stamp", lambda: "stamp of changed files")
+    assert sum(load("kernel").stats.cache_misses.values()) == 1
+
+
+def test_stamp_covers_names_and_contents_but_not_order(tmp_path: Path) -> None:
+    files = [tmp_path / "a.py", tmp_path / "b.py"]
+    for file in files:
+        file.write_text(f"# {file.name}")
+    stamp = jit.source_stamp(files)
+    assert stamp == jit.source_stamp(reversed(files))
+    files[1].write_text("# changed")
+    assert stamp != jit.source_stamp(files)
+    assert jit.source_stamp(files) != jit.source_stamp(files[:1])
+
+
+def test_package_stamp_covers_every_file_with_kernels() -> None:
+    package = Path(jit.__file__).parents[1]
+    with_kernels = {
+        file.parent.name for file in package.rglob("*.py") if "jit import" in file.read_text()
+    }
+    assert with_kernels <= set(jit._FOLDERS)

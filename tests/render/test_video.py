@@ -1,0 +1,247 @@
+"""Videos, stills and film strips."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from pathlib import Path
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+from phase_ppl.render import image, strip, video
+from phase_ppl.render.frames import Painter
+from phase_ppl.render.tracks import between_frames
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, OutputError
+from phase_ppl.world.event import Event
+from phase_ppl.world.observation import Observation
+from tests.world.examples import make_event, make_scene, make_trajectory
+
+
+def read(path: Path) -> tuple[str, NDArray[np.uint8]]:
+    """Return what ffmpeg says about a video, and its frames (frame, row, column, colour)."""
+    source = [imageio_ffmpeg.get_ffmpeg_exe(), "-i", str(path)]
+    result = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    done = subprocess.run([*source, *result], capture_output=True, check=True)
+    about = next(line for line in done.stderr.decode().splitlines() if "Video: h264" in line)
+    width, height = (int(n) for n in re.findall(r" (\d{3,})x(\d{3,})", about)[0])
+    return about, np.frombuffer(done.stdout, np.uint8).reshape(-1, height, width, 3)
+
+
+def close(picture: NDArray[np.uint8], row: int, column: int, colour: tuple[int, ...]) -> bool:
+    """Whether a pixel has a colour, but for what video compression does to it."""
+    return bool(np.abs(picture[row, column].astype(int) - colour).max() < 25)
+
+
+def test_a_video_shows_every_step_for_a_quarter_second(tmp_path: Path) -> None:
+    video(make_event(n_frames=5), tmp_path / "event.mp4")
+    about, frames = read(tmp_path / "event.mp4")
+    assert "yuv420p" in about
+    assert "20 fps" in about
+    assert frames.shape == (4 * 5 + 1, 480, 640, 3)
+    assert [p.name for p in tmp_path.iterdir()] == ["event.mp4"]
+
+
+def test_a_video_begins_and_ends_where_the_event_does(tmp_path: Path) -> None:
+    trajectory = make_trajectory(3)
+    trajectory[2, 3] = (20.0, 16.0, 0.0)
+    scene = make_scene()
+    video(trajectory, tmp_path / "event.mp4", scene, fps=12, frames_per_step=2)
+    about, frames = read(tmp_path / "event.mp4")
+    assert "12 fps" in about
+    assert len(frames) == 5
+    pink = (255, 153, 153)
+    assert close(frames[0], 320, 400, pink)  # (20, 8)
+    assert close(frames[-1], 160, 400, pink)  # (20, 16)
+    assert not close(frames[-1], 320, 400, pink)
+
+
+def test_observed_and_predicted_stand_beside_each_other(tmp_path: Path) -> None:
+    event = make_event(n_frames=4)
+    predicted = make_trajectory(6)
+    predicted[:, 3, :2] = (20.0, 16.0)
+    video(event, tmp_path / "both.mp4", compare=predicted)
+    _, frames = read(tmp_path / "both.mp4")
+    assert frames.shape == (5 * 5 + 1, 480, 960, 3)  # as long as the longer one
+    pink = (255, 153, 153)
+    for shown in (frames[0], frames[-1]):
+        assert close(shown, 320, 320, pink)  # observed: (20, 8) in the left square
+        assert close(shown, 160, 800, pink)  # predicted: (20, 16) in the right square
+    for half in (frames[0, 5:35, :480], frames[0, 5:35, 480:]):
+        assert half.min() < 150  # the captions
+
+
+def test_two_events_are_compared_each_in_its_own_scene(tmp_path: Path) -> None:
+    other = Event(make_scene(walls=[]), Observation(make_trajectory()))
+    video(make_event(), tmp_path / "both.mp4", compare=other)
+    _, frames = read(tmp_path / "both.mp4")
+    assert close(frames[0], 100, 240, (0, 0, 0))  # the wall up, on the left only
+    assert close(frames[0], 100, 720, (255, 255, 255))
+
+
+def test_an_observation_is_drawn_with_a_scene(tmp_path: Path) -> None:
+    event = make_event()
+    image(event, 0, tmp_path / "event.png")
+    image(event.observation, 0, tmp_path / "observation.png", event.scene)
+    assert (tmp_path / "event.png").read_bytes() == (tmp_path / "observation.png").read_bytes()
+
+
+def test_bodies_move_on_straight_lines_between_frames() -> None:
+    trajectory = np.zeros((3, 4, 3))
+    trajectory[:, 0] = [(6.0, 2.0, 0.0), (7.0, 4.0, 1.0), (7.0, 4.0, 1.0)]
+    poses = between_frames(trajectory, 4)
+    assert poses.shape == (9, 4, 3)
+    assert poses[1, 0].tolist() == [6.25, 2.5, 0.25]
+    assert poses[4, 0].tolist() == [7.0, 4.0, 1.0]
+    assert poses[8, 0].tolist() == [7.0, 4.0, 1.0]
+    assert between_frames(trajectory[:1], 4).shape == (1, 4, 3)
+
+
+def test_angles_turn_the_shorter_way_round() -> None:
+    trajectory = np.zeros((2, 4, 3))
+    trajectory[:, 0, 2] = (3.1, -3.1)
+    middle = between_frames(trajectory, 2)[1, 0, 2]
+    assert np.cos(middle) == pytest.approx(-1.0)
+
+
+@pytest.mark.parametrize("name", ["event.gif", "event", "event.png", "event.avi"])
+def test_only_mp4_is_written_as_video(tmp_path: Path, name: str) -> None:
+    with pytest.raises(OutputError, match=rf"{name}: expected a name in .mp4"):
+        video(make_event(), tmp_path / name)
+
+
+def test_only_png_is_written_as_picture(tmp_path: Path) -> None:
+    for write in (lambda p: image(make_event(), 0, p), lambda p: strip(make_event(), p, n=2)):
+        with pytest.raises(OutputError, match=r"expected a name in .png"):
+            write(tmp_path / "event.jpg")
+
+
+@pytest.mark.parametrize("name", ["none/event.mp4", "file/event.mp4", "folder.mp4"])
+def test_a_place_that_cannot_be_written_is_refused_before_drawing(
+    tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_text("")
+    (tmp_path / "folder.mp4").mkdir()
+    monkeypatch.setattr(Painter, "draw", lambda *_: pytest.fail("drawn"))
+    with pytest.raises(OutputError, match=f"cannot write .*{name}"):
+        video(make_event(), tmp_path / name)
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, MemoryError])
+def test_an_interrupted_video_leaves_the_old_one_and_nothing_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: type[BaseException]
+) -> None:
+    target = tmp_path / "event.mp4"
+    target.write_bytes(b"old")
+    drawn: list[int] = []
+    draw = Painter.draw
+
+    def failing(painter: Painter, poses: object) -> Image.Image:
+        drawn.append(1)
+        if len(drawn) == 6:
+            raise error
+        return draw(painter, poses)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Painter, "draw", failing)
+    with pytest.raises(error):
+        video(make_event(), target)
+    assert target.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_without_an_encoder_the_error_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def absent() -> str:
+        raise RuntimeError("No ffmpeg exe could be found.")
+
+    monkeypatch.setattr(imageio_ffmpeg, "get_ffmpeg_exe", absent)
+    with pytest.raises(OutputError, match=r"cannot write .*event.mp4: No ffmpeg"):
+        video(make_event(), tmp_path / "event.mp4")
+
+
+def test_an_encoder_that_fails_is_reported_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(imageio_ffmpeg, "get_ffmpeg_exe", lambda: "false")
+    with pytest.raises(OutputError, match=r"event.mp4: the video encoder failed") as raised:
+        video(make_event(), tmp_path / "event.mp4")
+    assert "\n" not in str(raised.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_trajectory_alone_does_not_say_what_to_draw(tmp_path: Path) -> None:
+    with pytest.raises(InvalidSettingError, match="give its scene="):
+        video(make_trajectory(), tmp_path / "event.mp4")
+
+
+@pytest.mark.parametrize(
+    "trajectory", [np.zeros((3, 4)), np.zeros((0, 4, 3)), np.full((3, 4, 3), np.nan), None]
+)
+def test_what_is_no_trajectory_is_refused(tmp_path: Path, trajectory: object) -> None:
+    with pytest.raises(InvalidEventError, match="trajectory"):
+        video(trajectory, tmp_path / "event.mp4", make_scene())  # type: ignore[arg-type]
+    if trajectory is not None:
+        with pytest.raises(InvalidEventError, match="trajectory"):
+            video(make_event(), tmp_path / "event.mp4", compare=trajectory)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("setting", "value"),
+    [
+        ("fps", 0),
+        ("fps", -1),
+        ("fps", float("nan")),
+        ("frames_per_step", 0),
+        ("frames_per_step", 1.5),
+    ],
+)
+def test_speeds_must_be_positive(tmp_path: Path, setting: str, value: float) -> None:
+    with pytest.raises(InvalidSettingError, match=f"{setting}={value}"):
+        video(make_event(), tmp_path / "event.mp4", **{setting: value})  # type: ignore[arg-type]
+
+
+def test_one_frame_is_written_as_picture(tmp_path: Path) -> None:
+    event = make_event()
+    image(event, -1, tmp_path / "last.png")
+    drawn = np.asarray(Image.open(tmp_path / "last.png"))
+    assert np.array_equal(
+        drawn, np.asarray(Painter(event.scene).draw(event.observation.trajectory[-1]))
+    )
+
+
+@pytest.mark.parametrize("frame", [4, -5, 100])
+def test_a_frame_that_is_not_there_is_refused(tmp_path: Path, frame: int) -> None:
+    with pytest.raises(InvalidSettingError, match=rf"frame={frame}, expected one of 0..3"):
+        image(make_event(n_frames=4), frame, tmp_path / "event.png")
+
+
+@pytest.mark.parametrize("n", [1, 2, 4])
+def test_a_film_strip_has_a_picture_per_frame_and_its_time(tmp_path: Path, n: int) -> None:
+    strip(make_event(n_frames=4), tmp_path / "strip.png", n=n)
+    picture = np.asarray(Image.open(tmp_path / "strip.png"))
+    assert picture.shape == (336, 300 * n, 3)
+    for index in range(n):
+        panel = picture[:, 300 * index : 300 * (index + 1)]
+        blue_landmark = panel[62, 62].astype(int)
+        assert np.abs(blue_landmark - (45, 45, 180)).max() < 5
+        assert panel[300:].min() < 150  # the caption
+
+
+def test_a_film_strip_shows_the_way_since_the_picture_before(tmp_path: Path) -> None:
+    trajectory = make_trajectory(3)
+    trajectory[:, 3, :2] = [(24.0, 8.0), (19.0, 8.0), (18.0, 8.0)]
+    strip(trajectory, tmp_path / "strip.png", n=2, scene=make_scene(walls=[]))
+    picture = np.asarray(Image.open(tmp_path / "strip.png"))
+    row, column = 200, 300 + 150 + round(6 * 12.5)  # (22, 8) in the second picture
+    assert np.abs(picture[row, column].astype(int) - (215, 100, 110)).max() < 60
+    assert tuple(picture[row, column - 300]) == (255, 255, 255)
+
+
+@pytest.mark.parametrize("n", [0, -1, 5])
+def test_a_film_strip_has_at_least_one_and_at_most_all_frames(tmp_path: Path, n: int) -> None:
+    with pytest.raises(InvalidSettingError, match=rf"n={n}, expected one of 1..4"):
+        strip(make_event(n_frames=4), tmp_path / "strip.png", n=n)

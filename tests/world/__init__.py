@@ -1,0 +1,1 @@
+"""The world's definitions, tested as facts."""

@@ -1,0 +1,102 @@
+"""Errors in words that help, and files that are never half written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    OutputError,
+    PhasePPLError,
+    SimulationError,
+    UnknownNameError,
+    unknown_name,
+)
+from phase_ppl.world.files import atomic_output
+
+
+def test_errors_are_caught_by_code_that_knows_only_pythons_own() -> None:
+    assert issubclass(InvalidEventError, ValueError)
+    assert issubclass(UnknownNameError, ValueError)
+    assert issubclass(OutputError, OSError)
+    assert issubclass(SimulationError, RuntimeError)
+    assert all(
+        issubclass(error, PhasePPLError)
+        for error in (InvalidEventError, UnknownNameError, OutputError, SimulationError)
+    )
+
+
+def test_an_unknown_name_is_answered_with_similar_ones() -> None:
+    assert "did you mean 'friendly'?" in str(
+        unknown_name("relation", "freindly", ["friendly", "neutral"])
+    )
+
+
+def test_an_unknown_name_is_answered_with_those_that_contain_it() -> None:
+    names = [f"D0819_{n}_E{n}" for n in range(30)]
+    assert "'D0819_17_E17'" in str(unknown_name("video", "E17", names))
+
+
+def test_few_names_are_all_listed() -> None:
+    assert (
+        str(unknown_name("kernel", "xyz", ["a", "b"])) == "unknown kernel 'xyz'; allowed: 'a', 'b'"
+    )
+
+
+def test_many_names_are_counted() -> None:
+    message = str(unknown_name("video", "?", [f"name{n}" for n in range(40)]))
+    assert message == "unknown video '?'; 40 names are allowed, such as 'name0'"
+
+
+def test_a_long_wrong_name_is_cut() -> None:
+    assert len(str(unknown_name("goal", "x" * 10**6, ["a"]))) < 200
+
+
+def test_a_file_appears_only_when_it_is_complete(tmp_path: Path) -> None:
+    target = tmp_path / "result.json"
+    with atomic_output(target, (".json",)) as part:
+        part.write_text("new")
+        assert not target.exists()
+    assert target.read_text() == "new"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
+def test_a_failed_write_leaves_the_old_file_and_nothing_else(
+    tmp_path: Path, error: type[BaseException]
+) -> None:
+    target = tmp_path / "result.json"
+    target.write_text("old")
+
+    def write_half() -> None:
+        with atomic_output(target, (".json",)) as part:
+            part.write_text("half")
+            raise error
+
+    with pytest.raises(error):
+        write_half()
+    assert target.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+@pytest.mark.parametrize(
+    "name", ["result.txt", "result", "folder.json", "none/r.json", "file/r.json"]
+)
+def test_where_nothing_can_be_written_is_found_out_before_the_work(
+    tmp_path: Path, name: str
+) -> None:
+    (tmp_path / "folder.json").mkdir()
+    (tmp_path / "file").write_text("")
+    begun = []
+
+    def write() -> None:
+        with atomic_output(tmp_path / name, (".json",)):
+            begun.append(True)
+
+    with pytest.raises(OutputError, match=f"cannot write .*{name}: ") as raised:
+        write()
+    assert not begun
+    assert "\n" not in str(raised.value)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "folder.json"]

@@ -1,0 +1,210 @@
+"""Shapes and predicates, by hand and against brute-force sampling."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from phase_ppl.world.geometry import (
+    TOUCH_ENLARGEMENT,
+    agent_outline,
+    centre_of_mass,
+    heading,
+    is_on,
+    rotation,
+    shapes_meet,
+    touches,
+)
+from phase_ppl.world.names import BLUE_ITEM, GREEN, PINK_ITEM, RED
+
+SIZES = (0.8, 1.01, 1.2, 1.6)
+FAR = [[100.0, 0, 0], [200.0, 0, 0], [300.0, 0, 0], [400.0, 0, 0]]
+coordinate = st.floats(-3.5, 3.5)
+pose = st.tuples(coordinate, coordinate, st.floats(-7, 7))
+size = st.sampled_from(SIZES)
+pairs = st.sampled_from(
+    [(RED, GREEN), (GREEN, RED), (RED, BLUE_ITEM), (PINK_ITEM, GREEN), (BLUE_ITEM, PINK_ITEM)]
+)
+
+
+def placed(**at: tuple[float, float, float]) -> NDArray[np.float64]:
+    """Return poses with some entities placed and the rest far away."""
+    index = {"red": RED, "green": GREEN, "blue": BLUE_ITEM, "pink": PINK_ITEM}
+    poses = np.array(FAR)
+    for name, where in at.items():
+        poses[index[name]] = where
+    return poses
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.7, -2.0, 9.0])
+def test_the_front_of_an_agent_is_the_short_side_its_heading_points_to(angle: float) -> None:
+    corners = agent_outline(np.array([2.0, 3.0, angle]), 1.2)
+    front = corners[1:3].mean(axis=0)
+    assert front == pytest.approx(np.array([2.0, 3.0]) + 1.2 * heading(angle))
+    assert np.linalg.norm(corners[2] - corners[1]) == pytest.approx(1.2)
+    assert np.linalg.norm(corners[3] - corners[0]) == pytest.approx(3.6)
+    assert heading(angle) == pytest.approx(rotation(angle) @ [0, 1])
+
+
+def test_angles_turn_counter_clockwise_from_up() -> None:
+    assert heading(0.0) == pytest.approx([0, 1])
+    assert heading(math.pi / 2) == pytest.approx([-1, 0])
+
+
+@pytest.mark.parametrize("radius", SIZES)
+def test_centre_of_mass_is_the_centroid_of_the_outline(radius: float) -> None:
+    x, y = agent_outline(np.array([5.0, 5.0, 0.9]), radius).T
+    cross = x * np.roll(y, -1) - np.roll(x, -1) * y
+    area = cross.sum() / 2
+    centroid = [
+        ((x + np.roll(x, -1)) * cross).sum() / (6 * area),
+        ((y + np.roll(y, -1)) * cross).sum() / (6 * area),
+    ]
+    assert abs(area) == pytest.approx(4 * radius**2)
+    assert centre_of_mass(np.array([5.0, 5.0]), 0.9, radius, RED) == pytest.approx(centroid)
+
+
+def test_an_item_is_centred_on_its_position() -> None:
+    assert centre_of_mass(np.array([1.0, 2.0]), 0.9, 1.6, BLUE_ITEM).tolist() == [1.0, 2.0]
+
+
+def test_items_touch_when_one_enlarged_reaches_the_other() -> None:
+    radii = np.array([1.0, 1.0, 0.8, 1.6])
+    reach = 0.8 + TOUCH_ENLARGEMENT * 1.6
+    assert touches(BLUE_ITEM, PINK_ITEM, placed(blue=(0, 0, 0), pink=(reach - 1e-9, 0, 0)), radii)
+    assert not touches(
+        BLUE_ITEM, PINK_ITEM, placed(blue=(0, 0, 0), pink=(reach + 1e-6, 0, 0)), radii
+    )
+
+
+def test_an_agent_touches_an_item_straight_ahead() -> None:
+    radii = np.array([1.0, 1.0, 0.8, 0.8])
+    # the agent's front lies at R, the item enlarged reaches 1.2 r
+    reach = 1.0 + 1.2 * 0.8
+    assert touches(RED, BLUE_ITEM, placed(red=(0, 0, 0), blue=(0, reach - 1e-9, 0)), radii)
+    assert not touches(RED, BLUE_ITEM, placed(red=(0, 0, 0), blue=(0, reach + 1e-6, 0)), radii)
+
+
+def test_an_item_touches_an_agent_enlarged_about_its_centre_of_mass() -> None:
+    radii = np.array([1.0, 1.0, 0.8, 0.8])
+    # the enlarged front: -1/6 + 1.2 (1 + 1/6) = 37/30
+    reach = -1 / 6 + 1.2 * 7 / 6 + 0.8
+    assert touches(BLUE_ITEM, RED, placed(red=(0, 0, 0), blue=(0, reach - 1e-9, 0)), radii)
+    assert not touches(BLUE_ITEM, RED, placed(red=(0, 0, 0), blue=(0, reach + 1e-6, 0)), radii)
+
+
+def test_an_item_inside_an_agent_touches_it() -> None:
+    radii = np.array([1.6, 1.0, 0.1, 0.8])
+    assert touches(RED, BLUE_ITEM, placed(red=(0, 0, 0), blue=(0.1, -0.2, 0)), radii)
+
+
+def test_agents_back_to_back_touch_at_a_small_gap() -> None:
+    radii = np.ones(4)
+    # backs: own at -1; the other's, enlarged, 1/6 + 1.2 * 5/6 = 7/6 behind its centre
+    gap = 1.0 + (-1 / 6 + 1.2 * 5 / 6 + 1 / 3)
+    at = placed(red=(0, 0, 0), green=(0, -gap + 1e-9, math.pi))
+    apart = placed(red=(0, 0, 0), green=(0, -gap - 1e-6, math.pi))
+    assert touches(RED, GREEN, at, radii)
+    assert not touches(RED, GREEN, apart, radii)
+
+
+def contains(
+    entity: int,
+    pose: NDArray[np.float64],
+    radius: float,
+    enlarge: float,
+    points: NDArray[np.float64],
+) -> NDArray[np.bool_]:
+    """Whether each point lies in the enlarged shape, by the definition of the shape."""
+    if entity >= 2:
+        return np.hypot(*(points - pose[:2]).T) <= radius * enlarge
+    local = (points - pose[:2]) @ rotation(pose[2]) / radius
+    centre = np.array([0.0, -1 / 6])
+    x, y = ((local - centre) / enlarge + centre).T
+    # half the width falls from 1.5 at the back to 0.5 at the front
+    return (np.abs(y) <= 1) & (np.abs(x) <= 1 - y / 2)
+
+
+def found_in_both(
+    first: int, second: int, poses: NDArray[np.float64], radii: NDArray[np.float64], grown: float
+) -> bool:
+    """Whether any point of a fine grid lies in ``first`` and in ``second`` enlarged 1.2 times."""
+    reach = 2.2 * radii[first] * grown
+    side = np.linspace(-reach, reach, 120)
+    grid = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2) + poses[first, :2]
+    inside = contains(first, poses[first], radii[first], grown, grid)
+    return bool((inside & contains(second, poses[second], radii[second], 1.2 * grown, grid)).any())
+
+
+@settings(max_examples=150, deadline=None)
+@given(pairs, pose, pose, size, size)
+def test_touch_agrees_with_sampled_points(
+    pair: tuple[int, int],
+    first_pose: tuple[float, float, float],
+    second_pose: tuple[float, float, float],
+    first_size: float,
+    second_size: float,
+) -> None:
+    first, second = pair
+    poses, radii = np.array(FAR), np.ones(4)
+    poses[first], poses[second] = first_pose, second_pose
+    radii[first], radii[second] = first_size, second_size
+    meets = touches(first, second, poses, radii)
+    if found_in_both(first, second, poses, radii, grown=1.0):
+        assert meets
+    if meets:  # a grid misses thin overlaps, not those of shapes a little larger
+        assert found_in_both(first, second, poses, radii, grown=1.1)
+
+
+@settings(max_examples=100, deadline=None)
+@given(pairs, pose, pose, size, size, pose)
+def test_touch_does_not_depend_on_where_the_pair_is(
+    pair: tuple[int, int],
+    first_pose: tuple[float, float, float],
+    second_pose: tuple[float, float, float],
+    first_size: float,
+    second_size: float,
+    motion: tuple[float, float, float],
+) -> None:
+    first, second = pair
+    poses, radii = np.array(FAR), np.ones(4)
+    poses[first], poses[second] = first_pose, second_pose
+    radii[first], radii[second] = first_size, second_size
+    moved = poses.copy()
+    moved[:, :2] = poses[:, :2] @ rotation(motion[2]).T + motion[:2]
+    moved[:, 2] += motion[2]
+    # a hair larger and smaller, so that rounding cannot decide
+    if touches(first, second, moved, radii):
+        assert shapes_meet(first, second, poses, radii, 1.0001, 1.2001)
+    else:
+        assert not shapes_meet(first, second, poses, radii, 0.9999, 1.1999)
+
+
+@settings(max_examples=100, deadline=None)
+@given(pairs, pose, pose, size, size)
+def test_shapes_meet_whichever_is_named_first(
+    pair: tuple[int, int],
+    first_pose: tuple[float, float, float],
+    second_pose: tuple[float, float, float],
+    first_size: float,
+    second_size: float,
+) -> None:
+    first, second = pair
+    poses, radii = np.array(FAR), np.ones(4)
+    poses[first], poses[second] = first_pose, second_pose
+    radii[first], radii[second] = first_size, second_size
+    assert shapes_meet(first, second, poses, radii, 1.0, 1.3) == shapes_meet(
+        second, first, poses, radii, 1.3, 1.0
+    )
+
+
+def test_on_a_landmark_means_centre_inside_its_square() -> None:
+    centre = np.array([8.5, 19.5])
+    assert is_on(np.array([11.0, 17.0]), centre, 2.5)
+    assert not is_on(np.array([11.01, 19.5]), centre, 2.5)
+    assert not is_on(np.array([8.5, 16.99]), centre, 2.5)

@@ -1,0 +1,165 @@
+"""The paper's goals, and what agents pursue when they help or hinder."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+
+import numpy as np
+import pytest
+
+from phase_ppl.world.errors import UnknownNameError
+from phase_ppl.world.goals import (
+    GOALS,
+    N_GOALS,
+    effective_goals,
+    goal_index,
+    goal_literal,
+    is_self_referring,
+    literal_goal,
+)
+from phase_ppl.world.hypothesis import ALPHAS
+from phase_ppl.world.literals import STOP, Literal, Predicate
+from phase_ppl.world.names import AGENTS, GREEN, RED
+from tests.world.examples import DEV, needs_dev
+
+PAPER = """
+Get blue item to blue lm
+Get blue item to green lm
+Get blue item to red lm
+Get blue item to yellow lm
+Get blue item away from blue lm
+Get blue item away from green lm
+Get blue item away from red lm
+Get blue item away from yellow lm
+Get green agent to blue lm
+Get green agent to green lm
+Get green agent to red lm
+Get green agent to yellow lm
+Get green agent away from blue lm
+Get green agent away from green lm
+Get green agent away from red lm
+Get green agent away from yellow lm
+Get pink item to blue lm
+Get pink item to green lm
+Get pink item to red lm
+Get pink item to yellow lm
+Get pink item away from blue lm
+Get pink item away from green lm
+Get pink item away from red lm
+Get pink item away from yellow lm
+Get red agent to blue lm
+Get red agent to green lm
+Get red agent to red lm
+Get red agent to yellow lm
+Get red agent away from blue lm
+Get red agent away from green lm
+Get red agent away from red lm
+Get red agent away from yellow lm
+get away from green agent
+get away from red agent
+get to green agent
+get to red agent
+""".strip().split("\n")
+
+
+def test_the_goals_are_the_papers_36_strings() -> None:
+    assert list(GOALS) == PAPER
+    assert N_GOALS == 36
+
+
+@needs_dev
+def test_the_goals_are_the_labels_of_the_published_data() -> None:
+    assert json.loads(DEV.read_text())["goal_labels"] == PAPER
+
+
+@pytest.mark.parametrize("goal", PAPER)
+def test_goal_and_literal_are_two_names_of_one_thing(goal: str) -> None:
+    for holder in (RED, GREEN):
+        assert GOALS[literal_goal(goal_literal(goal, holder))] == goal
+
+
+def test_literals_say_who_is_to_be_where() -> None:
+    assert str(goal_literal("Get pink item to red lm", RED)) == "ON(pink item, red lm)"
+    away = goal_literal("Get green agent away from blue lm", RED)
+    assert str(away) == "not ON(green agent, blue lm)"
+    assert str(goal_literal("get to red agent", GREEN)) == "TOUCH(green agent, red agent)"
+    assert str(STOP) == "STOP"
+
+
+def test_a_literal_that_no_goal_states_is_refused() -> None:
+    with pytest.raises(UnknownNameError, match="ATTACH"):
+        literal_goal(Literal(Predicate.ATTACH, RED, 2))
+
+
+def test_goals_are_recognised_in_any_case_and_spacing() -> None:
+    assert goal_index("  get BLUE item  to red LM ") == PAPER.index("Get blue item to red lm")
+    assert goal_index(np.int16(35)) == 35
+
+
+def test_unknown_goal_gets_close_matches() -> None:
+    with pytest.raises(UnknownNameError, match="'Get blue item to red lm'"):
+        goal_index("Get blue ball to red lm")
+
+
+@pytest.mark.parametrize("value", [-1, 36, 1.5, math.nan, math.inf, None, True, [3], b"3"])
+def test_what_is_no_goal_is_refused(value: object) -> None:
+    with pytest.raises(UnknownNameError, match="unknown goal"):
+        goal_index(value)  # type: ignore[arg-type]
+
+
+def test_only_getting_to_or_from_oneself_is_self_referring() -> None:
+    found = {(GOALS[g], h) for g in range(36) for h in (RED, GREEN) if is_self_referring(g, h)}
+    assert found == {
+        ("get to red agent", RED),
+        ("get away from red agent", RED),
+        ("get to green agent", GREEN),
+        ("get away from green agent", GREEN),
+    }
+
+
+def helped(goal: str, owner: int) -> str:
+    """The goal of the agent that helps ``owner``: the same state of the world."""
+    if not goal.startswith("get "):
+        return goal
+    way = goal.removesuffix(AGENTS[RED]).removesuffix(AGENTS[GREEN])
+    return way + AGENTS[owner]
+
+
+def hindered(goal: str, owner: int) -> str:
+    """The goal of the agent that hinders ``owner``: "to" and "away from" change places."""
+    same = helped(goal, owner)
+    if " away from " in same:
+        return same.replace(" away from ", " to ")
+    return same.replace(" to ", " away from ")
+
+
+def own_goals(holder: int) -> list[str]:
+    return [goal for goal in PAPER if not is_self_referring(goal, holder)]
+
+
+@pytest.mark.parametrize("alpha", ALPHAS)
+def test_effective_goals_of_all_pairs(alpha: tuple[int, int]) -> None:
+    for red, green in itertools.product(own_goals(RED), own_goals(GREEN)):
+        expected = [red, green]
+        if alpha[0]:
+            expected[0] = (helped if alpha[0] > 0 else hindered)(green, GREEN)
+        if alpha[1]:
+            expected[1] = (helped if alpha[1] > 0 else hindered)(red, RED)
+        assert [GOALS[g] for g in effective_goals(red, green, alpha)] == expected
+
+
+def test_helper_of_an_agent_that_gets_to_it_gets_to_that_agent() -> None:
+    red, green = effective_goals("Get red agent to red lm", "get to red agent", (1, 0))
+    assert (GOALS[red], GOALS[green]) == ("get to green agent", "get to red agent")
+
+
+def test_who_hinders_a_pursuer_flees_from_it() -> None:
+    red, green = effective_goals("get to green agent", "Get pink item to red lm", (0, -1))
+    assert (GOALS[red], GOALS[green]) == ("get to green agent", "get away from red agent")
+
+
+def test_who_hinders_a_fugitive_pursues_it() -> None:
+    red, green = effective_goals("get to green agent", "get away from red agent", (-1, 0))
+    assert (GOALS[red], GOALS[green]) == ("get to green agent", "get away from red agent")

@@ -1,0 +1,113 @@
+"""Hypotheses: what is allowed, and their plain form."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from phase_ppl.world.errors import InvalidSettingError, PhasePPLError, UnknownNameError
+from phase_ppl.world.goals import GOALS, is_self_referring
+from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_LEVELS, STRENGTH_RANGE, Hypothesis
+from phase_ppl.world.names import GREEN, RED
+
+
+def goals_of(holder: int) -> st.SearchStrategy[int]:
+    return st.sampled_from([g for g in range(len(GOALS)) if not is_self_referring(g, holder)])
+
+
+hypotheses = st.builds(
+    Hypothesis,
+    goal_red=goals_of(RED),
+    goal_green=goals_of(GREEN),
+    alpha=st.sampled_from(ALPHAS),
+    strength_red=st.floats(*STRENGTH_RANGE),
+    strength_green=st.floats(*STRENGTH_RANGE),
+)
+
+
+@settings(deadline=None)
+@given(hypotheses)
+def test_plain_form_gives_the_same_hypothesis_back(hypothesis: Hypothesis) -> None:
+    assert Hypothesis.from_dict(hypothesis.to_dict()) == hypothesis
+
+
+@settings(deadline=None)
+@given(hypotheses)
+def test_effective_goals_can_be_stated_and_stay_as_they_are(hypothesis: Hypothesis) -> None:
+    effective = hypothesis.effective()
+    assert effective.alpha == (0, 0)
+    assert effective.effective_goals == hypothesis.effective_goals
+    assert effective.effective() == effective
+    assert effective.relation == hypothesis.relation
+    assert effective.strengths == hypothesis.strengths
+
+
+@settings(deadline=None)
+@given(hypotheses.filter(lambda h: sum(h.alpha) < 0))
+def test_hindering_is_adversarial(hypothesis: Hypothesis) -> None:
+    assert (hypothesis.scenario, hypothesis.relation) == ("opposing", "adversarial")
+
+
+@settings(deadline=None)
+@given(hypotheses.filter(lambda h: sum(h.alpha) > 0))
+def test_helping_is_friendly_unless_it_means_to_part(hypothesis: Hypothesis) -> None:
+    red, green = (GOALS[goal] for goal in hypothesis.effective_goals)
+    part = (red, green) == ("get away from green agent", "get away from red agent")
+    assert hypothesis.relation == ("neutral" if part else "friendly")
+
+
+def test_goals_may_be_given_as_strings() -> None:
+    hypothesis = Hypothesis("Get blue item to red lm", "get to red agent", [1, 0])  # type: ignore[arg-type]
+    assert (GOALS[hypothesis.goal_red], hypothesis.goal_green) == ("Get blue item to red lm", 35)
+    assert hypothesis.alpha == (1, 0)
+    assert str(hypothesis) == (
+        "red: get to green agent (450 N), green: get to red agent (450 N), friendly"
+    )
+
+
+@pytest.mark.parametrize(
+    ("goals", "agent"),
+    [
+        (("get to red agent", "Get blue item to red lm"), "red agent"),
+        (("get away from red agent", 0), "red agent"),
+        ((0, "get to green agent"), "green agent"),
+        ((0, "get away from green agent"), "green agent"),
+    ],
+)
+def test_a_goal_that_names_its_own_holder_is_refused(goals: tuple, agent: str) -> None:
+    with pytest.raises(InvalidSettingError, match=f"names its own holder, the {agent}"):
+        Hypothesis(*goals)
+
+
+@pytest.mark.parametrize("alpha", [(1, 1), (-1, 1), (2, 0), (0,), (0, 0, 0), 1, None, "00"])
+def test_alpha_must_be_one_of_the_five(alpha: object) -> None:
+    with pytest.raises(InvalidSettingError, match="alpha="):
+        Hypothesis(0, 0, alpha)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("strength", [0, -150.0, math.nan, math.inf, "450", None, 10**400])
+def test_a_strength_must_be_a_positive_force(strength: object) -> None:
+    with pytest.raises(InvalidSettingError, match=r"strength_green=.* newtons"):
+        Hypothesis(0, 0, strength_green=strength)  # type: ignore[arg-type]
+
+
+def test_the_original_strengths_span_the_range() -> None:
+    assert STRENGTH_LEVELS == (150.0, 300.0, 450.0, 600.0)
+    assert (STRENGTH_LEVELS[0], STRENGTH_LEVELS[-1]) == STRENGTH_RANGE
+
+
+@pytest.mark.parametrize(
+    "record",
+    [{"goal_red": 0}, {"goal_red": 0, "goal_green": 0, "alfa": (0, 0)}, {"goal_red": "x"}, {}],
+)
+def test_incomplete_or_unknown_plain_forms_are_refused(record: dict) -> None:
+    with pytest.raises(PhasePPLError):
+        Hypothesis.from_dict(record)
+
+
+def test_a_misspelt_field_is_named_with_what_was_meant() -> None:
+    with pytest.raises(UnknownNameError, match="'alfa'; did you mean 'alpha'"):
+        Hypothesis.from_dict({"goal_red": 0, "goal_green": 0, "alfa": (0, 0)})
