@@ -64,7 +64,7 @@ class Proposals:
         mean = jnp.asarray(self.strength_mean)[window]
         sd = jnp.asarray(self.strength_sd)[window]
         for agent, name in enumerate(GOAL_SITES):
-            numpyro.sample(name, dist.Categorical(logits=logits[agent]))
+            numpyro.sample(name, dist.Categorical(logits=logits[agent], validate_args=False))
         numpyro.sample("alpha", dist.Categorical(probs=jnp.array(ALPHA_PROBABILITIES)))
         low, high = STRENGTH_RANGE
         for agent, name in enumerate(STRENGTH_SITES):

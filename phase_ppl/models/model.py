@@ -120,7 +120,7 @@ def check_prior(prior: Prior) -> None:
                 f"site {name!r} of the prior has shape {value.shape}, expected a single value"
             )
         if name in limits:
-            n = getattr(site["fn"], "probs", np.zeros(0)).shape[-1:]
+            n = np.shape(getattr(site["fn"], "probs", ()))[-1:]
             if not site["fn"].support.is_discrete or n != (limits[name],):
                 raise InvalidSettingError(
                     f"site {name!r} of the prior must be Categorical over {limits[name]} values, "

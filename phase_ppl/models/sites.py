@@ -43,7 +43,11 @@ GOAL_LOGITS: Final = np.where(_POSSIBLE, 0.0, -np.inf).astype(np.float32)
 def goals() -> tuple[jax.Array, jax.Array]:
     """Sample ``goal_red`` and ``goal_green``, uniform over the 35 goals each agent can have."""
     red, green = (
-        numpyro.sample(name, dist.Categorical(logits=jnp.asarray(GOAL_LOGITS[agent])))
+        numpyro.sample(
+            name,
+            # NumPyro's check allows no -inf
+            dist.Categorical(logits=jnp.asarray(GOAL_LOGITS[agent]), validate_args=False),
+        )
         for agent, name in enumerate(GOAL_SITES)
     )
     return red, green

@@ -171,7 +171,7 @@ def simulate_one(
         trajectory,
         errors,
         frames_simulated=t,
-        completed=t == n_frames and total <= error_ceiling,
+        completed=bool(t == n_frames and total <= error_ceiling),
         seconds=seconds,
     )
 

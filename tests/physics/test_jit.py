@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numba
 import pytest
 
 from phase_ppl.physics import jit
@@ -14,8 +15,8 @@ KERNEL = "from phase_ppl.physics import jit\n\n\n@jit.{decorator}\ndef add(x):\n
 
 @pytest.fixture
 def load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Load a small kernel from a file, with numba's cache next to it, as a new process would."""
-    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    """Load a small kernel from a file, with a cache of its own, as a new process would."""
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "cache"))
     file = tmp_path / "small_kernel.py"
 
     def make(decorator: str) -> Any:

@@ -1,0 +1,93 @@
+# phase_ppl: `make demo` and `make test` do everything from a fresh clone, on Linux and macOS.
+# Settings go on the command line: make demo EVENT=opposing SEED=3, make test PYTHON=python3.13
+.POSIX:
+.SUFFIXES:
+
+# Pythons to try, in this order, for the virtual environment.
+PYTHON = python3.11 python3.12 python3.13 python3.14 python3 python
+# What the demo infers, and the folder for its results.
+EVENT = collaborate
+PLANNER = fast
+SEED = 0
+OUT = demo-out
+# More arguments for pytest, such as ARGS="-m 'not slow' tests/world".
+ARGS =
+
+VENV = .venv
+BIN = $(VENV)/bin
+INSTALL = $(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt
+
+.PHONY: help demo test check lint types imports format clean
+
+help:
+	@echo "make demo     infer who wants what in a bundled event; results in $(OUT)/"
+	@echo "make test     run the tests"
+	@echo "make check    lint, types and imports together:"
+	@echo "make lint       style and format of the code (ruff)"
+	@echo "make types      type hints (mypy)"
+	@echo "make imports    which folder imports which (import-linter)"
+	@echo "make format   put the code into the project's format"
+	@echo "make clean    remove the virtual environment, caches and demo-out/"
+
+demo: $(VENV)/.installed
+	$(BIN)/phase-ppl infer $(EVENT) --planner $(PLANNER) --seed $(SEED) --out $(OUT)
+
+test: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest $(ARGS)
+
+check: lint types imports
+
+lint: $(VENV)/.installed-dev
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+
+types: $(VENV)/.installed-dev
+	$(BIN)/mypy
+
+imports: $(VENV)/.installed-dev
+	$(BIN)/lint-imports
+
+format: $(VENV)/.installed-dev
+	$(BIN)/ruff check --fix-only
+	$(BIN)/ruff format
+
+clean:
+	rm -rf $(VENV) demo-out build dist .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf .import_linter_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# --- the virtual environment -----------------------------------------------------------------
+# The files .installed and .installed-dev in it say that an installation went through; a newer
+# pyproject.toml or constraints.txt makes it run again.
+
+$(VENV)/.installed: $(BIN)/python pyproject.toml constraints.txt
+	@echo "Installing phase_ppl into $(VENV); the first time takes a few minutes."
+	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(BIN)/python -m ensurepip
+	$(INSTALL) -e .
+	@touch $@
+
+$(VENV)/.installed-dev: $(BIN)/python pyproject.toml constraints.txt
+	@echo "Installing phase_ppl and its tests into $(VENV); the first time takes a few minutes."
+	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(BIN)/python -m ensurepip
+	$(INSTALL) -e '.[dev,oracle]'
+	@touch $(VENV)/.installed $@
+
+$(BIN)/python:
+	@set -e; found=; no_venv=; \
+	for python in $(PYTHON); do \
+	    "$$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || continue; \
+	    if "$$python" -c 'import ensurepip, venv' 2>/dev/null; then found=$$python; break; fi; \
+	    no_venv=$$python; \
+	done; \
+	if [ -z "$$found" ] && [ -n "$$no_venv" ]; then \
+	    echo "$$no_venv cannot create virtual environments: its module venv or ensurepip is" \
+	        "missing. On Debian and Ubuntu install the package $$no_venv-venv." >&2; \
+	    exit 1; \
+	fi; \
+	if [ -z "$$found" ]; then \
+	    echo "No Python 3.11 or newer was found (tried: $(PYTHON))." \
+	        "Install one, or name it: make ... PYTHON=/path/to/python" >&2; \
+	    exit 1; \
+	fi; \
+	echo "Creating $(VENV) with $$found, $$("$$found" --version)"; \
+	"$$found" -m venv --clear $(VENV)
