@@ -139,9 +139,7 @@ def _writable_folder(folder: Path) -> Path:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        raise OutputError(
-            f"cannot write into folder {folder}: {error.strerror or error}"
-        ) from None
+        raise OutputError(f"cannot write into folder {folder}: {error.strerror or error}") from None
     return folder
 
 

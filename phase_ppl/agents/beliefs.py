@@ -18,7 +18,7 @@ from phase_ppl.agents.shapes import MAX_OUTLINE_CELLS, OUTSIDE, outline_cells, s
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import NO_ACTION
 from phase_ppl.physics.compiled import Params, Scratch
-from phase_ppl.physics.jit import kernel
+from phase_ppl.physics.jit import bare_kernel
 from phase_ppl.world.names import AGENTS, ENTITIES, NOTHING
 
 FloatArray = NDArray[np.float64]
@@ -91,7 +91,7 @@ def initial_beliefs(
     )
 
 
-@kernel
+@bare_kernel
 def _consistent(
     bodies: FloatArray,
     entity: int,
@@ -119,7 +119,7 @@ def _consistent(
     return True
 
 
-@kernel
+@bare_kernel
 def _overlaps(bodies: FloatArray, entity: int, settled: int, params: Params) -> bool:
     for other in range(4):
         if (settled >> other) & 1 and shapes_meet(bodies, entity, other, 1.0, 1.0, params):
@@ -127,7 +127,7 @@ def _overlaps(bodies: FloatArray, entity: int, settled: int, params: Params) -> 
     return False
 
 
-@kernel
+@bare_kernel
 def _resample(
     bodies: FloatArray,
     entity: int,
@@ -163,7 +163,7 @@ def _resample(
                 break
 
 
-@kernel
+@bare_kernel
 def _list_open_cells(beliefs: Beliefs) -> int:
     """List the cells never seen; if none is left, those not in view; else all. Return how many."""
     n = 0
@@ -184,7 +184,7 @@ def _list_open_cells(beliefs: Beliefs) -> int:
     return beliefs.visible.shape[0]
 
 
-@kernel
+@bare_kernel
 def update(
     beliefs: Beliefs,
     truth: FloatArray,
@@ -226,10 +226,12 @@ def update(
             if not beliefs.observed[entity]:
                 continue
             settled |= 1 << entity
-            bodies[entity] = truth[entity]
+            for column in range(bodies.shape[1]):
+                bodies[entity, column] = truth[entity, column]
             if entity < 2:
                 held[entity] = truth_held[entity]
-                weld[entity] = truth_weld[entity]
+                for column in range(weld.shape[1]):
+                    weld[entity, column] = truth_weld[entity, column]
         if not beliefs.observed[other] and held[other] >= 0 and beliefs.observed[held[other]]:
             held[other] = NOTHING
         # keep what agrees first, so that what must move can avoid it
@@ -245,8 +247,5 @@ def update(
             held[other] = NOTHING
         for entity in range(4):
             if (moved >> entity) & 1:
-                _resample(
-                    bodies, entity, settled, n_open, truth, beliefs, params, ground, rng
-                )
+                _resample(bodies, entity, settled, n_open, truth, beliefs, params, ground, rng)
                 settled |= 1 << entity
-

@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.physics.jit import kernel
+from phase_ppl.physics.jit import bare_kernel
 from phase_ppl.world.rooms import N_ROOMS, ROOMS_OF_RAY, UNREACHABLE
 from phase_ppl.world.scene import Scene
 
@@ -85,7 +85,7 @@ def make_ground(scene: Scene) -> Ground:
     )
 
 
-@kernel
+@bare_kernel
 def room_of(x: float, y: float, ground: Ground) -> int:
     """Return the room id of a point."""
     if x < ground.centre[0]:
@@ -93,7 +93,7 @@ def room_of(x: float, y: float, ground: Ground) -> int:
     return 1 if y > ground.centre[1] else 2
 
 
-@kernel
+@bare_kernel
 def path_distance(x1: float, y1: float, x2: float, y2: float, ground: Ground) -> float:
     """Return the length of the way between two points through door middles, units."""
     start = room_of(x1, y1, ground)
@@ -113,8 +113,10 @@ def path_distance(x1: float, y1: float, x2: float, y2: float, ground: Ground) ->
     return length + math.sqrt((x - x2) ** 2 + (y - y2) ** 2)
 
 
-@kernel
-def body_origin(bodies: NDArray[np.float64], entity: int, cog: NDArray[np.float64]) -> tuple[float, float]:
+@bare_kernel
+def body_origin(
+    bodies: NDArray[np.float64], entity: int, cog: NDArray[np.float64]
+) -> tuple[float, float]:
     """Return x, y of the body origin of ``entity`` from its centre of mass and angle."""
     angle = bodies[entity, 2]
     return (

@@ -207,9 +207,7 @@ def _moves(
         (agent,),
         Literal(Predicate.ATTACH, agent, item, positive=False),
         GRIP_COST,
-        node._replace(
-            held=_set(node.held, agent, NOTHING), near=_set(node.near, agent, item)
-        ),
+        node._replace(held=_set(node.held, agent, NOTHING), near=_set(node.near, agent, item)),
     )
     shared = node.held[other] == item
     helpers = shared and other in willing

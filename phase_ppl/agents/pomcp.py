@@ -19,7 +19,7 @@ from phase_ppl.agents.rng import below
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import N_ACTIONS, NO_ACTION
 from phase_ppl.physics.compiled import Params, Scratch
-from phase_ppl.physics.jit import kernel
+from phase_ppl.physics.jit import bare_kernel
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -90,16 +90,22 @@ def make_tree(n_simulations: int) -> Tree:
     )
 
 
-@kernel
+@bare_kernel
+def _childless(tree: Tree, node: int) -> None:
+    for column in range(tree.child.shape[1]):
+        tree.child[node, column] = NO_NODE
+
+
+@bare_kernel
 def clear(tree: Tree) -> None:
     """Forget everything."""
     tree.count[0] = 1
     tree.visits[0] = 0
     tree.total[0] = 0.0
-    tree.child[0, :] = NO_NODE
+    _childless(tree, 0)
 
 
-@kernel
+@bare_kernel
 def keep_subtree(tree: Tree, column: int) -> None:
     """Make the node behind a root action the new root, with all that was learnt below it."""
     start = tree.child[0, column]
@@ -131,11 +137,12 @@ def keep_subtree(tree: Tree, column: int) -> None:
     for node in range(count):
         tree.visits[node] = tree.spare_visits[node]
         tree.total[node] = tree.spare_total[node]
-        tree.child[node] = tree.spare_child[node]
+        for a in range(n_actions):
+            tree.child[node, a] = tree.spare_child[node, a]
     tree.count[0] = count
 
 
-@kernel
+@bare_kernel
 def _select(tree: Tree, node: int, n_actions: int, search: Search, rng: NDArray[np.uint64]) -> int:
     """Return the column with the highest Q + U; unvisited ones first, ties at random.
 
@@ -164,7 +171,7 @@ def _select(tree: Tree, node: int, n_actions: int, search: Search, rng: NDArray[
     return best
 
 
-@kernel
+@bare_kernel
 def _rollout(
     tree: Tree,
     agent: int,
@@ -196,7 +203,7 @@ def _rollout(
     return value
 
 
-@kernel
+@bare_kernel
 def _leader_is_safe(tree: Tree, n_actions: int, left: int) -> bool:
     """Whether no other root action can catch up with the most visited one any more."""
     first, second = 0, 0
@@ -210,7 +217,7 @@ def _leader_is_safe(tree: Tree, n_actions: int, left: int) -> bool:
     return first - second > left
 
 
-@kernel
+@bare_kernel
 def _most_visited(tree: Tree, n_actions: int, rng: NDArray[np.uint64]) -> int:
     best, most, ties = 0, -1, 0
     for column in range(n_actions):
@@ -225,7 +232,20 @@ def _most_visited(tree: Tree, n_actions: int, rng: NDArray[np.uint64]) -> int:
     return best
 
 
-@kernel
+@bare_kernel
+def _load_particle(
+    tree: Tree, bodies: FloatArray, held: IntArray, weld: FloatArray, k: int
+) -> None:
+    for body in range(bodies.shape[1]):
+        for column in range(bodies.shape[2]):
+            tree.particle[body, column] = bodies[k, body, column]
+    for agent in range(held.shape[1]):
+        tree.particle_held[agent] = held[k, agent]
+        for column in range(weld.shape[2]):
+            tree.particle_weld[agent, column] = weld[k, agent, column]
+
+
+@bare_kernel
 def run(
     tree: Tree,
     bodies: FloatArray,
@@ -254,9 +274,7 @@ def run(
     state, state_held, state_weld = tree.particle, tree.particle_held, tree.particle_weld
     for visit in range(tree.visits[0], search.n_simulations):
         k = agreeing[below(rng, agreeing.shape[0])]
-        state[:] = bodies[k]
-        state_held[:] = held[k]
-        state_weld[:] = weld[k]
+        _load_particle(tree, bodies, held, weld, k)
         node, depth = 0, 0
         while True:
             column = _select(tree, node, n_actions, search, rng)
@@ -276,7 +294,7 @@ def run(
                 child = tree.count[0]
                 tree.count[0] += 1
                 tree.child[node, column] = child
-                tree.child[child, :] = NO_NODE
+                _childless(tree, child)
                 tree.visits[child] = 0
                 tree.total[child] = 0.0
                 tree.path[depth] = child

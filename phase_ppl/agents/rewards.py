@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from phase_ppl.agents.ground import DISTANCE_UNIT, Ground, body_origin, path_distance, room_of
 from phase_ppl.physics.actions import Action
 from phase_ppl.physics.compiled import Params
-from phase_ppl.physics.jit import kernel
+from phase_ppl.physics.jit import bare_kernel
 from phase_ppl.world.literals import Literal, Predicate
 from phase_ppl.world.names import NOTHING
 from phase_ppl.world.rooms import N_ROOMS, UNREACHABLE
@@ -77,7 +77,7 @@ def actions_for(literal: Literal, agent: int, held: int, turning: Turning) -> ND
     return np.array(actions, np.int64)
 
 
-@kernel
+@bare_kernel
 def _distance(
     bodies: NDArray[np.float64],
     held: NDArray[np.int64],
@@ -109,7 +109,7 @@ def _distance(
     return math.sqrt((x - dx) ** 2 + (y - dy) ** 2) + math.sqrt((dx - px) ** 2 + (dy - py) ** 2)
 
 
-@kernel
+@bare_kernel
 def reward(
     bodies: NDArray[np.float64],
     held: NDArray[np.int64],

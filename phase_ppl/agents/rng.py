@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.physics.jit import kernel
+from phase_ppl.physics.jit import bare_kernel
 
 _INCREMENT = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
@@ -22,7 +22,7 @@ def make_rng(generator: np.random.Generator) -> NDArray[np.uint64]:
     return generator.integers(0, 2**64, size=1, dtype=np.uint64)
 
 
-@kernel
+@bare_kernel
 def uniform(rng: NDArray[np.uint64]) -> float:
     """Return the next float in [0, 1) and advance ``rng``."""
     rng[0] += _INCREMENT
@@ -33,7 +33,7 @@ def uniform(rng: NDArray[np.uint64]) -> float:
     return np.float64(z >> _S11) * _TO_UNIT
 
 
-@kernel
+@bare_kernel
 def below(rng: NDArray[np.uint64], n: int) -> int:
     """Return the next integer in 0..n-1 and advance ``rng``."""
     return int(uniform(rng) * n)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from phase_ppl.agents.ground import Ground
 from phase_ppl.physics.compiled import Params
-from phase_ppl.physics.jit import kernel
+from phase_ppl.physics.jit import bare_kernel
 
 MAX_OUTLINE_CELLS: Final = 128
 RIM_POINTS: Final = 16
@@ -24,7 +24,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
-@kernel
+@bare_kernel
 def cell_of(x: float, y: float, ground: Ground) -> int:
     """Return row * size + column of the 1 x 1 cell that holds a point, or OUTSIDE."""
     column = int(math.floor(x - ground.origin[0]))
@@ -34,8 +34,10 @@ def cell_of(x: float, y: float, ground: Ground) -> int:
     return row * ground.size + column
 
 
-@kernel
-def corner(bodies: FloatArray, agent: int, k: int, scale: float, params: Params) -> tuple[float, float]:
+@bare_kernel
+def corner(
+    bodies: FloatArray, agent: int, k: int, scale: float, params: Params
+) -> tuple[float, float]:
     """Return corner ``k`` of an agent, its shape enlarged by ``scale`` about the centre of mass."""
     c = math.cos(bodies[agent, 2])
     s = math.sin(bodies[agent, 2])
@@ -44,7 +46,7 @@ def corner(bodies: FloatArray, agent: int, k: int, scale: float, params: Params)
     return bodies[agent, 0] + lx * c - ly * s, bodies[agent, 1] + lx * s + ly * c
 
 
-@kernel
+@bare_kernel
 def outline_cells(
     bodies: FloatArray, entity: int, params: Params, ground: Ground, cells: IntArray
 ) -> int:
@@ -74,7 +76,7 @@ def outline_cells(
     return n
 
 
-@kernel
+@bare_kernel
 def _project(
     bodies: FloatArray, agent: int, scale: float, ax: float, ay: float, params: Params
 ) -> tuple[float, float]:
@@ -87,7 +89,7 @@ def _project(
     return low, high
 
 
-@kernel
+@bare_kernel
 def _agents_meet(bodies: FloatArray, scale_0: float, scale_1: float, params: Params) -> bool:
     for owner in range(2):
         for k in range(4):
@@ -101,7 +103,7 @@ def _agents_meet(bodies: FloatArray, scale_0: float, scale_1: float, params: Par
     return True
 
 
-@kernel
+@bare_kernel
 def _agent_meets_disc(
     bodies: FloatArray, agent: int, scale: float, item: int, reach: float, params: Params
 ) -> bool:
@@ -124,7 +126,7 @@ def _agent_meets_disc(
     return inside or nearest <= reach * reach
 
 
-@kernel
+@bare_kernel
 def shapes_meet(
     bodies: FloatArray, first: int, second: int, scale_1: float, scale_2: float, params: Params
 ) -> bool:

@@ -179,7 +179,7 @@ class SubgoalPlanner:
     # --- hindering -------------------------------------------------------------------------
 
     def _keep_away(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
-        """not ON(other, landmark): fill a door on its way, or meet it there and push it back."""
+        """Not ON(other, landmark): fill a door on its way, or meet it there and push it back."""
         goal_room = self._landmark_room(self.own.target)
         rival_room = state.rooms[self.opponent]
         way = self.abilities.route((self.opponent,), rival_room, goal_room)
@@ -213,7 +213,7 @@ class SubgoalPlanner:
         return steps[0].literal if steps else self._press_on(state, goal_room)
 
     def _guard_item(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
-        """not ON(item, landmark): take it away, hold it back, or stand in the way."""
+        """Not ON(item, landmark): take it away, hold it back, or stand in the way."""
         item = self.own.subject
         me, rival = state.rooms[self.agent], state.rooms[self.opponent]
         item_room, goal_room = state.rooms[item], self._landmark_room(self.own.target)
@@ -231,8 +231,10 @@ class SubgoalPlanner:
         if rival_holds:
             if ability.route((self.opponent, item), item_room, goal_room) is None:
                 return self._free_hands(state) or STOP
-            return Literal(Predicate.ON, item, item_room) if holding else self._take(
-                state, item, observed
+            return (
+                Literal(Predicate.ON, item, item_room)
+                if holding
+                else self._take(state, item, observed)
             )
         if rival_way is None:
             return self._free_hands(state) or STOP
@@ -248,7 +250,8 @@ class SubgoalPlanner:
 
     def _refuge(self, item_room: int, rival: int) -> int | None:
         """Return the best room to take an item to: closed to the rival, or else farthest from it
-        among the rooms nearer to the item than to the rival."""
+        among the rooms nearer to the item than to the rival.
+        """
         ability = self.abilities
         best: tuple[float, int] | None = None
         for room in range(N_ROOMS):
@@ -323,9 +326,7 @@ class SubgoalPlanner:
     def _first_own_step(self, steps: list[Step] | None) -> Step | None:
         return next((s for s in steps or () if self.agent in s.agents), None)
 
-    def _can_start(
-        self, steps: list[Step] | None, step: Step, state: SymbolicState
-    ) -> bool:
+    def _can_start(self, steps: list[Step] | None, step: Step, state: SymbolicState) -> bool:
         """Whether the first own step of a joint plan needs nothing of the other agent first."""
         if not steps or steps[0] is step:
             return True

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from phase_ppl.agents.ground import DISTANCE_UNIT, Ground, body_origin, path_distance, room_of
 from phase_ppl.physics.compiled import Params
-from phase_ppl.physics.jit import kernel
+from phase_ppl.physics.jit import bare_kernel
 from phase_ppl.world.geometry import GRAB_REACH
 from phase_ppl.world.literals import Predicate
 
@@ -66,7 +66,7 @@ def unpack(facts: NDArray[np.int8]) -> SymbolicState:
     )
 
 
-@kernel
+@bare_kernel
 def _in_reach(bodies: FloatArray, agent: int, item: int, params: Params) -> bool:
     x, y = body_origin(bodies, agent, params.cog)
     radius = params.radius[agent]
@@ -82,10 +82,8 @@ def _in_reach(bodies: FloatArray, agent: int, item: int, params: Params) -> bool
     return False
 
 
-@kernel
-def _done(
-    bodies: FloatArray, goal: NDArray[np.int64], params: Params, ground: Ground
-) -> bool:
+@bare_kernel
+def _done(bodies: FloatArray, goal: NDArray[np.int64], params: Params, ground: Ground) -> bool:
     x, y = body_origin(bodies, goal[1], params.cog)
     if goal[0] == _ON:
         near = NEAR_ITEM_ON if goal[1] >= 2 else NEAR_AGENT_ON
@@ -95,7 +93,7 @@ def _done(
     return path_distance(x, y, tx, ty, ground) < NEAR_TOUCH
 
 
-@kernel
+@bare_kernel
 def _cost_to_go(
     bodies: FloatArray,
     held: NDArray[np.int64],
@@ -117,7 +115,7 @@ def _cost_to_go(
     return path_distance(sx, sy, tx, ty, ground)
 
 
-@kernel
+@bare_kernel
 def describe(
     bodies: FloatArray,
     held: NDArray[np.int64],

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from phase_ppl.agents.ground import Ground
 from phase_ppl.agents.shapes import OUTSIDE, outline_cells, shapes_meet
 from phase_ppl.physics.compiled import Params
-from phase_ppl.physics.jit import kernel
+from phase_ppl.physics.jit import bare_kernel
 from phase_ppl.world.geometry import TOUCH_ENLARGEMENT
 
 FloatArray = NDArray[np.float64]
@@ -27,7 +27,7 @@ HALF_ANGLE: Final = math.atan2(0.8, 0.4 + 1.0 / 6.0)
 _COS_HALF_ANGLE = math.cos(HALF_ANGLE)
 
 
-@kernel
+@bare_kernel
 def _segments_cross(
     ax: float, ay: float, bx: float, by: float, cx: float, cy: float, dx: float, dy: float
 ) -> bool:
@@ -38,7 +38,7 @@ def _segments_cross(
     return d1 * d2 <= 0.0 and d3 * d4 <= 0.0
 
 
-@kernel
+@bare_kernel
 def visible_cells(
     bodies: FloatArray, agent: int, params: Params, ground: Ground, visible: BoolArray
 ) -> None:
@@ -88,7 +88,7 @@ def visible_cells(
             visible[index] = free
 
 
-@kernel
+@bare_kernel
 def observe(
     bodies: FloatArray,
     held: IntArray,
@@ -115,7 +115,8 @@ def observe(
     for entity in range(4):
         observed[entity] = full_view or entity == agent
     if full_view:
-        visible[:] = True
+        for cell in range(visible.shape[0]):
+            visible[cell] = True
         return
     for entity in range(4):
         if entity == agent:

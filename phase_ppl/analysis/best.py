@@ -14,7 +14,9 @@ from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
 def log_joint(tree: xr.DataTree) -> NDArray[np.float64]:
     """Return (simulation,) log prior + log likelihood, -inf where not completed."""
     usable = array(tree, "simulations", "completed") & ~array(tree, "simulations", "failed")
-    values = array(tree, "simulations", "log_prior") + array(tree, "simulations", "log_likelihood")
+    values = array(tree, "simulations", "log_prior_effective") + array(
+        tree, "simulations", "log_likelihood"
+    )
     return np.where(usable & ~np.isnan(values), values, -np.inf).astype(np.float64)
 
 

@@ -53,7 +53,8 @@ REQUIRED: Final[Mapping[str, Mapping[str, tuple[str, ...] | None]]] = {
     "simulations": dict.fromkeys(
         (
             *SITES,
-            *("seed", "chain", "iteration", "log_prior", "log_likelihood"),
+            *("seed", "chain", "iteration", "log_prior", "log_prior_effective"),
+            "log_likelihood",
             *("total_error", "completed", "frames_simulated", "failed"),
         ),
         _SIMULATION,

@@ -6,14 +6,13 @@ Every query is a sum over such a table. Which weighting is valid when:
     Every draw weighs the same. Valid for every kernel whose stationary law is the posterior,
     and the only one that is: a chain visits a hypothesis in proportion to its probability.
 ``"visited"``
-    Every distinct hypothesis that was simulated weighs P(h) times the mean of its likelihood
-    over seeds, whether the chain stayed there or not. It uses rejected proposals too and does
-    not depend on the acceptance rule, which helps when chains are as short as the paper's
-    L = 6. It is an approximation: hypotheses that were never proposed weigh nothing, and a
-    region that was proposed often counts once for each of its points. P(h) is the prior of the
-    stated hypothesis; the own goal that a helper or hinderer does not pursue is not summed
-    out, so one visit to a helping hypothesis stands for one of its 35 equals. Simulations that
-    were stopped early are bounded, not dropped: see :func:`aborted_mass_bound`.
+    Every pair of effective goals that was simulated weighs its prior times the mean likelihood
+    of its simulations, whether a chain stayed there or not: strengths and seeds, which were
+    proposed near their estimates, are averaged out. It uses rejected proposals too and does not
+    depend on the acceptance rule, which helps when chains are as short as the paper's L = 6. It
+    is an approximation: pairs that were never proposed weigh nothing. The prior is that of the
+    effective pair: the own goal that a helper or hinderer does not pursue is summed out.
+    Simulations that were stopped early are bounded, not dropped: see :func:`aborted_mass_bound`.
 ``"likelihood"``
     Every draw weighs its own likelihood. This is how the authors' published probabilities
     behave, and for reproducing them only: on the draws of an exact kernel the likelihood
@@ -35,6 +34,8 @@ from phase_ppl.analysis.tree import HYPOTHESIS, SITES, array, simulation_of_draw
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 
 FloatArray = NDArray[np.float64]
+
+_PAIR: Final = ("goal_red", "goal_green")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -101,11 +102,11 @@ def likelihood(tree: xr.DataTree) -> Rows:
 
 
 def visited(tree: xr.DataTree) -> Rows:
-    """Return every distinct hypothesis with a completed simulation, by P(h) mean_seeds L.
+    """Return every completed simulation, by P(h) L over the simulations of its pair of goals.
 
-    A hypothesis is distinct by its stated goals, alpha, strengths and any further site. Its
-    likelihood is the mean over its seeds, in which a run that was stopped early counts as 0:
-    an under-estimate by no more than :func:`aborted_mass_bound`.
+    The likelihood of a pair of effective goals is the mean over its simulations, in which a run
+    that was stopped early counts as 0: an under-estimate by no more than
+    :func:`aborted_mass_bound`.
 
     Raises:
         InvalidSettingError: no simulation was completed.
@@ -114,15 +115,11 @@ def visited(tree: xr.DataTree) -> Rows:
     weighed = table[table["completed"]]
     if weighed.empty:
         raise InvalidSettingError("weights 'visited' need at least one completed simulation")
-    _, first, row = np.unique(
-        weighed["hypothesis"].to_numpy(), return_index=True, return_inverse=True
-    )
-    log_weights = np.full(len(first), -np.inf)
-    np.logaddexp.at(log_weights, row, weighed["log_mass"].to_numpy())
-    simulation = weighed["simulation"].to_numpy()[first]
+    simulation = weighed["simulation"].to_numpy()
     simulations = tree["simulations"].dataset
     values = {name: simulations[name].values[simulation] for name in _sites(tree)}
-    return Rows(values, normalised(log_weights), {"simulation": simulation})
+    weights = normalised(weighed["log_mass"].to_numpy())
+    return Rows(values, weights, {"simulation": simulation})
 
 
 def aborted_mass_bound(tree: xr.DataTree) -> float:
@@ -144,27 +141,26 @@ def aborted_mass_bound(tree: xr.DataTree) -> float:
 def _evaluations(tree: xr.DataTree) -> pd.DataFrame:
     """Return one row per distinct (hypothesis, seed) that did not fail.
 
-    Columns: simulation (first row in the tree), hypothesis (number), completed, and log_mass =
-    log P(h) + log likelihood (a bound where not completed) - log(number of the hypothesis' seeds).
+    Columns: simulation (first row in the tree), completed, and log_mass = log P(h) + log
+    likelihood (a bound where not completed) - log(number of simulations of the goal pair), with
+    P(h) the prior of effective goals and strengths.
     """
     simulations = tree["simulations"].dataset
     key = [name for name in _sites(tree) if name in HYPOTHESIS or name not in SITES]
-    columns = (*key, "seed", "log_prior", "log_likelihood", "completed")
+    columns = (*key, *_PAIR, "seed", "log_prior_effective", "log_likelihood", "completed")
     table = pd.DataFrame({name: simulations[name].values for name in columns})
     table.insert(0, "simulation", np.arange(len(table)))
     table = table[~simulations["failed"].values]
     # a completed run of a hypothesis and seed says more than a stopped one of the same
     table = table.sort_values("completed", ascending=False, kind="stable")
     table = table.drop_duplicates([*key, "seed"]).sort_values("simulation")
-    hypothesis = table.groupby(key, sort=False).ngroup()
-    log_joint = table["log_prior"].astype(float) + table["log_likelihood"].astype(float)
-    seeds = table.groupby(hypothesis)["seed"].transform("size")
+    log_joint = table["log_prior_effective"].astype(float) + table["log_likelihood"].astype(float)
+    runs = table.groupby(list(_PAIR))["seed"].transform("size")
     return pd.DataFrame(
         {
             "simulation": table["simulation"],
-            "hypothesis": hypothesis,
             "completed": table["completed"].astype(bool),
-            "log_mass": log_joint - np.log(seeds),
+            "log_mass": log_joint - np.log(runs),
         }
     )
 

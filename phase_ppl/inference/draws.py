@@ -9,8 +9,6 @@ from collections.abc import Sequence
 from importlib import metadata
 from typing import Any, Final
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -20,7 +18,7 @@ from phase_ppl.analysis.tree import SCHEMA
 from phase_ppl.inference.kernels.base import MHState
 from phase_ppl.inference.program import Program
 from phase_ppl.models.bridge import Record
-from phase_ppl.models.effective import log_prior_of_effective
+from phase_ppl.models.effective import log_prior_of_effective, log_prior_of_hypotheses
 from phase_ppl.models.sites import SITES, STRENGTH_SITES
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import GOALS, effective_goals
@@ -115,10 +113,7 @@ def make_tree(
                 {"trajectory": (_FRAME, event.observation.trajectory)}, coords=frame
             ),
             "simulations": xr.Dataset(
-                {
-                    name: (("simulation", *_extra(name, v, 1)), v)
-                    for name, v in simulations.items()
-                }
+                {name: (("simulation", *_extra(name, v, 1)), v) for name, v in simulations.items()}
             ),
             "constant_data": constant,
         }
@@ -211,15 +206,11 @@ def _simulations(
     errors = np.array([r.total_error for r in results])
     log_likelihood = program.likelihood.log_prob(errors, program.n_frames)
     log_likelihood[failed] = -np.inf
-    log_prior = np.full(len(results), np.nan)
-    log_prior_effective = np.full(len(results), np.nan)
-    if not program.own_sites:
-        density = jax.jit(jax.vmap(program.log_prior))
-        log_prior = np.asarray(density({k: jnp.asarray(v) for k, v in stated.items()}), float)
-        goals = np.column_stack([sites["goal_red"], sites["goal_green"]]).astype(np.int64)
-        log_prior_effective = log_prior_of_effective(
-            program.prior, goals, {name: stated[name] for name in STRENGTH_SITES}
-        )
+    log_prior = log_prior_of_hypotheses(program.prior, stated)
+    goals = np.column_stack([sites["goal_red"], sites["goal_green"]]).astype(np.int64)
+    log_prior_effective = log_prior_of_effective(
+        program.prior, goals, {name: stated[name] for name in STRENGTH_SITES}
+    )
     return {
         **sites,
         "seed": np.array([r.seed for r in results], np.int64),

@@ -68,9 +68,7 @@ class Proposals:
         numpyro.sample("alpha", dist.Categorical(probs=jnp.array(ALPHA_PROBABILITIES)))
         low, high = STRENGTH_RANGE
         for agent, name in enumerate(STRENGTH_SITES):
-            numpyro.sample(
-                name, dist.TruncatedNormal(mean[agent], sd[agent], low=low, high=high)
-            )
+            numpyro.sample(name, dist.TruncatedNormal(mean[agent], sd[agent], low=low, high=high))
 
     def window_log_weights(self, errors: jax.Array) -> jax.Array:
         """Return (W,) log probabilities of the intervals, proportional to exp(eta sum of errors).

@@ -1,131 +1,173 @@
-"""The bridge from a NumPyro program to a simulator on the host.
-
-The simulator is called through ``jax.pure_callback``. All chains of a step arrive as one batch;
-the seed is an argument, so that the call is a pure function of its arguments.
-"""
+"""The bridge from compiled inference to the simulator: one host call for all particles."""
 
 from __future__ import annotations
 
 import dataclasses
-import math
-import zlib
-from typing import Any, Literal
+from collections.abc import Sequence
+from typing import Any, Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from phase_ppl.models.density import NO_DENSITY, Sites
+from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, SELF_REFERRING, STRENGTH_SITES
 from phase_ppl.simulator.contract import SimulationResult
-from phase_ppl.simulator.runner import Runner
-from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
 
-Noise = Literal["fresh", "fixed"]
+_Columns = dict[str, NDArray[Any]]
+
+
+class RunsSimulations(Protocol):
+    """What the bridge needs of a runner (:class:`phase_ppl.simulator.runner.Runner`)."""
+
+    def run(
+        self,
+        hypotheses: Sequence[Hypothesis],
+        seeds: Sequence[int],
+        error_ceilings: Sequence[float],
+    ) -> list[SimulationResult]:
+        """Return one result per hypothesis, in order."""
+        ...
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Record:
-    """One simulation that a program has asked for.
+    """One simulation that was paid for.
 
     Attributes:
-        batch: number of the callback; row: place in its batch (the chain, if chains are rows).
-        requested_seed: seed of the program; with fixed noise the simulation's own differs.
-        result: what the runner returned.
+        result: what came out.
+        sites: all latent sites of the prior, as the chain holds them.
+        log_prior: their log density.
+        chain: which particle asked for it.
+        iteration: in which iteration; 0 for the initial particles.
     """
 
-    batch: int
-    row: int
-    requested_seed: int
     result: SimulationResult
+    sites: dict[str, NDArray[Any]]
+    log_prior: float
+    chain: int
+    iteration: int
 
 
 class SimulatorBridge:
-    """Calls a runner from inside a NumPyro program.
+    """Answers compiled code's requests for simulations, and keeps a record of them.
+
+    A request is a pure function of its arguments, since the seed is one of them; JAX may
+    therefore reorder it. All particles of a vectorised step arrive in one call.
 
     Args:
-        runner: where simulations run.
-        noise: "fresh": every request brings its own seed (pseudo-marginal); "fixed": one seed
-            per hypothesis, so that the simulator is a deterministic function of it; this is
-            another posterior.
+        runner: runs the simulations.
+        n_frames: length T of the observation.
+
+    Attributes:
+        records: every simulation so far.
+        iteration: what new records are labelled with.
+        calls: number of host calls.
+        failure: the exception that ended the last call, if one did. JAX replaces exceptions by
+            its own; whoever drives the chain raises this one instead.
     """
 
-    def __init__(self, runner: Runner, noise: Noise = "fresh") -> None:
-        self.runner = runner
-        self.noise = noise
+    def __init__(self, runner: RunsSimulations, n_frames: int) -> None:
         self.records: list[Record] = []
-        self.error: BaseException | None = None
-        self._batch = 0
+        self.iteration = 0
+        self.calls = 0
+        self.failure: BaseException | None = None
+        self._runner = runner
+        self._n_frames = n_frames
 
     def __call__(
-        self, sites: dict[str, jax.Array], seed: jax.Array, error_ceiling: jax.Array
+        self,
+        sites: Sites,
+        log_prior: jax.Array,
+        seed: jax.Array,
+        error_ceiling: jax.Array | float = np.inf,
     ) -> jax.Array:
-        """Return the errors per frame (time,), units; inf where not simulated.
+        """Return per-frame errors (time,), units; float32.
 
         Args:
-            sites: values of the hypothesis sites.
-            seed: uint32.
-            error_ceiling: summed error beyond which the simulation may stop, units.
+            sites: all latent sites of the prior.
+            log_prior: their log density; without mass there is nothing to simulate.
+            seed: of the simulation, int32.
+            error_ceiling: summed error beyond which the simulation may be stopped, units.
+
+        Returns:
+            The errors; inf from where the simulation was stopped. All inf for a failed
+            simulation and for hypotheses outside the prior's support, which are not simulated.
         """
-        out = jax.ShapeDtypeStruct((self.runner.n_frames,), jnp.float32)
-        return jax.pure_callback(
-            self._host,
-            out,
-            sites["goal_red"],
-            sites["goal_green"],
-            sites["alpha"],
-            sites["strength_red"],
-            sites["strength_green"],
-            seed,
-            error_ceiling,
-            vmap_method="broadcast_all",
+        shape = jax.ShapeDtypeStruct((self._n_frames,), jnp.float32)
+        ceiling = jnp.asarray(error_ceiling, jnp.float32)
+        errors: jax.Array = jax.pure_callback(
+            self._host, shape, dict(sites), log_prior, seed, ceiling, vmap_method="broadcast_all"
         )
-
-    def _host(self, *arguments: Any) -> NDArray[np.float32]:
-        # numpy only: calling jax in a callback can deadlock
-        columns = [np.asarray(a) for a in arguments]
-        shape = columns[0].shape
-        try:
-            rows = list(zip(*(c.reshape(-1).tolist() for c in columns), strict=True))
-            errors = self._simulate(rows)
-        except BaseException as error:
-            # jax replaces the exception; the driver raises this one instead
-            self.error = error
-            raise
-        return errors.reshape(*shape, self.runner.n_frames)
-
-    def _simulate(self, rows: list[tuple[Any, ...]]) -> NDArray[np.float32]:
-        errors = np.full((len(rows), self.runner.n_frames), np.inf, np.float32)
-        batch, self._batch = self._batch, self._batch + 1
-        places, hypotheses, seeds, ceilings = [], [], [], []
-        for place, (*sites, seed, ceiling) in enumerate(rows):
-            hypothesis = _hypothesis(*sites)
-            if hypothesis is None or math.isnan(ceiling) or ceiling < 0:
-                continue
-            places.append(place)
-            hypotheses.append(hypothesis)
-            seeds.append(int(seed) if self.noise == "fresh" else _seed_of(hypothesis))
-            ceilings.append(ceiling)
-        results = self.runner.run(hypotheses, seeds, ceilings)
-        for place, result in zip(places, results, strict=True):
-            errors[place] = result.errors if result.completed else np.inf
-            self.records.append(Record(batch, place, int(rows[place][-2]), result))
         return errors
 
+    def _host(self, sites: _Columns, *rest: Any) -> NDArray[np.float32]:
+        # NumPy from the first line on: calling JAX in here can deadlock
+        columns = {name: np.asarray(value) for name, value in sites.items()}
+        log_prior, seed, ceiling = (np.asarray(value) for value in rest)
+        try:
+            return self._answer(columns, log_prior, seed, ceiling)
+        except BaseException as error:
+            self.failure = error
+            raise
 
-def _hypothesis(
-    goal_red: int, goal_green: int, alpha: int, strength_red: float, strength_green: float
-) -> Hypothesis | None:
-    """Return the hypothesis of one row, or None outside the support: samplers do send such rows."""
-    if not 0 <= alpha < len(ALPHAS):
-        return None
-    try:
-        return Hypothesis(
-            int(goal_red), int(goal_green), ALPHAS[int(alpha)], strength_red, strength_green
+    def _answer(
+        self,
+        columns: _Columns,
+        log_prior: NDArray[np.float32],
+        seed: NDArray[np.int32],
+        ceiling: NDArray[np.float32],
+    ) -> NDArray[np.float32]:
+        self.calls += 1
+        batch = seed.shape
+        n_rows = seed.size
+        rows_per_chain = n_rows // batch[0] if batch else 1
+        flat = {k: v.reshape(n_rows, *v.shape[len(batch) :]) for k, v in columns.items()}
+        log_prior, seed, ceiling = log_prior.ravel(), seed.ravel(), ceiling.ravel()
+        rows = np.flatnonzero(_in_support(flat, log_prior))
+        results = self._runner.run(
+            [_hypothesis(flat, row) for row in rows],
+            [int(seed[row]) for row in rows],
+            [float(ceiling[row]) for row in rows],
         )
-    except (InvalidSettingError, ValueError):
-        return None
+        errors = np.full((n_rows, self._n_frames), np.inf, np.float32)
+        paid: set[int] = set()
+        for row, result in zip(rows, results, strict=True):
+            errors[row] = result.errors
+            if id(result) in paid:  # identical requests are simulated once
+                continue
+            paid.add(id(result))
+            self.records.append(
+                Record(
+                    result,
+                    {name: values[row] for name, values in flat.items()},
+                    float(log_prior[row]),
+                    chain=int(row) // rows_per_chain,
+                    iteration=self.iteration,
+                )
+            )
+        return errors.reshape(*batch, self._n_frames)
 
 
-def _seed_of(hypothesis: Hypothesis) -> int:
-    return zlib.crc32(repr(hypothesis.effective()).encode())
+def _in_support(flat: _Columns, log_prior: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Return which rows are hypotheses at all, and have prior mass."""
+    inside = log_prior > NO_DENSITY  # not a number: outside
+    for holder, name in enumerate(GOAL_SITES):
+        codes = flat[name]
+        in_range = (codes >= 0) & (codes < N_GOALS)
+        inside &= in_range & ~SELF_REFERRING[holder][np.where(in_range, codes, 0)]
+    inside &= (flat[ALPHA_SITE] >= 0) & (flat[ALPHA_SITE] < len(ALPHAS))
+    for name in STRENGTH_SITES:
+        inside &= (flat[name] > 0) & np.isfinite(flat[name])
+    return inside
+
+
+def _hypothesis(flat: _Columns, row: int) -> Hypothesis:
+    return Hypothesis(
+        *(int(flat[name][row]) for name in GOAL_SITES),
+        ALPHAS[int(flat[ALPHA_SITE][row])],
+        *(float(flat[name][row]) for name in STRENGTH_SITES),
+    )

@@ -1,27 +1,34 @@
-"""The prior of what is simulated: effective goals, with what does not matter summed out.
+"""The prior of what is simulated: hypotheses with what does not matter summed out.
 
-A helper or hinderer acts on the other's goal, so its own stated goal changes nothing. The prior
-of an effective pair is the sum over all stated goals and alphas that lead to it.
+A helper or hinderer acts on the other's goal, so its own stated goal changes nothing: the prior
+of an effective pair is the sum over all stated goals and alphas that lead to it. Sites of a
+user's own are averaged out over draws from the prior.
 """
 
 from __future__ import annotations
 
 import functools
 import itertools
+import math
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.scipy.special import logsumexp
 from numpy.typing import NDArray
-from numpyro.infer.util import log_density
+from numpyro import handlers
 
 from phase_ppl.world.goals import N_GOALS, effective_goals
 from phase_ppl.world.hypothesis import ALPHAS
 
 FloatArray = NDArray[np.float64]
 
+Prior = Callable[[], object]
+
 _CHUNK = 4096
+_OWN_DRAWS = 64
 
 
 @functools.cache
@@ -35,17 +42,43 @@ def stated_hypotheses() -> dict[tuple[int, int], NDArray[np.int64]]:
     return {pair: np.array(rows) for pair, rows in found.items()}
 
 
+def log_prior_of_hypotheses(prior: Prior, sites: Mapping[str, NDArray[Any]]) -> FloatArray:
+    """Return (n,) log densities of the hypothesis sites, each (n,), own sites averaged out."""
+    names = tuple(sites)
+    latent = {name for name, site in _trace(prior, 0).items() if _is_latent(site)}
+    own = tuple(sorted(latent - set(names)))
+    draws = [_trace(prior, seed) for seed in range(_OWN_DRAWS if own else 1)]
+    values = {name: jnp.stack([jnp.asarray(d[name]["value"]) for d in draws]) for name in own}
+
+    def given(own_values: dict[str, jax.Array], z: dict[str, jax.Array]) -> jax.Array:
+        # the hypothesis sites alone: own sites below them in a hierarchy integrate to 1
+        trace = handlers.trace(handlers.substitute(prior, {**own_values, **z})).get_trace()
+        return jnp.stack([trace[n]["fn"].log_prob(trace[n]["value"]) for n in names]).sum()
+
+    def marginal(z: dict[str, jax.Array]) -> jax.Array:
+        if not own:
+            return given({}, z)
+        return logsumexp(jax.vmap(given, in_axes=(0, None))(values, z)) - math.log(_OWN_DRAWS)
+
+    density = jax.jit(jax.vmap(marginal))
+    n = len(sites[names[0]])
+    parts = []
+    for start in range(0, n, _CHUNK):
+        # one shape, so that it compiles once
+        rows = np.minimum(np.arange(start, start + _CHUNK), n - 1)
+        parts.append(np.asarray(density({k: jnp.asarray(v[rows]) for k, v in sites.items()})))
+    return np.concatenate([np.empty(0), *parts])[:n].astype(float)
+
+
 def log_prior_of_effective(
-    prior: Callable[..., object],
-    goals: NDArray[np.int64],
-    others: Mapping[str, NDArray[np.float64]],
+    prior: Prior, goals: NDArray[np.int64], strengths: Mapping[str, NDArray[np.float64]]
 ) -> FloatArray:
     """Return the log prior of effective hypotheses.
 
     Args:
         prior: NumPyro program over the hypothesis sites.
         goals: (n, 2) effective goals of red and green.
-        others: the remaining sites (strengths, and a user's own), each (n, ...).
+        strengths: ``strength_red`` and ``strength_green``, (n,) newtons.
 
     Returns:
         (n,) log of the summed density.
@@ -55,20 +88,26 @@ def log_prior_of_effective(
     stated = [stated_hypotheses()[int(red), int(green)] for red, green in goals]
     row = np.repeat(np.arange(len(goals)), [len(s) for s in stated])
     sites = np.concatenate(stated)
-    latent = {
-        "goal_red": sites[:, 0],
-        "goal_green": sites[:, 1],
-        "alpha": sites[:, 2],
-        **{name: np.asarray(values)[row] for name, values in others.items()},
-    }
-    density = jax.jit(jax.vmap(lambda z: log_density(prior, (), {}, z)[0]))
-    n = len(row)
-    parts = []
-    for start in range(0, n, _CHUNK):
-        # one shape, so that it compiles once
-        chosen = np.minimum(np.arange(start, start + _CHUNK), n - 1)
-        parts.append(np.asarray(density({k: jnp.asarray(v[chosen]) for k, v in latent.items()})))
-    log_densities = np.concatenate(parts)[:n].astype(float)
+    log_densities = log_prior_of_hypotheses(
+        prior,
+        {
+            "goal_red": sites[:, 0],
+            "goal_green": sites[:, 1],
+            "alpha": sites[:, 2],
+            **{name: np.asarray(values)[row] for name, values in strengths.items()},
+        },
+    )
     total = np.full(len(goals), -np.inf)
     np.logaddexp.at(total, row, log_densities)
     return total
+
+
+def _trace(prior: Prior, seed: int) -> dict[str, dict[str, Any]]:
+    trace: dict[str, dict[str, Any]] = handlers.trace(
+        handlers.seed(prior, jax.random.key(seed))
+    ).get_trace()
+    return trace
+
+
+def _is_latent(site: dict[str, Any]) -> bool:
+    return site["type"] == "sample" and not site["is_observed"]

@@ -1,107 +1,122 @@
-"""The likelihood of an observed trajectory given a simulated one.
+"""The likelihood of an observed trajectory, given a simulated one (paper, Eq. 2).
 
-The paper's P(s | h) = exp(-beta sum_t ||s_t - s^_t||) (Eq. 1), as a proper density: per frame a
-radial distribution on R^d, d = 2 x 4 entities, with density exp(-beta ||x||) / Z. The posterior
-is the same; the normaliser makes predictive checks and calibration possible.
+The paper's exp(-beta sum_t ||s_t - s^_t||) is made a proper density: per frame, the position of
+all entities (d = 8 numbers) has the radial density exp(-beta ||s - s^||) / Z. Z does not depend
+on the hypothesis, so the posterior is the paper's; but data can be drawn from it.
+
+The mean distance under it is d / beta, 160 units at the paper's beta = 0.05, eight times the
+arena's width: it is a tempered likelihood, not a model of the observation noise.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any, Final, TypeVar
+from typing import Any, Final, Protocol, TypeVar
 
 import jax
 import jax.numpy as jnp
-import numpy as np
+import numpyro.distributions as dist
 from jax import random
-from numpyro.distributions import Distribution, constraints
+from numpyro.distributions import constraints
 
-from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.names import ENTITIES
 
-DIMENSION: Final = 2 * len(ENTITIES)
-"""Numbers per frame: x, y of every entity."""
+DIMENSIONS: Final = 2 * len(ENTITIES)
+"""d, numbers per frame: x and y of each entity."""
 
-Number = TypeVar("Number", float, jax.Array, np.ndarray)
+_Array = TypeVar("_Array")
 
 
-def log_normaliser(beta: float, dimension: int = DIMENSION) -> float:
-    """Return log Z of exp(-beta ||x||) on R^dimension."""
-    d = dimension
-    return (
-        math.log(2)
-        + d / 2 * math.log(math.pi)
-        - math.lgamma(d / 2)
-        + math.lgamma(d)
-        - d * math.log(beta)
-    )
+class Likelihood(Protocol):
+    """What a model needs to know of a likelihood of per-frame errors.
+
+    ``log_prob`` must work on NumPy and JAX arrays alike and fall with the error.
+    """
+
+    def log_prob(self, errors: _Array) -> _Array:
+        """Return the log density of each frame from its error ||s_t - s^_t||, units."""
+        ...
+
+    def max_total_error(self, log_floor: _Array, n_frames: int) -> _Array:
+        """Return the largest summed error with which the log density can reach ``log_floor``."""
+        ...
+
+
+def _log_normaliser(beta: float) -> float:
+    """Return log Z of exp(-beta ||x||) in d dimensions."""
+    d = DIMENSIONS
+    sphere = math.log(2) + d / 2 * math.log(math.pi) - math.lgamma(d / 2)
+    return sphere + math.lgamma(d) - d * math.log(beta)
 
 
 @dataclasses.dataclass(frozen=True)
 class RadialLikelihood:
-    """Independent radial errors in every frame.
+    """exp(-beta ||s_t - s^_t||) / Z in every frame.
 
     Attributes:
-        beta: inverse scale, per unit of length; the paper's 0.05 is a tempered likelihood: it
-            is the density of errors with a mean of dimension / beta = 160 units per frame.
+        beta: 1 / units; the paper's 0.05.
 
     Raises:
-        InvalidSettingError: beta is not a positive number.
+        InvalidSettingError: ``beta`` is no positive number.
     """
 
     beta: float = 0.05
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.beta) and self.beta > 0):
-            raise InvalidSettingError(f"beta={self.beta!r}, expected a number > 0")
+        number = isinstance(self.beta, int | float) and not isinstance(self.beta, bool)
+        if not (number and math.isfinite(self.beta) and self.beta > 0):
+            raise InvalidSettingError(f"beta={shown(self.beta)}, expected a positive number")
 
-    def log_prob(self, total_error: Number, n_frames: int) -> Number:
-        """Return the log likelihood of ``n_frames`` frames whose errors sum to ``total_error``.
+    def log_prob(self, errors: _Array) -> _Array:
+        """Return the log density of each frame from its error, units; -inf for an infinite one."""
+        result: _Array = -self.beta * errors - _log_normaliser(self.beta)  # type: ignore[operator]
+        return result
 
-        Args:
-            total_error: sum over frames of ||s_t - s^_t||, units; any shape.
-            n_frames: T.
-        """
-        return -self.beta * total_error - n_frames * log_normaliser(self.beta)
-
-    def max_total_error(self, log_floor: Number, n_frames: int) -> Number:
-        """Return the summed error beyond which the log likelihood falls below ``log_floor``."""
-        return -(log_floor + n_frames * log_normaliser(self.beta)) / self.beta
-
-    def to_dict(self) -> dict[str, Any]:
-        return {"name": "radial", "beta": self.beta}
+    def max_total_error(self, log_floor: _Array, n_frames: int) -> _Array:
+        """Return the summed error at which the log density of all frames is ``log_floor``."""
+        spent = n_frames * _log_normaliser(self.beta)
+        result: _Array = -(log_floor + spent) / self.beta  # type: ignore[operator]
+        return result
 
 
-class RadialTrajectory(Distribution):
-    """Distribution of an observed trajectory around a simulated one.
+class RadialTrajectory(dist.Distribution):
+    """Distribution of the observed positions around a simulated trajectory.
 
     Args:
-        simulated: (time, dimension) positions, units.
+        predicted: (..., time, entity, 2) simulated x, y, units.
         beta: as in :class:`RadialLikelihood`.
     """
 
-    arg_constraints = {"simulated": constraints.real_matrix, "beta": constraints.positive}  # noqa: RUF012
-    support = constraints.real_matrix
+    arg_constraints = {  # noqa: RUF012  (NumPyro's way to declare them)
+        "predicted": constraints.independent(constraints.real, 3),
+        "beta": constraints.positive,
+    }
+    support = constraints.independent(constraints.real, 3)
+    pytree_data_fields = ("predicted",)
+    pytree_aux_fields = ("beta",)
 
     def __init__(
-        self, simulated: jax.Array, beta: float = 0.05, *, validate_args: bool | None = None
+        self, predicted: jax.Array, beta: float = 0.05, *, validate_args: bool | None = None
     ) -> None:
-        self.simulated = jnp.asarray(simulated)
+        self.predicted = jnp.asarray(predicted)
         self.beta = beta
-        super().__init__((), self.simulated.shape, validate_args=validate_args)
+        shape = self.predicted.shape
+        super().__init__(shape[:-3], shape[-3:], validate_args=validate_args)
 
     def sample(self, key: jax.Array, sample_shape: tuple[int, ...] = ()) -> jax.Array:
-        """Draw trajectories (*sample_shape, time, dimension)."""
+        """Draw positions: a direction by chance times a Gamma(d, beta) distance, per frame."""
         key_direction, key_radius = random.split(key)
-        shape = (*sample_shape, *self.event_shape)
-        direction = random.normal(key_direction, shape)
+        shape = sample_shape + self.batch_shape + self.event_shape
+        frames = (*shape[:-2], shape[-2] * shape[-1])
+        direction = random.normal(key_direction, frames)
         direction /= jnp.linalg.norm(direction, axis=-1, keepdims=True)
-        radius = random.gamma(key_radius, float(shape[-1]), shape[:-1]) / self.beta
-        return self.simulated + radius[..., None] * direction
+        radius = random.gamma(key_radius, frames[-1], frames[:-1]) / self.beta
+        return self.predicted + (direction * radius[..., None]).reshape(shape)
 
-    def log_prob(self, value: jax.Array) -> jax.Array:
-        """Return the log density of trajectories (..., time, dimension)."""
-        errors = jnp.linalg.norm(value - self.simulated, axis=-1)
-        n_frames, dimension = self.event_shape
-        return -self.beta * errors.sum(-1) - n_frames * log_normaliser(self.beta, dimension)
+    def log_prob(self, value: jax.Array) -> Any:
+        """Return the log density of positions (..., time, entity, 2), summed over frames."""
+        difference = jnp.asarray(value) - self.predicted
+        errors = jnp.sqrt(jnp.sum(difference**2, axis=(-2, -1)))
+        return RadialLikelihood(self.beta).log_prob(errors).sum(axis=-1)

@@ -1,134 +1,120 @@
-"""A model: prior, simulator and likelihood; what is simulated, inferred and compared."""
+"""A model: the prior, the simulator and the likelihood that explain an event."""
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import hashlib
 import inspect
 from collections.abc import Callable
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, Final, Literal
 
-import jax
-import numpy as np
-from numpyro import handlers
-
-from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.models import priors
-from phase_ppl.models.bridge import Noise
-from phase_ppl.models.likelihood import RadialLikelihood
-from phase_ppl.models.sites import GOAL_SITES, SITES
-from phase_ppl.simulator.contract import Simulator
-from phase_ppl.simulator.joint import JointSimulator
+from phase_ppl.models.checks import checked_sites
+from phase_ppl.models.density import Program
+from phase_ppl.models.likelihood import Likelihood, RadialLikelihood
 from phase_ppl.world.errors import InvalidSettingError, unknown_name
-from phase_ppl.world.goals import N_GOALS
-from phase_ppl.world.hypothesis import ALPHAS
 
-Prior = Callable[[], object]
+if TYPE_CHECKING:
+    from phase_ppl.agents.config import PlannerConfig
+    from phase_ppl.simulator.contract import Simulator
+
+Noise = Literal["fresh", "fixed"]
+
+DEFAULT_PLANNER: Final = "fast"
 
 
 @dataclasses.dataclass(frozen=True)
 class Model:
-    """Prior, simulator and likelihood.
+    """What is simulated, inferred, compared and evaluated.
 
     Attributes:
-        prior: NumPyro program that samples the hypothesis sites (``phase_ppl.models.sites``) and
-            perhaps others.
-        simulator: yields frames (``phase_ppl.simulator.contract``); None: the joint simulator.
-        likelihood: of the observed given the simulated trajectory.
-        planner: "fast", "paper" or a ``PlannerConfig``; for the joint simulator.
-        noise: "fresh": a new seed for every simulation; "fixed": one per hypothesis.
+        prior: NumPyro program that samples the five hypothesis sites, and perhaps more.
+        simulator: generator function ``(scene, hypothesis, rng)`` of frames; None for the joint
+            simulator of the paper (Algorithm 1).
+        likelihood: of a trajectory, from its per-frame errors.
+        planner: "fast", "paper" or a ``PlannerConfig`` for the joint simulator; None: "fast".
+        noise: "fresh", a new simulator seed per proposal, so that the posterior is that of the
+            mean likelihood over seeds; or "fixed", one seed per event and hypothesis: a
+            deterministic likelihood, hence another posterior.
 
     Raises:
-        InvalidSettingError: the prior cannot work; the message names the site.
-        UnknownNameError: planner or noise is none of the allowed names.
+        InvalidSettingError: the prior cannot work (the message names the site and what is
+            expected), or a planner is given for another simulator.
+        UnknownNameError: an unknown planner or noise.
     """
 
-    prior: Prior = priors.uniform
+    prior: Program = priors.uniform
     simulator: Simulator | None = None
-    likelihood: RadialLikelihood = dataclasses.field(default_factory=RadialLikelihood)
-    planner: str | PlannerConfig = "fast"
+    likelihood: Likelihood = dataclasses.field(default_factory=RadialLikelihood)
+    planner: str | PlannerConfig | None = None
     noise: Noise = "fresh"
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "planner", PlannerConfig.named(self.planner))
         if self.noise not in ("fresh", "fixed"):
             raise unknown_name("noise", self.noise, ("fresh", "fixed"))
-        check_prior(self.prior)
+        if self.simulator is None:
+            object.__setattr__(self, "planner", self._planner_config())
+        elif not callable(self.simulator):
+            raise InvalidSettingError(
+                f"simulator={self.simulator!r}: expected a generator function "
+                "(scene, hypothesis, rng) of frames"
+            )
+        elif self.planner is not None:
+            raise InvalidSettingError(
+                "planner applies to the joint simulator, but the model has a simulator of its own"
+            )
+        if not all(hasattr(self.likelihood, name) for name in ("log_prob", "max_total_error")):
+            raise InvalidSettingError(
+                f"likelihood={self.likelihood!r} lacks log_prob or max_total_error"
+            )
+        self.sites  # noqa: B018  (refuses a prior that cannot work, before anything is simulated)
 
-    def make_simulator(self) -> Simulator:
-        """Return the simulator that this model runs."""
+    @functools.cached_property
+    def sites(self) -> dict[str, tuple[int, ...]]:
+        """Latent sites of the prior with their shapes."""
+        return checked_sites(self.prior)
+
+    def _planner_config(self) -> PlannerConfig:
+        from phase_ppl.agents.config import PlannerConfig
+
+        return PlannerConfig.named(DEFAULT_PLANNER if self.planner is None else self.planner)
+
+    def build_simulator(self) -> Simulator:
+        """Return the simulator, the joint one with the model's planner by default."""
         if self.simulator is not None:
             return self.simulator
-        return JointSimulator(cast(PlannerConfig, self.planner))
+        from phase_ppl.simulator.joint import JointSimulator
 
-    def own_sites(self) -> tuple[str, ...]:
-        """Return the sites of the prior beyond those of a hypothesis."""
-        return tuple(name for name in _sites_of(self.prior) if name not in SITES)
+        return JointSimulator(self._planner_config())
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return what determines this model's results, as plain values."""
-        joint = self.simulator is None
+    def fingerprint(self) -> dict[str, Any]:
+        """Return what distinguishes this model, as plain data for a run's settings.
+
+        Names of prior and simulator with a hash of their source where it can be had, the
+        likelihood, the planner's values and the kind of noise.
+        """
+        own = self.simulator is not None
         return {
-            "prior": _signature(self.prior),
-            "simulator": "joint" if joint else _signature(self.simulator),
-            "planner": cast(PlannerConfig, self.planner).to_dict() if joint else None,
-            "likelihood": self.likelihood.to_dict(),
+            "prior": _name(self.prior),
+            "prior_source": _source_hash(self.prior),
+            "simulator": _name(self.simulator) if own else "joint",
+            "simulator_source": _source_hash(self.simulator) if own else None,
+            "likelihood": repr(self.likelihood),
+            "planner": None if own else self._planner_config().to_dict(),
             "noise": self.noise,
         }
 
 
-def _signature(part: Any) -> dict[str, str]:
-    """Return the name of a function or object, and a hash of its source where there is one."""
-    named = part if inspect.isroutine(part) or inspect.isclass(part) else type(part)
+def _name(thing: Any) -> str:
+    named = thing if hasattr(thing, "__qualname__") else type(thing)
+    return f"{named.__module__}.{named.__qualname__}"
+
+
+def _source_hash(thing: Callable[..., Any] | None) -> str | None:
+    """Return a hash of the source of a function or of an object's class; None without source."""
     try:
-        source = hashlib.sha256(inspect.getsource(named).encode()).hexdigest()[:16]
+        source = inspect.getsource(thing if hasattr(thing, "__qualname__") else type(thing))  # type: ignore[arg-type]
     except (OSError, TypeError):
-        source = ""
-    return {"name": getattr(named, "__qualname__", str(named)), "source": source}
-
-
-def _sites_of(prior: Prior) -> dict[str, dict[str, Any]]:
-    trace = handlers.trace(handlers.seed(prior, jax.random.key(0))).get_trace()
-    return {
-        name: site
-        for name, site in trace.items()
-        if site["type"] == "sample" and not site["is_observed"]
-    }
-
-
-def check_prior(prior: Prior) -> None:
-    """Raise InvalidSettingError if a program cannot be a prior over hypotheses."""
-    if not callable(prior):
-        raise InvalidSettingError(f"prior={prior!r} is not a NumPyro program")
-    try:
-        found = _sites_of(prior)
-    except Exception as error:
-        raise InvalidSettingError(
-            f"the prior cannot be run: {type(error).__name__}: {error}"
-        ) from error
-    limits = {**dict.fromkeys(GOAL_SITES, N_GOALS), "alpha": len(ALPHAS)}
-    for name in SITES:
-        if name not in found:
-            raise InvalidSettingError(
-                f"the prior has no site {name!r}; sample it, or call a default statement of "
-                "phase_ppl.sites"
-            )
-        site = found[name]
-        value = np.asarray(site["value"])
-        if value.shape != ():
-            raise InvalidSettingError(
-                f"site {name!r} of the prior has shape {value.shape}, expected a single value"
-            )
-        if name in limits:
-            n = np.shape(getattr(site["fn"], "probs", ()))[-1:]
-            if not site["fn"].support.is_discrete or n != (limits[name],):
-                raise InvalidSettingError(
-                    f"site {name!r} of the prior must be Categorical over {limits[name]} values, "
-                    f"not {type(site['fn']).__name__}"
-                    + (f" over {n[0]}" if site["fn"].support.is_discrete and n else "")
-                )
-        elif site["fn"].support.is_discrete:
-            raise InvalidSettingError(
-                f"site {name!r} of the prior must have a density over newtons, "
-                f"not be a discrete {type(site['fn']).__name__}"
-            )
+        return None
+    return hashlib.sha256(source.encode()).hexdigest()[:16]

@@ -1,4 +1,4 @@
-"""Priors over hypotheses: NumPyro programs that sample the hypothesis sites."""
+"""Ready-made priors over hypotheses."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from phase_ppl.models import sites
 
 
 def uniform() -> None:
-    """Sample a hypothesis from the paper's prior: uniform goals, alpha and strengths."""
+    """The paper's prior: goals alike, at most one agent with a social goal, strengths alike."""
     sites.goals()
     sites.alpha()
     sites.strengths()

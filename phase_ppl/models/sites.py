@@ -1,14 +1,11 @@
-"""The hypothesis sites and their default statements, for use inside a prior of one's own.
+"""The sites of a hypothesis, and default statements to use inside a prior of one's own.
 
-============== ======================== =====================================================
-site           support                  meaning
-============== ======================== =====================================================
-goal_red       0..35                    stated goal of the red agent, index into ``GOALS``
-goal_green     0..35                    stated goal of the green agent
-alpha          0..4                     index into ``ALPHAS``: who helps or hinders whom
-strength_red   150..600                 maximum force of the red agent, newtons
-strength_green 150..600                 maximum force of the green agent, newtons
-============== ======================== =====================================================
+A prior is a NumPyro program that samples all five sites; it may sample further ones::
+
+    def helpers_common():
+        numpyro.sample("alpha", dist.Categorical(probs=jnp.array([.2, .3, .3, .1, .1])))
+        phase_ppl.sites.goals()
+        phase_ppl.sites.strengths()
 """
 
 from __future__ import annotations
@@ -22,47 +19,48 @@ import numpyro
 import numpyro.distributions as dist
 
 from phase_ppl.world.goals import N_GOALS, is_self_referring
-from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_RANGE
-from phase_ppl.world.names import GREEN, RED
+from phase_ppl.world.hypothesis import STRENGTH_RANGE
+from phase_ppl.world.names import AGENTS
 
 GOAL_SITES: Final = ("goal_red", "goal_green")
+"""Stated goals: indices into ``GOALS``."""
+
+ALPHA_SITE: Final = "alpha"
+"""Index into ``ALPHAS``."""
+
 STRENGTH_SITES: Final = ("strength_red", "strength_green")
-SITES: Final = (*GOAL_SITES, "alpha", *STRENGTH_SITES)
+"""Maximum forces, newtons."""
+
+HYPOTHESIS_SITES: Final = (*GOAL_SITES, ALPHA_SITE, *STRENGTH_SITES)
 
 ALPHA_PROBABILITIES: Final = (1 / 3, 1 / 6, 1 / 6, 1 / 6, 1 / 6)
-"""The paper's: u uniform on {-1, 0, 1}; if u is not 0, either agent gets it (Appendix 4B)."""
+"""The paper's (Appendix 4B): u from {-1, 0, 1}; if not 0, one agent by chance has it."""
 
-_POSSIBLE: Final = np.array(
-    [[not is_self_referring(goal, agent) for goal in range(N_GOALS)] for agent in (RED, GREEN)]
+SELF_REFERRING: Final = np.array(
+    [[is_self_referring(g, holder) for g in range(N_GOALS)] for holder in range(len(AGENTS))]
 )
+"""(holder, goal): goals that name their own holder and have no prior mass."""
 
-GOAL_LOGITS: Final = np.where(_POSSIBLE, 0.0, -np.inf).astype(np.float32)
-"""(agent, goal): uniform, but for the goal that names its own holder."""
+IMPOSSIBLE: Final = -1e30
+"""Logit of what has no mass; finite, so that NumPyro's argument checks let it pass."""
 
 
 def goals() -> tuple[jax.Array, jax.Array]:
-    """Sample ``goal_red`` and ``goal_green``, uniform over the 35 goals each agent can have."""
+    """Sample ``goal_red`` and ``goal_green``: all 35 that do not name their holder alike."""
+    logits = np.where(SELF_REFERRING, IMPOSSIBLE, 0.0)
     red, green = (
-        numpyro.sample(
-            name,
-            # NumPyro's check allows no -inf
-            dist.Categorical(logits=jnp.asarray(GOAL_LOGITS[agent]), validate_args=False),
-        )
-        for agent, name in enumerate(GOAL_SITES)
+        numpyro.sample(name, dist.Categorical(logits=jnp.asarray(row)))
+        for name, row in zip(GOAL_SITES, logits, strict=True)
     )
     return red, green
 
 
 def alpha() -> jax.Array:
-    """Sample ``alpha`` with the paper's probabilities."""
-    assert len(ALPHA_PROBABILITIES) == len(ALPHAS)
-    return numpyro.sample("alpha", dist.Categorical(probs=jnp.array(ALPHA_PROBABILITIES)))
+    """Sample ``alpha``: 1/3 for (0, 0), 1/6 for each of the others."""
+    return numpyro.sample(ALPHA_SITE, dist.Categorical(probs=jnp.array(ALPHA_PROBABILITIES)))
 
 
 def strengths() -> tuple[jax.Array, jax.Array]:
-    """Sample ``strength_red`` and ``strength_green``, uniform over 150..600 N."""
-    red, green = (
-        numpyro.sample(name, dist.Uniform(*(float(v) for v in STRENGTH_RANGE)))
-        for name in STRENGTH_SITES
-    )
+    """Sample ``strength_red`` and ``strength_green``: uniform on [150, 600] newtons."""
+    red, green = (numpyro.sample(name, dist.Uniform(*STRENGTH_RANGE)) for name in STRENGTH_SITES)
     return red, green

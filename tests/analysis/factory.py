@@ -172,6 +172,7 @@ def _simulation_table(
         "chain": column([s.chain for s in simulations], np.int64),
         "iteration": column([s.iteration for s in simulations], np.int64),
         "log_prior": column([s.log_prior for s in simulations], np.float64),
+        "log_prior_effective": column([s.log_prior for s in simulations], np.float64),
         "log_likelihood": column([s.log_likelihood for s in simulations], np.float64),
         "total_error": column([-20 * s.log_likelihood for s in simulations], np.float64),
         "completed": column([s.completed for s in simulations], np.bool_),

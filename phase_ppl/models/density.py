@@ -1,0 +1,58 @@
+"""Drawing from a NumPyro program and evaluating its density, inside compiled code."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, Final
+
+import jax
+import jax.numpy as jnp
+from numpyro import handlers
+
+Program = Callable[..., Any]
+"""A NumPyro program."""
+
+Sites = Mapping[str, jax.Array]
+"""Latent site -> value."""
+
+NO_DENSITY: Final = -1e20
+"""Log densities below this count as zero mass."""
+
+
+def latent_sites(trace: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the sites of a trace that a program samples without observing them."""
+    return {
+        name: site
+        for name, site in trace.items()
+        if site["type"] == "sample" and not site["is_observed"]
+    }
+
+
+def draw(program: Program, key: jax.Array, *args: Any) -> dict[str, jax.Array]:
+    """Return values of all latent sites of ``program(*args)``."""
+    trace = handlers.trace(handlers.seed(program, key)).get_trace(*args)
+    return {name: site["value"] for name, site in latent_sites(trace).items()}
+
+
+def log_density(program: Program, sites: Sites, *args: Any) -> jax.Array:
+    """Return the log density of ``program(*args)`` at ``sites``, -inf outside its support.
+
+    NumPyro's own ``log_density`` does not look at the support: there, a uniform distribution
+    has the same density everywhere.
+    """
+    trace = handlers.trace(handlers.substitute(program, data=dict(sites))).get_trace(*args)
+    return trace_log_density(trace)
+
+
+def trace_log_density(trace: Mapping[str, Any]) -> jax.Array:
+    """Return the log density of a trace, latent and observed sites, -inf outside the support."""
+    total = jnp.zeros(())
+    for site in trace.values():
+        if site["type"] != "sample":
+            continue
+        value = site["value"]
+        part = jnp.sum(site["fn"].log_prob(value))
+        if not site["is_observed"]:
+            part = jnp.where(jnp.all(site["fn"].support(value)), part, -jnp.inf)
+        total = total + part
+    return total

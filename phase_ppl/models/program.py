@@ -1,0 +1,119 @@
+"""A model of one event as NumPyro programs: prior, likelihood, and both together."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+from typing import Final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import numpyro
+from jax import random
+from numpy.typing import NDArray
+from numpyro import handlers
+
+from phase_ppl.models.bridge import SimulatorBridge
+from phase_ppl.models.density import (
+    Sites,
+    draw,
+    latent_sites,
+    log_density,
+    trace_log_density,
+)
+from phase_ppl.models.model import Model
+from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, STRENGTH_SITES
+from phase_ppl.world.goals import N_GOALS, effective_goals
+from phase_ppl.world.hypothesis import ALPHAS
+from phase_ppl.world.observation import Observation
+from phase_ppl.world.scene import Scene
+
+MAX_SEED: Final = 2**31 - 1
+"""Simulator seeds lie below this."""
+
+
+class EventProgram:
+    """The model of one event, bound to whatever runs its simulations.
+
+    Called, it is a NumPyro program ``program(seed, error_ceiling=inf)``: it samples the prior,
+    simulates, and weighs by the likelihood of the observed trajectory. Kernels that must know
+    the prior density before a simulation is paid for use its parts.
+
+    Args:
+        model: prior, likelihood, noise.
+        bridge: gives the per-frame errors of a hypothesis against the event's observation.
+        n_frames: length T of the observation.
+        salt: stands for the event where ``noise="fixed"``; see :func:`event_salt`.
+    """
+
+    def __init__(
+        self, model: Model, bridge: SimulatorBridge, n_frames: int, salt: int = 0
+    ) -> None:
+        self.model = model
+        self.bridge = bridge
+        self.n_frames = n_frames
+        self._salt = salt
+
+    def __call__(self, seed: jax.Array, error_ceiling: jax.Array | float = np.inf) -> None:
+        with handlers.trace() as trace:
+            self.model.prior()
+        sites = {name: site["value"] for name, site in latent_sites(trace).items()}
+        errors = self.simulate(sites, trace_log_density(trace), seed, error_ceiling)
+        numpyro.deterministic("step_error", errors)
+        numpyro.factor("trajectory", self.model.likelihood.log_prob(errors).sum())
+
+    def draw_prior(self, key: jax.Array) -> dict[str, jax.Array]:
+        """Return a hypothesis, with any further sites, from the prior."""
+        return draw(self.model.prior, key)
+
+    def log_prior(self, sites: Sites) -> jax.Array:
+        """Return the log density of the prior, -inf outside its support."""
+        return log_density(self.model.prior, sites)
+
+    def log_likelihood(self, step_error: jax.Array) -> jax.Array:
+        """Return (time,) the log density of each observed frame."""
+        return self.model.likelihood.log_prob(step_error)
+
+    def simulate(
+        self,
+        sites: Sites,
+        log_prior: jax.Array,
+        seed: jax.Array,
+        error_ceiling: jax.Array | float = np.inf,
+    ) -> jax.Array:
+        """Return (time,) the errors of a simulation; see :class:`SimulatorBridge`."""
+        return self.bridge(sites, log_prior, seed, error_ceiling)
+
+    def simulator_seed(self, key: jax.Array, sites: Sites) -> jax.Array:
+        """Return the seed, int32, with which a proposed hypothesis is simulated.
+
+        Drawn with ``key``; or, with fixed noise, a function of the event and of what the
+        simulator is told: effective goals and strengths.
+        """
+        if self.model.noise == "fixed":
+            codes = [sites[name] for name in (*GOAL_SITES, ALPHA_SITE)]
+            pair = jnp.asarray(_effective_pairs())[tuple(codes)]
+            key = random.fold_in(random.key(self._salt), pair)
+            for name in STRENGTH_SITES:
+                strength = jnp.asarray(sites[name], jnp.float32)
+                key = random.fold_in(key, strength.view(jnp.uint32))
+        return random.randint(key, (), 0, MAX_SEED, jnp.int32)
+
+
+@functools.cache
+def _effective_pairs() -> NDArray[np.uint32]:
+    """Return (goal_red, goal_green, alpha) -> a number for the pair of effective goals."""
+    pairs = np.empty((N_GOALS, N_GOALS, len(ALPHAS)), np.uint32)
+    for red, green, alpha in np.ndindex(pairs.shape):
+        goals = effective_goals(red, green, ALPHAS[alpha])
+        pairs[red, green, alpha] = goals[0] * N_GOALS + goals[1]
+    return pairs
+
+
+def event_salt(scene: Scene, observation: Observation) -> int:
+    """Return a number below 2**31 that stands for what is seen of an event."""
+    digest = hashlib.sha256(scene.turning.encode())
+    for array in (scene.start, scene.radius, scene.walls, observation.trajectory):
+        digest.update(np.ascontiguousarray(array, np.float64).tobytes())
+    return int.from_bytes(digest.digest()[:4], "big") >> 1
