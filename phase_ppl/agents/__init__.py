@@ -1,1 +1,1 @@
-
+"""Agents: vision, beliefs, predicates, subgoal planner, action planner."""

@@ -45,7 +45,7 @@ class Tree(NamedTuple):
     Attributes:
         child: (nodes, actions) node reached by each action column, or NO_NODE.
         visits: (nodes,); total: (nodes,) sum of returns.
-        count: (1,) nodes in use.
+        used: (1,) number of nodes in use.
         spare_child, spare_visits, spare_total: room for moving a subtree to the root.
         path, rewards: (nodes,) scratch of one simulation.
         particle, particle_held, particle_weld: scratch state of one simulation.
@@ -55,7 +55,7 @@ class Tree(NamedTuple):
     child: NDArray[np.int32]
     visits: NDArray[np.int32]
     total: FloatArray
-    count: IntArray
+    used: IntArray
     spare_child: NDArray[np.int32]
     spare_visits: NDArray[np.int32]
     spare_total: FloatArray
@@ -99,7 +99,7 @@ def _childless(tree: Tree, node: int) -> None:
 @bare_kernel
 def clear(tree: Tree) -> None:
     """Forget everything."""
-    tree.count[0] = 1
+    tree.used[0] = 1
     tree.visits[0] = 0
     tree.total[0] = 0.0
     _childless(tree, 0)
@@ -139,7 +139,7 @@ def keep_subtree(tree: Tree, column: int) -> None:
         tree.total[node] = tree.spare_total[node]
         for a in range(n_actions):
             tree.child[node, a] = tree.spare_child[node, a]
-    tree.count[0] = count
+    tree.used[0] = count
 
 
 @bare_kernel
@@ -291,8 +291,8 @@ def run(
             tree.rewards[depth] = reward(state, state_held, subgoal, action, params, ground)
             child = tree.child[node, column]
             if child < 0:
-                child = tree.count[0]
-                tree.count[0] += 1
+                child = tree.used[0]
+                tree.used[0] += 1
                 tree.child[node, column] = child
                 _childless(tree, child)
                 tree.visits[child] = 0

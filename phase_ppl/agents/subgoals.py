@@ -249,8 +249,9 @@ class SubgoalPlanner:
         return Literal(Predicate.CLOSE, item, way[1]) if way else self.own
 
     def _refuge(self, item_room: int, rival: int) -> int | None:
-        """Return the best room to take an item to: closed to the rival, or else farthest from it
-        among the rooms nearer to the item than to the rival.
+        """Return the best room to take an item to, if there is one.
+
+        Closed to the rival, or else farthest from it among those nearer to the item than to it.
         """
         ability = self.abilities
         best: tuple[float, int] | None = None

@@ -1,1 +1,1 @@
-
+"""Bottom-up proposals, kernels, their registry, and infer()."""

@@ -1,136 +1,110 @@
-"""Bottom-up proposals Q(h | S^{t1:t2}) from the observed trajectory (paper, Appendix 4B).
+"""What a window of the observation says about goals and strengths (paper, Appendix 4B).
 
-Everything that depends on the video is computed once, in NumPy, as tables over the local
-intervals; the guide is a NumPyro program that looks them up. The last row of each table is for
-the whole video and serves the initial particles.
+Computed once per event, in NumPy. A goal is proposed for a window from t1 to t2 in proportion to
+exp(-gamma (2 d(t2) - d(t1)) / 28.28): it is likely if it is nearly achieved at the end (d(t2)
+small) or has come closer (d(t1) - d(t2) large). The paper prints the opposite sign, which its
+text contradicts; ``sign="printed"`` keeps it.
+
+d is the distance of the goal's own entity: of the item for a goal about an item, of the named
+agent for a goal about an agent at a landmark, between the agents for "get to". For a goal to be
+*away* it is the distance to the set of places that are away: max(0, R - distance), with R the
+diagonal of the arena. A smaller R leaves many goals at distance 0 that nobody works for. On the
+50 development videos, the true pair of effective goals is among 105 proposals in 79 % of the
+videos with the diagonal, in 67 % with R = 10.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from typing import Final
+from typing import Final, Literal
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-import numpyro
-import numpyro.distributions as dist
 from numpy.typing import NDArray
 
-from phase_ppl.agents.ground import DISTANCE_UNIT
-from phase_ppl.inference.settings import SimpleSettings
-from phase_ppl.inference.strength import VALIDATION_SD, estimate, strength_levels_hit
-from phase_ppl.models.sites import ALPHA_PROBABILITIES, GOAL_LOGITS, GOAL_SITES, STRENGTH_SITES
+from phase_ppl.inference.strength import driving_hits, estimated_strength
+from phase_ppl.models.sites import IMPOSSIBLE, SELF_REFERRING
 from phase_ppl.world.goals import N_GOALS, goal_literal
-from phase_ppl.world.hypothesis import STRENGTH_RANGE
 from phase_ppl.world.literals import Predicate
 from phase_ppl.world.names import AGENTS
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 
 FloatArray = NDArray[np.float64]
+Sign = Literal["intended", "printed"]
 
-_WIDE: Final = 1e4
-"""A normal this wide is flat over the strengths' support, newtons."""
+SIGNS: Final = ("intended", "printed")
+
+
+def window_length(n_frames: int, window: int) -> int:
+    """Return Delta T, the steps from the first to the last frame of a window."""
+    return min(window, n_frames - 1)
+
+
+def window_count(n_frames: int, window: int) -> int:
+    """Return the number of windows; window k holds the frames k, ..., k + Delta T."""
+    return n_frames - window_length(n_frames, window)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Proposals:
-    """Tables of the proposal distribution; W local intervals, then the whole video.
+class BottomUpTables:
+    """What each window says; the last entry is about the whole observation.
 
     Attributes:
-        starts: (W + 1,) first frame of each interval; length: frames in a local interval.
-        goal_logits: (W + 1, agent, goal).
-        strength_mean, strength_sd: (W + 1, agent) newtons.
-        eta: scaling factor of the interval draw; prior_share: of proposals from the prior.
+        goal_logits: (window + 1, agent, goal) unnormalised log probabilities.
+        strength: (window + 1, agent) estimate, newtons; NaN where there is no free driving.
     """
 
-    starts: NDArray[np.int32]
-    length: int
-    goal_logits: NDArray[np.float32]
-    strength_mean: NDArray[np.float32]
-    strength_sd: NDArray[np.float32]
-    eta: float
-    prior_share: float
-
-    @property
-    def n_windows(self) -> int:
-        """W, the number of local intervals."""
-        return len(self.starts) - 1
-
-    def guide(self, window: jax.Array) -> None:
-        """Sample a hypothesis from the interval's data alone: a NumPyro program."""
-        logits = jnp.asarray(self.goal_logits)[window]
-        mean = jnp.asarray(self.strength_mean)[window]
-        sd = jnp.asarray(self.strength_sd)[window]
-        for agent, name in enumerate(GOAL_SITES):
-            numpyro.sample(name, dist.Categorical(logits=logits[agent], validate_args=False))
-        numpyro.sample("alpha", dist.Categorical(probs=jnp.array(ALPHA_PROBABILITIES)))
-        low, high = STRENGTH_RANGE
-        for agent, name in enumerate(STRENGTH_SITES):
-            numpyro.sample(name, dist.TruncatedNormal(mean[agent], sd[agent], low=low, high=high))
-
-    def window_log_weights(self, errors: jax.Array) -> jax.Array:
-        """Return (W,) log probabilities of the intervals, proportional to exp(eta sum of errors).
-
-        Args:
-            errors: (time,) of the current simulation; where it is not finite, intervals are
-                equally likely.
-        """
-        finite = jnp.isfinite(errors).all()
-        sums = jnp.concatenate([jnp.zeros(1), jnp.cumsum(jnp.where(finite, errors, 0.0))])
-        starts = jnp.asarray(self.starts[:-1])
-        return jax.nn.log_softmax(self.eta * (sums[starts + self.length + 1] - sums[starts]))
+    goal_logits: FloatArray
+    strength: FloatArray
 
 
-def goal_distances(scene: Scene, observation: Observation, away_radius: float) -> FloatArray:
-    """Return how far each goal is from being true, per frame.
+def bottom_up_tables(
+    scene: Scene,
+    observation: Observation,
+    *,
+    window: int = 10,
+    gamma: float = 10.0,
+    sign: Sign = "intended",
+) -> BottomUpTables:
+    """Return the tables of an event.
 
-    The distance is that of the goal's own entity: the item, the named agent, or between agents.
-    For "away" goals it is the distance to the set of places that count as away.
-
-    Returns:
-        (time, agent, goal) in units of the arena's diagonal.
+    Args:
+        scene, observation: what was seen.
+        window: Delta T, steps; shorter where the observation is.
+        gamma: weight of the distances.
+        sign: "intended", or "printed" as in the paper.
     """
-    x = observation.positions
-    radius = away_radius * (scene.arena[1] - scene.arena[0]) / 2
-    distances = np.zeros((observation.n_frames, len(AGENTS), N_GOALS))
-    for agent in range(len(AGENTS)):
+    n_frames = observation.n_frames
+    length = window_length(n_frames, window)
+    starts = np.arange(window_count(n_frames, window))
+    first, last = np.append(starts, 0), np.append(starts + length, n_frames - 1)
+    distance = goal_distances(scene, observation)
+    x0, x1, y0, y1 = scene.arena
+    unit = float(np.hypot(x1 - x0, y1 - y0))
+    closeness = gamma * (2 * distance[last] - distance[first]) / unit
+    logits = closeness if sign == "printed" else -closeness
+    hits = driving_hits(observation.trajectory, scene.radius)
+    return BottomUpTables(
+        goal_logits=np.where(SELF_REFERRING, IMPOSSIBLE, logits),
+        strength=np.stack([estimated_strength(hits, a, b) for a, b in zip(first, last, strict=True)]),
+    )
+
+
+def goal_distances(scene: Scene, observation: Observation) -> FloatArray:
+    """Return (time, agent, goal) how far each goal is from being achieved, units."""
+    position = observation.positions
+    x0, x1, y0, y1 = scene.arena
+    farthest = float(np.hypot(x1 - x0, y1 - y0))
+    distance = np.empty((len(position), len(AGENTS), N_GOALS))
+    for holder in range(len(AGENTS)):
         for goal in range(N_GOALS):
-            literal = goal_literal(goal, agent)
+            literal = goal_literal(goal, holder)
             if literal.predicate is Predicate.ON:
                 target = scene.landmark_centres[literal.target]
             else:
-                target = x[:, literal.target]
-            d = np.linalg.norm(x[:, literal.subject] - target, axis=-1)
-            distances[:, agent, goal] = d if literal.positive else np.maximum(0.0, radius - d)
-    return distances / DISTANCE_UNIT
-
-
-def bottom_up(scene: Scene, observation: Observation, settings: SimpleSettings) -> Proposals:
-    """Return the proposal tables of one observed event.
-
-    Q(g | S) ∝ exp(-gamma (2 d(t2) - d(t1))): achievement at the end of the interval, or progress
-    during it, makes a goal likely. Strengths: normal around the analytic estimate, truncated to
-    the support; the prior's width where the interval shows no free motion.
-    """
-    n_frames = observation.n_frames
-    length = min(settings.window, n_frames - 1)
-    starts = np.arange(n_frames - length)
-    ends = starts + length
-    starts, ends = np.append(starts, 0), np.append(ends, n_frames - 1)
-    distance = goal_distances(scene, observation, settings.away_radius)
-    sign = -1.0 if settings.sign == "intended" else 1.0
-    logits = sign * settings.gamma * (2 * distance[ends] - distance[starts]) + GOAL_LOGITS
-    levels = strength_levels_hit(scene, observation)
-    shown = np.array([estimate(levels[a : b + 1]) for a, b in zip(starts, ends, strict=True)])
-    known = np.isfinite(shown)
-    return Proposals(
-        starts=starts.astype(np.int32),
-        length=length,
-        goal_logits=logits.astype(np.float32),
-        strength_mean=np.where(known, shown, np.mean(STRENGTH_RANGE)).astype(np.float32),
-        strength_sd=np.where(known, VALIDATION_SD, _WIDE).astype(np.float32),
-        eta=settings.eta,
-        prior_share=settings.prior_share,
-    )
+                target = position[:, literal.target]
+            apart = np.linalg.norm(position[:, literal.subject] - target, axis=-1)
+            distance[:, holder, goal] = (
+                apart if literal.positive else np.maximum(0.0, farthest - apart)
+            )
+    return distance

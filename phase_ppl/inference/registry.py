@@ -1,8 +1,11 @@
-"""The registry of kernels.
+"""Kernels by name: ours, a file each in ``phase_ppl.inference.kernels``, and other people's.
 
-A kernel is a factory: called with a :class:`~phase_ppl.inference.program.Program` it returns a
-NumPyro ``MCMCKernel``. Other packages register theirs in the entry-point group
-``phase_ppl.kernels``; the entry point is loaded, and its import registers the kernel.
+Another package registers its kernel under the entry point group ``phase_ppl.kernels``::
+
+    [project.entry-points."phase_ppl.kernels"]
+    my_kernel = "my_package.my_kernel:my_kernel"
+
+where ``my_kernel`` is a function decorated with :func:`register_kernel`.
 """
 
 from __future__ import annotations
@@ -11,116 +14,148 @@ import dataclasses
 import functools
 import importlib
 import importlib.metadata
-from collections.abc import Callable
-from typing import Any, Final, Literal, TypeVar
+import inspect
+import pkgutil
+import warnings
+from collections.abc import Callable, Sequence
+from typing import Any, Final, Literal
 
+from numpyro.infer.mcmc import MCMCKernel
+
+from phase_ppl.models.program import EventProgram
 from phase_ppl.world.errors import InvalidSettingError, unknown_name
 
 Validity = Literal["exact", "consistent", "approximate"]
+
 VALIDITIES: Final = ("exact", "consistent", "approximate")
-CHAIN_METHODS: Final = ("vectorized", "sequential", "parallel")
 ENTRY_POINTS: Final = "phase_ppl.kernels"
 
-Factory = Callable[..., Any]
-AnyFactory = TypeVar("AnyFactory", bound=Factory)
+NEEDS: Final = ("guide", "settings")
+"""What a factory can ask for beside the program: the bottom-up proposal program
+``guide(window)`` and the :class:`~phase_ppl.inference.settings.SimpleSettings`."""
+
+CHAIN_METHODS: Final = ("vectorized", "sequential", "parallel")
+
+Factory = Callable[..., MCMCKernel]
+"""``factory(program, **needs, **options)`` returns a NumPyro kernel."""
 
 
 @dataclasses.dataclass(frozen=True)
 class KernelInfo:
-    """What the runner must know about a kernel before a simulation is paid for.
+    """What is known of a kernel without running it.
 
     Attributes:
         name: as users call it.
-        factory: makes the kernel from a program and options.
-        validity: "exact": the posterior is stationary; "consistent": approached as particles
-            grow; "approximate": neither.
-        sims_per_step: simulations per chain and iteration.
-        chain_methods: of NumPyro's that it supports.
-        needs: properties that the program must have.
+        factory: makes the kernel from an :class:`~phase_ppl.models.program.EventProgram`.
+        validity: "exact": its stationary law is the posterior; "consistent": it approaches the
+            posterior as particles grow; "approximate": neither.
+        sims_per_step: simulations per particle and step.
+        chain_methods: NumPyro's ``chain_method`` values it works with.
+        needs: keyword arguments that the factory asks for, of :data:`NEEDS`.
+        summary: first line of the factory's documentation.
     """
 
     name: str
     factory: Factory
     validity: Validity
-    sims_per_step: float
+    sims_per_step: int
     chain_methods: tuple[str, ...]
     needs: tuple[str, ...]
+    summary: str
 
 
-_KERNELS: dict[str, KernelInfo] = {}
+_KERNELS: Final[dict[str, KernelInfo]] = {}
 
 
 def register_kernel(
     name: str,
     *,
     validity: Validity,
-    sims_per_step: float = 1,
-    chain_methods: tuple[str, ...] = ("vectorized",),
-    needs: tuple[str, ...] = (),
-) -> Callable[[AnyFactory], AnyFactory]:
-    """Return a decorator that registers a kernel class or factory under ``name``.
+    sims_per_step: int = 1,
+    chain_methods: Sequence[str] = ("vectorized", "sequential"),
+    needs: Sequence[str] = (),
+) -> Callable[[Factory], Factory]:
+    """Return a decorator that makes a kernel factory known under ``name``.
+
+    Arguments as the attributes of :class:`KernelInfo`.
 
     Raises:
-        UnknownNameError: ``validity`` or a chain method is none of the allowed ones.
-        InvalidSettingError: another kernel has this name.
+        InvalidSettingError: the name is taken by another factory, or a value is not allowed.
     """
     if validity not in VALIDITIES:
-        raise unknown_name("validity", validity, VALIDITIES)
-    for method in chain_methods:
-        if method not in CHAIN_METHODS:
-            raise unknown_name("chain method", method, CHAIN_METHODS)
+        raise InvalidSettingError(f"validity={validity!r} is none of {VALIDITIES}")
+    if isinstance(sims_per_step, bool) or not isinstance(sims_per_step, int) or sims_per_step < 1:
+        raise InvalidSettingError(f"sims_per_step={sims_per_step!r}, expected a number >= 1")
+    for given, allowed in ((chain_methods, CHAIN_METHODS), (needs, NEEDS)):
+        for entry in given:
+            if entry not in allowed:
+                raise InvalidSettingError(f"kernel {name!r}: {entry!r} is none of {allowed}")
 
-    def register(factory: AnyFactory) -> AnyFactory:
+    def register(factory: Factory) -> Factory:
         known = _KERNELS.get(name)
-        same = known is not None and _path(known.factory) == _path(factory)
-        if known is not None and not same:
-            raise InvalidSettingError(f"there is already a kernel named {name!r}")
+        if known is not None and _origin(known.factory) != _origin(factory):
+            raise InvalidSettingError(f"a kernel named {name!r} exists: {_origin(known.factory)}")
+        summary = (inspect.getdoc(factory) or "").split("\n")[0]
         _KERNELS[name] = KernelInfo(
-            name, factory, validity, sims_per_step, tuple(chain_methods), tuple(needs)
+            name, factory, validity, sims_per_step, tuple(chain_methods), tuple(needs), summary
         )
         return factory
 
     return register
 
 
-def _path(factory: Factory) -> tuple[str, str]:
-    return factory.__module__, getattr(factory, "__qualname__", "")
+def _origin(factory: Factory) -> str:
+    return f"{factory.__module__}.{getattr(factory, '__qualname__', factory)}"
 
 
 @functools.cache
 def _load_all() -> None:
-    importlib.import_module("phase_ppl.inference.kernels")
+    """Import every kernel file of ours, then those of other packages."""
+    package = importlib.import_module("phase_ppl.inference.kernels")
+    for module in pkgutil.iter_modules(package.__path__):
+        importlib.import_module(f"{package.__name__}.{module.name}")
     for entry in importlib.metadata.entry_points(group=ENTRY_POINTS):
-        entry.load()
+        try:
+            entry.load()
+        except Exception as error:  # somebody else's package must not break ours
+            warnings.warn(f"kernel {entry.name!r} cannot be loaded: {error}", stacklevel=2)
 
 
-def available_kernels() -> tuple[str, ...]:
-    """Return the names of all registered kernels."""
+def available_kernels() -> list[str]:
+    """Return the names of all kernels, sorted."""
     _load_all()
-    return tuple(sorted(_KERNELS))
+    return sorted(_KERNELS)
 
 
 def kernel_info(name: str) -> KernelInfo:
-    """Return what is registered under ``name``.
+    """Return what is known of a kernel.
 
     Raises:
-        UnknownNameError: no kernel has this name.
+        UnknownNameError: there is no such kernel; the message names close matches.
     """
-    _load_all()
-    if name not in _KERNELS:
+    if name not in available_kernels():
         raise unknown_name("kernel", name, available_kernels())
     return _KERNELS[name]
 
 
-def make_kernel(name: str, program: Any, **options: Any) -> Any:
-    """Return the kernel ``name`` for a program.
+def make_kernel(name: str, program: EventProgram, **options: Any) -> MCMCKernel:
+    """Return a kernel for the model of an event.
+
+    Args:
+        name: of the kernel.
+        program: the model of the event.
+        **options: what the kernel needs (:class:`KernelInfo`), and its own options.
 
     Raises:
-        UnknownNameError: no kernel has this name.
-        InvalidSettingError: it has no such option.
+        UnknownNameError: there is no such kernel.
+        InvalidSettingError: something that it needs is missing, or an option it does not have.
     """
     info = kernel_info(name)
+    missing = [need for need in info.needs if need not in options]
+    if missing:
+        raise InvalidSettingError(f"kernel {name!r} needs {', '.join(missing)}")
     try:
-        return info.factory(program, **options)
+        inspect.signature(info.factory).bind(program, **options)
     except TypeError as error:
-        raise InvalidSettingError(f"kernel {name!r}: {error}") from error
+        raise InvalidSettingError(f"kernel {name!r}: {error}") from None
+    return info.factory(program, **options)

@@ -1,48 +1,108 @@
-"""Settings of SIMPLE."""
+"""Settings of SIMPLE and the size of a run."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any, Literal
+from typing import Final, Literal
 
-from phase_ppl.world.errors import InvalidSettingError, unknown_name
+from phase_ppl.inference.proposals import SIGNS, Sign
+from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
+
+Rule = Literal["exact", "paper"]
+
+RULES: Final = ("exact", "paper")
 
 
 @dataclasses.dataclass(frozen=True)
 class SimpleSettings:
-    """Settings of SIMPLE's proposals and intervals; the defaults are the paper's (Appendix 4B).
+    """Settings of SIMPLE; the numbers are the paper's (Appendix 4).
 
     Attributes:
-        eta: scaling factor of the interval draw.
-        gamma: weight of distances in the goal proposal.
-        window: length Delta T of a local interval, frames.
-        prior_share: share of proposals drawn from the prior, so that every hypothesis can be
-            reached (the paper's proposals have none).
-        sign: "intended": near goals and progress are likely (the text); "printed": the formula
-            as printed, which favours far goals.
-        away_radius: an "away" goal counts as reached at this distance, in units of the arena's
-            half width.
+        eta: weight of the errors in the choice of a window, 1 / units.
+        gamma: weight of the distances in the proposal of goals.
+        window: Delta T, steps; shorter where the observation is.
+        beta: replaces that of the model's radial likelihood, 1 / units; None: keep the model's,
+            by default the paper's 0.05.
+        prior_share: weight of the prior in the proposal.
+        sign: "intended": goals that are close are proposed; "printed": as the paper's formula.
+        rule: "exact": Hastings' ratio; "paper": the ratio as printed, which inverts the proposal,
+            leaves out prior and window, and is biased.
+        early_reject: stop a simulation once it cannot be accepted any more; the chains are the
+            same with and without.
+
+    Raises:
+        InvalidSettingError: a value is out of range.
+        UnknownNameError: an unknown sign or rule.
     """
 
     eta: float = 0.1
     gamma: float = 10.0
     window: int = 10
+    beta: float | None = None
     prior_share: float = 0.1
-    sign: Literal["intended", "printed"] = "intended"
-    away_radius: float = 1.0
+    sign: Sign = "intended"
+    rule: Rule = "exact"
+    early_reject: bool = True
 
     def __post_init__(self) -> None:
-        for name in ("eta", "gamma", "away_radius"):
+        for name in ("eta", "gamma"):
             value = getattr(self, name)
-            if not (math.isfinite(value) and value >= 0):
-                raise InvalidSettingError(f"{name}={value!r}, expected a number >= 0")
-        if not 0 < self.prior_share <= 1:
-            raise InvalidSettingError(f"prior_share={self.prior_share!r}, expected 0 < share <= 1")
-        if isinstance(self.window, bool) or not isinstance(self.window, int) or self.window < 1:
-            raise InvalidSettingError(f"window={self.window!r}, expected a whole number >= 1")
-        if self.sign not in ("intended", "printed"):
-            raise unknown_name("sign", self.sign, ("intended", "printed"))
+            if not (_is_number(value) and value >= 0):
+                raise InvalidSettingError(f"{name}={shown(value)}, expected a number >= 0")
+        if not (_is_number(self.prior_share) and 0 < self.prior_share < 1):
+            raise InvalidSettingError(
+                f"prior_share={shown(self.prior_share)}, expected a number in (0, 1)"
+            )
+        whole_number("window", self.window)
+        if self.sign not in SIGNS:
+            raise unknown_name("sign", self.sign, SIGNS)
+        if self.rule not in RULES:
+            raise unknown_name("rule", self.rule, RULES)
 
-    def to_dict(self) -> dict[str, Any]:
-        return dataclasses.asdict(self)
+
+def _is_number(value: object) -> bool:
+    return (
+        isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    )
+
+
+def whole_number(name: str, value: object, minimum: int = 1) -> int:
+    """Return ``value`` if it is a whole number of at least ``minimum``.
+
+    Raises:
+        InvalidSettingError: it is not.
+    """
+    if isinstance(value, bool) or not isinstance(value, int) or value < minimum:
+        raise InvalidSettingError(f"{name}={shown(value)}, expected a whole number >= {minimum}")
+    return value
+
+
+@dataclasses.dataclass(frozen=True)
+class Budget:
+    """A cap on the number of simulations, the initial ones included."""
+
+    simulations: int
+
+    def iterations(self, chains: int, sims_per_step: int) -> int:
+        """Return how many iterations of ``chains`` particles the budget allows.
+
+        Raises:
+            InvalidSettingError: not one beside the initial particles.
+        """
+        iterations = (self.simulations - chains) // (chains * sims_per_step)
+        if iterations < 1:
+            raise InvalidSettingError(
+                f"a budget of {self.simulations} simulations is too small: {chains} initial "
+                f"particles and one iteration need {chains * (1 + sims_per_step)}"
+            )
+        return iterations
+
+
+def simulations(n: int) -> Budget:
+    """Return a budget of ``n`` simulations, the initial ones included.
+
+    Raises:
+        InvalidSettingError: ``n`` is no whole number >= 1.
+    """
+    return Budget(whole_number("simulations", n))

@@ -78,7 +78,8 @@ def test_particles_lie_inside_the_arena() -> None:
 
 def test_cells_once_seen_stay_excluded_when_the_agent_looks_away() -> None:
     def looking(angle: float) -> Scene:
-        return scene(red=(16.0, 12.0, angle), green=(7.5, 3.5, 0.0), blue=(9.0, 3.2), pink=(12.0, 3))
+        low = {"green": (7.5, 3.5, 0.0), "blue": (9.0, 3.2), "pink": (12.0, 3.0)}
+        return scene(red=(16.0, 12.0, angle), **low)
 
     agent = agent_in(looking(0.0))
     perceive(agent, looking(0.0))

@@ -164,16 +164,13 @@ class TestHelping:
 
     def test_bring_the_item_to_a_helpee_behind_a_door_too_narrow_for_it(self) -> None:
         # green, too wide for the lower door, has the landmark on its side
-        plan = planner(
-            self.GOAL, self.GOAL, walls=NARROW_DOWN, radius=[0.8, 1.6, 0.8, 0.8]
-        )
+        plan = planner(self.GOAL, self.GOAL, walls=NARROW_DOWN, radius=[0.8, 1.6, 0.8, 0.8])
         rooms = (BOTTOM_LEFT, BOTTOM_RIGHT, BOTTOM_LEFT, TOP_LEFT)
-        assert plan.subgoal(state(rooms, held=(BLUE, NOWHERE)), IN_VIEW) == close(BLUE, BOTTOM_RIGHT)
+        holding = state(rooms, held=(BLUE, NOWHERE))
+        assert plan.subgoal(holding, IN_VIEW) == close(BLUE, BOTTOM_RIGHT)
 
     def test_hand_over_when_the_helper_does_not_fit_through_the_door(self) -> None:
-        plan = planner(
-            self.GOAL, self.GOAL, walls=NARROW_DOWN, radius=[1.6, 0.8, 0.8, 0.8]
-        )
+        plan = planner(self.GOAL, self.GOAL, walls=NARROW_DOWN, radius=[1.6, 0.8, 0.8, 0.8])
         rooms = (BOTTOM_LEFT, BOTTOM_LEFT, BOTTOM_LEFT, TOP_LEFT)
         both = state(rooms, held=(BLUE, BLUE))
         assert plan.subgoal(both, IN_VIEW) == attach(RED, BLUE, positive=False)

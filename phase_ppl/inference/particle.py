@@ -1,0 +1,196 @@
+"""What our kernels share: batches of particles, and stopping simulations early."""
+
+from __future__ import annotations
+
+import copy
+from abc import abstractmethod
+from collections.abc import Callable
+from typing import Any, ClassVar, Final, Generic, Protocol, Self, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax, random
+from numpyro.infer.mcmc import MCMCKernel
+from numpyro.util import is_prng_key
+
+from phase_ppl.models.density import NO_DENSITY, Program, draw
+from phase_ppl.models.program import EventProgram
+from phase_ppl.world.errors import InvalidSettingError
+
+INITIAL_TRIES: Final = 16
+"""Initial hypotheses drawn per particle, of which the first with prior mass is taken."""
+
+_SLACK: Final = 0.01
+_RELATIVE_SLACK: Final = 1e-5
+
+
+class ParticleState(Protocol):
+    """Fields that every state of ours has."""
+
+    @property
+    def rng_key(self) -> jax.Array: ...
+    @property
+    def n_accepted(self) -> jax.Array: ...
+    @property
+    def i(self) -> jax.Array: ...
+
+
+State = TypeVar("State", bound=ParticleState)
+
+
+class ParticleKernel(MCMCKernel, Generic[State]):
+    """Base of kernels that pay one simulation per particle and step.
+
+    Subclasses say how one particle starts and moves; given a batch of keys, all particles do so
+    together and their simulations reach the runner in one call (``chain_method="vectorized"``).
+    States hold constrained values, so nothing is replayed after the run.
+
+    Args:
+        program: the model of an event; None until :meth:`bound_to` is called.
+        guide: proposal program ``guide(window)``, for kernels that need one.
+    """
+
+    sample_field: ClassVar[str] = "z"
+    default_fields: ClassVar[tuple[str, ...]] = ("z",)
+
+    def __init__(self, program: EventProgram | None = None, guide: Program | None = None) -> None:
+        self._program = program
+        self._guide = guide
+        self._sample_fn: Callable[[State], State] | None = None
+
+    def bound_to(self, program: EventProgram, guide: Program | None = None) -> Self:
+        """Return a copy of this kernel, with its options, for another event."""
+        bound = copy.copy(self)
+        ParticleKernel.__init__(bound, program, guide)
+        return bound
+
+    @property
+    def model(self) -> EventProgram:
+        """The model of the event."""
+        if self._program is None:
+            raise InvalidSettingError(f"{type(self).__name__} has no program yet")
+        return self._program
+
+    @property
+    def guide(self) -> Program:
+        """The proposal program."""
+        if self._guide is None:
+            raise InvalidSettingError(f"{type(self).__name__} needs a guide")
+        return self._guide
+
+    def init(
+        self,
+        rng_key: jax.Array,
+        num_warmup: int,
+        init_params: dict[str, jax.Array] | None = None,
+        model_args: tuple[Any, ...] = (),
+        model_kwargs: dict[str, Any] | None = None,
+    ) -> State:
+        """Return the initial state of the particle, or of a batch where ``rng_key`` is one.
+
+        Args:
+            rng_key: a key, or a batch of keys.
+            num_warmup: ignored: nothing is tuned.
+            init_params: hypothesis to start from; None: what the kernel proposes.
+            model_args, model_kwargs: ignored: the program knows its event.
+        """
+        if is_prng_key(rng_key):
+            self._sample_fn = self.step_one
+            return self._init(rng_key, init_params)
+        self._sample_fn = jax.vmap(self.step_one)
+        batched = jax.vmap(self._init, in_axes=(0, None if init_params is None else 0))
+        return jax.jit(batched)(rng_key, init_params)
+
+    def _init(self, key: jax.Array, sites: dict[str, jax.Array] | None) -> State:
+        key, key_sites, key_start = random.split(key, 3)
+        start = self._initial_sites(key_sites) if sites is None else sites
+        return _strongly_typed(self.start_one(key, key_start, start))
+
+    def sample(
+        self,
+        state: State,
+        model_args: tuple[Any, ...] = (),
+        model_kwargs: dict[str, Any] | None = None,
+    ) -> State:
+        """Return the state after one iteration."""
+        if self._sample_fn is None:
+            raise InvalidSettingError("call init before sample")
+        return self._sample_fn(state)
+
+    def get_diagnostics_str(self, state: State) -> str:
+        """Return the share of accepted proposals, for NumPyro's progress bar."""
+        return f"acc. rate={float(jnp.mean(state.n_accepted / jnp.maximum(state.i, 1))):.2f}"
+
+    def _initial_sites(self, key: jax.Array) -> dict[str, jax.Array]:
+        """Return the first of some initial hypotheses that has prior mass.
+
+        A window may suggest what a user's prior excludes; the last try is from the prior itself.
+        """
+        keys = random.split(key, INITIAL_TRIES)
+        tries = jax.vmap(self.propose_initial)(keys[1:])
+        last = self.model.draw_prior(keys[0])
+        tries = {
+            name: jnp.append(values, last[name][None].astype(values.dtype), axis=0)
+            for name, values in tries.items()
+        }
+        possible = jax.vmap(self.model.log_prior)(tries) > NO_DENSITY
+        return {name: values[jnp.argmax(possible)] for name, values in tries.items()}
+
+    @abstractmethod
+    def propose_initial(self, key: jax.Array) -> dict[str, jax.Array]:
+        """Return a hypothesis to start from."""
+
+    @abstractmethod
+    def start_one(
+        self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]
+    ) -> State:
+        """Simulate the initial hypothesis of one particle and return its state.
+
+        Args:
+            key: for the state.
+            key_start: for whatever is random about the start.
+            sites: the hypothesis, with any further sites.
+        """
+
+    @abstractmethod
+    def step_one(self, state: State) -> State:
+        """Return the state of one particle after one iteration."""
+
+    def error_ceiling(self, log_floor: jax.Array) -> jax.Array:
+        """Return the summed error beyond which a proposal cannot be accepted, units.
+
+        Args:
+            log_floor: log likelihood that the proposal must reach. A little is allowed for
+                rounding, so that no simulation is stopped which would have been accepted.
+        """
+        floor = log_floor - _SLACK - _RELATIVE_SLACK * jnp.abs(log_floor)
+        # without a floor, as before a first completed simulation, there is no ceiling either
+        floor = jnp.where(jnp.isfinite(floor), floor, -jnp.inf)
+        return self.model.model.likelihood.max_total_error(floor, self.model.n_frames)
+
+    def draw_guide(self, key: jax.Array, window: jax.Array | int) -> dict[str, jax.Array]:
+        """Return a hypothesis from the guide."""
+        return draw(self.guide, key, jnp.asarray(window))
+
+
+def log_uniform(key: jax.Array) -> jax.Array:
+    """Return the log of a uniform random number, never -inf."""
+    return -random.exponential(key)
+
+
+def chosen(accepted: jax.Array, new: Any, old: Any) -> Any:
+    """Return ``new`` where accepted, else ``old``, for whole trees of arrays."""
+    return jax.tree.map(lambda a, b: jnp.where(accepted, a, b), new, old)
+
+
+def _strongly_typed(state: State) -> State:
+    """Strip weak types, with which the step would be compiled twice."""
+
+    def strip(leaf: jax.Array) -> jax.Array:
+        if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
+            return leaf
+        return lax.convert_element_type(leaf, np.dtype(leaf.dtype))
+
+    stripped: State = jax.tree.map(strip, jax.tree.map(jnp.asarray, state))
+    return stripped
