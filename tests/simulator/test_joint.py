@@ -1,0 +1,125 @@
+"""The joint simulator: agents that want things do them, in a physical world."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+import phase_ppl as ppl
+from phase_ppl.physics.actions import Action
+from phase_ppl.simulator.joint import JointSimulator
+from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.geometry import is_on
+from phase_ppl.world.literals import STOP
+from tests.agents.scenes import FULL_WALL_UP, HALF_WALL_LEFT, scene
+
+QUICK = ppl.PlannerConfig(simulations=150)
+GO = ppl.Hypothesis("Get red agent to red lm", "Get green agent to blue lm")
+CARRY = ppl.Hypothesis("Get blue item to red lm", "Get green agent to green lm")
+
+
+def frames(where: ppl.Scene, hypothesis: ppl.Hypothesis, n: int, seed: int = 0) -> np.ndarray:
+    event = ppl.simulate(where, hypothesis, frames=n, seed=seed, planner=QUICK)
+    return event.observation.trajectory
+
+
+def test_the_first_frame_is_the_start() -> None:
+    where = scene()
+    first = next(JointSimulator(QUICK)(where, GO, np.random.default_rng(0)))
+    np.testing.assert_array_equal(first, where.start)
+
+
+def test_the_same_seed_gives_the_same_event_and_another_seed_another() -> None:
+    first, again, other = (frames(scene(), GO, 12, seed) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
+def test_an_agent_reaches_its_landmark_and_stops_there() -> None:
+    where = scene(red=(23.5, 16.0, math.pi), green=(9.0, 18.0, 0.0))
+    path = frames(where, GO, 40)
+    assert is_on(path[-1, 0, :2], where.landmark_centres[2], where.landmark_half_width)
+    assert np.abs(np.diff(path[-5:, 0, :2], axis=0)).max() < 0.3
+
+
+def test_an_agent_carries_an_item_to_its_landmark() -> None:
+    where = scene(red=(18.0, 8.0, math.pi), blue=(18.0, 5.0), green=(23.5, 19.0, 0.0))
+    path = frames(where, CARRY, 60)
+    assert not is_on(path[0, 2, :2], where.landmark_centres[2], where.landmark_half_width)
+    assert is_on(path[-1, 2, :2], where.landmark_centres[2], where.landmark_half_width)
+
+
+def test_an_agent_finds_an_item_that_it_cannot_see_at_first() -> None:
+    where = scene(
+        red=(14.0, 18.0, 0.0),
+        blue=(8.0, 8.0),
+        pink=(24.0, 10.0),
+        green=(24.0, 20.0, 0.0),
+        walls=[FULL_WALL_UP, HALF_WALL_LEFT],
+    )
+    path = frames(
+        where, ppl.Hypothesis("Get blue item to yellow lm", "Get green agent to green lm"), 80
+    )
+    gap = np.linalg.norm(path[:, 0, :2] - path[:, 2, :2], axis=1)
+    assert gap.min() < 2.5
+
+
+def test_a_chaser_closes_in_on_one_that_stands_still() -> None:
+    where = scene(red=(10.0, 8.0, 0.0), green=(22.0, 16.0, 0.0), blue=(8, 20), pink=(24, 4))
+    chase = ppl.Hypothesis("get to green agent", "Get green agent away from blue lm")
+    path = frames(where, chase, 50)
+    gap = np.linalg.norm(path[:, 0, :2] - path[:, 1, :2], axis=1)
+    assert gap.min() < 4.0 < gap[0]
+
+
+@pytest.mark.parametrize("goals", [("get away from green agent", "get to red agent")])
+def test_frames_stay_finite_and_inside_the_arena(goals: tuple[str, str]) -> None:
+    where = scene(red=(9.0, 8.0, 0.0), green=(12.0, 8.0, 1.0), walls=[FULL_WALL_UP])
+    path = frames(where, ppl.Hypothesis(*goals, strength_red=600.0, strength_green=600.0), 60)
+    assert np.isfinite(path).all()
+    x, y = path[..., 0], path[..., 1]
+    assert ((x > 6) & (x < 26) & (y > 2) & (y < 22)).all()
+
+
+def test_helping_is_acting_on_the_effective_goal() -> None:
+    helped = ppl.Hypothesis("Get pink item to blue lm", "Get blue item to red lm", (1, 0))
+    same = ppl.Hypothesis("Get blue item to red lm", "Get blue item to red lm")
+    np.testing.assert_array_equal(frames(scene(), helped, 10), frames(scene(), same, 10))
+
+
+def test_agents_that_turn_one_way_only_never_turn_the_other_by_themselves() -> None:
+    where = scene(turning="ccw", red=(16.0, 8.0, 1.0), blue=(8, 14), pink=(24, 14))
+    run = JointSimulator(QUICK).steps(where, GO, np.random.default_rng(3))
+    taken = [d.action for _, decisions in itertools.islice(run, 25) for d in decisions]
+    assert Action.TURN_LEFT in taken
+    assert Action.TURN_RIGHT not in taken
+
+
+def test_decisions_say_why() -> None:
+    run = JointSimulator(QUICK).steps(scene(), GO, np.random.default_rng(0))
+    _, nothing = next(run)
+    _, decisions = next(run)
+    assert nothing == ()
+    for decision in decisions:
+        assert 0 < decision.support <= 1
+        assert decision.subgoal != STOP
+        assert decision.visits.sum() > 0
+        assert decision.actions[np.argmax(decision.visits)] == decision.action
+
+
+def test_a_simulated_event_carries_its_truth() -> None:
+    event = ppl.simulate(scene(), GO, frames=3, planner=QUICK)
+    assert event.truth is not None
+    assert (event.truth.goal_red, event.truth.scenario) == (
+        "Get red agent to red lm",
+        "independent",
+    )
+    assert event.observation.n_frames == 3
+
+
+def test_a_single_frame_is_refused() -> None:
+    with pytest.raises(InvalidSettingError, match="frames=1"):
+        ppl.simulate(scene(), GO, frames=1)
