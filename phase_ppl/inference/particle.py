@@ -142,9 +142,7 @@ class ParticleKernel(MCMCKernel, Generic[State]):
         """Return a hypothesis to start from."""
 
     @abstractmethod
-    def start_one(
-        self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]
-    ) -> State:
+    def start_one(self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]) -> State:
         """Simulate the initial hypothesis of one particle and return its state.
 
         Args:

@@ -86,7 +86,9 @@ def bottom_up_tables(
     hits = driving_hits(observation.trajectory, scene.radius)
     return BottomUpTables(
         goal_logits=np.where(SELF_REFERRING, IMPOSSIBLE, logits),
-        strength=np.stack([estimated_strength(hits, a, b) for a, b in zip(first, last, strict=True)]),
+        strength=np.stack(
+            [estimated_strength(hits, a, b) for a, b in zip(first, last, strict=True)]
+        ),
     )
 
 

@@ -6,6 +6,10 @@ Another package registers its kernel under the entry point group ``phase_ppl.ker
     my_kernel = "my_package.my_kernel:my_kernel"
 
 where ``my_kernel`` is a function decorated with :func:`register_kernel`.
+
+A kernel is an ``MCMCKernel`` of NumPyro. Its state has the fields ``z`` (site -> value) and
+``sim_seed`` (the seed with which that hypothesis was simulated), and may have ``accepted`` and
+``window``.
 """
 
 from __future__ import annotations
@@ -23,7 +27,7 @@ from typing import Any, Final, Literal
 from numpyro.infer.mcmc import MCMCKernel
 
 from phase_ppl.models.program import EventProgram
-from phase_ppl.world.errors import InvalidSettingError, unknown_name
+from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 
 Validity = Literal["exact", "consistent", "approximate"]
 
@@ -48,7 +52,7 @@ class KernelInfo:
         name: as users call it.
         factory: makes the kernel from an :class:`~phase_ppl.models.program.EventProgram`.
         validity: "exact": its stationary law is the posterior; "consistent": it approaches the
-            posterior as particles grow; "approximate": neither.
+            posterior as particles grow; "approximate": neither; "unknown" where nobody says.
         sims_per_step: simulations per particle and step.
         chain_methods: NumPyro's ``chain_method`` values it works with.
         needs: keyword arguments that the factory asks for, of :data:`NEEDS`.
@@ -57,7 +61,7 @@ class KernelInfo:
 
     name: str
     factory: Factory
-    validity: Validity
+    validity: str
     sims_per_step: int
     chain_methods: tuple[str, ...]
     needs: tuple[str, ...]
@@ -159,3 +163,39 @@ def make_kernel(name: str, program: EventProgram, **options: Any) -> MCMCKernel:
     except TypeError as error:
         raise InvalidSettingError(f"kernel {name!r}: {error}") from None
     return info.factory(program, **options)
+
+
+def described(kernel: str | Factory | MCMCKernel) -> KernelInfo:
+    """Return what is known of a kernel given by name, as a factory or class, or as an instance.
+
+    An instance of ours is taken with its options and bound to the event at hand.
+
+    Raises:
+        UnknownNameError: there is no kernel of that name.
+        InvalidSettingError: it is none of these, or an instance of another kind.
+    """
+    if isinstance(kernel, str):
+        return kernel_info(kernel)
+    if isinstance(kernel, MCMCKernel):
+        factory = getattr(kernel, "bound_to", None)
+        name = type(kernel).__name__
+        if factory is None:
+            raise InvalidSettingError(
+                f"kernel {name}: give the class, or a function that makes the kernel from the "
+                "program; an instance already has a program of its own"
+            )
+    elif callable(kernel):
+        factory = kernel
+        name = getattr(kernel, "__name__", type(kernel).__name__)
+    else:
+        raise InvalidSettingError(f"kernel={shown(kernel)} is neither a name nor a kernel")
+    parameters = inspect.signature(factory).parameters
+    return KernelInfo(
+        name,
+        factory,
+        validity="unknown",
+        sims_per_step=getattr(kernel, "sims_per_step", 1),
+        chain_methods=("vectorized",),
+        needs=tuple(need for need in NEEDS if need in parameters),
+        summary=(inspect.getdoc(kernel) or "").split("\n")[0],
+    )

@@ -94,4 +94,3 @@ def _check_site(prior: str, name: str, site: Mapping[str, Any]) -> None:
     outside = jnp.array([-1, limit, limit + 1])
     if not support.is_discrete or any(bool(support(code)) for code in outside):
         raise InvalidSettingError(wrong)
-

@@ -47,9 +47,7 @@ class EventProgram:
         salt: stands for the event where ``noise="fixed"``; see :func:`event_salt`.
     """
 
-    def __init__(
-        self, model: Model, bridge: SimulatorBridge, n_frames: int, salt: int = 0
-    ) -> None:
+    def __init__(self, model: Model, bridge: SimulatorBridge, n_frames: int, salt: int = 0) -> None:
         self.model = model
         self.bridge = bridge
         self.n_frames = n_frames

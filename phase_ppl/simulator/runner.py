@@ -266,7 +266,7 @@ class Runner:
         """Kill the workers at once; the next request starts new ones."""
         pool, self._pool = self._pool, None
         if pool is not None:
-            pool.shutdown(wait=False, kill_workers=True)
+            pool.shutdown(wait=True, kill_workers=True)
 
     def _check_cancelled(self) -> None:
         if self._cancelled.is_set():

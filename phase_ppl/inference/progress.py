@@ -1,0 +1,44 @@
+"""The progress bar of a run: simulations done, and the time that is left."""
+
+from __future__ import annotations
+
+import sys
+from types import TracebackType
+from typing import Self
+
+from tqdm import tqdm
+
+
+class Progress:
+    """A bar on stderr that counts simulations.
+
+    Args:
+        total: simulations to be done.
+        shown: True or False; None: where stderr is a terminal, and in notebooks.
+    """
+
+    def __init__(self, total: int, shown: bool | None = None) -> None:
+        if shown is None:
+            shown = sys.stderr.isatty() or "ipykernel" in sys.modules
+        self._bar = tqdm(
+            total=total, disable=not shown, file=sys.stderr, unit="sim", desc="simulating"
+        )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._bar.close()
+
+    def one_more(self, *_: object) -> None:
+        """Count one simulation."""
+        self._bar.update(1)
+
+    def reach(self, done: int) -> None:
+        """Count up to ``done``: what had no prior mass needed no simulation."""
+        self._bar.update(max(done - self._bar.n, 0))
