@@ -16,7 +16,8 @@ from phase_ppl import __version__
 from phase_ppl.analysis.tree import SCHEMA
 from phase_ppl.inference.chains import Step
 from phase_ppl.models.bridge import Record
-from phase_ppl.models.likelihood import Likelihood
+from phase_ppl.models.effective import log_prior_of_effective
+from phase_ppl.models.model import Model
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, HYPOTHESIS_SITES, STRENGTH_SITES
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import GOALS, effective_goals
@@ -24,8 +25,8 @@ from phase_ppl.world.hypothesis import ALPHAS
 from phase_ppl.world.names import ENTITIES, LANDMARKS
 from phase_ppl.world.observation import FRAMES_PER_SECOND
 
-DEFAULT_WEIGHTS: Final = "count"
-"""Default weighting of a run: equal draws, the only valid one for exact kernels."""
+DEFAULT_WEIGHTS: Final = "visited"
+"""Default weighting of a run as short as the paper's; ``phase_ppl.analysis.weights`` says why."""
 
 _LIBRARIES: Final = ("numpyro", "jax", "numpy", "xarray", "pymunk", "numba")
 _STORED: Final = {
@@ -41,7 +42,7 @@ Columns = dict[str, NDArray[Any]]
 
 def build_tree(
     event: Event,
-    likelihood: Likelihood,
+    model: Model,
     steps: Sequence[Step],
     records: Sequence[Record],
     attrs: Mapping[str, str],
@@ -50,12 +51,12 @@ def build_tree(
 
     Args:
         event: what was explained; its scene, observation and id are stored.
-        likelihood: of the model.
+        model: prior and likelihood.
         steps: the particles after each iteration.
         records: every simulation.
         attrs: further root attributes.
     """
-    table = _simulation_table(records, likelihood)
+    table = _simulation_table(records, model)
     index = _records_of_draws(steps, records)
     draw_coords = {"chain": np.arange(index.shape[0]), "draw": np.arange(index.shape[1])}
     time = ("time", np.arange(event.observation.n_frames) / FRAMES_PER_SECOND, {"units": "s"})
@@ -92,35 +93,37 @@ def build_tree(
 
 
 _RESULT_COLUMNS: Final = (
-    *("seed", "chain", "iteration", "log_prior", "log_likelihood", "total_error"),
-    *("completed", "frames_simulated", "failed"),
+    *("seed", "chain", "iteration", "log_prior", "log_prior_effective", "log_likelihood"),
+    *("total_error", "completed", "frames_simulated", "failed"),
 )
 
 
-def _simulation_table(records: Sequence[Record], likelihood: Likelihood) -> Columns:
+def _simulation_table(records: Sequence[Record], model: Model) -> Columns:
     """Return one row per simulation: sites, then what came out."""
     results = [record.result for record in records]
     own = [name for name in records[0].sites if name not in HYPOTHESIS_SITES]
-    raw = {name: np.array([record.sites[name] for record in records]) for name in (*_SITES, *own)}
+    sites = (*HYPOTHESIS_SITES, *own)
+    raw = {name: np.array([record.sites[name] for record in records]) for name in sites}
     table = _hypothesis_columns(raw) | {name: raw[name] for name in own}
+    effective = np.stack([table[name] for name in GOAL_SITES], axis=1).astype(np.int64)
+    strengths = {name: table[name] for name in STRENGTH_SITES}
     errors = np.array([result.errors for result in results])
     # what was not simulated counts as without error: a bound for simulations stopped early
-    log_likelihood = likelihood.log_prob(np.where(np.isfinite(errors), errors, 0.0)).sum(axis=1)
+    simulated = np.where(np.isfinite(errors), errors, 0.0)
+    log_likelihood = model.likelihood.log_prob(simulated).sum(axis=1)
     failed = np.array([result.failure is not None for result in results])
     return table | {
         "seed": np.array([result.seed for result in results], np.int64),
         "chain": np.array([record.chain for record in records], np.int64),
         "iteration": np.array([record.iteration for record in records], np.int64),
         "log_prior": np.array([record.log_prior for record in records], np.float64),
+        "log_prior_effective": log_prior_of_effective(model.prior, effective, strengths),
         "log_likelihood": np.where(failed, -np.inf, log_likelihood),
         "total_error": np.where(failed, np.inf, [result.total_error for result in results]),
         "completed": np.array([result.completed for result in results], np.bool_),
         "frames_simulated": np.array([r.frames_simulated for r in results], np.int64),
         "failed": failed,
     }
-
-
-_SITES: Final = HYPOTHESIS_SITES
 
 
 def _hypothesis_columns(raw: Columns) -> Columns:

@@ -62,7 +62,8 @@ def bottom_up_guide(
 def _local_program(prior: Program, tables: BottomUpTables, strength_sd: float) -> Program:
     logits = jnp.asarray(tables.goal_logits, jnp.float32)
     known = jnp.asarray(~np.isnan(tables.strength))
-    estimate = jnp.asarray(np.nan_to_num(tables.strength, nan=np.mean(STRENGTH_RANGE)), jnp.float32)
+    middle = float(np.mean(STRENGTH_RANGE))
+    estimate = jnp.asarray(np.nan_to_num(tables.strength, nan=middle), jnp.float32)
 
     def local(window: jax.Array) -> None:
         replace: dict[str, Replace] = {}

@@ -6,13 +6,12 @@ import dataclasses
 import json
 import platform
 import time
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from numpyro.infer.mcmc import MCMCKernel
 
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.inference.chains import Chains, Step
+from phase_ppl.inference.chains import Chains
 from phase_ppl.inference.draws import build_tree
 from phase_ppl.inference.guide import bottom_up_guide
 from phase_ppl.inference.progress import Progress
@@ -34,7 +33,14 @@ if TYPE_CHECKING:
 __all__ = ["Budget", "Interrupted", "SimpleSettings", "infer", "simulations"]
 
 
-class Interrupted(KeyboardInterrupt):  # noqa: N818  (as KeyboardInterrupt itself)
+CHAINS: Final = 15
+"""M, the paper's number of particles."""
+
+ITERATIONS: Final = 6
+"""L, the paper's number of iterations."""
+
+
+class Interrupted(KeyboardInterrupt):
     """The run was interrupted; what was done until then is kept.
 
     A ``KeyboardInterrupt``, so that no ``except Exception`` in a loop over events swallows it.
@@ -44,8 +50,9 @@ class Interrupted(KeyboardInterrupt):  # noqa: N818  (as KeyboardInterrupt itsel
             was; None where not even those were.
     """
 
-    def __init__(self, message: str, posterior: Posterior | None) -> None:
-        super().__init__(message)
+    def __init__(self, posterior: Posterior | None) -> None:
+        kept = "nothing was complete yet" if posterior is None else "see .posterior"
+        super().__init__(f"the run was interrupted; {kept}")
         self.posterior = posterior
 
 
@@ -54,14 +61,15 @@ def infer(
     model: Model | None = None,
     *,
     kernel: str | Factory | MCMCKernel = "local_mh",
-    chains: int = 15,
-    iterations: int = 6,
+    chains: int = CHAINS,
+    iterations: int | None = None,
     seed: int = 0,
     planner: str | PlannerConfig | None = None,
     workers: int | None = None,
     budget: Budget | None = None,
     progress: bool | None = None,
     settings: SimpleSettings | None = None,
+    **kernel_options: Any,
 ) -> Posterior:
     """Return the posterior over goals, relation and strengths, given what was seen.
 
@@ -74,14 +82,15 @@ def infer(
         kernel: a name (:func:`phase_ppl.available_kernels`), a kernel class or a function that
             makes a NumPyro kernel from the program of the event, or an instance of one of ours.
         chains: particles M.
-        iterations: L; the draws per particle.
+        iterations: L, the draws per particle; by default 6.
         seed: a whole number >= 0.
         planner: "fast" (the default), "paper" or a ``PlannerConfig``, for the joint simulator.
         workers: processes; by default one per usable core.
-        budget: ``phase_ppl.simulations(n)``: as many iterations as n simulations allow, the
-            initial ones included, instead of ``iterations``.
+        budget: ``phase_ppl.simulations(n)`` instead of ``iterations``: as many as n simulations
+            allow, the initial ones included.
         progress: whether to show a bar on stderr; by default where that is a terminal.
         settings: of SIMPLE; by default the paper's.
+        **kernel_options: for the kernel, such as ``rule="paper"``.
 
     Raises:
         InvalidSettingError, UnknownNameError: a setting that cannot be used.
@@ -97,50 +106,68 @@ def infer(
     chosen = described(kernel)
     whole_number("chains", chains)
     whole_number("seed", seed, minimum=0)
-    if budget is None:
-        whole_number("iterations", iterations)
-    else:
-        iterations = budget.iterations(chains, chosen.sims_per_step)
+    n_iterations = _iterations(iterations, budget, chains, chosen)
 
     scene, observation = event.scene, event.observation
-    n_simulations = chains * (1 + iterations * chosen.sims_per_step)
+    n_simulations = chains * (1 + n_iterations * chosen.sims_per_step)
     with Runner(model.build_simulator(), scene, observation, workers=workers) as runner:
         bridge = SimulatorBridge(runner, observation.n_frames)
         salt = event_salt(scene, observation)
         program = EventProgram(model, bridge, observation.n_frames, salt)
-        built = chosen.factory(program, **_supplies(chosen, event, model, settings))
+        supplies = _supplies(chosen, event, model, settings)
+        built = chosen.make(program, **supplies, **kernel_options)
         run = Chains(built, bridge, runner, chains, seed)
         interrupted = False
         with Progress(n_simulations, progress) as bar:
             runner.on_result = bar.one_more
             try:
                 run.initialise()
-                for done in range(iterations):
+                for done in range(n_iterations):
                     bar.reach(chains * (1 + done * chosen.sims_per_step))
                     run.advance()
                 bar.reach(n_simulations)
             except (KeyboardInterrupt, Cancelled):
                 interrupted = True
     if run.start is None:
-        raise Interrupted("interrupted before the initial particles were simulated", None)
+        raise Interrupted(None)
     steps = run.steps or [run.start]
     tree = build_tree(
         event,
-        model.likelihood,
+        model,
         steps,
         bridge.records,
         {
             "kernel": chosen.name,
             "validity": getattr(built, "validity", chosen.validity),
-            "settings": json.dumps(_settings(chosen, model, settings, chains, run.steps, seed)),
+            "settings": json.dumps(
+                {
+                    "kernel": {"name": chosen.name, **kernel_options},
+                    "chains": chains,
+                    "iterations": len(run.steps),  # an interrupted run equals a shorter one
+                    "seed": seed,
+                    "turning": scene.turning,
+                    "simple": _plain(settings),
+                    "model": model.fingerprint(),
+                },
+                default=repr,
+            ),
             "cost": json.dumps(_cost(runner, begin, interrupted)),
         },
     )
     posterior = Posterior(tree)
     if interrupted:
-        message = f"interrupted after {len(run.steps)} of {iterations} iterations"
-        raise Interrupted(message, posterior)
+        raise Interrupted(posterior)
     return posterior
+
+
+def _iterations(
+    iterations: int | None, budget: Budget | None, chains: int, chosen: KernelInfo
+) -> int:
+    if budget is None:
+        return ITERATIONS if iterations is None else whole_number("iterations", iterations)
+    if iterations is not None:
+        raise InvalidSettingError("give either iterations or a budget, not both")
+    return budget.iterations(chains, chosen.sims_per_step)
 
 
 def _model(
@@ -151,9 +178,7 @@ def _model(
         model = dataclasses.replace(model, planner=planner)
     if settings.beta is not None:
         if not isinstance(model.likelihood, RadialLikelihood):
-            raise InvalidSettingError(
-                "beta is that of the radial likelihood; the model has another"
-            )
+            raise InvalidSettingError("beta is of the radial likelihood; the model has another")
         model = dataclasses.replace(model, likelihood=RadialLikelihood(settings.beta))
     return model
 
@@ -178,25 +203,9 @@ def _supplies(
     return supplies
 
 
-def _settings(
-    chosen: KernelInfo,
-    model: Model,
-    settings: SimpleSettings,
-    chains: int,
-    steps: Sequence[Step],
-    seed: int,
-) -> dict[str, Any]:
-    """Return all that determines the result; an interrupted run equals a shorter one."""
-    record = dataclasses.asdict(settings)
-    del record["beta"]  # the likelihood of the model says it
-    return {
-        "kernel": chosen.name,
-        "chains": chains,
-        "iterations": len(steps),
-        "seed": seed,
-        **record,
-        **model.fingerprint(),
-    }
+def _plain(settings: SimpleSettings) -> dict[str, Any]:
+    """Return the settings; beta is left to the model's likelihood, which has it."""
+    return {name: value for name, value in dataclasses.asdict(settings).items() if name != "beta"}
 
 
 def _cost(runner: Runner, begin: float, interrupted: bool) -> dict[str, Any]:

@@ -84,11 +84,10 @@ def bottom_up_tables(
     closeness = gamma * (2 * distance[last] - distance[first]) / unit
     logits = closeness if sign == "printed" else -closeness
     hits = driving_hits(observation.trajectory, scene.radius)
+    strength = [estimated_strength(hits, a, b) for a, b in zip(first, last, strict=True)]
     return BottomUpTables(
         goal_logits=np.where(SELF_REFERRING, IMPOSSIBLE, logits),
-        strength=np.stack(
-            [estimated_strength(hits, a, b) for a, b in zip(first, last, strict=True)]
-        ),
+        strength=np.stack(strength),
     )
 
 

@@ -67,6 +67,14 @@ class KernelInfo:
     needs: tuple[str, ...]
     summary: str
 
+    def make(self, program: EventProgram, **options: Any) -> MCMCKernel:
+        """Return the kernel for the model of an event; see :func:`make_kernel`."""
+        try:
+            inspect.signature(self.factory).bind(program, **options)
+        except TypeError as error:
+            raise InvalidSettingError(f"kernel {self.name!r}: {error}") from None
+        return self.factory(program, **options)
+
 
 _KERNELS: Final[dict[str, KernelInfo]] = {}
 
@@ -154,15 +162,7 @@ def make_kernel(name: str, program: EventProgram, **options: Any) -> MCMCKernel:
         UnknownNameError: there is no such kernel.
         InvalidSettingError: something that it needs is missing, or an option it does not have.
     """
-    info = kernel_info(name)
-    missing = [need for need in info.needs if need not in options]
-    if missing:
-        raise InvalidSettingError(f"kernel {name!r} needs {', '.join(missing)}")
-    try:
-        inspect.signature(info.factory).bind(program, **options)
-    except TypeError as error:
-        raise InvalidSettingError(f"kernel {name!r}: {error}") from None
-    return info.factory(program, **options)
+    return kernel_info(name).make(program, **options)
 
 
 def described(kernel: str | Factory | MCMCKernel) -> KernelInfo:

@@ -4,14 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Final, Literal
 
 from phase_ppl.inference.proposals import SIGNS, Sign
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
-
-Rule = Literal["exact", "paper"]
-
-RULES: Final = ("exact", "paper")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,14 +21,10 @@ class SimpleSettings:
             by default the paper's 0.05.
         prior_share: weight of the prior in the proposal.
         sign: "intended": goals that are close are proposed; "printed": as the paper's formula.
-        rule: "exact": Hastings' ratio; "paper": the ratio as printed, which inverts the proposal,
-            leaves out prior and window, and is biased.
-        early_reject: stop a simulation once it cannot be accepted any more; the chains are the
-            same with and without.
 
     Raises:
         InvalidSettingError: a value is out of range.
-        UnknownNameError: an unknown sign or rule.
+        UnknownNameError: an unknown sign.
     """
 
     eta: float = 0.1
@@ -42,8 +33,6 @@ class SimpleSettings:
     beta: float | None = None
     prior_share: float = 0.1
     sign: Sign = "intended"
-    rule: Rule = "exact"
-    early_reject: bool = True
 
     def __post_init__(self) -> None:
         for name in ("eta", "gamma"):
@@ -57,8 +46,6 @@ class SimpleSettings:
         whole_number("window", self.window)
         if self.sign not in SIGNS:
             raise unknown_name("sign", self.sign, SIGNS)
-        if self.rule not in RULES:
-            raise unknown_name("rule", self.rule, RULES)
 
 
 def _is_number(value: object) -> bool:

@@ -127,7 +127,7 @@ class SimulatorBridge:
         rows_per_chain = n_rows // batch[0] if batch else 1
         flat = {k: v.reshape(n_rows, *v.shape[len(batch) :]) for k, v in columns.items()}
         log_prior, seed, ceiling = log_prior.ravel(), seed.ravel(), ceiling.ravel()
-        rows = np.flatnonzero(_in_support(flat, log_prior))
+        rows = np.flatnonzero(_in_support(flat, log_prior)).tolist()
         results = self._runner.run(
             [_hypothesis(flat, row) for row in rows],
             [int(seed[row]) for row in rows],
@@ -145,7 +145,7 @@ class SimulatorBridge:
                     result,
                     {name: values[row] for name, values in flat.items()},
                     float(log_prior[row]),
-                    chain=int(row) // rows_per_chain,
+                    chain=row // rows_per_chain,
                     iteration=self.iteration,
                 )
             )
@@ -166,8 +166,6 @@ def _in_support(flat: _Columns, log_prior: NDArray[np.float32]) -> NDArray[np.bo
 
 
 def _hypothesis(flat: _Columns, row: int) -> Hypothesis:
-    return Hypothesis(
-        *(int(flat[name][row]) for name in GOAL_SITES),
-        ALPHAS[int(flat[ALPHA_SITE][row])],
-        *(float(flat[name][row]) for name in STRENGTH_SITES),
-    )
+    red, green = (int(flat[name][row]) for name in GOAL_SITES)
+    strengths = (float(flat[name][row]) for name in STRENGTH_SITES)
+    return Hypothesis(red, green, ALPHAS[int(flat[ALPHA_SITE][row])], *strengths)

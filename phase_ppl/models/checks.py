@@ -22,10 +22,12 @@ _EXPECTED: Final = {
 }
 
 RESERVED: Final = frozenset(
-    ("goal", "relation", "scenario", "stated_goal_red", "stated_goal_green")
-    + ("chain", "draw", "seed", "iteration", "weight", "simulation", "time", "entity", "coord")
-    + ("log_prior", "log_likelihood", "total_error", "completed", "frames_simulated", "failed")
-    + ("window", "mixture", "step_error", "trajectory")
+    (
+        *("goal", "relation", "scenario", "stated_goal_red", "stated_goal_green", "weight"),
+        *("chain", "draw", "simulation", "time", "entity", "coord", "seed", "iteration"),
+        *("log_prior", "log_prior_effective", "log_likelihood", "total_error", "completed"),
+        *("frames_simulated", "failed", "mixture", "step_error", "trajectory"),
+    )
 )
 """Names that a prior's own sites cannot have."""
 

@@ -71,13 +71,13 @@ class RadialLikelihood:
 
     def log_prob(self, errors: _Array) -> _Array:
         """Return the log density of each frame from its error, units; -inf for an infinite one."""
-        result: _Array = -self.beta * errors - _log_normaliser(self.beta)  # type: ignore[operator]
+        result: _Array = -self.beta * errors - _log_normaliser(self.beta)  # type: ignore[operator,assignment]
         return result
 
     def max_total_error(self, log_floor: _Array, n_frames: int) -> _Array:
         """Return the summed error at which the log density of all frames is ``log_floor``."""
         spent = n_frames * _log_normaliser(self.beta)
-        result: _Array = -(log_floor + spent) / self.beta  # type: ignore[operator]
+        result: _Array = -(log_floor + spent) / self.beta  # type: ignore[operator,assignment]
         return result
 
 

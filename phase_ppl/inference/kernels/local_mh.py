@@ -23,7 +23,7 @@ the proposal cannot be accepted; the runner stops there. Decisions are the same 
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -34,9 +34,14 @@ from jax.scipy.special import logsumexp
 from phase_ppl.inference.particle import ParticleKernel, chosen, log_uniform
 from phase_ppl.inference.proposals import window_count, window_length
 from phase_ppl.inference.registry import Validity, register_kernel
-from phase_ppl.inference.settings import Rule, SimpleSettings
+from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.density import Program, Sites, log_density
 from phase_ppl.models.program import EventProgram
+from phase_ppl.world.errors import unknown_name
+
+Rule = Literal["exact", "paper"]
+
+RULES: Final = ("exact", "paper")
 
 
 class LocalMHState(NamedTuple):
@@ -77,7 +82,13 @@ class LocalMH(ParticleKernel[LocalMHState]):
         guide: proposal program ``guide(window)`` over the prior's sites, with windows counted
             by their first frame; the index after the last one stands for the whole observation
             and makes the initial hypotheses.
-        eta, window, rule, early_reject: see :class:`SimpleSettings`.
+        eta, window: see :class:`SimpleSettings`.
+        rule: "exact": Hastings' ratio; "paper": the ratio as printed, which is biased.
+        early_reject: stop a simulation once it cannot be accepted any more; the chain is the
+            same with and without.
+
+    Raises:
+        UnknownNameError: there is no such rule.
     """
 
     def __init__(
@@ -91,9 +102,11 @@ class LocalMH(ParticleKernel[LocalMHState]):
         early_reject: bool = True,
     ) -> None:
         super().__init__(program, guide)
-        checked = SimpleSettings(eta=eta, window=window, rule=rule, early_reject=early_reject)
+        if rule not in RULES:
+            raise unknown_name("rule", rule, RULES)
+        checked = SimpleSettings(eta=eta, window=window)
         self._eta, self._window = checked.eta, checked.window
-        self._rule, self._early_reject = checked.rule, checked.early_reject
+        self._rule, self._early_reject = rule, early_reject
 
     @property
     def validity(self) -> Validity:
@@ -202,13 +215,20 @@ def _kept(state: LocalMHState) -> tuple[Any, ...]:
 
 
 @register_kernel("local_mh", validity="exact", needs=("guide", "settings"))
-def local_mh(program: EventProgram, *, guide: Program, settings: SimpleSettings) -> LocalMH:
+def local_mh(
+    program: EventProgram,
+    *,
+    guide: Program,
+    settings: SimpleSettings,
+    rule: Rule = "exact",
+    early_reject: bool = True,
+) -> LocalMH:
     """SIMPLE: Metropolis-Hastings with local, bottom-up proposals."""
     return LocalMH(
         program,
         guide,
         eta=settings.eta,
         window=settings.window,
-        rule=settings.rule,
-        early_reject=settings.early_reject,
+        rule=rule,
+        early_reject=early_reject,
     )

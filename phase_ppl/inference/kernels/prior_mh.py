@@ -11,7 +11,6 @@ from jax import random
 
 from phase_ppl.inference.particle import ParticleKernel, chosen, log_uniform
 from phase_ppl.inference.registry import register_kernel
-from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.program import EventProgram
 
 
@@ -110,7 +109,7 @@ def _kept(state: PriorMHState) -> tuple[Any, ...]:
     return state.z, state.sim_seed, state.log_prior, state.step_error, state.log_joint
 
 
-@register_kernel("prior_mh", validity="exact", needs=("settings",))
-def prior_mh(program: EventProgram, *, settings: SimpleSettings) -> PriorMH:
+@register_kernel("prior_mh", validity="exact")
+def prior_mh(program: EventProgram, *, early_reject: bool = True) -> PriorMH:
     """Metropolis-Hastings with proposals from the prior."""
-    return PriorMH(program, early_reject=settings.early_reject)
+    return PriorMH(program, early_reject=early_reject)
