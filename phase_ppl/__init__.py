@@ -35,6 +35,7 @@ _WHERE = {
     "load_events": "phase_ppl.dataset.load",
     "register_kernel": "phase_ppl.inference.registry",
     "save_event": "phase_ppl.dataset.load",
+    "save_events": "phase_ppl.dataset.load",
     "simulate": "phase_ppl.simulator.simulate",
     "simulations": "phase_ppl.inference.infer",
 }
@@ -49,26 +50,37 @@ _MODULES = {
 __all__ = ["__version__", *sorted(_WHERE), *sorted(_MODULES)]
 
 if TYPE_CHECKING:
-    from phase_ppl import render
-    from phase_ppl.agents.config import PlannerConfig
+    from phase_ppl import render as render
+    from phase_ppl.agents.config import PlannerConfig as PlannerConfig
     from phase_ppl.analysis import plots as plot
-    from phase_ppl.analysis.posterior import Posterior
-    from phase_ppl.dataset.bundled import bundled_events
-    from phase_ppl.dataset.load import load_event, load_events, save_event
-    from phase_ppl.inference.infer import Interrupted, SimpleSettings, infer, simulations
-    from phase_ppl.inference.registry import available_kernels, register_kernel
-    from phase_ppl.models import priors, sites
-    from phase_ppl.models.likelihood import RadialLikelihood
-    from phase_ppl.models.model import Model
-    from phase_ppl.simulator.joint import JointSimulator
-    from phase_ppl.simulator.simulate import simulate
-    from phase_ppl.world.errors import PhasePPLError, SimulationError
-    from phase_ppl.world.event import Event, Truth
-    from phase_ppl.world.goals import GOALS
-    from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
-    from phase_ppl.world.names import AGENTS
-    from phase_ppl.world.observation import Observation
-    from phase_ppl.world.scene import Scene
+    from phase_ppl.analysis.posterior import Posterior as Posterior
+    from phase_ppl.dataset.bundled import bundled_events as bundled_events
+    from phase_ppl.dataset.load import load_event as load_event
+    from phase_ppl.dataset.load import load_events as load_events
+    from phase_ppl.dataset.load import save_event as save_event
+    from phase_ppl.dataset.load import save_events as save_events
+    from phase_ppl.inference.infer import Interrupted as Interrupted
+    from phase_ppl.inference.infer import SimpleSettings as SimpleSettings
+    from phase_ppl.inference.infer import infer as infer
+    from phase_ppl.inference.infer import simulations as simulations
+    from phase_ppl.inference.registry import available_kernels as available_kernels
+    from phase_ppl.inference.registry import register_kernel as register_kernel
+    from phase_ppl.models import priors as priors
+    from phase_ppl.models import sites as sites
+    from phase_ppl.models.likelihood import RadialLikelihood as RadialLikelihood
+    from phase_ppl.models.model import Model as Model
+    from phase_ppl.simulator.joint import JointSimulator as JointSimulator
+    from phase_ppl.simulator.simulate import simulate as simulate
+    from phase_ppl.world.errors import PhasePPLError as PhasePPLError
+    from phase_ppl.world.errors import SimulationError as SimulationError
+    from phase_ppl.world.event import Event as Event
+    from phase_ppl.world.event import Truth as Truth
+    from phase_ppl.world.goals import GOALS as GOALS
+    from phase_ppl.world.hypothesis import ALPHAS as ALPHAS
+    from phase_ppl.world.hypothesis import Hypothesis as Hypothesis
+    from phase_ppl.world.names import AGENTS as AGENTS
+    from phase_ppl.world.observation import Observation as Observation
+    from phase_ppl.world.scene import Scene as Scene
 
 
 def __getattr__(name: str) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 from phase_ppl.world.errors import InvalidSettingError, unknown_name
@@ -70,7 +71,7 @@ class PlannerConfig:
         """
         if isinstance(planner, PlannerConfig):
             return planner
-        presets = {"paper": cls, "fast": cls.fast}
+        presets: dict[str, Callable[[], PlannerConfig]] = {"paper": cls, "fast": cls.fast}
         if planner not in presets:
             raise unknown_name("planner", planner, presets)
         return presets[planner]()

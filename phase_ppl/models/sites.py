@@ -46,7 +46,7 @@ IMPOSSIBLE: Final = -1e30
 
 
 def goals() -> tuple[jax.Array, jax.Array]:
-    """Sample ``goal_red`` and ``goal_green``: all 35 that do not name their holder alike."""
+    """Sample ``goal_red`` and ``goal_green``: the 34 that do not name their holder, alike."""
     logits = np.where(SELF_REFERRING, IMPOSSIBLE, 0.0)
     red, green = (
         numpyro.sample(name, dist.Categorical(logits=jnp.asarray(row)))

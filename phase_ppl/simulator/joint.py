@@ -49,7 +49,7 @@ class JointSimulator:
     def steps(
         self, scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator
     ) -> Iterator[tuple[NDArray[np.float64], tuple[Decision, ...]]]:
-        """Yield each frame with the decisions of (red, green) that led to it; none for the start."""
+        """Yield each frame with the decisions of (red, green) behind it; the start has none."""
         strengths = hypothesis.strengths
         goals = hypothesis.effective_goals
         mind = Mind.of(scene, strengths, self.planner)
