@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import concurrent.futures as futures
 import contextlib
+import dataclasses
+import functools
 from collections.abc import Callable
 from typing import Any, Final, NamedTuple, Protocol, TypeVar
 
@@ -13,13 +15,99 @@ from jax import random
 from numpy.typing import NDArray
 from numpyro.infer.mcmc import MCMCKernel
 
+from phase_ppl.inference.guide import bottom_up_guide
+from phase_ppl.inference.proposals import BottomUpTables
+from phase_ppl.inference.registry import KernelInfo
+from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.bridge import SimulatorBridge
+from phase_ppl.models.model import Model
+from phase_ppl.models.program import EventProgram
 from phase_ppl.world.errors import InvalidSettingError, SimulationError
 
 POLL_SECONDS: Final = 0.1
 """How long Ctrl-C may go unnoticed."""
 
+_COMPILER_OPTIONS: Final = {"xla_backend_optimization_level": 0}
+"""The programs run for milliseconds beside simulations of seconds; compiling well does not pay."""
+
+_KEPT_PROGRAMS: Final = 16
+
 Result = TypeVar("Result")
+
+
+class EventData(NamedTuple):
+    """All that compiled code is told of an event, beside its number of frames.
+
+    Attributes:
+        tables: what the windows say.
+        salt: stands for the event.
+        bridge: handle of the bridge that simulates.
+    """
+
+    tables: BottomUpTables
+    salt: jax.Array | int
+    bridge: jax.Array | int
+
+
+@dataclasses.dataclass(frozen=True)
+class Recipe:
+    """How to make the kernel of a run; events with as many frames share a compiled recipe.
+
+    Attributes:
+        kernel: what is known of the kernel.
+        options: its options, name and value.
+        model: prior, simulator, likelihood.
+        settings: of SIMPLE.
+        n_frames: length T of the observation.
+    """
+
+    kernel: KernelInfo
+    options: tuple[tuple[str, Any], ...]
+    model: Model
+    settings: SimpleSettings
+    n_frames: int
+
+    def build(self, data: EventData) -> MCMCKernel:
+        """Return the kernel for an event."""
+        program = EventProgram(self.model, data.bridge, self.n_frames, data.salt)
+        supplies: dict[str, Any] = {}
+        if "settings" in self.kernel.needs:
+            supplies["settings"] = self.settings
+        if "guide" in self.kernel.needs:
+            supplies["guide"] = bottom_up_guide(
+                self.model.prior,
+                self.model.sites,
+                data.tables,
+                prior_share=self.settings.prior_share,
+            )
+        return self.kernel.make(program, **supplies, **dict(self.options))
+
+
+class Compiled(NamedTuple):
+    """The two compiled functions of a recipe: (keys, data) and (state, data) -> state."""
+
+    init: Callable[[jax.Array, EventData], Any]
+    step: Callable[[Any, EventData], Any]
+
+
+def _compiled(recipe: Recipe) -> Compiled:
+    def init(keys: jax.Array, data: EventData) -> Any:
+        return recipe.build(data).init(keys, 0, None, (), {})
+
+    def step(state: Any, data: EventData) -> Any:
+        kernel = recipe.build(data)
+        if getattr(kernel, "_sample_fn", True) is None:
+            # NumPyro's own kernels are made ready by init
+            jax.eval_shape(lambda keys: kernel.init(keys, 0, None, (), {}), state.rng_key)
+        return kernel.sample(state, (), {})
+
+    return Compiled(
+        jax.jit(init, compiler_options=_COMPILER_OPTIONS),
+        jax.jit(step, compiler_options=_COMPILER_OPTIONS),
+    )
+
+
+_compiled_once = functools.lru_cache(_KEPT_PROGRAMS)(_compiled)
 
 
 class Cancels(Protocol):
@@ -53,8 +141,9 @@ class Chains:
     once: it then cancels the simulations, waits for the thread, and raises KeyboardInterrupt.
 
     Args:
-        kernel: bound to the program of an event.
-        bridge: the program's.
+        recipe: makes the kernel.
+        data: of the event.
+        bridge: the one that ``data`` names.
         runner: the bridge's.
         n_chains: number of particles M.
         seed: any whole number >= 0.
@@ -66,7 +155,8 @@ class Chains:
 
     def __init__(
         self,
-        kernel: MCMCKernel,
+        recipe: Recipe,
+        data: EventData,
         bridge: SimulatorBridge,
         runner: Cancels,
         n_chains: int,
@@ -74,11 +164,14 @@ class Chains:
     ) -> None:
         self.start: Step | None = None
         self.steps: list[Step] = []
-        self._kernel, self._bridge, self._runner = kernel, bridge, runner
+        self._data, self._bridge, self._runner = data, bridge, runner
         self._n_chains = n_chains
         self._key_number = int(np.random.SeedSequence(seed).generate_state(1)[0])
         self._state: Any = None
-        self._step = jax.jit(lambda state: kernel.sample(state, (), {}))
+        try:
+            self._compiled = _compiled_once(recipe)
+        except TypeError:  # a part of the user's cannot be hashed, so cannot be recognised
+            self._compiled = _compiled(recipe)
 
     def initialise(self) -> None:
         """Simulate the initial particles.
@@ -97,9 +190,9 @@ class Chains:
             completed[record.chain] |= record.result.completed
         if not completed.any():
             raise self._nothing_completed()
-        chain = np.arange(self._n_chains)
-        source = [next(c for c in np.roll(chain, -i) if completed[c]) for i in chain]
         if not completed.all():
+            chain = np.arange(self._n_chains)
+            source = [next(c for c in np.roll(chain, -i) if completed[c]) for i in chain]
             copied = jax.tree.map(lambda leaf: leaf[np.array(source)], state)
             state = copied._replace(rng_key=state.rng_key)
         self._state = state
@@ -112,17 +205,18 @@ class Chains:
             KeyboardInterrupt: Ctrl-C; the iteration does not count.
         """
         self._bridge.iteration += 1
-        state = self._in_thread(lambda: jax.block_until_ready(self._step(self._state)))
+        step = self._compiled.step
+        state = self._in_thread(lambda: step(self._state, self._data))
         self._state = state
         self.steps.append(_on_host(state))
 
     def _initial_state(self) -> Any:
         keys = random.split(random.key(self._key_number), self._n_chains)
-        state = jax.block_until_ready(self._kernel.init(keys, 0, None, (), {}))
+        state = self._compiled.init(keys, self._data)
         for field in ("z", "sim_seed", "rng_key"):
             if not hasattr(state, field):
                 raise InvalidSettingError(
-                    f"the state of kernel {type(self._kernel).__name__} has no field {field!r}"
+                    f"{type(state).__name__}, the state of the kernel, has no field {field!r}"
                 )
         return state
 
@@ -139,7 +233,7 @@ class Chains:
         def on_cpu() -> Result:
             # the programs are tiny, and the same everywhere; an accelerator would not help
             with jax.default_device(jax.local_devices(backend="cpu")[0]):
-                return work()
+                return jax.block_until_ready(work())
 
         with futures.ThreadPoolExecutor(1, thread_name_prefix="phase_ppl") as executor:
             future = executor.submit(on_cpu)

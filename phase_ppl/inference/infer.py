@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Any, Final
 from numpyro.infer.mcmc import MCMCKernel
 
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.inference.chains import Chains
+from phase_ppl.inference.chains import Chains, EventData, Recipe
 from phase_ppl.inference.draws import build_tree
-from phase_ppl.inference.guide import bottom_up_guide
 from phase_ppl.inference.progress import Progress
 from phase_ppl.inference.proposals import bottom_up_tables
 from phase_ppl.inference.registry import Factory, KernelInfo, described
@@ -21,7 +20,7 @@ from phase_ppl.inference.settings import Budget, SimpleSettings, simulations, wh
 from phase_ppl.models.bridge import SimulatorBridge
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.model import Model
-from phase_ppl.models.program import EventProgram, event_salt
+from phase_ppl.models.program import event_salt
 from phase_ppl.simulator.contract import Cancelled
 from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
@@ -109,14 +108,21 @@ def infer(
     n_iterations = _iterations(iterations, budget, chains, chosen)
 
     scene, observation = event.scene, event.observation
+    options = tuple(kernel_options.items())
+    recipe = Recipe(chosen, options, model, settings, observation.n_frames)
     n_simulations = chains * (1 + n_iterations * chosen.sims_per_step)
     with Runner(model.build_simulator(), scene, observation, workers=workers) as runner:
         bridge = SimulatorBridge(runner, observation.n_frames)
-        salt = event_salt(scene, observation)
-        program = EventProgram(model, bridge, observation.n_frames, salt)
-        supplies = _supplies(chosen, event, model, settings)
-        built = chosen.make(program, **supplies, **kernel_options)
-        run = Chains(built, bridge, runner, chains, seed)
+        tables = bottom_up_tables(
+            scene,
+            observation,
+            window=settings.window,
+            gamma=settings.gamma,
+            sign=settings.sign,
+        )
+        data = EventData(tables, event_salt(scene, observation), bridge.handle)
+        built = recipe.build(data)
+        run = Chains(recipe, data, bridge, runner, chains, seed)
         interrupted = False
         with Progress(n_simulations, progress) as bar:
             runner.on_result = bar.one_more
@@ -181,26 +187,6 @@ def _model(
             raise InvalidSettingError("beta is of the radial likelihood; the model has another")
         model = dataclasses.replace(model, likelihood=RadialLikelihood(settings.beta))
     return model
-
-
-def _supplies(
-    chosen: KernelInfo, event: Event, model: Model, settings: SimpleSettings
-) -> dict[str, Any]:
-    supplies: dict[str, Any] = {}
-    if "settings" in chosen.needs:
-        supplies["settings"] = settings
-    if "guide" in chosen.needs:
-        tables = bottom_up_tables(
-            event.scene,
-            event.observation,
-            window=settings.window,
-            gamma=settings.gamma,
-            sign=settings.sign,
-        )
-        supplies["guide"] = bottom_up_guide(
-            model.prior, model.sites, tables, prior_share=settings.prior_share
-        )
-    return supplies
 
 
 def _plain(settings: SimpleSettings) -> dict[str, Any]:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
+import weakref
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -63,6 +65,7 @@ class SimulatorBridge:
         n_frames: length T of the observation.
 
     Attributes:
+        handle: number by which compiled code knows this bridge (:func:`request_errors`).
         records: every simulation so far.
         iteration: what new records are labelled with.
         calls: number of host calls.
@@ -71,50 +74,30 @@ class SimulatorBridge:
     """
 
     def __init__(self, runner: RunsSimulations, n_frames: int) -> None:
+        self.handle = next(_handles)
         self.records: list[Record] = []
         self.iteration = 0
         self.calls = 0
         self.failure: BaseException | None = None
         self._runner = runner
         self._n_frames = n_frames
+        _open[self.handle] = self
 
-    def __call__(
+    def answer(
         self,
-        sites: Sites,
-        log_prior: jax.Array,
-        seed: jax.Array,
-        error_ceiling: jax.Array | float = np.inf,
-    ) -> jax.Array:
-        """Return per-frame errors (time,), units; float32.
-
-        Args:
-            sites: all latent sites of the prior.
-            log_prior: their log density; without mass there is nothing to simulate.
-            seed: of the simulation, int32.
-            error_ceiling: summed error beyond which the simulation may be stopped, units.
-
-        Returns:
-            The errors; inf from where the simulation was stopped. All inf for a failed
-            simulation and for hypotheses outside the prior's support, which are not simulated.
-        """
-        shape = jax.ShapeDtypeStruct((self._n_frames,), jnp.float32)
-        ceiling = jnp.asarray(error_ceiling, jnp.float32)
-        errors: jax.Array = jax.pure_callback(
-            self._host, shape, dict(sites), log_prior, seed, ceiling, vmap_method="broadcast_all"
-        )
-        return errors
-
-    def _host(self, sites: _Columns, *rest: Any) -> NDArray[np.float32]:
-        # NumPy from the first line on: calling JAX in here can deadlock
-        columns = {name: np.asarray(value) for name, value in sites.items()}
-        log_prior, seed, ceiling = (np.asarray(value) for value in rest)
+        columns: _Columns,
+        log_prior: NDArray[np.float32],
+        seed: NDArray[np.int32],
+        ceiling: NDArray[np.float32],
+    ) -> NDArray[np.float32]:
+        """Return the errors (..., time) that a batch (...) of requests asks for."""
         try:
-            return self._answer(columns, log_prior, seed, ceiling)
+            return self._simulate(columns, log_prior, seed, ceiling)
         except BaseException as error:
             self.failure = error
             raise
 
-    def _answer(
+    def _simulate(
         self,
         columns: _Columns,
         log_prior: NDArray[np.float32],
@@ -150,6 +133,48 @@ class SimulatorBridge:
                 )
             )
         return errors.reshape(*batch, self._n_frames)
+
+
+_handles: Final = itertools.count()
+_open: Final[weakref.WeakValueDictionary[int, SimulatorBridge]] = weakref.WeakValueDictionary()
+
+
+def request_errors(
+    handle: jax.Array | int,
+    n_frames: int,
+    sites: Sites,
+    log_prior: jax.Array,
+    seed: jax.Array,
+    error_ceiling: jax.Array | float = np.inf,
+) -> jax.Array:
+    """Return per-frame errors (time,) of a simulation, units; float32; inside compiled code.
+
+    The bridge is named by a number, so that one compiled program serves many events.
+
+    Args:
+        handle: of the bridge.
+        n_frames: length T of the observation.
+        sites: all latent sites of the prior.
+        log_prior: their log density; without mass there is nothing to simulate.
+        seed: of the simulation, int32.
+        error_ceiling: summed error beyond which the simulation may be stopped, units.
+
+    Returns:
+        The errors; inf from where the simulation was stopped. All inf for a failed simulation
+        and for hypotheses outside the prior's support, which are not simulated.
+    """
+    shape = jax.ShapeDtypeStruct((n_frames,), jnp.float32)
+    arguments = (jnp.asarray(handle), dict(sites), log_prior, seed, jnp.float32(error_ceiling))
+    errors: jax.Array = jax.pure_callback(_host, shape, *arguments, vmap_method="broadcast_all")
+    return errors
+
+
+def _host(handle: Any, sites: dict[str, Any], *rest: Any) -> NDArray[np.float32]:
+    # NumPy from the first line on: calling JAX in here can deadlock
+    bridge = _open[int(np.asarray(handle).flat[0])]
+    columns = {name: np.asarray(value) for name, value in sites.items()}
+    log_prior, seed, ceiling = (np.asarray(value) for value in rest)
+    return bridge.answer(columns, log_prior, seed, ceiling)
 
 
 def _in_support(flat: _Columns, log_prior: NDArray[np.float32]) -> NDArray[np.bool_]:

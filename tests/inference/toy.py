@@ -136,9 +136,7 @@ def never_called(scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator)
 # --- a simulator for whole runs ----------------------------------------------------------------
 
 
-def walkers(
-    scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator
-) -> Iterator[FloatArray]:
+def walkers(scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator) -> Iterator[FloatArray]:
     """Each goal's entity walks straight to its target, the faster the stronger its agent."""
     frame = scene.start.copy()
     while True:

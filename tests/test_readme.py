@@ -1,0 +1,46 @@
+"""The README's examples run as they stand, as plain scripts."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+README = Path(__file__).parent.parent / "README.md"
+EXAMPLES = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
+
+
+def run(example: str, folder: Path) -> str:
+    script = folder / "example.py"
+    script.write_text(example, encoding="utf-8")
+    done = subprocess.run(
+        [sys.executable, script], cwd=folder, capture_output=True, text=True, timeout=500
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_there_are_two_examples() -> None:
+    assert ["ppl.render.video" in e or "ppl.Model" in e for e in EXAMPLES] == [True, True]
+
+
+def test_the_main_example_prints_a_posterior_and_writes_its_files(tmp_path: Path) -> None:
+    printed = run(EXAMPLES[0], tmp_path)
+    assert "Get pink item to red lm" in printed
+    for name in ("run.nc", "run.png", "why.mp4"):
+        assert (tmp_path / name).stat().st_size > 1000
+
+
+def test_a_prior_and_a_simulator_defined_in_a_script_work(tmp_path: Path) -> None:
+    printed = run(EXAMPLES[1] + "\nprint(post)\n", tmp_path)
+    assert "15 particles x 6 iterations" in printed
+
+
+@pytest.mark.parametrize("name", ["make demo", "make test"])
+def test_the_two_commands_are_named_and_exist(name: str) -> None:
+    makefile = (README.parent / "Makefile").read_text(encoding="utf-8")
+    assert name in README.read_text(encoding="utf-8")
+    assert f"\n{name.removeprefix('make ')}:" in makefile
