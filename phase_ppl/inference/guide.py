@@ -61,9 +61,9 @@ def bottom_up_guide(
 
 def _local_program(prior: Program, tables: BottomUpTables, strength_sd: float) -> Program:
     logits = jnp.asarray(tables.goal_logits, jnp.float32)
-    known = jnp.asarray(~np.isnan(tables.strength))
-    middle = float(np.mean(STRENGTH_RANGE))
-    estimate = jnp.asarray(np.nan_to_num(tables.strength, nan=middle), jnp.float32)
+    strength = jnp.asarray(tables.strength, jnp.float32)
+    known = ~jnp.isnan(strength)
+    estimate = jnp.where(known, strength, float(np.mean(STRENGTH_RANGE)))
 
     def local(window: jax.Array) -> None:
         replace: dict[str, Replace] = {}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from abc import abstractmethod
-from collections.abc import Callable
 from typing import Any, ClassVar, Final, Generic, Protocol, Self, TypeVar
 
 import jax
@@ -57,7 +56,6 @@ class ParticleKernel(MCMCKernel, Generic[State]):
     def __init__(self, program: EventProgram | None = None, guide: Program | None = None) -> None:
         self._program = program
         self._guide = guide
-        self._sample_fn: Callable[[State], State] | None = None
 
     def bound_to(self, program: EventProgram, guide: Program | None = None) -> Self:
         """Return a copy of this kernel, with its options, for another event."""
@@ -95,12 +93,11 @@ class ParticleKernel(MCMCKernel, Generic[State]):
             init_params: hypothesis to start from; None: what the kernel proposes.
             model_args, model_kwargs: ignored: the program knows its event.
         """
-        if is_prng_key(rng_key):
-            self._sample_fn = self.step_one
-            return self._init(rng_key, init_params)
-        self._sample_fn = jax.vmap(self.step_one)
-        batched = jax.vmap(self._init, in_axes=(0, None if init_params is None else 0))
-        return jax.jit(batched)(rng_key, init_params)
+        start = self._init
+        if not is_prng_key(rng_key):
+            start = jax.vmap(start, in_axes=(0, None if init_params is None else 0))
+        state: State = jax.jit(start)(rng_key, init_params)
+        return state
 
     def _init(self, key: jax.Array, sites: dict[str, jax.Array] | None) -> State:
         key, key_sites, key_start = random.split(key, 3)
@@ -114,9 +111,11 @@ class ParticleKernel(MCMCKernel, Generic[State]):
         model_kwargs: dict[str, Any] | None = None,
     ) -> State:
         """Return the state after one iteration."""
-        if self._sample_fn is None:
-            raise InvalidSettingError("call init before sample")
         return self._sample_fn(state)
+
+    def _sample_fn(self, state: State) -> State:
+        """Move one particle or a batch; NumPyro looks for this name, to see if init is due."""
+        return (self.step_one if is_prng_key(state.rng_key) else jax.vmap(self.step_one))(state)
 
     def get_diagnostics_str(self, state: State) -> str:
         """Return the share of accepted proposals, for NumPyro's progress bar."""

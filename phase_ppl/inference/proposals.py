@@ -15,9 +15,9 @@ videos with the diagonal, in 67 % with R = 10.
 
 from __future__ import annotations
 
-import dataclasses
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
+import jax
 import numpy as np
 from numpy.typing import NDArray
 
@@ -45,8 +45,7 @@ def window_count(n_frames: int, window: int) -> int:
     return n_frames - window_length(n_frames, window)
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class BottomUpTables:
+class BottomUpTables(NamedTuple):
     """What each window says; the last entry is about the whole observation.
 
     Attributes:
@@ -54,8 +53,8 @@ class BottomUpTables:
         strength: (window + 1, agent) estimate, newtons; NaN where there is no free driving.
     """
 
-    goal_logits: FloatArray
-    strength: FloatArray
+    goal_logits: FloatArray | jax.Array
+    strength: FloatArray | jax.Array
 
 
 def bottom_up_tables(

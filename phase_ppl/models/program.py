@@ -14,7 +14,7 @@ from jax import random
 from numpy.typing import NDArray
 from numpyro import handlers
 
-from phase_ppl.models.bridge import SimulatorBridge
+from phase_ppl.models.bridge import request_errors
 from phase_ppl.models.density import (
     Sites,
     draw,
@@ -42,12 +42,18 @@ class EventProgram:
 
     Args:
         model: prior, likelihood, noise.
-        bridge: gives the per-frame errors of a hypothesis against the event's observation.
+        bridge: handle of the :class:`~phase_ppl.models.bridge.SimulatorBridge` that simulates.
         n_frames: length T of the observation.
         salt: stands for the event where ``noise="fixed"``; see :func:`event_salt`.
     """
 
-    def __init__(self, model: Model, bridge: SimulatorBridge, n_frames: int, salt: int = 0) -> None:
+    def __init__(
+        self,
+        model: Model,
+        bridge: jax.Array | int,
+        n_frames: int,
+        salt: jax.Array | int = 0,
+    ) -> None:
         self.model = model
         self.bridge = bridge
         self.n_frames = n_frames
@@ -80,8 +86,8 @@ class EventProgram:
         seed: jax.Array,
         error_ceiling: jax.Array | float = np.inf,
     ) -> jax.Array:
-        """Return (time,) the errors of a simulation; see :class:`SimulatorBridge`."""
-        return self.bridge(sites, log_prior, seed, error_ceiling)
+        """Return (time,) the errors of a simulation; see :func:`request_errors`."""
+        return request_errors(self.bridge, self.n_frames, sites, log_prior, seed, error_ceiling)
 
     def simulator_seed(self, key: jax.Array, sites: Sites) -> jax.Array:
         """Return the seed, int32, with which a proposed hypothesis is simulated.

@@ -6,11 +6,14 @@ import itertools
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import numpyro
 import numpyro.distributions as dist
+from jax import lax, random
 from numpy.typing import NDArray
+from numpyro.infer.mcmc import MCMCKernel
 
 from phase_ppl.inference.guide import Mixture, bottom_up_guide
 from phase_ppl.inference.proposals import BottomUpTables, window_count
@@ -92,9 +95,13 @@ def table_errors(seed: int = 0) -> FloatArray:
     return level * rng.gamma(3.0, 0.5, (N_GOALS, N_GOALS, SEEDS, N_FRAMES))
 
 
-def table_program(runner: TableRunner, prior: Any = few_goals) -> EventProgram:
+def table_program(
+    runner: TableRunner, prior: Any = few_goals
+) -> tuple[EventProgram, SimulatorBridge]:
+    """Return a program and its bridge, which must be kept for as long as the program runs."""
     model = Model(prior=prior, simulator=never_called)
-    return EventProgram(model, SimulatorBridge(runner, N_FRAMES), N_FRAMES)
+    bridge = SimulatorBridge(runner, N_FRAMES)
+    return EventProgram(model, bridge.handle, N_FRAMES), bridge
 
 
 def table_guide(prior: Any = few_goals, seed: int = 1) -> Mixture:
@@ -116,7 +123,7 @@ def exact_posterior(errors: FloatArray) -> FloatArray:
     for r, g, a in itertools.product(*map(range, prior.shape)):
         h = Hypothesis(RED_GOALS[r], GREEN_GOALS[g], ALPHAS[ALPHA_CODES[a]])
         log_likelihood = likelihood.log_prob(errors[h.effective_goals]).sum(axis=-1)
-        mass[r, g, a] = prior[r, g, a] * np.exp(log_likelihood - N_FRAMES * -30.0).mean()
+        mass[r, g, a] = prior[r, g, a] * np.exp(log_likelihood + N_FRAMES * 36).mean()
     return mass / mass.sum()
 
 
@@ -127,6 +134,25 @@ def visited_share(z: dict[str, NDArray[Any]]) -> FloatArray:
     where = [np.searchsorted(codes, np.asarray(drawn).ravel()) for drawn, codes in axes]
     np.add.at(share, tuple(where), 1.0)
     return share / share.sum()
+
+
+def run(kernel: MCMCKernel, n_steps: int, n_chains: int = 15, seed: int = 0) -> Any:
+    """Return the states (step, chain, ...) of a vectorised run."""
+
+    def whole(key: jax.Array) -> Any:
+        def advance(state: Any, _: None) -> tuple[Any, Any]:
+            state = kernel.sample(state, (), {})
+            return state, state
+
+        state = kernel.init(random.split(key, n_chains), 0, None, (), {})
+        return lax.scan(advance, state, None, length=n_steps)[1]
+
+    compiled = jax.jit(whole, compiler_options={"xla_backend_optimization_level": 0})
+    return jax.block_until_ready(compiled(random.key(seed)))
+
+
+def total_variation(one: FloatArray, other: FloatArray) -> float:
+    return 0.5 * float(np.abs(one - other).sum())
 
 
 def never_called(scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator) -> Any:

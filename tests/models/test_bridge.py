@@ -1,0 +1,146 @@
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from phase_ppl.models.bridge import SimulatorBridge, request_errors
+from phase_ppl.simulator.contract import SimulationResult
+from phase_ppl.world.goals import GOALS
+from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
+
+N_FRAMES = 4
+
+
+class Counting:
+    """Gives every simulation its seed as the error of each frame."""
+
+    def __init__(self) -> None:
+        self.batches: list[list[Hypothesis]] = []
+        self.ceilings: list[float] = []
+
+    def run(
+        self, hypotheses: Sequence[Hypothesis], seeds: Sequence[int], ceilings: Sequence[float]
+    ) -> list[SimulationResult]:
+        self.batches.append(list(hypotheses))
+        self.ceilings += ceilings
+        done: dict[Any, SimulationResult] = {}
+        for h, seed in zip(hypotheses, seeds, strict=True):
+            trajectory = np.zeros((N_FRAMES, 4, 3), np.float32)
+            errors = np.full(N_FRAMES, float(seed))
+            done.setdefault(
+                (h, seed), SimulationResult(h, seed, trajectory, errors, N_FRAMES, True)
+            )
+        return [done[key] for key in zip(hypotheses, seeds, strict=True)]
+
+
+def sites_of(n: int, **changes: Any) -> dict[str, jax.Array]:
+    values = {"goal_red": 0, "goal_green": 1, "alpha": 0, "strength_red": 300.0}
+    values |= {"strength_green": 450.0, **changes}
+    return {name: jnp.broadcast_to(jnp.asarray(value), (n,)) for name, value in values.items()}
+
+
+def ask(
+    bridge: SimulatorBridge,
+    sites: dict[str, jax.Array],
+    seeds: jax.Array,
+    log_prior: Any = -1.0,
+    ceiling: Any = np.inf,
+) -> Any:
+    def one(z: Any, seed: Any, prior: Any, limit: Any) -> jax.Array:
+        return request_errors(bridge.handle, N_FRAMES, z, prior, seed, limit)
+
+    n = len(seeds)
+    prior, limit = (
+        jnp.broadcast_to(jnp.asarray(v, jnp.float32), (n,)) for v in (log_prior, ceiling)
+    )
+    return np.asarray(jax.jit(jax.vmap(one))(sites, seeds, prior, limit))
+
+
+def test_fifteen_particles_arrive_in_one_call() -> None:
+    runner = Counting()
+    bridge = SimulatorBridge(runner, N_FRAMES)
+    errors = ask(bridge, sites_of(15), jnp.arange(15))
+    assert bridge.calls == 1
+    assert [len(batch) for batch in runner.batches] == [15]
+    np.testing.assert_array_equal(errors, np.repeat(np.arange(15.0)[:, None], N_FRAMES, axis=1))
+    assert [record.chain for record in bridge.records] == list(range(15))
+
+
+def test_any_leading_shape_is_answered() -> None:
+    bridge = SimulatorBridge(Counting(), N_FRAMES)
+    z = {name: values[0] for name, values in sites_of(1).items()}
+    single = request_errors(bridge.handle, N_FRAMES, z, jnp.array(0.0), jnp.array(7))
+    np.testing.assert_array_equal(single, np.full(N_FRAMES, 7))
+
+    def inner(seed: jax.Array) -> jax.Array:
+        return request_errors(bridge.handle, N_FRAMES, z, jnp.array(0.0), seed)
+
+    grid = jax.vmap(jax.vmap(inner))(jnp.arange(6).reshape(3, 2))
+    np.testing.assert_array_equal(grid[..., 0], np.arange(6).reshape(3, 2))
+    assert [record.chain for record in bridge.records[1:]] == [0, 0, 1, 1, 2, 2]
+
+
+@pytest.mark.parametrize(
+    ("site", "value"),
+    [
+        ("goal_red", 36),
+        ("goal_green", -1),
+        ("goal_red", GOALS.index("get to red agent")),
+        ("goal_green", GOALS.index("get away from green agent")),
+        ("alpha", len(ALPHAS)),
+        ("strength_red", 0.0),
+        ("strength_green", np.nan),
+        ("strength_green", np.inf),
+    ],
+)
+def test_what_is_no_hypothesis_is_answered_without_a_simulation(site: str, value: float) -> None:
+    runner = Counting()
+    bridge = SimulatorBridge(runner, N_FRAMES)
+    sites = sites_of(3)
+    sites[site] = sites[site].at[1].set(value)
+    errors = ask(bridge, sites, jnp.arange(3))
+    assert np.isinf(errors[1]).all()
+    assert np.isfinite(errors[[0, 2]]).all()
+    assert [record.chain for record in bridge.records] == [0, 2]
+
+
+@pytest.mark.parametrize("log_prior", [-np.inf, -1e30, np.nan])
+def test_what_has_no_prior_mass_is_not_simulated(log_prior: float) -> None:
+    runner = Counting()
+    errors = ask(SimulatorBridge(runner, N_FRAMES), sites_of(2), jnp.arange(2), log_prior)
+    assert np.isinf(errors).all()
+    assert runner.batches == [[]]
+
+
+def test_identical_requests_are_paid_for_once() -> None:
+    bridge = SimulatorBridge(Counting(), N_FRAMES)
+    ask(bridge, sites_of(4), jnp.array([5, 5, 6, 5]))
+    assert [record.result.seed for record in bridge.records] == [5, 6]
+
+
+def test_ceilings_reach_the_runner() -> None:
+    runner = Counting()
+    ask(SimulatorBridge(runner, N_FRAMES), sites_of(2), jnp.arange(2), ceiling=[3.0, np.inf])
+    assert runner.ceilings == [3.0, np.inf]
+
+
+def test_an_exception_is_kept_with_its_class() -> None:
+    class Exploding(Counting):
+        def run(self, *_: Any) -> list[SimulationResult]:
+            raise ZeroDivisionError("the simulator exploded")
+
+    bridge = SimulatorBridge(Exploding(), N_FRAMES)
+    with pytest.raises(Exception, match="exploded"):
+        ask(bridge, sites_of(2), jnp.arange(2))
+    assert isinstance(bridge.failure, ZeroDivisionError)
+
+
+def test_sites_of_the_users_own_are_recorded() -> None:
+    bridge = SimulatorBridge(Counting(), N_FRAMES)
+    ask(bridge, sites_of(2) | {"mood": jnp.array([[1.0, 2.0], [3.0, 4.0]])}, jnp.arange(2))
+    np.testing.assert_array_equal(bridge.records[1].sites["mood"], [3.0, 4.0])

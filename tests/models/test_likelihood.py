@@ -1,0 +1,78 @@
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import numpyro
+import pytest
+from jax import random
+from numpyro.infer import Predictive
+
+from phase_ppl.models.likelihood import DIMENSIONS, RadialLikelihood, RadialTrajectory
+from phase_ppl.world.errors import InvalidSettingError
+
+BETAS = (0.05, 0.7)
+
+
+@pytest.mark.parametrize("beta", BETAS)
+def test_radial_density_integrates_to_one(beta: float) -> None:
+    radius = np.linspace(1e-6, 60 / beta, 200_001)
+    sphere = 2 * math.pi ** (DIMENSIONS / 2) / math.gamma(DIMENSIONS / 2)
+    density = np.exp(RadialLikelihood(beta).log_prob(radius))
+    assert np.trapezoid(density * sphere * radius ** (DIMENSIONS - 1), radius) == pytest.approx(
+        1, abs=1e-4
+    )
+
+
+@pytest.mark.parametrize("beta", BETAS)
+def test_mean_distance_of_samples_is_d_over_beta(beta: float) -> None:
+    predicted = jnp.arange(3 * 8.0).reshape(3, 4, 2)
+    samples = np.asarray(RadialTrajectory(predicted, beta).sample(random.key(0), (2000,)))
+    distance = np.sqrt(((samples - np.asarray(predicted)) ** 2).sum(axis=(-2, -1)))
+    assert distance.shape == (2000, 3)
+    # the standard deviation of a Gamma(8) distance is its mean / sqrt(8)
+    assert distance.mean() == pytest.approx(DIMENSIONS / beta, rel=4 / math.sqrt(8 * 6000))
+
+
+def test_trajectory_density_is_that_of_its_errors() -> None:
+    rng = np.random.default_rng(0)
+    predicted, observed = rng.normal(size=(2, 6, 4, 2))
+    errors = np.linalg.norm((predicted - observed).reshape(6, 8), axis=1)
+    expected = RadialLikelihood(0.3).log_prob(errors).sum()
+    found = RadialTrajectory(jnp.asarray(predicted), 0.3).log_prob(jnp.asarray(observed))
+    assert float(found) == pytest.approx(expected, rel=1e-5)
+
+
+def test_predictive_draws_trajectories_around_the_prediction() -> None:
+    def program() -> None:
+        numpyro.sample("observed", RadialTrajectory(jnp.full((5, 4, 2), 12.0), 1000.0))
+
+    drawn: Any = Predictive(program, num_samples=7)(random.key(1))["observed"]
+    assert drawn.shape == (7, 5, 4, 2)
+    assert np.abs(drawn - 12).max() < 0.1
+
+
+def test_largest_error_reaches_exactly_the_floor() -> None:
+    likelihood = RadialLikelihood()
+    total = likelihood.max_total_error(-400.0, 10)
+    errors = np.full(10, total / 10)
+    assert likelihood.log_prob(errors).sum() == pytest.approx(-400)
+
+
+def test_infinite_error_has_no_density() -> None:
+    assert RadialLikelihood().log_prob(np.array([np.inf]))[0] == -np.inf
+
+
+def test_density_is_the_same_in_numpy_and_jax() -> None:
+    errors = np.array([0.0, 3.0, 40.0])
+    np.testing.assert_allclose(
+        RadialLikelihood().log_prob(errors), RadialLikelihood().log_prob(jnp.asarray(errors)), 1e-6
+    )
+
+
+@pytest.mark.parametrize("beta", [0, -1.0, math.nan, math.inf, "0.05", True])
+def test_beta_must_be_a_positive_number(beta: Any) -> None:
+    with pytest.raises(InvalidSettingError, match="beta"):
+        RadialLikelihood(beta)
