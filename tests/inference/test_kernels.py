@@ -117,11 +117,18 @@ def test_a_particle_moves_among_others_as_it_would_alone_under_numpyros_driver()
         np.testing.assert_allclose(values, together.z[name][:, 1], 1e-5, err_msg=name)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("method", ["vectorized", "sequential"])
 def test_kernel_runs_under_numpyros_chain_methods(method: str) -> None:
-    kernel, _bridge = local_mh(TableRunner(ERRORS))
-    mcmc = MCMC(kernel, num_warmup=0, num_samples=5, num_chains=2, chain_method=method)
+    program, _bridge = table_program(TableRunner(ERRORS))
+    kernel = PriorMH(program)
+    mcmc = MCMC(
+        kernel,
+        num_warmup=0,
+        num_samples=5,
+        num_chains=2,
+        chain_method=method,
+        progress_bar=False,
+    )
     mcmc.run(random.key(3))
     together = run(kernel, 5, n_chains=2, seed=3)
     for name, values in mcmc.get_samples(group_by_chain=True).items():
