@@ -28,8 +28,8 @@ from tests.inference.toy import (
     visited_share,
 )
 
-STEPS = 2500
-MONTE_CARLO = 0.05
+STEPS = 1500
+MONTE_CARLO = 0.06
 """Twice the total variation that the autocorrelated draws of so many steps give."""
 
 ERRORS = table_errors()

@@ -1,0 +1,222 @@
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import numpyro
+import numpyro.distributions as dist
+import pytest
+from jax import random
+from numpyro.infer.util import log_density as numpyro_log_density
+
+from phase_ppl.inference.guide import Mixture, bottom_up_guide
+from phase_ppl.inference.proposals import (
+    BottomUpTables,
+    bottom_up_tables,
+    window_count,
+    window_length,
+)
+from phase_ppl.models import priors, sites
+from phase_ppl.models.density import draw, log_density
+from phase_ppl.models.model import Model
+from phase_ppl.world.goals import GOALS, goal_index
+from phase_ppl.world.observation import Observation
+from phase_ppl.world.scene import Scene
+from tests.inference.toy import few_goals, never_called, table_guide
+
+START = np.array([[8, 10, 0.3], [20, 8, 1.0], [10, 16, 0], [18, 12, 0]], float)
+SCENE = Scene(START, np.array([0.8, 1.2, 1.01, 0.8]))
+RED, GREEN = 0, 1
+
+
+def moving(entity: int, towards: tuple[float, float], n_frames: int = 21) -> Observation:
+    """One entity goes straight to a place, the others rest."""
+    frames = np.repeat(START[None], n_frames, axis=0)
+    frames[:, entity, :2] = np.linspace(START[entity, :2], towards, n_frames)
+    return Observation(frames)
+
+
+def logit(tables: BottomUpTables, goal: str, window: int = -1, agent: int = RED) -> float:
+    return float(np.asarray(tables.goal_logits)[window, agent, goal_index(goal)])
+
+
+@pytest.mark.parametrize(("n_frames", "length", "count"), [(2, 1, 1), (11, 10, 1), (50, 10, 40)])
+def test_windows_cover_all_frames(n_frames: int, length: int, count: int) -> None:
+    assert (window_length(n_frames, 10), window_count(n_frames, 10)) == (length, count)
+    tables = bottom_up_tables(SCENE, moving(2, (20.0, 6.0), n_frames))
+    assert tables.goal_logits.shape == (count + 1, 2, 36)
+    assert tables.strength.shape == (count + 1, 2)
+
+
+def test_goal_that_an_item_comes_to_is_the_likeliest_of_its_own() -> None:
+    tables = bottom_up_tables(SCENE, moving(2, (23.5, 4.5)))
+    mine = [goal for goal in GOALS if goal.startswith("Get blue item")]
+    assert max(mine, key=lambda goal: logit(tables, goal)) == "Get blue item to red lm"
+
+
+def test_progress_counts_as_well_as_closeness() -> None:
+    there = np.repeat(START[None], 21, axis=0)
+    there[:, 2, :2] = 20.0, 8.0
+    resting = bottom_up_tables(SCENE, Observation(there))
+    arriving = bottom_up_tables(SCENE, moving(2, (20.0, 8.0)))
+    goal = "Get blue item to red lm"
+    assert logit(arriving, goal) > logit(resting, goal) + 1
+
+
+def test_window_is_judged_by_its_own_motion() -> None:
+    tables = bottom_up_tables(SCENE, moving(2, (23.5, 4.5), 41))
+    goal = "Get blue item to red lm"
+    assert logit(tables, goal, 30) > logit(tables, goal, 0)
+
+
+def test_goal_about_the_other_agent_is_judged_by_the_other_agent() -> None:
+    tables = bottom_up_tables(SCENE, moving(1, (23.5, 4.5)))
+    goal = "Get green agent to red lm"
+    assert logit(tables, goal, agent=RED) == logit(tables, goal, agent=GREEN)
+    assert logit(tables, goal) > logit(tables, "Get red agent to red lm")
+
+
+def test_chase_is_judged_by_the_distance_between_the_agents() -> None:
+    closer = bottom_up_tables(SCENE, moving(0, (18.0, 8.0)))
+    farther = bottom_up_tables(SCENE, moving(0, (6.5, 21.0)))
+    assert logit(closer, "get to green agent") > logit(farther, "get to green agent")
+    away = "get away from green agent"
+    assert logit(farther, away) > logit(closer, away)
+
+
+def test_being_far_is_no_reason_to_believe_in_getting_away() -> None:
+    tables = bottom_up_tables(SCENE, moving(2, (23.5, 4.5)))
+    reached = logit(tables, "Get blue item to red lm")
+    for landmark in ("blue lm", "green lm", "yellow lm"):
+        assert logit(tables, f"Get blue item away from {landmark}") < reached
+
+
+def test_printed_sign_prefers_far_goals() -> None:
+    observation = moving(2, (23.5, 4.5))
+    intended = bottom_up_tables(SCENE, observation)
+    printed = bottom_up_tables(SCENE, observation, sign="printed")
+    possible = ~sites.SELF_REFERRING
+    for tables, sign in ((intended, -1), (printed, 1)):
+        scores = np.asarray(tables.goal_logits)[:, possible]
+        np.testing.assert_allclose(sign * scores, np.asarray(printed.goal_logits)[:, possible])
+
+
+def test_goals_that_name_their_holder_are_never_proposed() -> None:
+    tables = bottom_up_tables(SCENE, moving(2, (23.5, 4.5)))
+    assert (np.asarray(tables.goal_logits)[:, sites.SELF_REFERRING] < -1e20).all()
+
+
+# --- the guide as a program --------------------------------------------------------------------
+
+
+def guide_of(prior: Callable[[], Any]) -> Mixture:
+    """A guide with an estimate of the red strength, none of the green one."""
+    tables = bottom_up_tables(SCENE, moving(2, (23.5, 4.5)))
+    strength = np.full(tables.strength.shape, np.nan)
+    strength[:, RED] = 300.0
+    model = Model(prior=prior, simulator=never_called)
+    return bottom_up_guide(prior, model.sites, tables._replace(strength=strength), prior_share=0.1)
+
+
+def drawn_from(program: Any, n: int, *args: Any) -> dict[str, Any]:
+    keys = random.split(random.key(0), n)
+    return dict(jax.jit(jax.vmap(lambda key: draw(program, key, *args)))(keys))
+
+
+def densities(program: Any, z: Any, *args: Any) -> np.ndarray:
+    return np.asarray(jax.jit(jax.vmap(lambda one: log_density(program, one, *args)))(z))
+
+
+def helpful_moods() -> None:
+    """A hierarchy: the mood decides how likely helping is, and how long a memory is."""
+    mood = numpyro.sample("mood", dist.Bernoulli(0.3))
+    calm, helpful = jnp.array([0.8, 0.05, 0.05, 0.05, 0.05]), jnp.array([0.1, 0.4, 0.4, 0.05, 0.05])
+    numpyro.sample("alpha", dist.Categorical(probs=jnp.where(mood == 1, helpful, calm)))
+    sites.goals()
+    red, _ = sites.strengths()
+    numpyro.sample("memory", dist.Normal(red / 600, 0.5).expand([2]).to_event(1))
+
+
+@pytest.mark.parametrize("prior", [priors.uniform, few_goals, helpful_moods])
+def test_guide_has_the_density_that_it_draws_from(prior: Callable[[], Any]) -> None:
+    # then the mean of P / Q over draws of Q is the total mass of P, since Q covers P
+    guide, window = guide_of(prior), jnp.array(3)
+    z = drawn_from(guide, 20_000, window)
+    ratio = np.exp(densities(prior, z) - densities(guide, z, window))
+    assert ratio.max() < 1 / 0.1 + 1e-3
+    assert ratio.mean() == pytest.approx(1, abs=5 * ratio.std() / np.sqrt(len(ratio)))
+
+
+def test_guides_goal_frequencies_are_those_of_its_density() -> None:
+    guide, window = table_guide(), jnp.array(1)
+    z = drawn_from(guide, 20_000, window)
+    codes = np.array(list(itertools.product((0, 5, 18), (3, 9), (0, 1, 4))))
+    counts = [
+        (np.stack([z["goal_red"], z["goal_green"], z["alpha"]], axis=1) == code).all(axis=1).mean()
+        for code in codes
+    ]
+    assert sum(counts) == pytest.approx(1)
+    # integrate the strengths out on a grid
+    grid = np.linspace(152.5, 597.5, 90)
+    red, green = (axis.ravel() for axis in np.meshgrid(grid, grid))
+    cell = (grid[1] - grid[0]) ** 2
+
+    def mass(code: jax.Array) -> jax.Array:
+        def density(one: jax.Array, other: jax.Array) -> jax.Array:
+            values = {"strength_red": one, "strength_green": other, "alpha": code[2]}
+            values |= {"goal_red": code[0], "goal_green": code[1]}
+            return log_density(guide, values, window)
+
+        return jnp.exp(jax.vmap(density)(jnp.asarray(red), jnp.asarray(green))).sum() * cell
+
+    masses = np.asarray(jax.jit(jax.vmap(mass))(jnp.asarray(codes)))
+    assert masses.sum() == pytest.approx(1, abs=0.01)
+    np.testing.assert_allclose(counts, masses, atol=0.015)
+
+
+def test_guide_is_a_program_whose_density_numpyro_agrees_with() -> None:
+    guide, window = guide_of(priors.uniform), jnp.array(2)
+    z = draw(guide, random.key(4), window)
+    assert set(z) == set(sites.HYPOTHESIS_SITES)
+    expected = numpyro_log_density(guide, (window,), {}, z)[0]
+    assert float(log_density(guide, z, window)) == pytest.approx(float(expected), rel=1e-5)
+
+
+def test_goals_that_the_prior_excludes_are_not_proposed() -> None:
+    z = drawn_from(guide_of(few_goals), 2000, jnp.array(0))
+    assert set(np.unique(z["goal_red"])) <= {0, 5, 18}
+    assert set(np.unique(z["goal_green"])) <= {3, 9}
+
+
+def test_strength_is_proposed_around_its_estimate_and_otherwise_from_the_prior() -> None:
+    z = drawn_from(guide_of(priors.uniform), 4000, jnp.array(0))
+    red, green = np.asarray(z["strength_red"]), np.asarray(z["strength_green"])
+    assert (np.abs(red - 300) < 80).mean() == pytest.approx(0.9 * 0.954 + 0.1 * 160 / 450, abs=0.03)
+    assert green.mean() == pytest.approx(375, abs=10)
+    assert green.std() == pytest.approx(450 / np.sqrt(12), abs=6)
+
+
+def test_sites_of_the_users_own_come_from_the_prior() -> None:
+    z = drawn_from(guide_of(helpful_moods), 8000, jnp.array(0))
+    mood, alpha = np.asarray(z["mood"]), np.asarray(z["alpha"])
+    assert mood.mean() == pytest.approx(0.3, abs=0.03)
+    helping = np.isin(alpha, (1, 2))
+    assert helping[mood == 1].mean() == pytest.approx(0.8, abs=0.04)
+    assert helping[mood == 0].mean() == pytest.approx(0.1, abs=0.03)
+
+
+def test_mixture_needs_no_key_where_all_values_are_given() -> None:
+    def first(x: float) -> None:
+        numpyro.sample("a", dist.Normal(x, 1.0))
+
+    def second(x: float) -> None:
+        numpyro.sample("a", dist.Normal(-x, 1.0))
+
+    mixture = Mixture((first, second), (0.25, 0.75), {"a": ()})
+    found = log_density(mixture, {"a": jnp.array(2.0)}, 2.0)
+    standard = np.exp([0.0, -8.0]) / np.sqrt(2 * np.pi)
+    assert float(found) == pytest.approx(np.log(standard @ [0.25, 0.75]), rel=1e-5)
