@@ -165,6 +165,7 @@ class Chains:
         self.start: Step | None = None
         self.steps: list[Step] = []
         self._data, self._bridge, self._runner = data, bridge, runner
+        bridge.defers = True
         self._n_chains = n_chains
         self._key_number = int(np.random.SeedSequence(seed).generate_state(1)[0])
         self._state: Any = None
@@ -245,13 +246,10 @@ class Chains:
                 with contextlib.suppress(BaseException):
                     future.result()
                 raise
-            try:
-                return future.result()
-            except Exception:
-                failure = self._bridge.failure
-                if failure is None:
-                    raise
-            raise failure
+            result = future.result()
+        if self._bridge.failure is not None:
+            raise self._bridge.failure
+        return result
 
 
 def _on_host(state: Any) -> Step:

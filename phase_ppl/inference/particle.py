@@ -13,6 +13,7 @@ from jax import lax, random
 from numpyro.infer.mcmc import MCMCKernel
 from numpyro.util import is_prng_key
 
+from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.density import NO_DENSITY, Program, draw
 from phase_ppl.models.program import EventProgram
 from phase_ppl.world.errors import InvalidSettingError
@@ -48,19 +49,26 @@ class ParticleKernel(MCMCKernel, Generic[State]):
     Args:
         program: the model of an event; None until :meth:`bound_to` is called.
         guide: proposal program ``guide(window)``, for kernels that need one.
+        settings: of SIMPLE, for kernels that need them; by default the paper's.
     """
 
     sample_field: ClassVar[str] = "z"
     default_fields: ClassVar[tuple[str, ...]] = ("z",)
 
-    def __init__(self, program: EventProgram | None = None, guide: Program | None = None) -> None:
+    def __init__(
+        self,
+        program: EventProgram | None = None,
+        guide: Program | None = None,
+        settings: SimpleSettings | None = None,
+    ) -> None:
         self._program = program
         self._guide = guide
+        self.settings = SimpleSettings() if settings is None else settings
 
-    def bound_to(self, program: EventProgram, guide: Program | None = None) -> Self:
-        """Return a copy of this kernel, with its options, for another event."""
+    def bound_to(self, program: EventProgram, guide: Program, settings: SimpleSettings) -> Self:
+        """Return a copy of this kernel, with its own options, for another event."""
         bound = copy.copy(self)
-        ParticleKernel.__init__(bound, program, guide)
+        ParticleKernel.__init__(bound, program, guide, settings)
         return bound
 
     @property

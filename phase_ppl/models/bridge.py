@@ -69,8 +69,10 @@ class SimulatorBridge:
         records: every simulation so far.
         iteration: what new records are labelled with.
         calls: number of host calls.
-        failure: the exception that ended the last call, if one did. JAX replaces exceptions by
-            its own; whoever drives the chain raises this one instead.
+        failure: the exception that ended a call, if one did.
+        defers: whether a failure waits for whoever drives the chain, who then raises it. It is
+            answered with infinite errors until then, and so is what follows. Raised at once, it
+            would be logged by JAX and replaced by an exception of another class.
     """
 
     def __init__(self, runner: RunsSimulations, n_frames: int) -> None:
@@ -79,6 +81,7 @@ class SimulatorBridge:
         self.iteration = 0
         self.calls = 0
         self.failure: BaseException | None = None
+        self.defers = False
         self._runner = runner
         self._n_frames = n_frames
         _open[self.handle] = self
@@ -91,11 +94,14 @@ class SimulatorBridge:
         ceiling: NDArray[np.float32],
     ) -> NDArray[np.float32]:
         """Return the errors (..., time) that a batch (...) of requests asks for."""
-        try:
-            return self._simulate(columns, log_prior, seed, ceiling)
-        except BaseException as error:
-            self.failure = error
-            raise
+        if self.failure is None:
+            try:
+                return self._simulate(columns, log_prior, seed, ceiling)
+            except BaseException as error:
+                self.failure = error
+        if self.defers:
+            return np.full((*seed.shape, self._n_frames), np.inf, np.float32)
+        raise self.failure
 
     def _simulate(
         self,

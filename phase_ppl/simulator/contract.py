@@ -8,16 +8,18 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import itertools
-import threading
+import functools
+import math
 import time
-from collections.abc import Iterator
-from typing import Final, Protocol
+import traceback
+from collections.abc import Callable, Generator, Iterable, Sequence
+from pathlib import Path
+from typing import Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.world.errors import PhasePPLError, SimulationError
+from phase_ppl.world.errors import PhasePPLError, SimulationError, shown
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.names import ENTITIES
 from phase_ppl.world.scene import Scene
@@ -33,12 +35,19 @@ class Simulator(Protocol):
     """Yields frames (4, 3) = x, y [units], angle [rad] per entity until it is closed.
 
     The first frame is compared with the first observed one. ``hypothesis`` holds effective goals
-    and alpha = (0, 0). Ending early, or a value that is not finite, is a failed simulation.
+    and alpha = (0, 0). All randomness comes from ``rng``. Ending early, raising, or a value that
+    is not finite is a failed simulation.
+
+    A simulator may have two more methods:
+
+    * ``simulate_batch(scene, hypotheses, rngs, n_frames) -> (batch, time, 4, 3)``, for an engine
+      that runs many simulations at once; where there is one, it is used, in this process.
+    * ``warm_up()``: does once what all processes can then share, such as compiling.
     """
 
     def __call__(
-        self, scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator
-    ) -> Iterator[FloatArray]: ...
+        self, scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator, /
+    ) -> Iterable[NDArray[Any]]: ...
 
 
 class Cancelled(PhasePPLError):
@@ -52,18 +61,18 @@ class SimulationResult:
     Attributes:
         hypothesis: as requested (stated goals and alpha).
         seed: as requested.
-        trajectory: (time, entity, coord) float32; NaN where not simulated.
+        trajectory: (time, entity, coord) x, y [units], angle [rad]; NaN where not simulated.
         errors: (time,) distance ||s - s^|| over the x, y of all entities, units; inf where not
             simulated.
         frames_simulated: frames taken from the simulator.
         completed: all frames were simulated.
         seconds: time spent simulating.
-        failure: what went wrong, or None.
+        failure: what went wrong, class and message of the error, or None.
     """
 
     hypothesis: Hypothesis
     seed: int
-    trajectory: NDArray[np.float32]
+    trajectory: FloatArray
     errors: FloatArray
     frames_simulated: int
     completed: bool
@@ -80,43 +89,14 @@ class SimulationResult:
         cls, hypothesis: Hypothesis, seed: int, n_frames: int, failure: str, seconds: float = 0.0
     ) -> SimulationResult:
         """Return the result of a simulation that gave nothing."""
-        trajectory = np.full((n_frames, *FRAME_SHAPE), np.nan, np.float32)
+        trajectory = np.full((n_frames, *FRAME_SHAPE), np.nan)
         errors = np.full(n_frames, np.inf)
         return cls(hypothesis, seed, trajectory, errors, 0, False, seconds, failure)
 
 
 def random_generator(seed: int) -> np.random.Generator:
-    """Return the generator of the simulation with this seed."""
+    """Return the generator of the simulation with this seed, of which 32 bits count."""
     return np.random.default_rng([int(seed) & 0xFFFFFFFF, _STREAM])
-
-
-def _checked(frame: object, index: int) -> FloatArray:
-    array = np.asarray(frame, dtype=float)
-    if array.shape != FRAME_SHAPE:
-        raise ValueError(f"frame {index} has shape {array.shape}, expected {FRAME_SHAPE}")
-    if not np.isfinite(array).all():
-        raise ValueError(f"frame {index} holds a value that is not finite")
-    return array
-
-
-def frames_of(
-    simulator: Simulator, scene: Scene, hypothesis: Hypothesis, seed: int, n_frames: int
-) -> Iterator[FloatArray]:
-    """Yield ``n_frames`` checked frames; the simulator is closed whenever this is closed.
-
-    Raises:
-        ValueError: a frame of the wrong shape or not finite, or too few frames.
-    """
-    frames = iter(simulator(scene, hypothesis.effective(), random_generator(seed)))
-    close = getattr(frames, "close", None)
-    with contextlib.ExitStack() as stack:
-        if close is not None:
-            stack.callback(close)
-        count = 0
-        for count, frame in enumerate(itertools.islice(frames, n_frames), start=1):
-            yield _checked(frame, count - 1)
-        if count < n_frames:
-            raise ValueError(f"the simulator ended after {count} of {n_frames} frames")
 
 
 def simulate_one(
@@ -124,69 +104,177 @@ def simulate_one(
     scene: Scene,
     hypothesis: Hypothesis,
     seed: int,
-    observed: FloatArray,
-    error_ceiling: float = np.inf,
-    cancelled: threading.Event | None = None,
+    observed_positions: FloatArray,
+    error_ceiling: float = math.inf,
+    *,
+    cancelled: Callable[[], bool] | None = None,
 ) -> SimulationResult:
     """Run one simulation against what was observed, no further than it can matter.
 
+    Whatever the simulator does wrong becomes a failed result, which keeps the frames before.
+
     Args:
         simulator, scene, hypothesis, seed: what to simulate.
-        observed: (time, entity, 2) observed x, y, units.
-        error_ceiling: the simulation is closed once its summed error exceeds this, units.
-        cancelled: checked between frames.
+        observed_positions: (time, entity, 2) observed x, y, units.
+        error_ceiling: the simulation is closed once its summed error exceeds this, units. Below
+            zero nothing is simulated. What stays under it is the same as without a ceiling.
+        cancelled: asked after each frame.
 
     Raises:
-        Cancelled: ``cancelled`` was set.
+        Cancelled: ``cancelled`` said so.
     """
-    n_frames = len(observed)
-    trajectory = np.full((n_frames, *FRAME_SHAPE), np.nan, np.float32)
-    errors = np.full(n_frames, np.inf)
-    total, t = 0.0, 0
-    begin = time.perf_counter()
-    failure = None
-    try:
-        with contextlib.closing(
-            frames_of(simulator, scene, hypothesis, seed, n_frames)  # type: ignore[type-var]
-        ) as frames:
-            for frame in frames:
-                if cancelled is not None and cancelled.is_set():
-                    raise Cancelled("the simulation was cancelled")
-                trajectory[t] = frame
-                errors[t] = np.linalg.norm(frame[:, :2] - observed[t])
-                total += errors[t]
-                t += 1
-                if total > error_ceiling:
-                    break
-    except Cancelled:
-        raise
-    except Exception as error:  # a user's simulator may raise anything; it must not be lost
-        failure = f"{type(error).__name__}: {error}"
-    seconds = time.perf_counter() - begin
-    if failure is not None:
-        return SimulationResult.failed(hypothesis, seed, n_frames, failure, seconds)
-    return SimulationResult(
+    return _follow(
+        lambda: simulator(scene, hypothesis.effective(), random_generator(seed)),
         hypothesis,
         seed,
-        trajectory,
-        errors,
-        frames_simulated=t,
-        completed=bool(t == n_frames and total <= error_ceiling),
-        seconds=seconds,
+        observed_positions,
+        error_ceiling,
+        cancelled,
     )
+
+
+def simulate_together(
+    simulator: Any,
+    scene: Scene,
+    hypotheses: Sequence[Hypothesis],
+    seeds: Sequence[int],
+    observed_positions: FloatArray,
+) -> list[SimulationResult]:
+    """Run many simulations by one call of the simulator's ``simulate_batch``.
+
+    Each result has an equal share of the seconds. An error of the call is a failure of all.
+    """
+    n_frames = len(observed_positions)
+    clock = time.perf_counter()
+    try:
+        batch = np.asarray(
+            simulator.simulate_batch(
+                scene,
+                [hypothesis.effective() for hypothesis in hypotheses],
+                [random_generator(seed) for seed in seeds],
+                n_frames,
+            ),
+            dtype=np.float64,
+        )
+        expected = (len(hypotheses), n_frames, *FRAME_SHAPE)
+        if batch.shape != expected:
+            raise SimulationError(f"the batch has shape {batch.shape}, expected {expected}")
+    except (Exception, SystemExit) as error:
+        failure = _described(error)
+        results = [
+            SimulationResult.failed(hypothesis, int(seed), n_frames, failure)
+            for hypothesis, seed in zip(hypotheses, seeds, strict=True)
+        ]
+    else:
+        results = [
+            _follow(functools.partial(iter, rows), hypothesis, seed, observed_positions)
+            for rows, hypothesis, seed in zip(batch, hypotheses, seeds, strict=True)
+        ]
+    seconds = (time.perf_counter() - clock) / max(len(results), 1)
+    return [dataclasses.replace(result, seconds=seconds) for result in results]
 
 
 def simulate_trajectory(
     simulator: Simulator, scene: Scene, hypothesis: Hypothesis, seed: int, n_frames: int
 ) -> FloatArray:
-    """Return a simulated trajectory (time, entity, coord).
+    """Return a simulated trajectory (time, entity, coord); nothing is observed.
 
     Raises:
-        SimulationError: the simulator raised, ended early or gave a value that is not finite.
+        SimulationError: the simulator raised, ended early or gave a value that is not finite;
+            the message names the hypothesis and the seed.
     """
+    trajectory = np.empty((n_frames, *FRAME_SHAPE))
     try:
-        return np.array(list(frames_of(simulator, scene, hypothesis, seed, n_frames)))
-    except Exception as error:
+        incoming = _checked(
+            lambda: simulator(scene, hypothesis.effective(), random_generator(seed)), n_frames
+        )
+        with contextlib.closing(incoming):
+            for t in range(n_frames):
+                trajectory[t] = next(incoming)
+    except (Exception, SystemExit) as error:
         raise SimulationError(
-            f"simulation of [{hypothesis}] with seed {seed} failed: {error}"
+            f"simulation of [{hypothesis}] with seed {seed} failed: {_described(error)}"
         ) from error
+    return trajectory
+
+
+def _follow(
+    start: Callable[[], Iterable[NDArray[Any]]],
+    hypothesis: Hypothesis,
+    seed: int,
+    observed_positions: FloatArray,
+    error_ceiling: float = math.inf,
+    cancelled: Callable[[], bool] | None = None,
+) -> SimulationResult:
+    """Compare frame by frame; close the simulation once its fate is decided."""
+    n_frames = len(observed_positions)
+    observed = observed_positions.reshape(n_frames, -1).tolist()
+    trajectory = np.full((n_frames, *FRAME_SHAPE), np.nan)
+    errors = np.full(n_frames, np.inf)
+    total, done = 0.0, 0
+    failure = None
+    clock = time.perf_counter()
+    try:
+        with contextlib.closing(_checked(start, n_frames)) as incoming:
+            while done < n_frames and total <= error_ceiling:
+                frame = next(incoming)
+                error = math.dist(frame[:, :2].ravel().tolist(), observed[done])
+                trajectory[done], errors[done] = frame, error
+                total += error
+                done += 1
+                if cancelled is not None and cancelled():
+                    raise Cancelled("the simulation was cancelled")
+    except Cancelled:
+        raise
+    except (Exception, SystemExit) as error:  # a simulator may raise anything
+        failure = _described(error)
+    return SimulationResult(
+        hypothesis,
+        int(seed),
+        trajectory,
+        errors,
+        frames_simulated=done,
+        completed=done == n_frames and failure is None,
+        seconds=time.perf_counter() - clock,
+        failure=failure,
+    )
+
+
+def _checked(
+    start: Callable[[], Iterable[NDArray[Any]]], n_frames: int
+) -> Generator[FloatArray, None, None]:
+    """Yield frames until closed, which closes the simulator too; raise if one is not usable."""
+    produced = start()
+    if not isinstance(produced, Iterable):
+        raise SimulationError(
+            f"the simulator returned {shown(produced)}, expected frames; did it forget to yield?"
+        )
+    incoming = iter(produced)
+    count = 0
+    try:
+        for count, given in enumerate(incoming, start=1):
+            frame = np.asarray(given, dtype=np.float64)
+            if frame.shape != FRAME_SHAPE:
+                raise SimulationError(
+                    f"frame {count - 1} has shape {frame.shape}, expected {FRAME_SHAPE}"
+                )
+            if not np.isfinite(frame).all():
+                raise SimulationError(f"frame {count - 1} holds a value that is not finite")
+            yield frame
+        raise SimulationError(f"the simulator ended after {count} of {n_frames} frames")
+    finally:
+        close = getattr(incoming, "close", None)
+        if close is not None:
+            close()
+
+
+def _described(error: BaseException) -> str:
+    """Return class and message of ``error``, and where a user's code raised it."""
+    # str() of a user's own exception may itself raise; this one does not
+    trace = traceback.TracebackException.from_exception(error, limit=-1, lookup_lines=False)
+    message = str(trace)
+    text = f"{type(error).__name__}: {message}" if message else type(error).__name__
+    if isinstance(error, SimulationError) or not trace.stack:
+        return text
+    place = trace.stack[-1]
+    return f"{text} ({Path(place.filename).name}, line {place.lineno})"

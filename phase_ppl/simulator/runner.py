@@ -2,38 +2,34 @@
 
 from __future__ import annotations
 
-import concurrent.futures as futures
+import contextlib
 import dataclasses
-import functools
 import math
-import os
-import signal
+import numbers
+import secrets
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor, Future, InvalidStateError
 from types import TracebackType
-from typing import Any, Final
 
 import cloudpickle
+import loky
 import numpy as np
-from numpy.typing import NDArray
 
-from phase_ppl.simulator.contract import Cancelled, SimulationResult, Simulator, simulate_one
-from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.simulator.contract import (
+    Cancelled,
+    SimulationResult,
+    Simulator,
+    simulate_one,
+    simulate_together,
+)
+from phase_ppl.simulator.dispatch import Dispatch, Request
+from phase_ppl.simulator.pool import BorrowedExecutor, OwnWorkers, Pool, Work
+from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
-
-POLL_SECONDS: Final = 0.2
-"""How long a cancel may go unnoticed."""
-
-_ONE_THREAD: Final = {
-    name: "1"
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
-}
-
-_Request = tuple[Hypothesis, int, float]
 
 
 @dataclasses.dataclass
@@ -42,9 +38,12 @@ class Statistics:
 
     Attributes:
         simulations: run; requests merged with an identical one do not count.
-        frames: simulated; frames_saved: not simulated because the fate was decided.
-        seconds_simulating: summed over workers; seconds_waiting: wall time spent in ``run``.
-        failures: simulations that gave nothing; retries: repeated because a worker died.
+        frames: simulated.
+        frames_saved: not simulated because the fate was decided.
+        seconds_simulating: summed over workers.
+        seconds_waiting: wall time spent in ``run``.
+        failures: simulations that failed.
+        retries: simulations run again because they were lost, most often with their worker.
     """
 
     simulations: int = 0
@@ -56,45 +55,31 @@ class Statistics:
     retries: int = 0
 
 
-@functools.lru_cache(maxsize=4)
-def _unpack(payload: bytes) -> tuple[Simulator, Scene, NDArray[np.float64]]:
-    unpacked: tuple[Simulator, Scene, NDArray[np.float64]] = cloudpickle.loads(payload)
-    return unpacked
-
-
-def _work(payload: bytes, request: _Request) -> SimulationResult:
-    """Run one simulation in a worker process."""
-    simulator, scene, observed = _unpack(payload)
-    hypothesis, seed, ceiling = request
-    return simulate_one(simulator, scene, hypothesis, seed, observed, ceiling)
-
-
-def _ignore_interrupts() -> None:
-    # Ctrl-C reaches the whole process group; the parent alone decides what it means
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def usable_cores() -> int:
-    """Return the number of cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
 class Runner:
     """Runs simulations of one observed event.
 
+    The results are the same for any number of workers, in the order of the requests.
+
     Args:
-        simulator: what to run; may be defined anywhere, also in ``__main__`` or a notebook.
+        simulator: what to run; may be defined anywhere, also in ``__main__`` or a notebook. One
+            with a ``simulate_batch`` needs no workers: its batches are run in this process.
         scene: where it starts.
         observation: what its frames are compared with.
-        workers: processes; 1 simulates in this process; None: one per usable core.
-        executor: any PEP 3148 executor instead of own workers (it is not shut down).
-        max_retries: how often a simulation is repeated whose worker died.
+        workers: processes; 1 simulates in this process; None: one per usable core. With an
+            ``executor``, how many simulations to give it at a time; None: all.
+        executor: any PEP 3148 executor instead of own workers. It is not shut down, and what it
+            has begun goes on after a cancel, unheeded.
+        max_retries: how often a simulation is run again whose worker died. What raises in the
+            simulator is a failure at once, as it would raise again.
         on_result: called in this process as each simulation finishes.
 
+    Attributes:
+        statistics: what the simulations have cost so far.
+        workers: number of processes.
+
     Raises:
-        InvalidSettingError: ``workers`` is no whole number >= 1.
+        InvalidSettingError: ``workers`` or ``max_retries`` is out of range, or the simulator
+            cannot be called, or not be sent to workers.
     """
 
     def __init__(
@@ -104,23 +89,37 @@ class Runner:
         observation: Observation,
         *,
         workers: int | None = None,
-        executor: futures.Executor | None = None,
+        executor: Executor | None = None,
         max_retries: int = 1,
         on_result: Callable[[SimulationResult], None] | None = None,
     ) -> None:
-        count = usable_cores() if workers is None else workers
-        if isinstance(count, bool) or not isinstance(count, int) or count < 1:
-            raise InvalidSettingError(f"workers={workers!r}, expected a whole number >= 1")
-        self.workers = count
+        if not callable(simulator):
+            raise InvalidSettingError(f"simulator={shown(simulator)} cannot be called")
+        slots = None if workers is None else _whole_number("workers", workers, 1)
+        self.workers = loky.cpu_count() if slots is None else slots
         self.statistics = Statistics()
         self.on_result = on_result
         self._simulator, self._scene = simulator, scene
         self._observed = np.array(observation.positions)
-        self._max_retries = max_retries
-        self._given = executor
-        self._pool: Any = None
-        self._payload: bytes | None = None
-        self._cancelled = threading.Event()
+        self._max_retries = _whole_number("max_retries", max_retries, 0)
+        self._stop: Future[None] = Future()
+        self._one_run = threading.Lock()
+        self._pool: Pool | None = None
+        if executor is not None:
+            self._pool = BorrowedExecutor(executor, slots, *self._packed_work())
+        elif self.workers > 1 and not hasattr(simulator, "simulate_batch"):
+            warm_up = hasattr(simulator, "warm_up")
+            self._pool = OwnWorkers(self.workers, *self._packed_work(), warm_up)
+
+    def _packed_work(self) -> tuple[str, bytes]:
+        work = Work(self._simulator, self._scene, self._observed)
+        try:
+            return secrets.token_hex(8), cloudpickle.dumps(work)
+        except Exception as error:
+            raise InvalidSettingError(
+                f"simulator={shown(self._simulator)} cannot be sent to worker processes "
+                f"({type(error).__name__}: {error}); workers=1 needs none"
+            ) from error
 
     # --- life ------------------------------------------------------------------------------
 
@@ -135,15 +134,20 @@ class Runner:
     ) -> None:
         self.close()
 
-    def close(self) -> None:
-        """Stop all workers. Safe to call twice."""
-        pool, self._pool = self._pool, None
-        if pool is not None:
-            pool.shutdown(wait=True, kill_workers=True)
-
     def cancel(self) -> None:
-        """Make a running ``run`` raise :class:`Cancelled`. Safe to call from any thread."""
-        self._cancelled.set()
+        """Make ``run`` raise :class:`Cancelled`: one that is running, and any later one.
+
+        Safe to call from any thread. A simulation in this process stops after its next frame;
+        workers are killed.
+        """
+        with contextlib.suppress(InvalidStateError):
+            self._stop.set_result(None)
+
+    def close(self) -> None:
+        """Cancel, and leave no worker behind. Safe to call twice, and from any thread."""
+        self.cancel()
+        if self._pool is not None:
+            self._pool.close()
 
     @property
     def n_frames(self) -> int:
@@ -161,31 +165,55 @@ class Runner:
         """Return the simulations of hypotheses and seeds, in order.
 
         Args:
-            hypotheses, seeds: (n,) what to simulate; identical requests are run once.
+            hypotheses, seeds: (n,) what to simulate. Identical requests are run once and have
+                one result.
             error_ceilings: (n,) summed error beyond which each one is stopped, units.
 
         Raises:
-            Cancelled: :meth:`cancel` was called.
+            InvalidSettingError: the lengths differ, or a ceiling is not a number.
+            Cancelled: :meth:`cancel` or :meth:`close` was called.
+            SimulationError: no simulation can be run, as the simulator cannot be loaded in the
+                workers or the executor is broken. One that fails is a failed result instead.
         """
-        ceilings = [math.inf] * len(seeds) if error_ceilings is None else error_ceilings
-        requests: list[_Request] = [
-            (h, int(s), float(c)) for h, s, c in zip(hypotheses, seeds, ceilings, strict=True)
-        ]
+        requests = self._requests(hypotheses, seeds, error_ceilings)
         distinct = list(dict.fromkeys(requests))
-        begin = time.perf_counter()
-        try:
-            if self._given is None and (self.workers == 1 or len(distinct) == 0):
-                done = {request: self._here(request) for request in distinct}
-            else:
-                done = self._on_workers(distinct)
-        finally:
-            self.statistics.seconds_waiting += time.perf_counter() - begin
+        with self._one_run:
+            clock = time.perf_counter()
+            try:
+                if hasattr(self._simulator, "simulate_batch") and self._pool is None:
+                    done = self._run_together(distinct)
+                elif self._pool is None:
+                    done = {request: self._run_here(request) for request in distinct}
+                else:
+                    done = self._run_in(self._pool, distinct)
+            finally:
+                self.statistics.seconds_waiting += time.perf_counter() - clock
         return [done[request] for request in requests]
 
-    def _here(self, request: _Request) -> SimulationResult:
-        hypothesis, seed, ceiling = request
+    def _requests(
+        self,
+        hypotheses: Sequence[Hypothesis],
+        seeds: Sequence[int],
+        error_ceilings: Sequence[float] | None,
+    ) -> list[Request]:
+        ceilings = [math.inf] * len(seeds) if error_ceilings is None else error_ceilings
+        if not len(hypotheses) == len(seeds) == len(ceilings):
+            raise InvalidSettingError(
+                f"{len(hypotheses)} hypotheses, {len(seeds)} seeds and {len(ceilings)} error "
+                "ceilings, expected as many of each"
+            )
+        for ceiling in ceilings:
+            if math.isnan(ceiling):
+                raise InvalidSettingError("an error ceiling is nan, expected a number or inf")
+        return [
+            (hypothesis, int(seed), float(ceiling))
+            for hypothesis, seed, ceiling in zip(hypotheses, seeds, ceilings, strict=True)
+        ]
+
+    def _run_here(self, request: Request) -> SimulationResult:
         self._check_cancelled()
-        return self._finish(
+        hypothesis, seed, ceiling = request
+        return self._count(
             simulate_one(
                 self._simulator,
                 self._scene,
@@ -193,86 +221,37 @@ class Runner:
                 seed,
                 self._observed,
                 ceiling,
-                self._cancelled,
+                cancelled=self._stop.done,
             )
         )
 
-    def _on_workers(self, requests: Sequence[_Request]) -> dict[_Request, SimulationResult]:
-        waiting = deque(requests)
-        suspects: deque[_Request] = deque()
-        tries = dict.fromkeys(requests, 0)
-        running: dict[futures.Future[SimulationResult], _Request] = {}
-        done: dict[_Request, SimulationResult] = {}
+    def _run_together(self, requests: Sequence[Request]) -> dict[Request, SimulationResult]:
+        self._check_cancelled()
+        hypotheses = [hypothesis for hypothesis, _, _ in requests]
+        seeds = [seed for _, seed, _ in requests]
+        results = (
+            simulate_together(self._simulator, self._scene, hypotheses, seeds, self._observed)
+            if requests
+            else []
+        )
+        self._check_cancelled()
+        for result in results:
+            self._count(result)
+        return dict(zip(requests, results, strict=True))
+
+    def _run_in(self, pool: Pool, requests: Sequence[Request]) -> dict[Request, SimulationResult]:
+        dispatch = Dispatch(pool, requests, self.n_frames, self._max_retries, self._stop)
         try:
-            while waiting or suspects or running:
-                self._check_cancelled()
-                # whoever was running when a worker died runs alone, to find out whose fault it was
-                if suspects and not running:
-                    self._submit(suspects.popleft(), running)
-                while waiting and not suspects and len(running) < self.workers:
-                    self._submit(waiting.popleft(), running)
-                finished, _ = futures.wait(
-                    running, timeout=POLL_SECONDS, return_when=futures.FIRST_COMPLETED
-                )
-                for future in finished:
-                    request = running.pop(future)
-                    error = future.exception()
-                    if error is None:
-                        done[request] = self._finish(future.result())
-                    elif not isinstance(error, futures.BrokenExecutor):
-                        raise error
-                    elif tries[request] < self._max_retries:
-                        tries[request] += 1
-                        self.statistics.retries += 1
-                        suspects.append(request)
-                    else:
-                        done[request] = self._finish(
-                            SimulationResult.failed(
-                                *request[:2], self.n_frames, "its worker process died"
-                            )
-                        )
-                    if error is not None:
-                        self._drop_pool()
-        except BaseException:
-            for future in running:
-                future.cancel()
-            self._drop_pool()
-            raise
-        return done
-
-    def _submit(
-        self, request: _Request, running: dict[futures.Future[SimulationResult], _Request]
-    ) -> None:
-        if self._payload is None:
-            self._payload = cloudpickle.dumps((self._simulator, self._scene, self._observed))
-        running[self._executor().submit(_work, self._payload, request)] = request
-
-    def _executor(self) -> Any:
-        if self._given is not None:
-            return self._given
-        if self._pool is None:
-            from loky import ProcessPoolExecutor
-
-            warm_up = getattr(self._simulator, "warm_up", None)
-            if warm_up is not None:
-                # compile once here, not once in every worker
-                warm_up()
-            self._pool = ProcessPoolExecutor(
-                max_workers=self.workers, env=_ONE_THREAD, initializer=_ignore_interrupts
-            )
-        return self._pool
-
-    def _drop_pool(self) -> None:
-        """Kill the workers at once; the next request starts new ones."""
-        pool, self._pool = self._pool, None
-        if pool is not None:
-            pool.shutdown(wait=True, kill_workers=True)
+            with contextlib.closing(dispatch.results()) as results:
+                return {request: self._count(result) for request, result in results}
+        finally:
+            self.statistics.retries += dispatch.retries
 
     def _check_cancelled(self) -> None:
-        if self._cancelled.is_set():
+        if self._stop.done():
             raise Cancelled("the run was cancelled")
 
-    def _finish(self, result: SimulationResult) -> SimulationResult:
+    def _count(self, result: SimulationResult) -> SimulationResult:
         statistics = self.statistics
         statistics.simulations += 1
         statistics.frames += result.frames_simulated
@@ -284,3 +263,9 @@ class Runner:
         if self.on_result is not None:
             self.on_result(result)
         return result
+
+
+def _whole_number(name: str, value: object, least: int) -> int:
+    if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < least:
+        raise InvalidSettingError(f"{name}={shown(value)}, expected a whole number >= {least}")
+    return int(value)

@@ -15,9 +15,8 @@ from phase_ppl.inference.kernels.prior_mh import PriorMH
 from phase_ppl.models.bridge import SimulatorBridge
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from tests.inference.toy import (
-    ETA,
     N_FRAMES,
-    WINDOW,
+    SETTINGS,
     TableRunner,
     exact_posterior,
     run,
@@ -33,17 +32,18 @@ MONTE_CARLO = 0.06
 """Twice the total variation that the autocorrelated draws of so many steps give."""
 
 ERRORS = table_errors()
+KEYS = random.split(random.key(0), 15)
 
 
 def local_mh(runner: TableRunner, **options: Any) -> tuple[LocalMH, SimulatorBridge]:
     program, bridge = table_program(runner)
-    return LocalMH(program, table_guide(), eta=ETA, window=WINDOW, **options), bridge
+    return LocalMH(program, table_guide(), SETTINGS, **options), bridge
 
 
 @functools.cache
 def local_run(rule: str = "exact", early_reject: bool = True) -> tuple[Any, SimulatorBridge]:
     kernel, bridge = local_mh(TableRunner(ERRORS), rule=rule, early_reject=early_reject)
-    return run(kernel, STEPS), bridge
+    return run(kernel, STEPS, KEYS), bridge
 
 
 def test_exact_rule_reaches_the_enumerated_posterior() -> None:
@@ -65,7 +65,7 @@ def test_printed_rule_settles_elsewhere() -> None:
 
 def test_prior_proposals_reach_the_enumerated_posterior() -> None:
     program, _bridge = table_program(TableRunner(ERRORS))
-    states = run(PriorMH(program), STEPS)
+    states = run(PriorMH(program), STEPS, KEYS)
     assert total_variation(visited_share(states.z), exact_posterior(ERRORS)) < MONTE_CARLO
 
 
@@ -102,25 +102,31 @@ def test_a_state_agrees_with_its_own_simulation() -> None:
         np.testing.assert_allclose(states.step_error[-1, chain], expected, rtol=1e-5)
 
 
-def test_a_particle_moves_among_others_as_it_would_alone_under_numpyros_driver() -> None:
+def test_a_particle_moves_among_others_as_it_would_alone() -> None:
     runner = TableRunner(ERRORS)
     kernel, _bridge = local_mh(runner)
-    together = run(kernel, 30, n_chains=3, seed=3)
+    together = run(kernel, 30, KEYS[:3])
     assert runner.batches == [3] * 31
     runner.batches.clear()
-    alone = MCMC(kernel, num_warmup=0, num_samples=30, progress_bar=False)
-    alone.run(random.split(random.key(3), 3)[1], extra_fields=("accepted", "window", "log_joint"))
+    alone = run(kernel, 30, KEYS[1])
     assert runner.batches == [1] * 31
-    for name, values in alone.get_extra_fields().items():
-        np.testing.assert_allclose(values, getattr(together, name)[:, 1], 1e-5, err_msg=name)
-    for name, values in alone.get_samples().items():
+    for name in ("accepted", "window", "sim_seed", "log_joint", "step_error"):
+        one, among = getattr(alone, name), getattr(together, name)[:, 1]
+        np.testing.assert_allclose(one, among, 1e-5, err_msg=name)
+    for name, values in alone.z.items():
         np.testing.assert_allclose(values, together.z[name][:, 1], 1e-5, err_msg=name)
+
+
+@functools.cache
+def prior_kernel() -> tuple[PriorMH, SimulatorBridge, Any]:
+    program, bridge = table_program(TableRunner(ERRORS))
+    kernel = PriorMH(program)
+    return kernel, bridge, run(kernel, 5, KEYS[:2]).z
 
 
 @pytest.mark.parametrize("method", ["vectorized", "sequential"])
 def test_kernel_runs_under_numpyros_chain_methods(method: str) -> None:
-    program, _bridge = table_program(TableRunner(ERRORS))
-    kernel = PriorMH(program)
+    kernel, _bridge, expected = prior_kernel()
     mcmc = MCMC(
         kernel,
         num_warmup=0,
@@ -129,10 +135,9 @@ def test_kernel_runs_under_numpyros_chain_methods(method: str) -> None:
         chain_method=method,
         progress_bar=False,
     )
-    mcmc.run(random.key(3))
-    together = run(kernel, 5, n_chains=2, seed=3)
+    mcmc.run(KEYS[:2])
     for name, values in mcmc.get_samples(group_by_chain=True).items():
-        np.testing.assert_allclose(values, np.swapaxes(together.z[name], 0, 1), 1e-5)
+        np.testing.assert_allclose(values, np.swapaxes(expected[name], 0, 1), 1e-5)
 
 
 def test_unknown_rule_is_refused() -> None:
@@ -147,7 +152,8 @@ def test_kernel_without_an_event_says_so() -> None:
 
 def test_bound_copy_keeps_the_options() -> None:
     program, _bridge = table_program(TableRunner(ERRORS))
-    bound = LocalMH(rule="paper").bound_to(program, table_guide())
+    bound = LocalMH(rule="paper").bound_to(program, table_guide(), SETTINGS)
+    assert bound.settings == SETTINGS
     assert bound.validity == "approximate"
     assert bound.model is program
     assert program.n_frames == N_FRAMES

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Callable
 from typing import Any
@@ -26,7 +27,7 @@ from phase_ppl.models.model import Model
 from phase_ppl.world.goals import GOALS, goal_index
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
-from tests.inference.toy import few_goals, never_called, table_guide
+from tests.inference.toy import compiled, few_goals, never_called, table_guide
 
 START = np.array([[8, 10, 0.3], [20, 8, 1.0], [10, 16, 0], [18, 12, 0]], float)
 SCENE = Scene(START, np.array([0.8, 1.2, 1.01, 0.8]))
@@ -122,13 +123,23 @@ def guide_of(prior: Callable[[], Any]) -> Mixture:
     return bottom_up_guide(prior, model.sites, tables._replace(strength=strength), prior_share=0.1)
 
 
-def drawn_from(program: Any, n: int, *args: Any) -> dict[str, Any]:
+WINDOW = 3
+
+
+def drawn_from(program: Any, n: int, *args: Any) -> dict[str, np.ndarray]:
     keys = random.split(random.key(0), n)
-    return dict(jax.jit(jax.vmap(lambda key: draw(program, key, *args)))(keys))
+    drawn = compiled(jax.vmap(lambda key: draw(program, key, *args)))(keys)
+    return {name: np.asarray(values) for name, values in drawn.items()}
+
+
+@functools.cache
+def proposed(prior: Callable[[], Any]) -> dict[str, np.ndarray]:
+    """20,000 proposals of the guide in one window."""
+    return drawn_from(guide_of(prior), 20_000, jnp.array(WINDOW))
 
 
 def densities(program: Any, z: Any, *args: Any) -> np.ndarray:
-    return np.asarray(jax.jit(jax.vmap(lambda one: log_density(program, one, *args)))(z))
+    return np.asarray(compiled(jax.vmap(lambda one: log_density(program, one, *args)))(z))
 
 
 def helpful_moods() -> None:
@@ -144,9 +155,8 @@ def helpful_moods() -> None:
 @pytest.mark.parametrize("prior", [priors.uniform, few_goals, helpful_moods])
 def test_guide_has_the_density_that_it_draws_from(prior: Callable[[], Any]) -> None:
     # then the mean of P / Q over draws of Q is the total mass of P, since Q covers P
-    guide, window = guide_of(prior), jnp.array(3)
-    z = drawn_from(guide, 20_000, window)
-    ratio = np.exp(densities(prior, z) - densities(guide, z, window))
+    z = proposed(prior)
+    ratio = np.exp(densities(prior, z) - densities(guide_of(prior), z, jnp.array(WINDOW)))
     assert ratio.max() < 1 / 0.1 + 1e-3
     assert ratio.mean() == pytest.approx(1, abs=5 * ratio.std() / np.sqrt(len(ratio)))
 
@@ -173,7 +183,7 @@ def test_guides_goal_frequencies_are_those_of_its_density() -> None:
 
         return jnp.exp(jax.vmap(density)(jnp.asarray(red), jnp.asarray(green))).sum() * cell
 
-    masses = np.asarray(jax.jit(jax.vmap(mass))(jnp.asarray(codes)))
+    masses = np.asarray(compiled(jax.vmap(mass))(jnp.asarray(codes)))
     assert masses.sum() == pytest.approx(1, abs=0.01)
     np.testing.assert_allclose(counts, masses, atol=0.015)
 
@@ -187,22 +197,22 @@ def test_guide_is_a_program_whose_density_numpyro_agrees_with() -> None:
 
 
 def test_goals_that_the_prior_excludes_are_not_proposed() -> None:
-    z = drawn_from(guide_of(few_goals), 2000, jnp.array(0))
+    z = proposed(few_goals)
     assert set(np.unique(z["goal_red"])) <= {0, 5, 18}
     assert set(np.unique(z["goal_green"])) <= {3, 9}
 
 
 def test_strength_is_proposed_around_its_estimate_and_otherwise_from_the_prior() -> None:
-    z = drawn_from(guide_of(priors.uniform), 4000, jnp.array(0))
-    red, green = np.asarray(z["strength_red"]), np.asarray(z["strength_green"])
+    z = proposed(priors.uniform)
+    red, green = z["strength_red"], z["strength_green"]
     assert (np.abs(red - 300) < 80).mean() == pytest.approx(0.9 * 0.954 + 0.1 * 160 / 450, abs=0.03)
     assert green.mean() == pytest.approx(375, abs=10)
     assert green.std() == pytest.approx(450 / np.sqrt(12), abs=6)
 
 
 def test_sites_of_the_users_own_come_from_the_prior() -> None:
-    z = drawn_from(guide_of(helpful_moods), 8000, jnp.array(0))
-    mood, alpha = np.asarray(z["mood"]), np.asarray(z["alpha"])
+    z = proposed(helpful_moods)
+    mood, alpha = z["mood"], z["alpha"]
     assert mood.mean() == pytest.approx(0.3, abs=0.03)
     helping = np.isin(alpha, (1, 2))
     assert helping[mood == 1].mean() == pytest.approx(0.8, abs=0.04)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -11,12 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 import numpyro
 import numpyro.distributions as dist
-from jax import lax, random
+from jax import lax
 from numpy.typing import NDArray
 from numpyro.infer.mcmc import MCMCKernel
 
 from phase_ppl.inference.guide import Mixture, bottom_up_guide
 from phase_ppl.inference.proposals import BottomUpTables, window_count
+from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models import sites
 from phase_ppl.models.bridge import SimulatorBridge
 from phase_ppl.models.likelihood import RadialLikelihood
@@ -33,8 +35,7 @@ from phase_ppl.world.scene import Scene
 FloatArray = NDArray[np.float64]
 
 N_FRAMES = 5
-WINDOW = 2
-ETA = 0.1
+SETTINGS = SimpleSettings(eta=0.1, window=2)
 SEEDS = 3
 """Simulator seeds make one of so many equally likely simulations."""
 
@@ -106,7 +107,7 @@ def table_program(
 
 def table_guide(prior: Any = few_goals, seed: int = 1) -> Mixture:
     """A guide whose windows disagree: each one has goals of its own in mind."""
-    n_windows = window_count(N_FRAMES, WINDOW)
+    n_windows = window_count(N_FRAMES, SETTINGS.window)
     rng = np.random.default_rng(seed)
     logits = rng.normal(0.0, 2.0, (n_windows + 1, 2, N_GOALS))
     strength = np.full((n_windows + 1, 2), np.nan)
@@ -136,19 +137,21 @@ def visited_share(z: dict[str, NDArray[Any]]) -> FloatArray:
     return share / share.sum()
 
 
-def run(kernel: MCMCKernel, n_steps: int, n_chains: int = 15, seed: int = 0) -> Any:
-    """Return the states (step, chain, ...) of a vectorised run."""
+compiled = functools.partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
+"""Compilation that does not take longer than the test."""
 
-    def whole(key: jax.Array) -> Any:
+
+def run(kernel: MCMCKernel, n_steps: int, keys: jax.Array) -> Any:
+    """Return the states (step, chain, ...) of all chains together; (step, ...) for a single key."""
+
+    def whole(keys: jax.Array) -> Any:
         def advance(state: Any, _: None) -> tuple[Any, Any]:
             state = kernel.sample(state, (), {})
             return state, state
 
-        state = kernel.init(random.split(key, n_chains), 0, None, (), {})
-        return lax.scan(advance, state, None, length=n_steps)[1]
+        return lax.scan(advance, kernel.init(keys, 0, None, (), {}), None, length=n_steps)[1]
 
-    compiled = jax.jit(whole, compiler_options={"xla_backend_optimization_level": 0})
-    return jax.block_until_ready(compiled(random.key(seed)))
+    return jax.block_until_ready(compiled(whole)(keys))
 
 
 def total_variation(one: FloatArray, other: FloatArray) -> float:

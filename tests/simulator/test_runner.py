@@ -1,195 +1,290 @@
-"""The runner: same results whatever the workers, early stops, failures counted, nothing lost."""
+"""Many simulations: the same results on any workers, in order, counted and never lost."""
 
 from __future__ import annotations
 
-import multiprocessing
-import re
-import subprocess
-import sys
+import concurrent.futures as futures
 import threading
-from collections.abc import Callable
+import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-import phase_ppl as ppl
-from phase_ppl.simulator.contract import (
-    Cancelled,
-    SimulationResult,
-    simulate_one,
-    simulate_trajectory,
-)
+from phase_ppl.simulator.contract import Cancelled, SimulationResult
 from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.errors import InvalidSettingError, SimulationError
-from tests.agents.scenes import scene
-from tests.simulator import simulators
+from phase_ppl.world.observation import Observation
+from tests.simulator import toys
+from tests.simulator.toys import AT_REST, GO, HELP, N_FRAMES, SCENE, WEAK
 
-SCENE = scene()
-N_FRAMES = 12
-OBSERVED = ppl.Observation(np.repeat(SCENE.start[None], N_FRAMES, axis=0))
-
-
-def hypothesis(strength: float = 450.0) -> ppl.Hypothesis:
-    return ppl.Hypothesis("Get red agent to red lm", "get to red agent", strength_red=strength)
+REQUESTS: Any = ([GO, HELP, WEAK, GO, HELP], [1, 2, 3, 4, 2], [np.inf, np.inf, 0.9, 0.9, 0.5])
 
 
-def runner(simulator: Any, workers: int = 1, **options: Any) -> Runner:
-    return Runner(simulator, SCENE, OBSERVED, workers=workers, **options)
+def runner(simulator: Any, **more: Any) -> Runner:
+    return Runner(simulator, SCENE, AT_REST, **more)
 
 
-def one(simulator: Any, ceiling: float = np.inf) -> SimulationResult:
-    return simulate_one(simulator, SCENE, hypothesis(), 0, OBSERVED.positions, ceiling)
-
-
-def test_errors_are_distances_over_all_entities() -> None:
-    result = one(lambda s, h, rng: iter([s.start + np.array([1.0, 0.0, 9.0])] * N_FRAMES))
-    np.testing.assert_allclose(result.errors, 2.0)
-    assert result.completed
-    assert result.total_error == pytest.approx(2.0 * N_FRAMES)
-
-
-def test_results_are_the_same_for_one_and_for_two_workers() -> None:
-    hypotheses = [hypothesis(200 + 50 * (i % 4)) for i in range(8)]
-    seeds = list(range(8))
-    ceilings = [np.inf, 5.0] * 4
-    found = []
-    for workers in (1, 2):
-        with runner(simulators.drifting, workers) as run:
-            found.append(run.run(hypotheses, seeds, ceilings))
-    for a, b in zip(*found, strict=True):
-        np.testing.assert_array_equal(a.errors, b.errors)
+def assert_same(first: list[SimulationResult], second: list[SimulationResult]) -> None:
+    assert len(first) == len(second)
+    for a, b in zip(first, second, strict=True):
+        assert (a.hypothesis, a.seed, a.failure) == (b.hypothesis, b.seed, b.failure)
+        assert (a.frames_simulated, a.completed) == (b.frames_simulated, b.completed)
         np.testing.assert_array_equal(a.trajectory, b.trajectory)
-        assert (a.completed, a.frames_simulated) == (b.completed, b.frames_simulated)
+        np.testing.assert_array_equal(a.errors, b.errors)
 
 
-def test_a_simulation_stops_as_soon_as_its_error_passes_the_ceiling() -> None:
-    far = simulators.drifting
-    whole = one(far)
-    total = np.cumsum(whole.errors)
-    stopped = one(far, ceiling=float(total[5]) + 1e-9)
-    assert not stopped.completed
-    assert stopped.frames_simulated == 7
-    np.testing.assert_array_equal(stopped.errors[:7], whole.errors[:7])
-    assert np.isinf(stopped.errors[7:]).all()
-    assert np.isnan(stopped.trajectory[7:]).all()
+# --- on any workers --------------------------------------------------------------------------
 
 
-def test_a_ceiling_never_changes_what_survives_it() -> None:
-    whole = one(simulators.drifting)
-    spared = one(simulators.drifting, ceiling=whole.total_error + 1.0)
-    np.testing.assert_array_equal(whole.errors, spared.errors)
-    assert spared.completed
+@pytest.mark.parametrize("simulator", [toys.drift, toys.fails_for_weak])
+def test_results_do_not_depend_on_the_number_of_workers(simulator: Any) -> None:
+    with runner(simulator, workers=1) as one, runner(simulator, workers=2) as two:
+        alone, together = one.run(*REQUESTS), two.run(*REQUESTS)
+        assert_same(alone, together)
+        assert_same(alone, two.run(*REQUESTS))
+        assert {r.completed for r in alone} == {True, False}
 
 
-def test_an_early_stop_closes_the_simulator(tmp_path: Path) -> None:
-    note = tmp_path / "note"
-    result = one(simulators.Closable(note), ceiling=4.0)
-    assert result.frames_simulated < N_FRAMES
-    assert note.read_text() == "closed"
+def test_results_come_in_the_order_of_the_requests(tmp_path: Path) -> None:
+    marker = tmp_path / "one is done"
+
+    def the_first_waits(scene: Any, hypothesis: Any, rng: Any) -> Any:
+        while hypothesis == GO and not marker.exists():
+            time.sleep(0.01)
+        yield from toys.drift(scene, hypothesis, rng)
+
+    finished: list[Any] = []
+    with runner(the_first_waits, workers=2) as two:
+        two.on_result = lambda result: (finished.append(result.hypothesis), marker.touch())
+        results = two.run([GO, WEAK], [1, 2])
+    assert [r.hypothesis for r in results] == [GO, WEAK]
+    assert finished == [WEAK, GO]
 
 
-@pytest.mark.parametrize(
-    ("simulator", "message"),
-    [
-        (simulators.broken, "ZeroDivisionError: no such luck"),
-        (simulators.not_a_number, "frame 1 holds a value that is not finite"),
-        (simulators.short, "ended after 1 of 12 frames"),
-        (simulators.flat, r"frame 0 has shape \(12,\)"),
-    ],
-)
-def test_failures_are_told_and_counted(simulator: Callable[..., Any], message: str) -> None:
-    with runner(simulator) as run:
-        (result,) = run.run([hypothesis()], [3])
-        assert run.statistics.failures == 1
-    assert result.failure is not None
-    assert re.search(message, result.failure)
-    assert not result.completed
-    assert result.seed == 3
-    with pytest.raises(SimulationError, match=r"seed 3.*" + message.split(":")[-1]):
-        simulate_trajectory(simulator, SCENE, hypothesis(), 3, N_FRAMES)
-
-
-def test_identical_requests_are_run_once() -> None:
-    with runner(simulators.drifting) as run:
-        results = run.run([hypothesis()] * 3, [1, 1, 2])
-        assert run.statistics.simulations == 2
+def test_identical_requests_are_run_once_and_share_their_result(tmp_path: Path) -> None:
+    with runner(toys.CountsRuns(tmp_path), workers=1) as one:
+        results = one.run([GO, GO, WEAK, GO, GO], [1, 1, 1, 2, 1], [5, 5, 5, 5, 6])
     assert results[0] is results[1]
+    assert results[0] is not results[4]
+    assert len(list(tmp_path.iterdir())) == one.statistics.simulations == 4
 
 
-def test_every_result_is_reported_as_it_comes() -> None:
-    seen: list[SimulationResult] = []
-    with runner(simulators.still, 2, on_result=seen.append) as run:
-        run.run([hypothesis()] * 4, [0, 1, 2, 3])
-    assert sorted(r.seed for r in seen) == [0, 1, 2, 3]
+def test_nothing_to_simulate_gives_nothing() -> None:
+    for simulator in (toys.drift, toys.Batched()):
+        with runner(simulator, workers=2) as two:
+            assert two.run([], []) == []
 
 
-def test_the_simulator_sees_effective_goals() -> None:
-    seen = []
-
-    def spy(scene: Any, h: ppl.Hypothesis, rng: Any) -> Any:
-        seen.append(h)
-        return simulators.still(scene, h, rng)
-
-    helping = ppl.Hypothesis("get to green agent", "Get blue item to red lm", (1, 0))
-    with runner(spy) as run:
-        run.run([helping], [0])
-    assert ppl.GOALS[seen[0].goal_red] == "Get blue item to red lm"
-    assert seen[0].alpha == (0, 0)
+def test_the_work_is_sent_to_each_worker_once(tmp_path: Path) -> None:
+    with runner(toys.Slips(tmp_path), workers=2) as two:
+        assert all(r.completed for _ in range(3) for r in two.run([GO] * 6, range(6)))
+    processes = [file.name.split("-")[0] for file in tmp_path.iterdir()]
+    assert len(processes) == len(set(processes)) <= 2
 
 
-def test_a_dead_worker_is_noticed_and_its_simulation_repeated(tmp_path: Path) -> None:
-    hypotheses = [hypothesis(600.0), hypothesis(300.0), hypothesis(450.0)]
-    with runner(simulators.Deadly(tmp_path, times=1), 2) as run:
-        results = run.run(hypotheses, [0, 1, 2])
-        assert run.statistics.retries >= 1
-    assert all(result.completed for result in results)
+def test_workers_start_light_use_one_thread_each_and_are_born_deaf_to_ctrl_c() -> None:
+    with runner(toys.tells_its_process, workers=2) as two:
+        (result,) = two.run([GO], [1])
+    assert "heavy [], threads ['1'], interrupts blocked True" in str(result.failure)
 
 
-def test_a_worker_that_keeps_dying_fails_its_simulation_and_no_other(tmp_path: Path) -> None:
-    hypotheses = [hypothesis(300.0), hypothesis(600.0), hypothesis(450.0)]
-    with runner(simulators.Deadly(tmp_path, times=9), 2) as run:
-        results = run.run(hypotheses, [0, 1, 2])
-    assert [result.completed for result in results] == [True, False, True]
-    assert "died" in str(results[1].failure)
+def test_one_worker_warms_up_before_the_first_simulation(tmp_path: Path) -> None:
+    with runner(toys.WarmsUp(tmp_path), workers=2) as two:
+        for _ in range(2):
+            assert all(r.failure is None for r in two.run([GO] * 4, range(4)))
+    assert len(list(tmp_path.glob("warm-*"))) == 1
+
+
+def test_a_simulator_that_batches_gets_one_batch_in_this_process() -> None:
+    batched, finished = toys.Batched(), []
+    with runner(toys.drift, workers=1) as one, runner(batched, workers=2) as many:
+        many.on_result = finished.append
+        results = many.run(*REQUESTS[:2])
+        assert_same(results, one.run(*REQUESTS[:2]))
+    assert batched.sizes == [4]  # two requests are the same
+    assert len(finished) == 4
+
+
+# --- on an executor of somebody else ---------------------------------------------------------
+
+
+@pytest.mark.parametrize("workers", [None, 1])
+def test_any_executor_gives_the_same_results_and_is_left_alone(workers: int | None) -> None:
+    with runner(toys.drift, workers=1) as one, futures.ThreadPoolExecutor(2) as threads:
+        with runner(toys.drift, executor=threads, workers=workers) as other:
+            assert_same(other.run(*REQUESTS), one.run(*REQUESTS))
+        assert threads.submit(len, "alive").result() == 5
+
+
+def test_an_executor_is_sent_the_work_only_where_it_is_not_known(tmp_path: Path) -> None:
+    with (
+        futures.ThreadPoolExecutor(2) as threads,
+        runner(toys.Slips(tmp_path), executor=threads) as other,
+    ):
+        other.run([GO] * 6, range(6))
+        other.run([GO] * 6, range(6))
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+class BreaksOnce(futures.ThreadPoolExecutor):
+    """Loses its first task, as dask does when a machine goes away."""
+
+    lost = 0
+
+    def submit(self, *task: Any, **more: Any) -> Any:
+        if self.lost == 0:
+            self.lost = 1
+            future: futures.Future[Any] = futures.Future()
+            future.set_exception(OSError("machine gone"))
+            return future
+        return super().submit(*task, **more)
+
+
+@pytest.mark.parametrize(("max_retries", "failures"), [(0, 1), (1, 0)])
+def test_what_an_executor_loses_is_run_again(max_retries: int, failures: int) -> None:
+    with (
+        BreaksOnce(1) as executor,
+        runner(toys.drift, executor=executor, max_retries=max_retries) as other,
+    ):
+        results = other.run([GO, WEAK], [1, 2])
+    assert [r.failure for r in results if r.failure] == ["OSError: machine gone"] * failures
+    assert other.statistics.retries == max_retries
+
+
+def test_an_executor_that_is_shut_down_is_an_error_of_the_run() -> None:
+    executor = futures.ThreadPoolExecutor(1)
+    executor.shutdown()
+    with (
+        runner(toys.drift, executor=executor) as other,
+        pytest.raises(SimulationError, match="the executor takes no simulation"),
+    ):
+        other.run([GO], [1])
+
+
+# --- counting --------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_cancel_stops_a_run_and_leaves_no_worker(workers: int) -> None:
-    run = runner(simulators.sleepy, workers)
-    threading.Timer(1.0, run.cancel).start()
-    with pytest.raises(Cancelled), run:
-        run.run([hypothesis()] * 2, [0, 1])
-    assert not [p for p in multiprocessing.active_children() if "Loky" in p.name]
+def test_everything_is_counted(workers: int) -> None:
+    seen: list[SimulationResult] = []
+    with runner(toys.fails_for_weak, workers=workers, on_result=seen.append) as counted:
+        results = counted.run([GO, GO, WEAK, GO], [1, 2, 3, 1], [np.inf, -1.0, np.inf, np.inf])
+        statistics = counted.statistics
+    assert len(seen) == statistics.simulations == 3
+    assert {id(r) for r in seen} == {id(r) for r in results}
+    assert statistics.frames == N_FRAMES
+    assert statistics.frames_saved == N_FRAMES
+    assert statistics.failures == 1
+    assert statistics.retries == 0
+    assert statistics.seconds_simulating == pytest.approx(sum(r.seconds for r in seen))
+    assert statistics.seconds_waiting > 0
 
 
-def test_a_simulator_defined_in_a_script_runs_on_workers(tmp_path: Path) -> None:
-    script = tmp_path / "script.py"
-    script.write_text(
-        "import numpy as np, phase_ppl as ppl\n"
-        "from phase_ppl.simulator.runner import Runner\n"
-        "def mine(scene, hypothesis, rng):\n"
-        "    while True:\n"
-        "        yield scene.start + rng.normal(0, 0.1, (4, 3))\n"
-        "event = ppl.load_event('collaborate')\n"
-        "h = ppl.Hypothesis('Get red agent to red lm', 'get to red agent')\n"
-        "with Runner(mine, event.scene, event.observation, workers=2) as run:\n"
-        "    print([r.completed for r in run.run([h, h], [0, 1])])\n"
-    )
-    done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=120)
-    assert done.stdout.strip() == "[True, True]", done.stderr
+def test_results_are_announced_in_the_calling_thread() -> None:
+    threads = []
+    with runner(toys.drift, workers=2) as two:
+        two.on_result = lambda result: threads.append(threading.current_thread())
+        two.run([GO, WEAK], [1, 2])
+    assert threads == [threading.current_thread()] * 2
 
 
-@pytest.mark.parametrize("workers", [0, -1, 1.5, "2", True])
-def test_workers_must_be_a_whole_number_of_at_least_one(workers: Any) -> None:
-    with pytest.raises(InvalidSettingError, match="workers"):
-        runner(simulators.still, workers)
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_error_of_the_callback_ends_the_run_and_keeps_its_class(workers: int) -> None:
+    def complains(result: SimulationResult) -> None:
+        raise LookupError("no such bar")
+
+    with runner(toys.drift, workers=workers, on_result=complains) as counted:
+        with pytest.raises(LookupError, match="no such bar"):
+            counted.run([GO, WEAK], [1, 2])
+        counted.on_result = None
+        assert len(counted.run([GO, WEAK], [1, 2])) == 2
 
 
-def test_workers_start_light() -> None:
-    heavy = "{'jax', 'numpyro', 'arviz', 'xarray', 'matplotlib', 'torch', 'pandas'}"
-    modules = "sys, phase_ppl.simulator.runner, phase_ppl.simulator.joint"
-    code = f"import {modules}; print({heavy} & set(sys.modules))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "set()"
+# --- what cannot work ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("workers", [0, -1, 1.5, "two", True])
+def test_a_number_of_workers_that_is_none_is_named(workers: Any) -> None:
+    with pytest.raises(InvalidSettingError, match=f"workers={workers!r}, expected a whole number"):
+        runner(toys.drift, workers=workers)
+
+
+def test_without_a_number_there_is_a_worker_per_usable_core() -> None:
+    assert runner(toys.drift).workers >= 1
+    assert runner(toys.drift, workers=np.int64(3)).workers == 3
+
+
+def test_settings_that_cannot_work_are_refused_before_the_run() -> None:
+    with pytest.raises(InvalidSettingError, match="max_retries=-1"):
+        runner(toys.drift, max_retries=-1)
+    with pytest.raises(InvalidSettingError, match="simulator='drift' cannot be called"):
+        runner("drift")
+    lock = threading.Lock()
+    with pytest.raises(InvalidSettingError, match=r"cannot be sent to worker processes .*lock"):
+        runner(lambda scene, hypothesis, rng: lock, workers=2)
+
+
+@pytest.mark.parametrize(
+    ("request_", "message"),
+    [
+        (([GO], [1, 2]), "1 hypotheses, 2 seeds and 2 error ceilings"),
+        (([GO], [1], []), "1 hypotheses, 1 seeds and 0 error ceilings"),
+        (([GO], [1], [float("nan")]), "an error ceiling is nan"),
+    ],
+)
+def test_requests_that_cannot_be_meant_are_refused(request_: Any, message: str) -> None:
+    with pytest.raises(InvalidSettingError, match=message):
+        runner(toys.drift, workers=1).run(*request_)
+
+
+def test_a_simulator_that_workers_cannot_load_is_an_error_of_the_run(tmp_path: Path) -> None:
+    with (
+        runner(toys.Slips(tmp_path, loads=False), workers=2) as two,
+        pytest.raises(SimulationError, match="ImportError: no such engine here"),
+    ):
+        two.run([GO, WEAK], [1, 2])
+
+
+# --- stopping --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_after_cancel_or_close_nothing_runs(workers: int) -> None:
+    for end in (Runner.cancel, Runner.close):
+        stopped = runner(toys.drift, workers=workers)
+        end(stopped)
+        with pytest.raises(Cancelled):
+            stopped.run([GO], [1])
+        stopped.close()
+        stopped.close()
+
+
+@pytest.mark.parametrize("how", ["here", "workers", "executor"])
+@pytest.mark.parametrize("end", [Runner.cancel, Runner.close])
+def test_a_run_is_cancelled_from_another_thread(how: str, end: Any, tmp_path: Path) -> None:
+    marker = tmp_path / "begun"
+
+    def patient(scene: Any, hypothesis: Any, rng: Any) -> Any:
+        while True:
+            marker.touch()
+            time.sleep(0.001)
+            yield scene.start
+
+    with futures.ThreadPoolExecutor(1) as threads, futures.ThreadPoolExecutor(1) as caller:
+        if how == "here":
+            many = Observation(np.repeat(AT_REST.trajectory[:1], 60_000, axis=0))
+            stopped = Runner(patient, SCENE, many, workers=1)
+        elif how == "workers":
+            stopped = runner(toys.Sleeps(marker), workers=2)
+        else:
+            stopped = runner(toys.Sleeps(marker, 0.5), executor=threads)
+        running = caller.submit(stopped.run, [GO, WEAK], [1, 2])
+        while not marker.exists():
+            assert not running.done()
+            time.sleep(0.01)
+        end(stopped)
+        with pytest.raises(Cancelled):
+            running.result(timeout=30)
+        stopped.close()
+    assert stopped.statistics.simulations == 0

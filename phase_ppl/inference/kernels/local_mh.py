@@ -82,7 +82,7 @@ class LocalMH(ParticleKernel[LocalMHState]):
         guide: proposal program ``guide(window)`` over the prior's sites, with windows counted
             by their first frame; the index after the last one stands for the whole observation
             and makes the initial hypotheses.
-        eta, window: see :class:`SimpleSettings`.
+        settings: eta and the length of the windows; by default the paper's.
         rule: "exact": Hastings' ratio; "paper": the ratio as printed, which is biased.
         early_reject: stop a simulation once it cannot be accepted any more; the chain is the
             same with and without.
@@ -95,17 +95,14 @@ class LocalMH(ParticleKernel[LocalMHState]):
         self,
         program: EventProgram | None = None,
         guide: Program | None = None,
+        settings: SimpleSettings | None = None,
         *,
-        eta: float = 0.1,
-        window: int = 10,
         rule: Rule = "exact",
         early_reject: bool = True,
     ) -> None:
-        super().__init__(program, guide)
+        super().__init__(program, guide, settings)
         if rule not in RULES:
             raise unknown_name("rule", rule, RULES)
-        checked = SimpleSettings(eta=eta, window=window)
-        self._eta, self._window = checked.eta, checked.window
         self._rule, self._early_reject = rule, early_reject
 
     @property
@@ -115,7 +112,7 @@ class LocalMH(ParticleKernel[LocalMHState]):
 
     @property
     def _n_windows(self) -> int:
-        return window_count(self.model.n_frames, self._window)
+        return window_count(self.model.n_frames, self.settings.window)
 
     def propose_initial(self, key: jax.Array) -> dict[str, jax.Array]:
         """Return a hypothesis from what the whole observation shows."""
@@ -196,10 +193,10 @@ class LocalMH(ParticleKernel[LocalMHState]):
 
     def _log_windows(self, step_error: jax.Array) -> jax.Array:
         """Return (window,) log r(k | e), normalised."""
-        length = window_length(self.model.n_frames, self._window)
+        length = window_length(self.model.n_frames, self.settings.window)
         frames = np.arange(self._n_windows)[:, None] + np.arange(length + 1)
         finite = jnp.where(jnp.isfinite(step_error), step_error, 0.0)
-        return jax.nn.log_softmax(self._eta * finite[frames].sum(axis=1))
+        return jax.nn.log_softmax(self.settings.eta * finite[frames].sum(axis=1))
 
     def _log_proposal(self, sites: Sites) -> jax.Array:
         """Return (window,) log Q(sites | S_k)."""
@@ -224,11 +221,4 @@ def local_mh(
     early_reject: bool = True,
 ) -> LocalMH:
     """SIMPLE: Metropolis-Hastings with local, bottom-up proposals."""
-    return LocalMH(
-        program,
-        guide,
-        eta=settings.eta,
-        window=settings.window,
-        rule=rule,
-        early_reject=early_reject,
-    )
+    return LocalMH(program, guide, settings, rule=rule, early_reject=early_reject)

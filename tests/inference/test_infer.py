@@ -1,0 +1,301 @@
+from __future__ import annotations
+
+import _thread
+import json
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import numpyro
+import numpyro.distributions as dist
+import pytest
+import xarray as xr
+
+import phase_ppl as ppl
+from phase_ppl.analysis.tree import simulation_of_draw
+from phase_ppl.inference import chains
+from phase_ppl.inference import infer as infer_module
+from phase_ppl.inference.kernels.prior_mh import PriorMH
+from phase_ppl.simulator.contract import SimulationResult
+from phase_ppl.simulator.runner import Runner
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
+from phase_ppl.world.hypothesis import Hypothesis
+from tests.inference.toy import never_called, walkers, walking_event
+
+CHAINS, ITERATIONS = 4, 2
+EVENT = walking_event()
+MODEL = ppl.Model(simulator=walkers)
+
+
+def infer(**options: Any) -> ppl.Posterior:
+    settings = {"chains": CHAINS, "iterations": ITERATIONS, "seed": 3, "workers": 1}
+    return ppl.infer(EVENT, MODEL, **{**settings, "progress": False, **options})
+
+
+@pytest.fixture(scope="module")
+def post() -> ppl.Posterior:
+    return infer()
+
+
+def assert_same_draws(one: xr.DataTree, other: xr.DataTree) -> None:
+    for group in one.children:
+        for name, values in one[group].dataset.variables.items():
+            again = other[group].dataset.variables[name]
+            np.testing.assert_array_equal(values, again, f"{group}/{name}")
+
+
+def test_every_draw_rests_on_a_simulation_of_its_own_chain(post: ppl.Posterior) -> None:
+    tree = post.tree
+    simulations = tree["simulations"].dataset
+    rows = simulation_of_draw(tree)
+    assert (rows >= 0).all()
+    chain = np.broadcast_to(np.arange(CHAINS)[:, None], rows.shape)
+    np.testing.assert_array_equal(simulations["chain"].values[rows], chain)
+    joint = (simulations["log_prior"] + simulations["log_likelihood"]).values[rows]
+    np.testing.assert_allclose(tree["sample_stats"]["log_joint"], joint)
+    for name in ("goal_red", "goal_green", "stated_goal_red", "alpha", "strength_green"):
+        np.testing.assert_array_equal(tree["posterior"][name], simulations[name].values[rows])
+
+
+def test_errors_are_the_distances_of_the_stored_trajectories(post: ppl.Posterior) -> None:
+    predicted = post.tree["posterior_predictive"]["trajectory"].values[..., :2]
+    difference = predicted - EVENT.observation.positions
+    errors = np.linalg.norm(difference.reshape(*difference.shape[:3], -1), axis=-1)
+    stats = post.tree["sample_stats"]
+    np.testing.assert_allclose(stats["step_error"], errors, atol=1e-4)
+    np.testing.assert_allclose(stats["total_error"], errors.sum(axis=-1), atol=1e-3)
+
+
+def test_every_simulation_is_kept_and_counted(post: ppl.Posterior) -> None:
+    simulations = post.tree["simulations"].dataset
+    assert len(simulations["seed"]) == post.cost["simulations"] == CHAINS * (1 + ITERATIONS)
+    np.testing.assert_array_equal(np.bincount(simulations["iteration"]), [CHAINS] * 3)
+    frames = simulations["frames_simulated"].values
+    assert frames.sum() == post.cost["frames"]
+    by_iteration = simulations["frames_simulated"].groupby(simulations["iteration"]).sum()
+    paid = post.tree["sample_stats"]["frames_simulated"].sum("chain")
+    np.testing.assert_array_equal(paid, by_iteration[1:])
+    aborted = ~simulations["completed"].values
+    assert (frames[~aborted] == EVENT.observation.n_frames).all()
+
+
+def test_cost_is_kept_apart_from_the_settings(post: ppl.Posterior) -> None:
+    assert {"seconds", "seconds_simulating", "seconds_overhead", "workers", "host"} <= set(
+        post.cost
+    )
+    assert post.settings["seed"] == 3
+    assert post.settings["model"]["simulator"].endswith("walkers")
+    assert not {"workers", "host", "seconds"} & set(json.dumps(post.settings).split('"'))
+
+
+def test_posterior_survives_a_file(post: ppl.Posterior, tmp_path: Any) -> None:
+    again = ppl.Posterior.load(post.save(tmp_path / "run.nc"))
+    assert_same_draws(post.tree, again.tree)
+    assert again.settings == post.settings
+
+
+def test_one_and_two_workers_give_the_same_draws(post: ppl.Posterior) -> None:
+    other = infer(workers=2)
+    assert other.cost["workers"] == 2
+    assert other.settings == post.settings
+    assert_same_draws(post.tree, other.tree)
+
+
+def test_another_seed_gives_other_draws(post: ppl.Posterior) -> None:
+    seeds = infer(seed=4).tree["simulations"]["seed"]
+    assert not np.array_equal(seeds, post.tree["simulations"]["seed"])
+
+
+def test_more_iterations_continue_the_same_chains(post: ppl.Posterior) -> None:
+    longer = infer(iterations=ITERATIONS + 1).tree["sample_stats"].isel(draw=slice(ITERATIONS))
+    np.testing.assert_array_equal(longer["sim_seed"], post.tree["sample_stats"]["sim_seed"])
+
+
+def test_events_of_one_length_share_the_compiled_programs(post: ppl.Posterior) -> None:
+    compiled = chains._compiled_once.cache_info().misses
+    infer(seed=12)
+    assert chains._compiled_once.cache_info().misses == compiled
+
+
+def test_budget_takes_the_place_of_iterations() -> None:
+    assert infer(iterations=None, budget=ppl.simulations(15)).tree["posterior"].sizes["draw"] == 2
+
+
+def test_progress_counts_simulations_on_stderr(capsys: pytest.CaptureFixture[str]) -> None:
+    infer(progress=True)
+    captured = capsys.readouterr()
+    assert "12/12" in captured.err
+    assert captured.out == ""
+    infer(progress=False)
+    assert capsys.readouterr().err == ""
+
+
+# --- other kernels and models ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kernel", ["prior_mh", PriorMH()], ids=["name", "instance"])
+def test_kernel_by_name_or_instance(kernel: Any) -> None:
+    found = infer(kernel=kernel)
+    assert found.tree.attrs["validity"] == "exact"
+    assert (found.tree["sample_stats"]["window"] == -1).all()
+
+
+def test_printed_rule_is_recorded_as_approximate() -> None:
+    found = infer(rule="paper")
+    assert found.tree.attrs["validity"] == "approximate"
+    assert found.settings["kernel"] == {"name": "local_mh", "rule": "paper"}
+
+
+def moody() -> None:
+    numpyro.sample("mood", dist.Bernoulli(0.5))
+    numpyro.sample("traits", dist.Normal().expand([2]).to_event(1))
+    ppl.priors.uniform()
+
+
+def test_sites_of_ones_own_are_inferred_and_stored() -> None:
+    model = ppl.Model(prior=moody, simulator=walkers, noise="fixed")
+    options = {"chains": CHAINS, "iterations": ITERATIONS, "workers": 1, "progress": False}
+    found = ppl.infer(EVENT, model, kernel="prior_mh", **options)
+    assert found.tree["posterior"]["mood"].shape == (CHAINS, ITERATIONS)
+    assert found.tree["posterior"]["traits"].shape == (CHAINS, ITERATIONS, 2)
+    assert found.tree["simulations"]["traits"].shape == (CHAINS * (1 + ITERATIONS), 2)
+    assert sum(found.marginal("mood").values) == pytest.approx(1)
+
+
+# --- what goes wrong ---------------------------------------------------------------------------
+
+Results = list[SimulationResult]
+
+
+def disturb(monkeypatch: pytest.MonkeyPatch, change: Callable[[int, Runner, Results], Any]) -> None:
+    """Let ``change`` act on what the runner gives back from its n-th call, counted from 0."""
+
+    class Disturbed(Runner):
+        calls = -1
+
+        def run(
+            self,
+            hypotheses: Sequence[Hypothesis],
+            seeds: Sequence[int],
+            error_ceilings: Sequence[float] | None = None,
+        ) -> Results:
+            self.calls += 1
+            results = super().run(hypotheses, seeds, error_ceilings)
+            return change(self.calls, self, results) or results
+
+    monkeypatch.setattr(infer_module, "Runner", Disturbed)
+
+
+def interrupt_in(call: int) -> Callable[[int, Runner, Results], None]:
+    def change(number: int, runner: Runner, results: Results) -> None:
+        if number == call:
+            _thread.interrupt_main()
+            for _ in range(200):
+                runner._check_cancelled()
+                time.sleep(0.05)
+
+    return change
+
+
+def test_interrupt_keeps_the_iterations_that_were_done(
+    monkeypatch: pytest.MonkeyPatch, post: ppl.Posterior
+) -> None:
+    disturb(monkeypatch, interrupt_in(2))
+    with pytest.raises(ppl.Interrupted) as caught:
+        infer()
+    kept = caught.value.posterior
+    assert kept is not None
+    assert kept.tree["posterior"].sizes["draw"] == 1
+    first = post.tree["sample_stats"]["sim_seed"].isel(draw=[0])
+    np.testing.assert_array_equal(kept.tree["sample_stats"]["sim_seed"], first)
+    assert kept.settings == {**post.settings, "iterations": 1}
+    assert kept.cost["interrupted"]
+
+
+def test_interrupt_in_the_first_iteration_keeps_the_initial_particles(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    disturb(monkeypatch, interrupt_in(1))
+    with pytest.raises(KeyboardInterrupt) as caught:
+        infer()
+    kept = caught.value.posterior  # type: ignore[attr-defined]
+    assert not kept.tree["sample_stats"]["accepted"].any()
+    assert (kept.tree["simulations"]["iteration"] == 0).all()
+
+
+def test_interrupt_before_the_initial_particles_keeps_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    disturb(monkeypatch, interrupt_in(0))
+    with pytest.raises(ppl.Interrupted) as caught:
+        infer()
+    assert caught.value.posterior is None
+
+
+def failing(rows: Sequence[int]) -> Callable[[int, Runner, Results], Results]:
+    def change(number: int, runner: Runner, results: Results) -> Results:
+        return [
+            SimulationResult.failed(r.hypothesis, r.seed, len(r.errors), "ValueError: no luck")
+            if number == 0 and row in rows
+            else r
+            for row, r in enumerate(results)
+        ]
+
+    return change
+
+
+def test_particle_whose_first_simulation_failed_starts_where_another_does(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    disturb(monkeypatch, failing([1, 2]))
+    found = infer()
+    assert np.isfinite(found.tree["sample_stats"]["log_joint"]).all()
+    assert found.tree["simulations"]["failed"].sum() == 2
+    assert found.diagnostics()["simulations"]["failed"] == 2
+
+
+def test_it_is_an_error_if_all_initial_simulations_fail(monkeypatch: pytest.MonkeyPatch) -> None:
+    disturb(monkeypatch, failing(range(CHAINS)))
+    with pytest.raises(ppl.SimulationError, match=r"seed \d+: ValueError: no luck"):
+        infer()
+
+
+def test_exception_from_the_runner_keeps_its_class(monkeypatch: pytest.MonkeyPatch) -> None:
+    def change(number: int, runner: Runner, results: Results) -> None:
+        if number == 1:
+            raise ZeroDivisionError("out of luck")
+
+    disturb(monkeypatch, change)
+    with pytest.raises(ZeroDivisionError, match="out of luck"):
+        infer()
+
+
+WRONG: dict[str, tuple[dict[str, Any], type[Exception], str]] = {
+    "kernel": ({"kernel": "local"}, UnknownNameError, "local_mh"),
+    "no kernel": ({"kernel": 3}, InvalidSettingError, "kernel=3"),
+    "no chains": ({"chains": 0}, InvalidSettingError, "chains=0"),
+    "half a chain": ({"chains": 1.5}, InvalidSettingError, "chains=1.5"),
+    "no iterations": ({"iterations": 0}, InvalidSettingError, "iterations=0"),
+    "no workers": ({"workers": 0}, InvalidSettingError, "workers=0"),
+    "seed": ({"seed": -1}, InvalidSettingError, "seed=-1"),
+    "option": ({"speed": 3}, InvalidSettingError, "speed"),
+    "rule": ({"rule": "papr"}, UnknownNameError, "paper"),
+    "planner": ({"planner": "fast"}, InvalidSettingError, "joint simulator"),
+    "budget": ({"budget": ppl.simulations(29)}, InvalidSettingError, "too small.*30"),
+    "both": ({"budget": ppl.simulations(90), "iterations": 3}, InvalidSettingError, "not both"),
+}
+
+
+@pytest.mark.parametrize(("wrong", "error", "message"), WRONG.values(), ids=WRONG)
+def test_wrong_setting_is_refused_before_anything_is_simulated(
+    wrong: dict[str, Any], error: type[Exception], message: str
+) -> None:
+    model = ppl.Model(simulator=never_called)
+    with pytest.raises(error, match=message):
+        ppl.infer(EVENT, model, **{"workers": 1, "progress": False, **wrong})
+
+
+def test_what_is_no_event_is_refused() -> None:
+    with pytest.raises(InvalidEventError, match=r"load_event"):
+        ppl.infer("collaborate.json")  # type: ignore[arg-type]

@@ -1,0 +1,168 @@
+from __future__ import annotations
+
+import importlib.metadata
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from phase_ppl.inference import registry
+from phase_ppl.inference.kernels.local_mh import LocalMH
+from phase_ppl.inference.kernels.prior_mh import PriorMH
+from phase_ppl.inference.registry import (
+    available_kernels,
+    described,
+    kernel_info,
+    make_kernel,
+    register_kernel,
+)
+from phase_ppl.inference.settings import SimpleSettings, simulations
+from phase_ppl.models.program import EventProgram
+from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
+from tests.inference.toy import TableRunner, table_errors, table_guide, table_program
+
+
+@pytest.fixture
+def program() -> EventProgram:
+    return table_program(TableRunner(table_errors()))[0]
+
+
+@pytest.fixture
+def own_kernels(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """What a test registers is forgotten after it."""
+    available_kernels()
+    monkeypatch.setattr(registry, "_KERNELS", dict(registry._KERNELS))
+    yield
+    registry._load_all.cache_clear()
+
+
+def test_every_kernel_file_is_found() -> None:
+    assert {"local_mh", "prior_mh"} <= set(available_kernels())
+
+
+@pytest.mark.parametrize("name", ["local_mh", "prior_mh"])
+def test_a_kernel_says_what_it_is(name: str) -> None:
+    info = kernel_info(name)
+    assert info.validity == "exact"
+    assert info.sims_per_step == 1
+    assert {"vectorized", "sequential"} <= set(info.chain_methods)
+    assert "Metropolis-Hastings" in info.summary
+
+
+def test_unknown_kernel_is_refused_with_close_matches() -> None:
+    with pytest.raises(UnknownNameError, match="did you mean 'local_mh'"):
+        kernel_info("local_hm")
+
+
+def test_a_kernel_is_made_by_name_with_its_options(program: EventProgram) -> None:
+    kernel = make_kernel(
+        "local_mh", program, guide=table_guide(), settings=SimpleSettings(), rule="paper"
+    )
+    assert isinstance(kernel, LocalMH)
+    assert kernel.validity == "approximate"
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [({}, "guide"), ({"guide": None, "settings": None, "speed": 3}, "speed")],
+)
+def test_missing_needs_and_unknown_options_are_named(
+    program: EventProgram, options: Any, message: str
+) -> None:
+    with pytest.raises(InvalidSettingError, match=message):
+        make_kernel("local_mh", program, **options)
+
+
+def test_a_kernel_of_ones_own_is_registered_by_a_decorator(
+    own_kernels: None, program: EventProgram
+) -> None:
+    @register_kernel("mine", validity="exact")
+    def mine(program: EventProgram) -> PriorMH:
+        """My kernel."""
+        return PriorMH(program)
+
+    assert "mine" in available_kernels()
+    assert isinstance(make_kernel("mine", program), PriorMH)
+    with pytest.raises(InvalidSettingError, match="exists"):
+        register_kernel("mine", validity="exact")(PriorMH)
+
+
+def test_kernels_of_other_packages_are_loaded_by_their_entry_points(
+    own_kernels: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Entry:
+        def __init__(self, name: str) -> None:
+            self.name = name
+
+        def load(self) -> None:
+            if self.name == "broken":
+                raise ImportError("no module")
+            register_kernel("theirs", validity="consistent")(PriorMH)
+
+    entries = [Entry("broken"), Entry("theirs")]
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: entries)
+    registry._load_all.cache_clear()
+    with pytest.warns(UserWarning, match="'broken' cannot be loaded"):
+        assert "theirs" in available_kernels()
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"validity": "perfect"},
+        {"validity": "exact", "sims_per_step": 0},
+        {"validity": "exact", "chain_methods": ("diagonal",)},
+        {"validity": "exact", "needs": ("luck",)},
+    ],
+)
+def test_a_wrong_registration_is_refused(wrong: Any) -> None:
+    with pytest.raises(InvalidSettingError):
+        register_kernel("wrong", **wrong)
+
+
+def test_a_kernel_may_be_a_class_a_function_or_an_instance(program: EventProgram) -> None:
+    assert isinstance(described(PriorMH).make(program), PriorMH)
+    assert isinstance(described(lambda program: PriorMH(program)).make(program), PriorMH)
+    info = described(LocalMH(rule="paper"))
+    assert info.name == "LocalMH"
+    assert info.needs == ("guide", "settings")
+    bound = info.make(program, guide=table_guide(), settings=SimpleSettings())
+    assert isinstance(bound, LocalMH)
+    assert bound.validity == "approximate"
+    with pytest.raises(InvalidSettingError, match="neither a name nor a kernel"):
+        described(7)  # type: ignore[arg-type]
+
+
+# --- settings ----------------------------------------------------------------------------------
+
+
+def test_settings_are_the_papers() -> None:
+    settings = SimpleSettings()
+    assert (settings.eta, settings.gamma, settings.window) == (0.1, 10, 10)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"eta": -0.1},
+        {"gamma": float("nan")},
+        {"window": 0},
+        {"window": 2.5},
+        {"prior_share": 0},
+        {"prior_share": 1},
+        {"sign": "both"},
+    ],
+)
+def test_settings_out_of_range_are_refused_by_name(wrong: Any) -> None:
+    with pytest.raises((InvalidSettingError, UnknownNameError), match=next(iter(wrong))):
+        SimpleSettings(**wrong)
+
+
+def test_budget_counts_the_initial_particles() -> None:
+    assert simulations(105).iterations(15, 1) == 6
+    assert simulations(119).iterations(15, 1) == 6
+    assert simulations(105).iterations(15, 2) == 3
+    with pytest.raises(InvalidSettingError, match=r"29 simulations is too small.* 30"):
+        simulations(29).iterations(15, 1)
+    with pytest.raises(InvalidSettingError, match="simulations"):
+        simulations(0)

@@ -1,0 +1,281 @@
+"""One simulation: compared with what was observed, no further than needed, and never lost."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from phase_ppl.simulator.contract import (
+    Cancelled,
+    simulate_one,
+    simulate_together,
+    simulate_trajectory,
+)
+from phase_ppl.world.errors import SimulationError
+from phase_ppl.world.hypothesis import Hypothesis
+from tests.simulator import toys
+from tests.simulator.toys import AT_REST, GO, HELP, N_FRAMES, SCENE, START, WEAK
+
+OBSERVED = AT_REST.positions
+
+BAD = [
+    (toys.ends_early, 3, "SimulationError: the simulator ended after 3 of 8 frames"),
+    (toys.not_finite, 1, "SimulationError: frame 1 holds a value that is not finite"),
+    (toys.wrong_shape, 0, r"SimulationError: frame 0 has shape \(2, 3\), expected \(4, 3\)"),
+    (toys.raises, 1, r"ZeroDivisionError: no way to divide \(toys.py, line \d+\)"),
+    (toys.raises_unprintable, 1, "UnprintableError: .*"),
+    (toys.exits, 1, "SystemExit: enough .*"),
+    (toys.forgets_to_yield, 0, "SimulationError: the simulator returned None, expected frames.*"),
+]
+
+
+def simulate(simulator: Any, hypothesis: Hypothesis = GO, seed: int = 1, **more: Any) -> Any:
+    return simulate_one(simulator, SCENE, hypothesis, seed, OBSERVED, **more)
+
+
+class Watched:
+    """A simulator that notes what is taken from it, and whether it was closed."""
+
+    def __init__(self) -> None:
+        self.taken, self.closed = 0, False
+        self.running: Any = None
+
+    def __call__(self, scene: Any, hypothesis: Any, rng: Any) -> Iterator[Any]:
+        self.running = self._frames(scene, hypothesis, rng)  # kept: garbage is closed anyway
+        return self.running
+
+    def _frames(self, scene: Any, hypothesis: Any, rng: Any) -> Iterator[Any]:
+        try:
+            for frame in toys.slide(scene, hypothesis, rng):
+                self.taken += 1
+                yield frame
+        finally:
+            self.closed = True
+
+
+# --- comparing -------------------------------------------------------------------------------
+
+
+def test_the_error_of_a_frame_is_the_distance_over_all_four_entities() -> None:
+    def beside(scene: Any, hypothesis: Any, rng: Any) -> Iterator[Any]:
+        while True:
+            yield scene.start + np.array([3.0, 4.0, 100.0])  # 5 away each, whatever the angle
+
+    np.testing.assert_allclose(simulate(beside).errors, math.sqrt(4 * 25))
+
+
+def test_frame_zero_is_compared_with_observed_frame_zero() -> None:
+    np.testing.assert_allclose(simulate(toys.slide).errors, np.arange(N_FRAMES))
+
+
+def test_a_complete_simulation_has_everything() -> None:
+    result = simulate(toys.drift, HELP, seed=5)
+    assert (result.hypothesis, result.seed, result.failure) == (HELP, 5, None)
+    assert result.completed
+    assert result.frames_simulated == N_FRAMES
+    assert result.trajectory.shape == (N_FRAMES, 4, 3)
+    assert np.isfinite(result.errors).all()
+    assert np.isfinite(result.trajectory).all()
+    assert result.total_error == pytest.approx(result.errors.sum())
+    assert result.seconds > 0
+
+
+def test_a_simulator_may_change_its_frame_in_place() -> None:
+    trajectory = simulate(toys.drift).trajectory
+    np.testing.assert_array_equal(trajectory[0], START)
+    assert (np.ptp(trajectory, axis=0) > 0).all()
+
+
+def test_simulators_are_given_effective_goals_only() -> None:
+    given = []
+
+    def notes(scene: Any, hypothesis: Hypothesis, rng: Any) -> Iterator[Any]:
+        given.append(hypothesis)
+        yield from toys.drift(scene, hypothesis, rng)
+
+    result = simulate(notes, HELP)
+    assert given == [HELP.effective()]
+    assert given[0].goal_green == HELP.goal_red
+    assert given[0].alpha == (0, 0)
+    assert result.hypothesis == HELP
+
+
+def test_the_seed_determines_a_simulation() -> None:
+    first, again, other = (simulate(toys.drift, seed=s).trajectory for s in (3, 3, 4))
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
+@pytest.mark.parametrize("seed", [0, 2**31 - 1, 2**40, -1, np.int32(7)])
+def test_any_whole_number_is_a_seed(seed: int) -> None:
+    assert simulate(toys.drift, seed=seed).completed
+
+
+# --- stopping --------------------------------------------------------------------------------
+
+
+def test_no_more_frames_are_taken_than_observed() -> None:
+    watched = Watched()
+    assert simulate(watched).completed
+    assert watched.taken == N_FRAMES
+    assert watched.closed
+
+
+def test_a_decided_simulation_is_closed_at_once() -> None:
+    watched = Watched()
+    result = simulate(watched, error_ceiling=4.0)  # 0 + 1 + 2 + 3 is the first sum above
+    assert watched.closed
+    assert watched.taken == result.frames_simulated == 4
+    assert not result.completed
+    assert result.failure is None
+    np.testing.assert_array_equal(result.errors, [0, 1, 2, 3] + [np.inf] * 4)
+    assert np.isnan(result.trajectory[4:]).all()
+    assert np.isfinite(result.trajectory[:4]).all()
+    assert result.total_error == 6.0
+
+
+def test_a_sum_that_equals_the_ceiling_goes_on() -> None:
+    assert simulate(toys.slide, error_ceiling=6.0).frames_simulated == 5
+
+
+def test_beyond_the_ceiling_in_its_last_frame_a_simulation_is_complete() -> None:
+    result = simulate(toys.slide, error_ceiling=27.5)
+    assert result.completed
+    assert result.total_error == 28.0
+
+
+@pytest.mark.parametrize("ceiling", [-1.0, -np.inf])
+def test_below_zero_nothing_is_simulated(ceiling: float) -> None:
+    result = simulate(toys.raises, error_ceiling=ceiling)
+    assert (result.frames_simulated, result.completed, result.failure) == (0, False, None)
+
+
+@settings(deadline=None)
+@given(seed=st.integers(0, 2**31), ceiling=st.floats(0, 2))
+def test_a_ceiling_never_changes_what_stays_under_it(seed: int, ceiling: float) -> None:
+    free = simulate(toys.drift, seed=seed)
+    bound = simulate(toys.drift, seed=seed, error_ceiling=ceiling)
+    n = bound.frames_simulated
+    np.testing.assert_array_equal(bound.errors[:n], free.errors[:n])
+    np.testing.assert_array_equal(bound.trajectory[:n], free.trajectory[:n])
+    assert bound.completed == (np.cumsum(free.errors)[-2] <= ceiling)
+
+
+def test_cancelling_closes_the_simulation_after_its_next_frame() -> None:
+    watched = Watched()
+    with pytest.raises(Cancelled):
+        simulate(watched, cancelled=lambda: watched.taken == 3)
+    assert (watched.taken, watched.closed) == (3, True)
+
+
+def test_ctrl_c_ends_the_simulation_and_closes_it() -> None:
+    watched = Watched()
+
+    def interrupted() -> bool:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        simulate(watched, cancelled=interrupted)
+    assert watched.closed
+
+
+# --- failing ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("simulator", "frames", "failure"), BAD)
+def test_whatever_goes_wrong_is_a_failed_result_of_that_hypothesis_and_seed(
+    simulator: Callable[..., Any], frames: int, failure: str
+) -> None:
+    result = simulate(simulator, WEAK, seed=9)
+    assert result.failure is not None
+    assert re.fullmatch(failure, result.failure)
+    assert (result.hypothesis, result.seed) == (WEAK, 9)
+    assert not result.completed
+    assert result.frames_simulated == frames
+    assert np.isinf(result.errors[frames:]).all()
+    assert np.isfinite(result.errors[:frames]).all()
+
+
+def test_an_error_on_closing_is_a_failure_too() -> None:
+    def clings(scene: Any, hypothesis: Any, rng: Any) -> Iterator[Any]:
+        while True:
+            try:
+                yield scene.start
+            except GeneratorExit:
+                yield scene.start
+
+    assert simulate(clings).failure.startswith("RuntimeError: generator ignored GeneratorExit")
+
+
+def test_a_plain_trajectory_does_for_a_simulator() -> None:
+    assert simulate(lambda scene, hypothesis, rng: AT_REST.trajectory).completed
+
+
+# --- without observation ---------------------------------------------------------------------
+
+
+def test_a_trajectory_has_the_frames_that_a_comparison_has() -> None:
+    trajectory = simulate_trajectory(toys.drift, SCENE, HELP, 3, N_FRAMES)
+    np.testing.assert_array_equal(trajectory, simulate(toys.drift, HELP, seed=3).trajectory)
+
+
+@pytest.mark.parametrize(("simulator", "frames", "failure"), BAD)
+def test_a_trajectory_that_fails_names_hypothesis_and_seed(
+    simulator: Callable[..., Any], frames: int, failure: str
+) -> None:
+    with pytest.raises(SimulationError, match=failure) as raised:
+        simulate_trajectory(simulator, SCENE, WEAK, 9, N_FRAMES)
+    assert str(WEAK) in str(raised.value)
+    assert "seed 9" in str(raised.value)
+
+
+# --- in batches ------------------------------------------------------------------------------
+
+
+def test_a_batch_gives_what_its_simulations_give_one_by_one() -> None:
+    hypotheses, seeds = [GO, HELP, WEAK], [1, 2, 3]
+    results = simulate_together(toys.Batched(), SCENE, hypotheses, seeds, OBSERVED)
+    for result, hypothesis, seed in zip(results, hypotheses, seeds, strict=True):
+        alone = simulate(toys.drift, hypothesis, seed)
+        assert (result.hypothesis, result.seed, result.completed) == (hypothesis, seed, True)
+        np.testing.assert_array_equal(result.trajectory, alone.trajectory)
+        np.testing.assert_array_equal(result.errors, alone.errors)
+
+
+class BadBatch:
+    def __init__(self, batch: Any) -> None:
+        self.batch = batch
+
+    def simulate_batch(self, scene: Any, hypotheses: Any, rngs: Any, n_frames: int) -> Any:
+        if isinstance(self.batch, Exception):
+            raise self.batch
+        return self.batch
+
+
+@pytest.mark.parametrize(
+    ("batch", "failure"),
+    [
+        (ValueError("out of memory"), "ValueError: out of memory"),
+        (np.zeros((2, N_FRAMES, 4, 2)), "the batch has shape (2, 8, 4, 2), expected (2, 8, 4, 3)"),
+    ],
+)
+def test_a_batch_that_fails_fails_as_a_whole(batch: Any, failure: str) -> None:
+    results = simulate_together(BadBatch(batch), SCENE, [GO, WEAK], [1, 2], OBSERVED)
+    assert [(r.hypothesis, r.seed) for r in results] == [(GO, 1), (WEAK, 2)]
+    assert all(r.failure is not None and failure in r.failure for r in results)
+
+
+def test_a_row_of_a_batch_that_is_not_finite_fails_alone() -> None:
+    batch = np.repeat(AT_REST.trajectory[None], 2, axis=0)
+    batch[1, 5, 2, 0] = np.nan
+    good, bad = simulate_together(BadBatch(batch), SCENE, [GO, WEAK], [1, 2], OBSERVED)
+    assert good.completed
+    assert (bad.frames_simulated, bad.completed) == (5, False)
+    assert "frame 5 holds a value that is not finite" in str(bad.failure)

@@ -1,0 +1,301 @@
+"""Worker processes: they come and go with their runner, and a dead one is made good."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import phase_ppl
+from phase_ppl.simulator.contract import Cancelled
+from phase_ppl.simulator.runner import Runner
+from tests.simulator import toys
+from tests.simulator.toys import AT_REST, GO, HELP, SCENE, WEAK
+
+ROOT = Path(phase_ppl.__file__).parents[1]
+PATIENCE = 60.0
+HEAVY = {"arviz", "jax", "matplotlib", "numpyro", "pandas", "torch", "xarray"}
+
+SLEEPER = """
+    import pathlib, sys, time
+    from phase_ppl.simulator.runner import Runner
+    from tests.simulator.toys import AT_REST, GO, SCENE, WEAK
+
+    folder = pathlib.Path(sys.argv[1])
+
+    def sleeps(scene, hypothesis, rng):
+        import os
+        (folder / f"{os.getpid()}.pid").touch()
+        while True:
+            time.sleep(1000)
+            yield scene.start
+
+    with Runner(sleeps, SCENE, AT_REST, workers=2) as runner:
+        runner.run([GO, WEAK], [1, 2])
+"""
+
+
+def runner(simulator: Any, **more: Any) -> Runner:
+    return Runner(simulator, SCENE, AT_REST, **more)
+
+
+def script(text: str, folder: Path) -> list[str]:
+    """Write a script without a guard around its main part; return the command that runs it."""
+    path = folder / "script.py"
+    path.write_text(textwrap.dedent(text))
+    return [sys.executable, str(path), str(folder)]
+
+
+@contextlib.contextmanager
+def started(text: str, folder: Path, **more: Any) -> Iterator[subprocess.Popen[str]]:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    process = subprocess.Popen(
+        script(text, folder),
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        **more,
+    )
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def wait_until(fact: Callable[[], Any]) -> None:
+    begin = time.monotonic()
+    while not fact():
+        if time.monotonic() - begin > PATIENCE:
+            pytest.fail("waited in vain")
+        time.sleep(0.02)
+
+
+def workers_in(folder: Path) -> list[int]:
+    return [int(file.stem) for file in folder.glob("*.pid")]
+
+
+def is_alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    with contextlib.suppress(OSError):  # a dead one that nobody has buried, where it can be told
+        return ") Z " not in Path(f"/proc/{pid}/stat").read_text()
+    return True
+
+
+# --- a worker dies ---------------------------------------------------------------------------
+
+
+def test_what_a_dead_worker_lost_is_run_again(tmp_path: Path) -> None:
+    with (
+        runner(toys.drift, workers=1) as sound,
+        runner(toys.KillsItsWorker(tmp_path, times=1), workers=2) as two,
+    ):
+        requests = [WEAK, GO, HELP, GO, GO], [1, 2, 3, 4, 5]
+        for a, b in zip(two.run(*requests), sound.run(*requests), strict=True):
+            assert b.completed
+            assert a.failure is None
+            np.testing.assert_array_equal(a.errors, b.errors)
+        assert len(list(tmp_path.iterdir())) == 1
+        assert two.statistics.retries >= 1
+        assert two.statistics.failures == 0
+
+
+def test_only_the_simulation_that_kills_its_worker_fails(tmp_path: Path) -> None:
+    # the sound one is slow: it would be lost with each of the others that runs beside it
+    killer = toys.KillsItsWorker(tmp_path, times=100, seconds_of_others=0.3)
+    with runner(killer, workers=2, max_retries=1) as two:
+        results = two.run([GO, WEAK, WEAK, WEAK], [1, 2, 3, 4])
+    assert [(r.hypothesis, r.seed) for r in results if r.failure] == [(WEAK, s) for s in (2, 3, 4)]
+    assert results[0].completed
+    assert "worker process died" in str(results[1].failure)
+    assert two.statistics.failures == 3
+    assert two.statistics.simulations == 4
+
+
+@pytest.mark.parametrize("max_retries", [0, 2])
+def test_a_killer_is_tried_again_as_often_as_asked(tmp_path: Path, max_retries: int) -> None:
+    with runner(
+        toys.KillsItsWorker(tmp_path, times=100), workers=2, max_retries=max_retries
+    ) as two:
+        two.run([WEAK], [1])
+    assert len(list(tmp_path.iterdir())) == 1 + max_retries
+    assert two.statistics.retries == max_retries
+
+
+def test_a_worker_that_died_between_two_runs_is_replaced() -> None:
+    with runner(toys.drift, workers=2) as two:
+        two.run([GO], [1])
+        victim = multiprocessing.active_children()[0]
+        os.kill(victim.pid or 0, signal.SIGKILL)
+        wait_until(lambda: not multiprocessing.active_children())  # the other goes with it
+        assert all(r.completed for r in two.run([GO, WEAK, HELP], [1, 2, 3]))
+        assert two.statistics.retries == 0
+
+
+def test_an_exception_is_not_tried_again(tmp_path: Path) -> None:
+    def raises(scene: Any, hypothesis: Any, rng: Any) -> Any:
+        (tmp_path / f"{len(list(tmp_path.iterdir()))}").touch()
+        raise ValueError("always")
+
+    with runner(raises, workers=2, max_retries=5) as two:
+        (result,) = two.run([GO], [1])
+    assert str(result.failure).startswith("ValueError: always")
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+# --- the end of workers ----------------------------------------------------------------------
+
+
+def test_closing_leaves_no_worker() -> None:
+    with runner(toys.drift, workers=2) as two:
+        two.run([GO], [1])
+        workers = multiprocessing.active_children()
+        assert len(workers) == 2
+    assert not any(is_alive(worker.pid or 0) for worker in workers)
+    assert multiprocessing.active_children() == []
+
+
+@pytest.mark.parametrize("tools", ["as they are", "none"])
+def test_cancelling_leaves_no_worker_not_even_busy_ones(
+    tmp_path: Path, tools: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if tools == "none":  # such as pgrep, which slim containers do not have
+        monkeypatch.setenv("PATH", "/nonexistent")
+    marker = tmp_path / "asleep"
+    with runner(toys.Sleeps(marker), workers=2) as two:
+
+        def cancel() -> None:
+            wait_until(marker.exists)
+            workers.extend(multiprocessing.active_children())
+            two.cancel()
+
+        workers: list[Any] = []
+        other = threading.Thread(target=cancel)
+        other.start()
+        with pytest.raises(Cancelled):
+            two.run([GO, WEAK], [1, 2])
+        other.join()
+        assert len(workers) == 2
+        assert not any(is_alive(worker.pid) for worker in workers)
+
+
+def test_what_a_simulator_has_started_ends_with_its_worker(tmp_path: Path) -> None:
+    def starts_an_engine(scene: Any, hypothesis: Any, rng: Any) -> Any:
+        engine = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(1000)"])
+        (tmp_path / f"{engine.pid}.pid").touch()
+        yield from toys.drift(scene, hypothesis, rng)
+
+    with runner(starts_an_engine, workers=2) as two:
+        two.run([GO], [1])
+        (engine,) = workers_in(tmp_path)
+        assert is_alive(engine)
+    wait_until(lambda: not is_alive(engine))
+
+
+@pytest.mark.parametrize("after", ["all workers began", "the first worker started"])
+def test_ctrl_c_ends_a_script_and_its_workers_without_a_word_from_them(
+    tmp_path: Path, after: str
+) -> None:
+    with started(SLEEPER, tmp_path) as process:
+        if after == "all workers began":
+            wait_until(lambda: len(workers_in(tmp_path)) == 2)
+        else:
+            wait_until(lambda: _children(process.pid))
+        os.killpg(process.pid, signal.SIGINT)
+        _, errors = process.communicate(timeout=PATIENCE)
+        assert process.returncode == -signal.SIGINT
+        assert errors.count("Traceback") == 1
+        assert errors.rstrip().endswith("KeyboardInterrupt")
+        assert not any(is_alive(pid) for pid in workers_in(tmp_path))
+
+
+def _children(pid: int) -> list[str]:
+    tasks = Path(f"/proc/{pid}/task")
+    if not tasks.exists():
+        pytest.skip("this system does not list the children of a process")
+    pids = [p for task in tasks.iterdir() for p in (task / "children").read_text().split()]
+    commands = [Path(f"/proc/{p}/cmdline").read_text() for p in pids if Path(f"/proc/{p}").exists()]
+    return [command for command in commands if "popen_loky" in command]
+
+
+def test_workers_end_when_their_parent_is_killed(tmp_path: Path) -> None:
+    with started(SLEEPER, tmp_path) as process:
+        wait_until(lambda: len(workers_in(tmp_path)) == 2)
+        process.kill()
+        wait_until(lambda: not any(is_alive(pid) for pid in workers_in(tmp_path)))
+
+
+def test_a_runner_that_was_never_closed_does_not_keep_a_script_alive(tmp_path: Path) -> None:
+    text = """
+        from phase_ppl.simulator.runner import Runner
+        from tests.simulator.toys import AT_REST, GO, SCENE, drift
+        runner = Runner(drift, SCENE, AT_REST, workers=2)
+        print(runner.run([GO], [1])[0].completed)
+    """
+    with started(text, tmp_path) as process:
+        output, errors = process.communicate(timeout=PATIENCE)
+    assert (output, errors, process.returncode) == ("True\n", "", 0)
+
+
+# --- scripts and imports ---------------------------------------------------------------------
+
+
+def test_a_simulator_defined_in_a_script_runs_on_workers_without_a_guard(tmp_path: Path) -> None:
+    text = """
+        import dataclasses
+        import numpy as np
+        from phase_ppl.simulator.runner import Runner
+        from tests.simulator.toys import AT_REST, GO, SCENE
+
+        @dataclasses.dataclass
+        class Mine:
+            pace: float
+
+            def __call__(self, scene, hypothesis, rng):
+                while True:
+                    yield scene.start + self.pace * helper(rng)
+
+        def helper(rng):
+            return rng.normal(size=(4, 3))
+
+        for simulator in (Mine(0.1), lambda *given: Mine(0.1)(*given)):
+            for workers in (1, 2):
+                with Runner(simulator, SCENE, AT_REST, workers=workers) as runner:
+                    first, second = runner.run([GO, GO], [1, 2])
+                    print(first.errors.sum(), second.errors.sum(), first.failure, second.failure)
+    """
+    with started(text, tmp_path) as process:
+        output, errors = process.communicate(timeout=PATIENCE)
+    assert errors == ""
+    lines = output.splitlines()
+    assert len(lines) == 4
+    assert len(set(lines)) == 1
+    assert lines[0].endswith("None None")
+
+
+@pytest.mark.parametrize(
+    ("module", "heavy"), [("runner", {*HEAVY, "numba"}), ("joint", HEAVY), ("simulate", HEAVY)]
+)
+def test_simulating_imports_none_of_the_inference_libraries(module: str, heavy: set[str]) -> None:
+    text = f"import sys, phase_ppl.simulator.{module}; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", text], cwd=ROOT, capture_output=True, text=True)
+    loaded = set(done.stdout.split())
+    assert f"phase_ppl.simulator.{module}" in loaded
+    assert not loaded & heavy

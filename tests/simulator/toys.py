@@ -1,0 +1,214 @@
+"""Simulators of a few lines, good and bad, and a scene to run them in."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phase_ppl.world.hypothesis import Hypothesis
+from phase_ppl.world.observation import Observation
+from phase_ppl.world.scene import Scene
+
+Frame = NDArray[np.float64]
+
+START = np.array([[8.0, 20.0, 0.0], [24.0, 14.0, 1.0], [12.0, 8.0, 0.0], [20.0, 8.0, 0.0]])
+SCENE = Scene(start=START, radius=np.full(4, 0.8))
+N_FRAMES = 8
+AT_REST = Observation(np.repeat(START[None], N_FRAMES, axis=0))
+
+GO = Hypothesis("Get red agent to red lm", "Get green agent to blue lm")
+HELP = Hypothesis("Get red agent to red lm", "Get green agent to blue lm", alpha=(0, 1))
+WEAK = Hypothesis("Get red agent to red lm", "Get green agent to blue lm", strength_red=150.0)
+
+
+def drift(scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator) -> Iterator[Frame]:
+    """Wander about at random; what is wanted sets the pace."""
+    frame = scene.start.copy()
+    pace = 0.01 + 0.01 * hypothesis.goal_green
+    while True:
+        yield frame
+        frame += pace * rng.normal(size=frame.shape)  # in place, as a careless user would
+
+
+def slide(scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator) -> Iterator[Frame]:
+    """Move the red agent by 1 per frame: the error of frame k is k."""
+    frame = scene.start.copy()
+    while True:
+        yield frame.copy()
+        frame[0, 0] += 1.0
+
+
+def ends_early(scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator) -> Iterator[Frame]:
+    for _ in range(3):
+        yield scene.start
+
+
+def not_finite(scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator) -> Iterator[Frame]:
+    yield scene.start
+    yield scene.start * np.nan
+
+
+def wrong_shape(scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator) -> Iterator[Frame]:
+    while True:
+        yield scene.start[:2]
+
+
+def raises(scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator) -> Iterator[Frame]:
+    yield scene.start
+    raise ZeroDivisionError("no way to divide")
+
+
+class UnprintableError(Exception):
+    def __str__(self) -> str:
+        raise RuntimeError
+
+
+def raises_unprintable(
+    scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator
+) -> Iterator[Frame]:
+    yield scene.start
+    raise UnprintableError
+
+
+def exits(scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator) -> Iterator[Frame]:
+    yield scene.start
+    sys.exit("enough")
+
+
+def forgets_to_yield(scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator) -> Any:
+    return None
+
+
+def fails_for_weak(
+    scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator
+) -> Iterator[Frame]:
+    if hypothesis.strength_red < 300:
+        raise ValueError("too weak")
+    yield from drift(scene, hypothesis, rng)
+
+
+class Sleeps:
+    """Sleeps in the middle of a frame, after having touched a file."""
+
+    def __init__(self, marker: Path, seconds: float = 100.0) -> None:
+        self.marker, self.seconds = marker, seconds
+
+    def __call__(
+        self, scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator
+    ) -> Iterator[Frame]:
+        yield scene.start
+        self.marker.touch()
+        time.sleep(self.seconds)
+        yield scene.start
+
+
+class KillsItsWorker:
+    """Kills its own process for weak hypotheses; ``times`` times, counted by files in a folder."""
+
+    def __init__(self, folder: Path, times: int, seconds_of_others: float = 0.0) -> None:
+        self.folder, self.times, self.seconds_of_others = folder, times, seconds_of_others
+
+    def __call__(
+        self, scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator
+    ) -> Iterator[Frame]:
+        deaths = len(list(self.folder.iterdir()))
+        if hypothesis.strength_red < 300 and deaths < self.times:
+            (self.folder / str(deaths)).touch()
+            os._exit(1)
+        time.sleep(self.seconds_of_others)
+        yield from drift(scene, hypothesis, rng)
+
+
+class CountsRuns:
+    """Drifts, and leaves a file per run."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def __call__(
+        self, scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator
+    ) -> Iterator[Frame]:
+        number = rng.bit_generator.seed_seq.generate_state(1)[0]  # type: ignore[attr-defined]
+        (self.folder / f"{number}-{time.monotonic_ns()}").touch()
+        yield from drift(scene, hypothesis, rng)
+
+
+class Slips:
+    """Counts how often it travels to a process, and cannot be loaded where it is told so."""
+
+    def __init__(self, folder: Path, loads: bool = True) -> None:
+        self.folder, self.loads = folder, loads
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        if not self.loads:
+            raise ImportError("no such engine here")
+        (self.folder / f"{os.getpid()}-{time.monotonic_ns()}").touch()
+
+    def __call__(
+        self, scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator
+    ) -> Iterator[Frame]:
+        yield from drift(scene, hypothesis, rng)
+
+
+class WarmsUp(CountsRuns):
+    """Leaves a file for its warm-up, and fails if it runs without."""
+
+    def warm_up(self) -> None:
+        (self.folder / f"warm-{time.monotonic_ns()}").touch()
+
+    def __call__(
+        self, scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator
+    ) -> Iterator[Frame]:
+        assert list(self.folder.glob("warm-*"))
+        yield from drift(scene, hypothesis, rng)
+
+
+class Batched:
+    """Drifts, all at once."""
+
+    def __init__(self) -> None:
+        self.sizes: list[int] = []
+
+    def __call__(
+        self, scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator
+    ) -> Iterator[Frame]:
+        raise AssertionError("a batch was possible")
+
+    def simulate_batch(
+        self,
+        scene: Scene,
+        hypotheses: list[Hypothesis],
+        rngs: list[np.random.Generator],
+        n_frames: int,
+    ) -> NDArray[np.float64]:
+        self.sizes.append(len(hypotheses))
+        return np.array(
+            [
+                [f.copy() for f in itertools.islice(drift(scene, h, rng), n_frames)]
+                for h, rng in zip(hypotheses, rngs, strict=True)
+            ]
+        )
+
+
+def tells_its_process(
+    scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator
+) -> Iterator[Frame]:
+    """Fail with what a process has imported, its threads, and whether Ctrl-C reaches it."""
+    heavy = {"arviz", "jax", "matplotlib", "numpyro", "pytest", "torch", "xarray"}
+    threads = {os.environ.get(f"{name}_NUM_THREADS") for name in ("OMP", "NUMBA", "OPENBLAS")}
+    blocked = signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    raise RuntimeError(
+        f"heavy {sorted(heavy & set(sys.modules))}, threads {sorted(map(str, threads))}, "
+        f"interrupts blocked {blocked}"
+    )
+    yield scene.start
