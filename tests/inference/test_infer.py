@@ -17,7 +17,7 @@ from phase_ppl.analysis.tree import simulation_of_draw
 from phase_ppl.inference import chains
 from phase_ppl.inference import infer as infer_module
 from phase_ppl.inference.kernels.prior_mh import PriorMH
-from phase_ppl.simulator.contract import SimulationResult
+from phase_ppl.simulator.contract import Cancelled, SimulationResult
 from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from phase_ppl.world.hypothesis import Hypothesis
@@ -166,13 +166,20 @@ def test_sites_of_ones_own_are_inferred_and_stored() -> None:
 # --- what goes wrong ---------------------------------------------------------------------------
 
 Results = list[SimulationResult]
+Change = Callable[[int, Any, Results], Any]
+"""(number of the call, runner, results) -> other results, or nothing."""
 
 
-def disturb(monkeypatch: pytest.MonkeyPatch, change: Callable[[int, Runner, Results], Any]) -> None:
+def disturb(monkeypatch: pytest.MonkeyPatch, change: Change) -> None:
     """Let ``change`` act on what the runner gives back from its n-th call, counted from 0."""
 
     class Disturbed(Runner):
         calls = -1
+        cancelled = False
+
+        def cancel(self) -> None:
+            self.cancelled = True
+            super().cancel()
 
         def run(
             self,
@@ -187,13 +194,15 @@ def disturb(monkeypatch: pytest.MonkeyPatch, change: Callable[[int, Runner, Resu
     monkeypatch.setattr(infer_module, "Runner", Disturbed)
 
 
-def interrupt_in(call: int) -> Callable[[int, Runner, Results], None]:
-    def change(number: int, runner: Runner, results: Results) -> None:
+def interrupt_in(call: int) -> Change:
+    def change(number: int, runner: Any, results: Results) -> None:
         if number == call:
             _thread.interrupt_main()
-            for _ in range(200):
-                runner._check_cancelled()
-                time.sleep(0.05)
+            deadline = time.monotonic() + 10
+            while not runner.cancelled and time.monotonic() < deadline:
+                time.sleep(0.02)
+            assert runner.cancelled
+            raise Cancelled("the run was cancelled")
 
     return change
 
@@ -233,8 +242,8 @@ def test_interrupt_before_the_initial_particles_keeps_nothing(
     assert caught.value.posterior is None
 
 
-def failing(rows: Sequence[int]) -> Callable[[int, Runner, Results], Results]:
-    def change(number: int, runner: Runner, results: Results) -> Results:
+def failing(rows: Sequence[int]) -> Change:
+    def change(number: int, runner: Any, results: Results) -> Results:
         return [
             SimulationResult.failed(r.hypothesis, r.seed, len(r.errors), "ValueError: no luck")
             if number == 0 and row in rows
@@ -262,7 +271,7 @@ def test_it_is_an_error_if_all_initial_simulations_fail(monkeypatch: pytest.Monk
 
 
 def test_exception_from_the_runner_keeps_its_class(monkeypatch: pytest.MonkeyPatch) -> None:
-    def change(number: int, runner: Runner, results: Results) -> None:
+    def change(number: int, runner: Any, results: Results) -> None:
         if number == 1:
             raise ZeroDivisionError("out of luck")
 

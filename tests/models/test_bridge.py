@@ -129,15 +129,24 @@ def test_ceilings_reach_the_runner() -> None:
     assert runner.ceilings == [3.0, np.inf]
 
 
-def test_an_exception_is_kept_with_its_class() -> None:
-    class Exploding(Counting):
-        def run(self, *_: Any) -> list[SimulationResult]:
-            raise ZeroDivisionError("the simulator exploded")
+class Exploding(Counting):
+    def run(self, *_: Any) -> list[SimulationResult]:
+        raise ZeroDivisionError("the simulator exploded")
 
+
+def test_an_exception_is_kept_with_its_class() -> None:
     bridge = SimulatorBridge(Exploding(), N_FRAMES)
     with pytest.raises(Exception, match="exploded"):
         ask(bridge, sites_of(2), jnp.arange(2))
     assert isinstance(bridge.failure, ZeroDivisionError)
+
+
+def test_an_exception_can_wait_without_being_logged(caplog: pytest.LogCaptureFixture) -> None:
+    bridge = SimulatorBridge(Exploding(), N_FRAMES)
+    bridge.defers = True
+    assert np.isinf(ask(bridge, sites_of(2), jnp.arange(2))).all()
+    assert isinstance(bridge.failure, ZeroDivisionError)
+    assert not caplog.records
 
 
 def test_sites_of_the_users_own_are_recorded() -> None:
