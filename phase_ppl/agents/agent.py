@@ -37,6 +37,7 @@ class Decision(NamedTuple):
         support: share of the belief particles that agree with the subgoal.
         actions: (A,) actions the search considered; empty without a search.
         visits: (A,) root visits; values: (A,) mean returns at the root, NaN if unvisited.
+        held: item that the agent holds when it decides, or ``NOTHING``.
     """
 
     action: Action
@@ -45,6 +46,7 @@ class Decision(NamedTuple):
     actions: NDArray[np.int64]
     visits: NDArray[np.int64]
     values: NDArray[np.float64]
+    held: int
 
 
 class Mind(NamedTuple):
@@ -60,7 +62,9 @@ class Mind(NamedTuple):
         return cls(
             scene,
             make_ground(scene),
-            compiled.make_params(scene, strengths, inner_steps=config.inner_steps),
+            compiled.make_params(
+                scene, strengths, inner_steps=config.inner_steps, swivel=config.swivel
+            ),
             Abilities.of(scene, strengths),
         )
 
@@ -93,6 +97,7 @@ class Agent:
         self.mind = mind
         self.goal = goal_literal(goals[agent], agent)
         other_goal = goal_literal(goals[1 - agent], 1 - agent)
+        self._contested = other_goal == self.goal.negated()
         self._goal_code = rewards.subgoal_code(self.goal)
         self._other_code = rewards.subgoal_code(other_goal)
         self._planner = subgoal_planner(agent, self.goal, other_goal, mind.abilities)
@@ -101,7 +106,7 @@ class Agent:
         self.beliefs = belief.initial_beliefs(
             bodies, agent, config.particles, mind.ground, generator
         )
-        self._search = pomcp.Search(
+        self.search = pomcp.Search(
             config.simulations,
             config.rollout_length,
             config.discount,
@@ -127,8 +132,12 @@ class Agent:
         self.perceive(bodies, held, weld)
         subgoal, agreeing = self.choose_subgoal()
         decision = self.choose_action(subgoal, agreeing)
-        self._last_action = decision.action
+        self.done(decision.action)
         return decision
+
+    def done(self, action: Action) -> None:
+        """Tell the agent what it has just executed, which its next prediction starts from."""
+        self._last_action = action
 
     def perceive(
         self, bodies: NDArray[np.float64], held: NDArray[np.int64], weld: NDArray[np.float64]
@@ -192,8 +201,9 @@ class Agent:
             for subgoal, members in agreeing.items()
         }
         candidates = sorted(value)
-        # a few particles in which all is done are cheap; they must not end a search
-        if len(candidates) > 1 and len(agreeing.get(STOP, ())) <= n / 2:
+        # particles in which nothing is left to do are cheap; they must not end a search
+        done = self._facts[:, symbols.OWN_DONE].mean() > 0.5
+        if len(candidates) > 1 and not (done and len(agreeing.get(STOP, ())) > n / 2):
             candidates = [c for c in candidates if c != STOP]
         if self.config.touch_override:
             candidates = _touching(candidates, self.agent) or candidates
@@ -203,13 +213,22 @@ class Agent:
     def choose_action(self, subgoal: Literal, agreeing: NDArray[np.int64]) -> Decision:
         """Return the decision for a subgoal, by search over the agreeing particles."""
         support = len(agreeing) / self.config.particles
+        held = int(self.beliefs.held[agreeing[0], self.agent])
         reflex = self._reflex(subgoal, agreeing)
         if reflex is not None:
             self._last = None
-            return Decision(reflex, subgoal, support, _NO_ACTIONS, _NO_ACTIONS, _NO_VALUES)
+            return Decision(reflex, subgoal, support, _NO_ACTIONS, _NO_ACTIONS, _NO_VALUES, held)
+        actions = rewards.actions_for(subgoal, self.agent, held, self._contested)
+        column, visits, values = self._search_actions(subgoal, agreeing, actions)
+        return Decision(
+            Action(int(actions[column])), subgoal, support, actions, visits, values, held
+        )
+
+    def _search_actions(
+        self, subgoal: Literal, agreeing: NDArray[np.int64], actions: NDArray[np.int64]
+    ) -> tuple[int, NDArray[np.int64], NDArray[np.float64]]:
+        """Return the best action's column, and visits and values of all at the root."""
         beliefs, tree = self.beliefs, self.tree
-        held = int(beliefs.held[agreeing[0], self.agent])
-        actions = rewards.actions_for(subgoal, self.agent, held, self.mind.scene.turning)
         if (
             self.config.tree_reuse
             and self._last is not None
@@ -228,7 +247,7 @@ class Agent:
             self.agent,
             rewards.subgoal_code(subgoal),
             actions,
-            self._search,
+            self.search,
             self.mind.params,
             self.mind.ground,
             self._scratch,
@@ -240,7 +259,7 @@ class Agent:
         visits = np.where(visited, tree.visits[children], 0).astype(np.int64)
         with np.errstate(invalid="ignore", divide="ignore"):
             values = np.where(visited, tree.total[children] / np.maximum(visits, 1), np.nan)
-        return Decision(Action(int(actions[column])), subgoal, support, actions, visits, values)
+        return column, visits, values
 
     def _reflex(self, subgoal: Literal, agreeing: NDArray[np.int64]) -> Action | None:
         """Return the action that needs no search: stop, let go, or grab what is in reach."""

@@ -23,6 +23,7 @@ class PlannerConfig:
         early_stop: end a search once no other action can catch up; never changes the action.
         tree_reuse: keep the subtree of the executed action while the subgoal stays; a deviation.
         inner_steps: solver steps per physics substep in imagination.
+        swivel: agents imagine that a held item hangs on a rod, free to swivel (authors' code).
         touch_override: ablation: a subgoal to touch something wins over V (authors' code).
         full_observation: ablation: agents see everything.
     """
@@ -37,6 +38,7 @@ class PlannerConfig:
     early_stop: bool = True
     tree_reuse: bool = False
     inner_steps: int = 1
+    swivel: bool = True
     touch_override: bool = False
     full_observation: bool = False
 

@@ -220,7 +220,14 @@ def _moves(
     movers = (agent, item, other) if shared else (agent, item)
     actors = (agent, other) if helpers else (agent,)
     for ray, following in abilities.neighbours[node.rooms[item]]:
-        if all(abilities.passes[e][ray] for e in movers) and _door_free(node, abilities, ray, item):
+        # a holder beyond the door need not pass it; one before it must also be with the item
+        crossing = [e for e in movers if node.rooms[e] != following]
+        passing = all(
+            abilities.passes[e][ray]
+            and abilities.route((e,), node.rooms[e], node.rooms[item]) is not None
+            for e in crossing
+        )
+        if passing and _door_free(node, abilities, ray, item):
             rooms = node.rooms
             placed = node.placed
             for entity in movers:
@@ -232,7 +239,10 @@ def _moves(
                 abilities.room_distance[node.rooms[item]][following],
                 node._replace(rooms=rooms, placed=placed, clear=_set(node.clear, item - 2, -1)),
             )
-    if not node.placed[item]:
+    together = all(
+        abilities.route((e,), node.rooms[e], node.rooms[item]) is not None for e in movers
+    )
+    if together and not node.placed[item]:
         yield Step(
             actors,
             Literal(Predicate.ON, item, node.rooms[item]),

@@ -18,7 +18,6 @@ from phase_ppl.physics.jit import bare_kernel
 from phase_ppl.world.literals import Literal, Predicate
 from phase_ppl.world.names import NOTHING
 from phase_ppl.world.rooms import N_ROOMS, UNREACHABLE
-from phase_ppl.world.scene import Turning
 
 SIDEWAYS_COST: Final = 0.02
 """Cost of each translation other than straight ahead."""
@@ -35,7 +34,6 @@ _NAVIGATION: Final = (
     Action.STOP,
     Action.NO_FORCE,
 )
-_TURNS: Final = (Action.TURN_LEFT, Action.TURN_RIGHT)
 _GRIP: Final = (Action.ATTACH, Action.DETACH)
 
 
@@ -45,36 +43,32 @@ def subgoal_code(literal: Literal) -> NDArray[np.int64]:
     return np.array([literal.predicate, literal.subject, literal.target, sign], np.int64)
 
 
-def actions_for(literal: Literal, agent: int, held: int, turning: Turning) -> NDArray[np.int64]:
+def actions_for(
+    literal: Literal, agent: int, held: int, contested: bool = False
+) -> NDArray[np.int64]:
     """Return the actions that ``agent`` considers for a subgoal, indices into ``Action``.
 
     Args:
         literal: the subgoal.
         agent: who plans.
         held: item it holds or ``NOTHING``.
-        turning: with "ccw" and "cw" both turns go that way.
+        contested: the other agent wants to keep it from the landmark it wants to be on.
     """
     predicate, subject = literal.predicate, literal.subject
     without: tuple[Action, ...]
-    if predicate is Predicate.TOUCH or (
-        subject == agent and predicate in (Predicate.ON, Predicate.CLOSE)
-    ):
-        actions = list(_NAVIGATION)
+    if predicate is Predicate.TOUCH or (subject == agent and predicate is Predicate.CLOSE):
+        return np.array(_NAVIGATION, np.int64)
+    if subject == agent and predicate is Predicate.ON and not contested:
+        return np.array(_NAVIGATION, np.int64)
+    if predicate is Predicate.ATTACH:
+        without = () if held != NOTHING else (Action.DETACH,)
+    elif predicate is Predicate.ON and subject >= 2:
+        without = (Action.DETACH,)
+    elif predicate is Predicate.CLOSE and subject >= 2:
+        without = _GRIP if held != NOTHING else (Action.DETACH,)
     else:
-        if predicate is Predicate.ATTACH:
-            without = () if held != NOTHING else (Action.DETACH,)
-        elif predicate is Predicate.ON and subject >= 2:
-            without = (Action.DETACH,)
-        elif predicate is Predicate.CLOSE and subject >= 2:
-            without = _GRIP if held != NOTHING else (Action.DETACH,)
-        else:
-            without = _GRIP
-        actions = [action for action in Action if action not in without]
-    if turning != "both":
-        # in the original recordings both turns went the same way, so half of all draws were turns
-        only = Action.TURN_LEFT if turning == "ccw" else Action.TURN_RIGHT
-        actions = [only if action in _TURNS else action for action in actions]
-    return np.array(actions, np.int64)
+        without = _GRIP
+    return np.array([action for action in Action if action not in without], np.int64)
 
 
 @bare_kernel

@@ -125,11 +125,14 @@ class SubgoalPlanner:
             return node.rooms[item] == room and node.placed[item]
 
         steps = self._plan(state, (self.agent,), frozenset({item}), delivered)
+        alone = steps is not None
         if steps is None and cooperative:
             steps = self._plan(state, (self.agent, self.opponent), frozenset({item}), delivered)
         own_step = self._first_own_step(steps)
         if own_step is not None and self._can_start(steps, own_step, state):
-            return self._in_sight(own_step.literal, item, observed)
+            return self._start(own_step.literal, alone, item, state, observed)
+        if cooperative and own_step is None and self._must_wait(state, item, room, bool(steps)):
+            return STOP
         if holding:
             # too weak or too wide: keep pulling towards the goal
             way = self.abilities.route((), state.rooms[item], room)
@@ -137,13 +140,43 @@ class SubgoalPlanner:
                 return self.own
             return Literal(Predicate.CLOSE, item, way[1])
         if state.rooms[self.agent] == state.rooms[item] or observed[item]:
-            # the other does what this agent's body cannot
-            if cooperative and steps and own_step is None and state.held[self.opponent] == item:
-                return STOP
             if state.in_reach[2 * self.agent + item - 2]:
                 return Literal(Predicate.ATTACH, self.agent, item)
             return Literal(Predicate.TOUCH, self.agent, item)
         return self._press_on(state, state.rooms[item])
+
+    def _must_wait(self, state: SymbolicState, item: int, room: int, has_plan: bool) -> bool:
+        """Whether doors leave this agent nothing to do for an item of both but to wait.
+
+        They keep it from the item or from bringing it to ``room``, and the other can do without
+        it; or they keep it from both.
+        """
+        route = self.abilities.route
+        reaches = route((self.agent,), state.rooms[self.agent], state.rooms[item]) is not None
+        if has_plan:
+            return not reaches or route((self.agent, item), state.rooms[item], room) is None
+        return not reaches and route((self.agent,), state.rooms[self.agent], room) is None
+
+    def _start(
+        self,
+        literal: Literal,
+        alone: bool,
+        item: int,
+        state: SymbolicState,
+        observed: tuple[bool, ...],
+    ) -> Literal:
+        """Return how to begin a step towards bringing an item somewhere."""
+        if literal.predicate is Predicate.ATTACH and literal.positive and not alone:
+            # what is to be handed over may be pushed as well; the search decides
+            way = self._way_to_hand_over(state, item)
+            if way is not None:
+                return Literal(Predicate.CLOSE, item, way)
+        return self._in_sight(literal, item, observed)
+
+    def _way_to_hand_over(self, state: SymbolicState, item: int) -> int | None:
+        """Return the next room on the item's way to the other agent, if there is one."""
+        way = self.abilities.route((item,), state.rooms[item], state.rooms[self.opponent])
+        return way[1] if way is not None and len(way) > 1 else None
 
     def _in_sight(self, literal: Literal, item: int, observed: tuple[bool, ...]) -> Literal:
         """Head straight for an item in view instead of for its room."""
@@ -192,8 +225,6 @@ class SubgoalPlanner:
             near = state.rooms[self.agent] == state.rooms[item]
             if not useful or not near or not self.abilities.carries_alone[self.agent]:
                 continue
-            if state.door_filled_by[i] in useful:
-                return self._free_hands(state) or STOP
             reachable = [
                 d for d in useful if d in {ray for ray, _ in self._open(state.rooms[item])}
             ]
@@ -204,6 +235,8 @@ class SubgoalPlanner:
         letting_go = self._free_hands(state)
         if letting_go is not None:
             return letting_go
+        if doors and doors[0] in {ray for ray, _ in self._open(state.rooms[self.agent])}:
+            return Literal(Predicate.CLOSE, self.agent, N_ROOMS + doors[0])
         meeting = set(way[1:]) if len(way) > 1 else set(way)
         if state.rooms[self.agent] in meeting or observed[self.opponent]:
             return self.own

@@ -31,6 +31,7 @@ NEAR_TOUCH: Final = 0.1 * DISTANCE_UNIT
 NO_DOOR: Final = -1
 _ON, _TOUCH = int(Predicate.ON), int(Predicate.TOUCH)
 N_FACTS: Final = 14
+OWN_DONE: Final = 10
 
 
 class SymbolicState(NamedTuple):

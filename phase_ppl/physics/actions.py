@@ -8,6 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from phase_ppl.world.scene import Turning
+
 
 class Action(enum.IntEnum):
     """What an agent does during one planner step. Directions are those of its own body."""
@@ -55,3 +57,14 @@ def _directions() -> NDArray[np.float64]:
 
 DIRECTIONS: Final = _directions()
 """(14, 2) direction of each action's force in the body frame; 0 for actions without one."""
+
+
+def executed(action: int, turning: Turning) -> int:
+    """Return what the world makes of an action where agents turn one way only.
+
+    In the original recordings both turns went the same way, although the agents, as their choices
+    show, expected a turn to the right to go to the right.
+    """
+    if turning == "both" or action not in (Action.TURN_LEFT, Action.TURN_RIGHT):
+        return action
+    return Action.TURN_LEFT if turning == "ccw" else Action.TURN_RIGHT

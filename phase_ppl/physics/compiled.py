@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from phase_ppl.physics.actions import DIRECTIONS, Action
 from phase_ppl.physics.constants import (
     FLOOR_FRICTION,
-    FORCE_POINT_Y,
     LONGEST_MOVE,
     SHARED_WELD_SWEEPS,
     WORLD_INNER_STEPS,
@@ -131,7 +130,7 @@ def _push(agent: int, action: int, params: Params, scratch: Scratch) -> None:
         c, s = scratch.rotation[agent, 0], scratch.rotation[agent, 1]
         impulse = params.force[agent] * params.dt
         jx, jy = impulse * DIRECTIONS[action, 0], impulse * DIRECTIONS[action, 1]
-        arm = FORCE_POINT_Y * params.radius[agent] - params.cog[agent]
+        arm = params.force_point[agent] - params.cog[agent]
         kick[0] = params.inverse_mass[agent] * (c * jx - s * jy)
         kick[1] = params.inverse_mass[agent] * (s * jx + c * jy)
         kick[2] = -inverse_inertia * arm * jx

@@ -49,7 +49,7 @@ class Params(NamedTuple):
         extent: (4,) radius of the circle about the centre of mass that holds the body.
         inverse_mass, inverse_inertia: (4,).
         origin_mass: (4, 2) effective mass of the body origin in local x and y.
-        force, torque: (2,) of the agents.
+        force, force_point, torque: (2,) of the agents; the point is local y.
         vertices: (2, 4, 2) corners of the agents about their centre of mass,
             counter-clockwise; normals: (2, 4, 2) outward normal of the face that ENDS at the
             corner of the same index.
@@ -61,6 +61,8 @@ class Params(NamedTuple):
         iterations: of the solver.
         friction: largest impulse of the floor friction in a substep.
         contact_rates: by number of parts, bias velocity per unit of overlap.
+        swivel: a held item hangs on a rod from its holder's origin instead of being welded, and
+            agents push at their origin: what the authors' agents imagined.
     """
 
     radius: FloatArray
@@ -70,6 +72,7 @@ class Params(NamedTuple):
     inverse_inertia: FloatArray
     origin_mass: FloatArray
     force: FloatArray
+    force_point: FloatArray
     torque: FloatArray
     vertices: FloatArray
     normals: FloatArray
@@ -82,6 +85,7 @@ class Params(NamedTuple):
     iterations: int
     friction: float
     contact_rates: FloatArray
+    swivel: bool
 
 
 class Scratch(NamedTuple):
@@ -169,6 +173,7 @@ def make_params(
     strengths: tuple[float, float],
     inner_steps: int = constants.IMAGINATION_INNER_STEPS,
     iterations: int = constants.IMAGINATION_ITERATIONS,
+    swivel: bool = False,
 ) -> Params:
     """Return the parameters of the compiled model for one scene and two strengths.
 
@@ -178,6 +183,7 @@ def make_params(
         inner_steps: parts into which the movement of a substep is divided, at least; from
             ``WORLD_INNER_STEPS`` on exactly.
         iterations: of the solver, per inner step.
+        swivel: see ``Params``.
     """
     radius = scene.radius
     sizes = radius[:_N_AGENTS]
@@ -197,6 +203,7 @@ def make_params(
         inverse_inertia=inverse_inertia,
         origin_mass=1.0 / np.column_stack([inverse_mass + inverse_inertia * cog**2, inverse_mass]),
         force=np.array(strengths, np.float64),
+        force_point=sizes * (0.0 if swivel else constants.FORCE_POINT_Y),
         torque=np.array([constants.turn_torque(size) for size in sizes]),
         vertices=sizes[:, None, None] * _UNIT_CORNERS,
         normals=np.repeat(_UNIT_NORMALS[None], _N_AGENTS, axis=0),
@@ -209,6 +216,7 @@ def make_params(
         iterations=iterations,
         friction=constants.FLOOR_FRICTION * constants.SUBSTEP,
         contact_rates=(1.0 - constants.COLLISION_BIAS**part_length) / part_length,
+        swivel=swivel,
     )
 
 

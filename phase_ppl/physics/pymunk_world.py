@@ -130,17 +130,8 @@ class PymunkWorld:
             shape = pymunk.Circle(body, radius)
         shape.friction = 0.0
         shape.elasticity = 0.0
-        x, y, angle = state.pose[entity].tolist()
-        vx, vy = state.velocity[entity].tolist()
-        spin = float(state.spin[entity])
-        # one move back, as Chipmunk's first act is to move
-        body.position = (
-            x - math.sin(angle) * cog_y - vx * self._dt,
-            y + math.cos(angle) * cog_y - vy * self._dt,
-        )
-        body.angle = angle - spin * self._dt
-        body.velocity = vx, vy
-        body.angular_velocity = spin
+        self._place(body, entity, state)
+        x, y, _ = state.pose[entity].tolist()
         # Floor friction: a joint that never pulls the body back (max_bias 0), only brakes its
         # origin with limited force. The walls hang on the same static body, so that the joint
         # must leave collisions between the two on.
@@ -150,6 +141,34 @@ class PymunkWorld:
         self._floor.append(floor)
         self._space.add(body, shape, floor)
         return body
+
+    def _place(self, body: pymunk.Body, entity: int, state: State) -> None:
+        x, y, angle = state.pose[entity].tolist()
+        vx, vy = state.velocity[entity].tolist()
+        spin, cog_y = float(state.spin[entity]), self._cog_y[entity]
+        # one move back, as Chipmunk's first act is to move
+        body.position = (
+            x - math.sin(angle) * cog_y - vx * self._dt,
+            y + math.cos(angle) * cog_y - vy * self._dt,
+        )
+        body.angle = angle - spin * self._dt
+        body.velocity = vx, vy
+        body.angular_velocity = spin
+
+    def restore(self, state: State) -> None:
+        """Put the world into ``state``.
+
+        Chipmunk's memory of contacts stays as it is, so that bodies in contact go on a little
+        otherwise than in a new world.
+        """
+        for agent in range(_N_AGENTS):
+            if self._held[agent] != NOTHING:
+                self._detach(agent)
+        for entity, body in enumerate(self._bodies):
+            self._place(body, entity, state)
+        for agent in range(_N_AGENTS):
+            if state.held[agent] != NOTHING:
+                self._join(agent, int(state.held[agent]), state.weld[agent].copy())
 
     def _break_ties(self) -> None:
         """Move bodies that start on an agent's origin a hair away from it.

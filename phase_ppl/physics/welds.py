@@ -55,6 +55,35 @@ def place_frame(bodies: FloatArray, agent: int, scratch: Scratch) -> None:
 
 
 @inlined_kernel
+def _prepare_rod(
+    bodies: FloatArray,
+    agent: int,
+    item: int,
+    weld: FloatArray,
+    params: Params,
+    scratch: Scratch,
+    row: FloatArray,
+) -> None:
+    """As ``prepare_weld`` for a rod from the agent's origin to the item, free to swivel."""
+    c, s = scratch.rotation[agent, 0], scratch.rotation[agent, 1]
+    cog = params.cog[agent]
+    rx, ry = s * cog, -c * cog
+    dx = bodies[item, X] - bodies[agent, X] - rx
+    dy = bodies[item, Y] - bodies[agent, Y] - ry
+    distance = math.sqrt(dx * dx + dy * dy) + 1e-12
+    nx, ny = dx / distance, dy / distance
+    lever = rx * ny - ry * nx
+    mass = params.inverse_mass[agent] + params.inverse_mass[item]
+    scale = 1.0 / (mass + params.inverse_inertia[agent] * lever * lever)
+    wx, wy = weld[agent, 0], weld[agent, 1] + cog
+    stretch = distance - math.sqrt(wx * wx + wy * wy)
+    row[0], row[1] = rx, ry
+    row[2], row[3], row[4] = nx * nx * scale, nx * ny * scale, 0.0
+    row[5], row[6], row[7] = ny * ny * scale, 0.0, 0.0
+    row[8], row[9], row[10] = stretch * nx, stretch * ny, 0.0
+
+
+@inlined_kernel
 def prepare_weld(
     bodies: FloatArray,
     agent: int,
@@ -73,6 +102,9 @@ def prepare_weld(
             of mass; 2..7 the upper triangle of the inverse of K = J M^-1 J', by rows; 8..10 the
             error in x, y and angle.
     """
+    if params.swivel:
+        _prepare_rod(bodies, agent, item, weld, params, scratch, row)
+        return
     c, s = scratch.rotation[agent, 0], scratch.rotation[agent, 1]
     rx = weld[agent, 0] * c - weld[agent, 1] * s
     ry = weld[agent, 0] * s + weld[agent, 1] * c
@@ -170,5 +202,11 @@ def attach(
     weld[agent, 0] = length * GRAB_POINTS[point, 0]
     weld[agent, 1] = length * GRAB_POINTS[point, 1] - params.cog[agent]
     weld[agent, 2] = bodies[item, ANGLE] - bodies[agent, ANGLE]
+    if params.swivel:
+        # the rod keeps its present length
+        c, s = scratch.rotation[agent, 0], scratch.rotation[agent, 1]
+        dx, dy = bodies[item, X] - bodies[agent, X], bodies[item, Y] - bodies[agent, Y]
+        weld[agent, 0], weld[agent, 1] = c * dx + s * dy, c * dy - s * dx
+        return
     for _ in range(GRAB_CORRECTIONS):
         mend(bodies, agent, item, weld, params, scratch)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from phase_ppl.agents.agent import Agent, Decision, Mind
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.physics import compiled
+from phase_ppl.physics.actions import executed
 from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.names import AGENTS
@@ -61,5 +62,5 @@ class JointSimulator:
         while True:
             bodies, held, weld = compiled.from_state(world.state, scene.radius)
             decisions = tuple(agent.decide(bodies, held, weld) for agent in agents)
-            red, green = (int(decision.action) for decision in decisions)
+            red, green = (executed(decision.action, scene.turning) for decision in decisions)
             yield world.step((red, green)), decisions

@@ -6,9 +6,14 @@ Source: paper, Appendix "Predicates, Symbolic States, Goals, and Subgoals" (Tabl
 from __future__ import annotations
 
 import enum
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from phase_ppl.world.names import ENTITIES, LANDMARKS
+
+DOORS: Final = ("upper door", "left door", "lower door", "right door")
+"""The doors by the ray of the wall that they are in."""
+
+PLACES: Final = (*LANDMARKS, *DOORS)
 
 
 class Predicate(enum.IntEnum):
@@ -21,7 +26,7 @@ class Predicate(enum.IntEnum):
     ATTACH = 2
     """ATTACH(agent, item): the item is welded to the agent."""
     CLOSE = 3
-    """CLOSE(agent | item, landmark): in the landmark's room."""
+    """CLOSE(agent | item, place): in a landmark's room (0..3), or in a door (4..7, see DOORS)."""
     STOP = 4
 
 
@@ -40,7 +45,7 @@ class Literal(NamedTuple):
         if self.predicate is Predicate.STOP:
             return "STOP"
         over_landmarks = self.predicate in (Predicate.ON, Predicate.CLOSE)
-        target = (LANDMARKS if over_landmarks else ENTITIES)[self.target]
+        target = (PLACES if over_landmarks else ENTITIES)[self.target]
         sign = "" if self.positive else "not "
         return f"{sign}{self.predicate.name}({ENTITIES[self.subject]}, {target})"
 

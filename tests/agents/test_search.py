@@ -108,19 +108,14 @@ def test_navigation_uses_five_actions_and_carrying_more() -> None:
         Literal(Predicate.ON, 1, 1, positive=False): 12,
     }
     for subgoal, expected in count.items():
-        assert len(rewards.actions_for(subgoal, 0, -1, "both")) == expected
-    assert len(rewards.actions_for(Literal(Predicate.CLOSE, 2, 1), 0, 2, "both")) == 12
+        assert len(rewards.actions_for(subgoal, 0, -1)) == expected
+    assert len(rewards.actions_for(Literal(Predicate.CLOSE, 2, 1), 0, 2)) == 12
 
 
-@pytest.mark.parametrize(
-    ("turning", "other"), [("ccw", Action.TURN_RIGHT), ("cw", Action.TURN_LEFT)]
-)
-def test_an_agent_that_turns_one_way_only_never_tries_the_other(
-    turning: str, other: Action
-) -> None:
-    for subgoal in (Literal(Predicate.TOUCH, 0, 2), Literal(Predicate.ON, 2, 1)):
-        actions = rewards.actions_for(subgoal, 0, -1, turning)  # type: ignore[arg-type]
-        assert int(other) not in actions
+def test_an_agent_that_is_kept_from_its_landmark_also_moves_sideways() -> None:
+    own = Literal(Predicate.ON, 0, 1)
+    assert len(rewards.actions_for(own, 0, -1, contested=True)) == 12
+    assert len(rewards.actions_for(Literal(Predicate.CLOSE, 0, 1), 0, -1, contested=True)) == 5
 
 
 def test_reward_falls_with_path_distance_and_sideways_steps_cost() -> None:

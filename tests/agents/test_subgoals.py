@@ -25,6 +25,7 @@ from tests.agents.scenes import (
 
 RED, GREEN, BLUE, PINK = range(4)
 TOP_LEFT, TOP_RIGHT, BOTTOM_RIGHT, BOTTOM_LEFT = range(4)
+LEFT_DOOR = 5  # doors come after the four rooms: up, left, down, right
 NOWHERE = -1
 IN_VIEW = (True, True, True, True)
 OUT_OF_VIEW = (True, False, False, False)
@@ -194,12 +195,16 @@ class TestHelping:
 
 
 class TestHindering:
-    def test_meet_the_opponent_on_its_way_and_push_it_back(self) -> None:
+    def test_stand_in_the_door_that_the_opponent_must_pass_next(self) -> None:
         plan = planner("Get green agent away from red lm", "Get green agent to red lm")
-        rooms = (TOP_LEFT, TOP_LEFT, TOP_RIGHT, TOP_RIGHT)
-        assert plan.subgoal(state(rooms), OUT_OF_VIEW) == close(RED, BOTTOM_LEFT)
-        there = (BOTTOM_LEFT, TOP_LEFT, TOP_RIGHT, TOP_RIGHT)
-        assert plan.subgoal(state(there), OUT_OF_VIEW) == on(GREEN, BOTTOM_RIGHT, positive=False)
+        for room in (TOP_LEFT, BOTTOM_LEFT):
+            rooms = (room, TOP_LEFT, TOP_RIGHT, TOP_RIGHT)
+            assert plan.subgoal(state(rooms), OUT_OF_VIEW) == close(RED, LEFT_DOOR)
+
+    def test_push_it_back_where_it_is_to_come_through(self) -> None:
+        plan = planner("Get green agent away from red lm", "Get green agent to red lm")
+        rooms = (BOTTOM_RIGHT, TOP_LEFT, TOP_RIGHT, TOP_RIGHT)
+        assert plan.subgoal(state(rooms), OUT_OF_VIEW) == on(GREEN, BOTTOM_RIGHT, positive=False)
 
     def test_do_nothing_about_an_opponent_that_does_not_fit_through_its_door(self) -> None:
         plan = planner(

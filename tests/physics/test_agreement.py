@@ -280,3 +280,16 @@ def test_recorded_events_are_followed_open_loop_until_contacts_turn_chaotic(
         np.median([error[row - 1] for error in errors if len(error) >= row]) for row in (5, 10, 20)
     ]
     assert (np.array(medians) < limits).all(), medians
+
+
+def test_a_restored_world_goes_on_as_a_new_one(make_scene: Any) -> None:
+    scene = make_scene({0: (16, 12, 0.0), 2: (16, 13.6)})
+    source, used = (PymunkWorld(scene, (450.0, 300.0)) for _ in range(2))
+    source.step((ATTACH, WAIT))
+    assert source.state.held[0] == 2
+    for pair in free(np.random.default_rng(3), make_scene)[1].tolist():
+        used.step(pair)
+    used.restore(source.state)
+    fresh = PymunkWorld(scene, (450.0, 300.0), initial=source.state)
+    for action in (UP, TURN_LEFT, Action.DETACH, UP):
+        np.testing.assert_allclose(used.step((action, UP)), fresh.step((action, UP)), atol=1e-9)

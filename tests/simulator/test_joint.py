@@ -90,12 +90,20 @@ def test_helping_is_acting_on_the_effective_goal() -> None:
     np.testing.assert_array_equal(frames(scene(), helped, 10), frames(scene(), same, 10))
 
 
-def test_agents_that_turn_one_way_only_never_turn_the_other_by_themselves() -> None:
-    where = scene(turning="ccw", red=(16.0, 8.0, 1.0), blue=(8, 14), pink=(24, 14))
-    run = JointSimulator(QUICK).steps(where, GO, np.random.default_rng(3))
-    taken = [d.action for _, decisions in itertools.islice(run, 25) for d in decisions]
-    assert Action.TURN_LEFT in taken
-    assert Action.TURN_RIGHT not in taken
+@pytest.mark.parametrize(("turning", "sign"), [("ccw", 1), ("cw", -1)])
+def test_where_agents_turn_one_way_they_try_both_and_turn_that_way(turning: str, sign: int) -> None:
+    taken = []
+    for seed in range(3):
+        where = scene(turning=turning, red=(16.0, 8.0, sign * 1.0), blue=(8, 14), pink=(24, 14))
+        run = JointSimulator(QUICK).steps(where, GO, np.random.default_rng(seed))
+        steps = list(itertools.islice(run, 25))
+        actions = [decisions[0].action for _, decisions in steps[1:]]
+        turned = np.diff([frame[0, 2] for frame, _ in steps])
+        for action, turn in zip(actions, turned, strict=True):
+            if action in (Action.TURN_LEFT, Action.TURN_RIGHT):
+                assert sign * turn > 0.1
+        taken += actions
+    assert {Action.TURN_LEFT, Action.TURN_RIGHT} <= set(taken)
 
 
 def test_decisions_say_why() -> None:

@@ -1,0 +1,134 @@
+"""The behaviour battery: python benchmarks/behaviour.py [--json FILE] [--figure FILE]
+
+Do simulated pairs help, hinder, chase, flee and search as in the paper's animations, and do they
+reach the goals of the real videos from where those start?
+"""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any, NamedTuple
+
+import common
+from behaviours import against, searching, together
+from behaviours.battery import episodes
+from behaviours.episode import record
+
+from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.simulator.joint import JointSimulator
+from phase_ppl.world.event import Event
+from phase_ppl.world.hypothesis import Hypothesis
+
+BEHAVIOURS = {b.name: b for b in (*together.BEHAVIOURS, *against.BEHAVIOURS, *searching.BEHAVIOURS)}
+REAL = "goal_reached_rate"
+REAL_SEEDS = 3
+STEPS = 100
+
+
+class Try(NamedTuple):
+    name: str
+    seed: int
+    planner: PlannerConfig
+    event: Event | None = None
+
+
+def attempt(task: Try) -> bool:
+    """Return whether one try shows what it should."""
+    if task.event is not None:
+        return reaches_goals(task.event, task.planner, task.seed)
+    behaviour = BEHAVIOURS[task.name]
+    return behaviour.seen(*episodes(behaviour, task.planner, task.seed))
+
+
+def reaches_goals(event: Event, planner: PlannerConfig, seed: int) -> bool:
+    """Return whether all positive goals of a real video are reached from its start."""
+    truth = event.truth
+    assert truth is not None
+    assert truth.strength_red is not None
+    assert truth.strength_green is not None
+    hypothesis = Hypothesis(
+        truth.goal_red,  # type: ignore[arg-type]
+        truth.goal_green,  # type: ignore[arg-type]
+        strength_red=truth.strength_red,
+        strength_green=truth.strength_green,
+    )
+    episode = record(event.scene, hypothesis, planner, seed, STEPS)
+    return all(bool(episode.reached(goal).any()) for goal in episode.goals() if goal.positive)
+
+
+def real_events() -> list[Event]:
+    """Return the collaborative and independent real videos, or none where they are absent."""
+    if not (common.FOLDER / "dev.json").exists():
+        print(f"no {REAL}: {common.FOLDER / 'dev.json'} is missing")
+        return []
+    chosen = ("collaborative", "independent")
+    return [e for e in common.dev_events() if e.truth is not None and e.truth.scenario in chosen]
+
+
+def rate(successes: list[bool]) -> dict[str, Any]:
+    figures = common.interval([float(s) for s in successes])
+    return {
+        "rate": figures["value"],
+        "n": len(successes),
+        "ci_low": figures["ci_low"],
+        "ci_high": figures["ci_high"],
+    }
+
+
+def report(results: list[tuple[Try, bool]]) -> dict[str, Any]:
+    """Return rates by behaviour; for the real videos also by scenario and what fails."""
+    by_name: dict[str, list[bool]] = {}
+    failed: dict[str, list[int]] = {}
+    for task, success in sorted(results, key=lambda result: result[0][:2]):
+        if task.event is None:
+            by_name.setdefault(task.name, []).append(success)
+            continue
+        assert task.event.truth is not None
+        for name in (REAL, f"{REAL}_{task.event.truth.scenario}"):
+            by_name.setdefault(name, []).append(success)
+        if not success:
+            failed.setdefault(task.event.id, []).append(task.seed)
+    figures: dict[str, Any] = {name: rate(successes) for name, successes in by_name.items()}
+    if REAL in figures:
+        figures[REAL]["failed_seeds"] = {video: sorted(s) for video, s in failed.items()}
+    return figures
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    common.add_planner(parser)
+    parser.add_argument("--json", metavar="FILE", help="write the rates as JSON")
+    parser.add_argument("--figure", metavar="FILE", help="draw the search for an unseen item, PNG")
+    parser.add_argument("--seeds", type=int, default=20, help="tries of each behaviour")
+    parser.add_argument(
+        "--only", nargs="+", choices=[*BEHAVIOURS, REAL], metavar="NAME", help="these only"
+    )
+    options = parser.parse_args()
+    planner = common.planner_of(options)
+    only_figure = options.figure and not options.json
+    names = options.only or ([] if only_figure else [*BEHAVIOURS, REAL])
+    JointSimulator(planner).warm_up()
+    tasks = [
+        Try(name, seed, planner) for name in names if name != REAL for seed in range(options.seeds)
+    ]
+    if REAL in names:
+        seeds = range(min(options.seeds, REAL_SEEDS))
+        tasks += [Try(REAL, s, planner, event) for event in real_events() for s in seeds]
+    figures = report(list(common.parallel(attempt, tasks, "tries")))
+    for name in [*names, f"{REAL}_collaborative", f"{REAL}_independent"]:
+        if name in figures:
+            row = figures[name]
+            shown = BEHAVIOURS[name].shows if name in BEHAVIOURS else ""
+            interval = f"[{row['ci_low']:.2f}, {row['ci_high']:.2f}]"
+            print(f"{name:32} {row['rate']:.2f} {interval:14} n={row['n']:<4} {shown}")
+    for video, failing in figures.get(REAL, {}).get("failed_seeds", {}).items():
+        print(f"  {video:24} failed with seeds {failing}")
+    common.write(figures, options.json)
+    if options.figure:
+        searching.figure(options.figure, planner, options.seeds)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Scenes of the behaviour battery and what must be seen in them."""

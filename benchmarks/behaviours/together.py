@@ -1,0 +1,101 @@
+"""Behaviours of two that want the same: carrying, handing over, clearing the way."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from behaviours.battery import Behaviour, Trial
+from behaviours.episode import BLUE, BOTTOM_RIGHT, GREEN, RED, Episode
+from behaviours.layouts import LARGE, MIDDLE, SMALL, scene
+from phase_ppl.world.hypothesis import Hypothesis
+
+CARRIED = 3.0
+"""An item that both move this far, units, has been carried by both."""
+
+
+def lift(rng: np.random.Generator) -> tuple[Trial]:
+    where = scene(7, (18, 8), (8, 20), (10, 15), (24, 20), rng)
+    goal = "Get blue item to yellow lm"
+    return (Trial(where, Hypothesis(goal, goal, strength_red=300.0, strength_green=150.0)),)
+
+
+def collaborate(rng: np.random.Generator) -> tuple[Trial]:
+    where = scene(6, (14, 16), (8, 20), (9, 14), (24, 20), rng)
+    goal = "Get blue item to red lm"
+    return (Trial(where, Hypothesis(goal, goal, strength_red=450.0, strength_green=450.0)),)
+
+
+def carry_together(episode: Episode) -> bool:
+    both = episode.both_hold(BLUE)
+    goal = episode.goals()[RED]
+    return bool(episode.moved_while(BLUE, both) >= CARRIED and episode.reached(goal).any())
+
+
+def too_narrow(rng: np.random.Generator) -> tuple[Trial]:
+    sizes = (SMALL, LARGE, SMALL, SMALL)
+    where = scene(12, (8, 8), (18, 16), (12, 5), (24, 20), rng, sizes)
+    goal = "Get blue item to red lm"
+    return (Trial(where, Hypothesis(goal, goal, strength_red=450.0, strength_green=450.0)),)
+
+
+def bring_through_door(episode: Episode) -> bool:
+    """The helper holds the item where it changes rooms; then it comes to the landmark."""
+    crossing = np.flatnonzero(np.diff(episode.rooms(BLUE)) != 0) + 1
+    crossed = crossing[episode.rooms(BLUE)[crossing] == BOTTOM_RIGHT]
+    brought = any(episode.holding(RED, BLUE)[k] for k in crossed)
+    return bool(brought and episode.is_on(BLUE, BOTTOM_RIGHT).any())
+
+
+def filled_door(rng: np.random.Generator) -> tuple[Trial]:
+    sizes = (MIDDLE, SMALL, LARGE, SMALL)
+    where = scene(12, (22, 9), (8, 8), (17.7, 3.6), (24, 20), rng, sizes)
+    goal = "Get green agent to green lm"
+    return (Trial(where, Hypothesis(goal, goal, strength_red=600.0, strength_green=300.0)),)
+
+
+def clear_door(episode: Episode) -> bool:
+    """The helper holds the item while it leaves the door; then the helpee comes through."""
+    door = np.array([16.0, 3.25])
+    away = np.linalg.norm(episode.frames[:, BLUE, :2] - door, axis=1) > LARGE + SMALL
+    cleared = episode.holding(RED, BLUE).any() and away.any()
+    return bool(cleared and episode.reached(episode.goals()[GREEN]).any())
+
+
+def stays_home(rng: np.random.Generator) -> tuple[Trial]:
+    """The item is where the helpee can take it, but the helpee cannot bring it to the goal."""
+    sizes = (SMALL, LARGE, SMALL, SMALL)
+    where = scene(13, (18, 8), (8, 8), (12, 5), (24, 20), rng, sizes)
+    goal = "Get blue item to red lm"
+    return (Trial(where, Hypothesis(goal, goal, strength_red=450.0, strength_green=450.0)),)
+
+
+def item_arrives(episode: Episode) -> bool:
+    return bool(episode.is_on(BLUE, BOTTOM_RIGHT).any())
+
+
+BEHAVIOURS = (
+    Behaviour(
+        "carry_together_weak",
+        "150 and 300 N: both hold and move it, and it arrives",
+        lift,
+        carry_together,
+    ),
+    Behaviour(
+        "carry_together", "both hold and move it, and it arrives", collaborate, carry_together
+    ),
+    Behaviour(
+        "bring_through_door",
+        "to a helpee that does not fit through the door",
+        too_narrow,
+        bring_through_door,
+    ),
+    Behaviour(
+        "put_for_helpee", "the helpee has the item and does not fit", stays_home, item_arrives
+    ),
+    Behaviour(
+        "clear_door",
+        "the item that fills the helpee's door is taken away",
+        filled_door,
+        clear_door,
+    ),
+)

@@ -1,0 +1,149 @@
+"""What the benchmarks share: the real videos, work on all cores with progress, kept results."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import as_completed
+from pathlib import Path
+from typing import Any, TypeVar
+
+import loky
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+import phase_ppl as ppl
+from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.world.event import Event
+
+Task = TypeVar("Task")
+FOLDER = Path(os.environ.get("PHASE_TEST") or Path(__file__).parents[2] / "shared" / "phase-test")
+SCENARIOS = ("collaborative", "independent", "opposing", "competing")
+HALVES = ("first", "second", "all")
+
+
+def need(file: str) -> Path:
+    """Return the path of a file of the real videos; where it is missing, end and say so."""
+    path = FOLDER / file
+    if not path.exists():
+        sys.exit(f"{path} is missing; the variable PHASE_TEST names the folder of the real videos")
+    return path
+
+
+def dev_events(half: str = "all", limit: int | None = None) -> list[Event]:
+    """Return the real videos with their truth, or one half of them, or a stratified few.
+
+    Args:
+        half: "first", "second" (every other video of each scenario, by id) or "all".
+        limit: at most about so many, with the scenarios in proportion.
+    """
+    chosen: list[Event] = []
+    events = sorted(ppl.load_events(need("dev.json")), key=lambda event: event.id)
+    for scenario in SCENARIOS:
+        group = [event for event in events if event.truth and event.truth.scenario == scenario]
+        if half != "all":
+            group = group[HALVES.index(half) :: 2]
+        if limit is not None:
+            n = max(1, round(limit * len(group) / len(events) * (1 if half == "all" else 2)))
+            group = [
+                group[i] for i in np.linspace(0, len(group) - 1, min(n, len(group))).astype(int)
+            ]
+        chosen += group
+    return sorted(chosen, key=lambda event: -event.observation.n_frames)
+
+
+def replays() -> list[dict[str, Any]]:
+    """Return the recovered actions of the real agents."""
+    return json.loads(need("dev_replays.json").read_text())["videos"]
+
+
+def parallel(
+    function: Callable[[Task], Any], tasks: Sequence[Task], label: str, workers: int | None = None
+) -> Iterator[tuple[Task, Any]]:
+    """Yield (task, result) as they finish, from all cores, under a progress bar."""
+    with loky.ProcessPoolExecutor(workers or loky.cpu_count()) as pool:
+        futures = {pool.submit(function, task): task for task in tasks}
+        for future in tqdm(as_completed(futures), total=len(futures), desc=label, disable=None):
+            yield futures[future], future.result()
+
+
+def resumed(
+    function: Callable[[Task], dict[str, Any]],
+    tasks: Sequence[Task],
+    name_of: Callable[[Task], str],
+    label: str,
+    kept: Path | None,
+    settings: dict[str, Any],
+    workers: int | None = None,
+) -> list[dict[str, Any]]:
+    """Return the results of all tasks in order; those kept in a file are not computed again.
+
+    Args:
+        kept: one JSON object per line: the settings, then a result per finished task. A file
+            with other settings is refused.
+    """
+    done: dict[str, dict[str, Any]] = {}
+    if kept is not None and kept.exists():
+        lines = [json.loads(line) for line in kept.read_text().splitlines() if line]
+        if lines and lines[0] != {"settings": settings}:
+            sys.exit(f"{kept} holds results of other settings: {lines[0].get('settings')}")
+        done = {line["name"]: line["result"] for line in lines[1:]}
+    elif kept is not None:
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        kept.write_text(json.dumps({"settings": settings}) + "\n")
+    left = [task for task in tasks if name_of(task) not in done]
+    for task, result in parallel(function, left, label, workers):
+        done[name_of(task)] = result
+        if kept is not None:
+            with kept.open("a") as file:
+                file.write(json.dumps({"name": name_of(task), "result": result}) + "\n")
+    return [done[name_of(task)] for task in tasks]
+
+
+def add_planner(parser: argparse.ArgumentParser, default: str = "fast") -> None:
+    """Add the options that choose a planner."""
+    parser.add_argument("--planner", default=default, choices=["paper", "fast"])
+    parser.add_argument(
+        "--set",
+        dest="changes",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="change a setting of the planner, such as simulations=100",
+    )
+
+
+def planner_of(options: argparse.Namespace) -> PlannerConfig:
+    """Return the planner that the options ask for."""
+    changes = dict(change.split("=", 1) for change in options.changes)
+    return dataclasses.replace(
+        PlannerConfig.named(options.planner),
+        **{key: json.loads(value.lower()) for key, value in changes.items()},
+    )
+
+
+def interval(
+    values: Iterable[float],
+    statistic: Callable[..., NDArray[Any]] = np.mean,
+    resamples: int = 2000,
+    level: float = 0.95,
+) -> dict[str, float]:
+    """Return a statistic with its bootstrap interval over the values."""
+    sample = np.asarray(list(values), float)
+    rng = np.random.default_rng(0)
+    draws = statistic(sample[rng.integers(0, len(sample), (resamples, len(sample)))], axis=1)
+    low, high = np.quantile(draws, [(1 - level) / 2, (1 + level) / 2])
+    value = float(statistic(sample[None], axis=1)[0])
+    return {"value": value, "ci_low": float(low), "ci_high": float(high)}
+
+
+def write(report: dict[str, Any], file: str | None) -> None:
+    """Write the report as JSON, if a file is named."""
+    if file is not None:
+        Path(file).parent.mkdir(parents=True, exist_ok=True)
+        Path(file).write_text(json.dumps(report, indent=1) + "\n")

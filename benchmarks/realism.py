@@ -1,0 +1,33 @@
+"""The simulator beside real videos: python benchmarks/realism.py COMMAND [--json FILE]
+
+replay      open loop: the recovered actions of the real agents through our physics
+decisions   teacher-forced: would our agents do what the real ones did, state by state?
+side        closed loop: simulated and real trajectories under the true hypothesis
+hypotheses  does the true pair of goals explain the video better than wrong ones?
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import common
+from videos import decisions, hypotheses, replay, side
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    commands = parser.add_subparsers(dest="command", required=True)
+    for part in (replay, decisions, side, hypotheses):
+        name = part.__name__.rpartition(".")[2]
+        command = commands.add_parser(name, help=(part.__doc__ or "").splitlines()[0])
+        part.add_options(command)
+        command.add_argument("--json", metavar="FILE", help="write the figures as JSON")
+        command.set_defaults(part=part)
+    options = parser.parse_args()
+    common.write(options.part.main(options), options.json)
+
+
+if __name__ == "__main__":
+    main()

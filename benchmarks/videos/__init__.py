@@ -1,0 +1,1 @@
+"""Comparisons of the simulator with real videos, a file each."""

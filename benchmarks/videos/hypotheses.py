@@ -1,0 +1,169 @@
+"""Is the true pair of goals the one under which the simulator comes nearest to the video?"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import common
+import numpy as np
+
+from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.simulator.contract import simulate_one
+from phase_ppl.simulator.joint import JointSimulator
+from phase_ppl.world.event import Event
+from phase_ppl.world.goals import GOALS, is_self_referring
+from phase_ppl.world.hypothesis import Hypothesis
+
+BETA = 0.05
+"""Weight of the summed error in the log-likelihood (the paper's)."""
+
+
+class Task(NamedTuple):
+    event: Event
+    planner: PlannerConfig
+    seeds: int
+    noise_seeds: int
+
+
+def log_mean_exp(errors: list[float]) -> float:
+    values = -BETA * np.array(errors)
+    return float(values.max() + np.log(np.mean(np.exp(values - values.max()))))
+
+
+def wrong_pairs(truth: tuple[int, int]) -> list[tuple[int, int]]:
+    """Return the pairs of goals that are wrong in exactly one agent."""
+    pairs = []
+    for agent in range(2):
+        for goal in range(len(GOALS)):
+            if goal != truth[agent] and not is_self_referring(goal, agent):
+                pairs.append((goal, truth[1]) if agent == 0 else (truth[0], goal))
+    return pairs
+
+
+def judge(task: Task) -> dict[str, Any]:
+    """Return how the true pair of goals of one video compares with all that are half wrong.
+
+    Wrong pairs are stopped once they are worse; where that leaves it open which is better, the
+    stopped simulation is run to its end.
+    """
+    event, truth = task.event, task.event.truth
+    assert truth is not None
+    simulator = JointSimulator(task.planner)
+    strengths = truth.strength_red, truth.strength_green
+    goals = GOALS.index(truth.goal_red), GOALS.index(truth.goal_green)
+
+    def error(pair: tuple[int, int], seed: int, ceiling: float = math.inf) -> float:
+        hypothesis = Hypothesis(
+            pair[0], pair[1], strength_red=strengths[0], strength_green=strengths[1]
+        )
+        result = simulate_one(
+            simulator, event.scene, hypothesis, seed, event.observation.positions, ceiling
+        )
+        assert result.failure is None, result.failure
+        return (
+            result.total_error if result.completed and result.total_error <= ceiling else math.inf
+        )
+
+    true_errors = [error(goals, seed) for seed in range(task.noise_seeds)]
+    evidence = log_mean_exp(true_errors[: task.seeds])
+    ceiling = -evidence / BETA
+    better = []
+    for pair in wrong_pairs(goals):
+        errors = [error(pair, seed, ceiling) for seed in range(task.seeds)]
+        if all(math.isinf(e) for e in errors):
+            continue
+        if log_mean_exp(errors) <= evidence:
+            errors = [error(pair, s) if math.isinf(e) else e for s, e in enumerate(errors)]
+        if log_mean_exp(errors) > evidence:
+            better.append([GOALS[pair[0]], GOALS[pair[1]], log_mean_exp(errors)])
+    return {
+        "scenario": truth.scenario,
+        "truth": [truth.goal_red, truth.goal_green],
+        "frames": event.observation.n_frames,
+        "log_likelihood": evidence,
+        "errors": true_errors,
+        "better": sorted(better, key=lambda row: -row[2]),
+    }
+
+
+def report(results: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return the figures of the results of many videos."""
+
+    def rate(group: list[dict[str, Any]], rank: int) -> dict[str, float]:
+        return common.interval([len(result["better"]) < rank for result in group])
+
+    groups = {
+        name: [result for result in results if result["scenario"] == name]
+        for name in common.SCENARIOS
+    }
+    spread = [BETA * float(np.std(result["errors"], ddof=1)) for result in results]
+    return {
+        "n_videos": len(results),
+        "true_best_rate": rate(results, 1),
+        "true_top5_rate": rate(results, 5),
+        "by_scenario": {
+            name: {
+                "true_best_rate": rate(group, 1),
+                "true_top5_rate": rate(group, 5),
+                "n": len(group),
+            }
+            for name, group in groups.items()
+            if group
+        },
+        "loglik_sd_median": float(np.median(spread)),
+        "mean_error_per_frame": common.interval(
+            [np.mean(result["errors"]) / result["frames"] for result in results]
+        ),
+        "median_rank": float(np.median([len(result["better"]) + 1 for result in results])),
+    }
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    common.add_planner(parser)
+    parser.add_argument("--half", choices=common.HALVES, default="all")
+    parser.add_argument("--limit", type=int, help="a stratified subset of about so many videos")
+    parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--noise-seeds", type=int, default=16)
+    parser.add_argument("--keep", help="results per video; a second run goes on from there")
+
+
+def main(options: argparse.Namespace) -> dict[str, Any]:
+    planner = common.planner_of(options)
+    events = common.dev_events(options.half, options.limit)
+    tasks = [Task(event, planner, options.seeds, options.noise_seeds) for event in events]
+    JointSimulator(planner).warm_up()
+    results = common.resumed(
+        judge,
+        tasks,
+        lambda task: task.event.id,
+        "videos",
+        Path(options.keep) if options.keep else None,
+        {"planner": planner.to_dict(), "seeds": options.seeds, "noise_seeds": options.noise_seeds},
+    )
+    figures = report(results)
+    for task, result in zip(tasks, results, strict=True):
+        worst = result["better"][0][:2] if result["better"] else ""
+        print(
+            f"{task.event.id:24} {result['scenario']:14} {result['log_likelihood']:8.1f}"
+            f"  better: {len(result['better']):2}  {worst}"
+        )
+    print_figures(figures)
+    return figures | {
+        "planner": dataclasses.asdict(planner),
+        "videos": {task.event.id: r for task, r in zip(tasks, results, strict=True)},
+    }
+
+
+def print_figures(figures: dict[str, Any]) -> None:
+    def shown(value: dict[str, float]) -> str:
+        return f"{value['value']:.2f} [{value['ci_low']:.2f}, {value['ci_high']:.2f}]"
+
+    print(f"true best {shown(figures['true_best_rate'])}  top 5 {shown(figures['true_top5_rate'])}")
+    for name, row in figures["by_scenario"].items():
+        print(f"  {name:14} {shown(row['true_best_rate'])}  top 5 {shown(row['true_top5_rate'])}")
+    print(f"sd of the log-likelihood over seeds, median: {figures['loglik_sd_median']:.2f}")
+    print(f"mean error per frame: {shown(figures['mean_error_per_frame'])} units")

@@ -1,0 +1,102 @@
+"""The compiled search against the same search in plain Python over the pymunk world."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from phase_ppl.agents.agent import Agent, Mind
+from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.agents.oracle import OracleAgent
+from phase_ppl.physics import compiled
+from phase_ppl.physics.actions import N_ACTIONS, NO_ACTION, Action
+from phase_ppl.physics.pymunk_world import PymunkWorld
+from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.goals import goal_index
+from phase_ppl.world.literals import Literal
+from phase_ppl.world.scene import Scene
+from phase_ppl.world.state import State
+from tests.agents.scenes import FULL_WALL_UP, HALF_WALL_LEFT, HALF_WALL_RIGHT, scene
+
+STRENGTHS = (450.0, 450.0)
+CONFIG = PlannerConfig(simulations=60, swivel=False, full_observation=True)
+GOALS = (goal_index("Get blue item to red lm"), goal_index("Get green agent to blue lm"))
+WALLS = [FULL_WALL_UP, HALF_WALL_LEFT, HALF_WALL_RIGHT]
+
+SCENES = {
+    "ahead": scene(red=(10.0, 8.0, -1.5708), blue=(16.0, 8.0)),
+    "behind": scene(red=(10.0, 8.0, 1.5708), blue=(16.0, 8.0), walls=WALLS),
+    "beside": scene(red=(16.0, 8.0, 0.0), blue=(17.5, 8.0), walls=WALLS),
+}
+
+
+def make(
+    where: Scene, oracle: bool, seed: int, config: PlannerConfig = CONFIG
+) -> tuple[Agent, PymunkWorld]:
+    mind, generator = Mind.of(where, STRENGTHS, config), np.random.default_rng(seed)
+    agent = (
+        OracleAgent(0, GOALS, mind, config, generator, STRENGTHS)
+        if oracle
+        else Agent(0, GOALS, mind, config, generator)
+    )
+    return agent, PymunkWorld(where, STRENGTHS, initial=State.at_start(where))
+
+
+def follow(where: Scene, oracle: bool, steps: int) -> list[Literal]:
+    """Return the subgoals of red, in order of first appearance."""
+    agent, world = make(where, oracle, seed=1)
+    subgoals: list[Literal] = []
+    for _ in range(steps):
+        decision = agent.decide(*compiled.from_state(world.state, where.radius))
+        if decision.subgoal not in subgoals:
+            subgoals.append(decision.subgoal)
+        world.step((int(decision.action), NO_ACTION))
+    return subgoals
+
+
+@pytest.mark.parametrize("name", ["ahead", "beside"])
+def test_both_searches_take_up_the_same_subgoals_in_the_same_order(name: str) -> None:
+    fast, slow = (follow(SCENES[name], oracle, 14) for oracle in (False, True))
+    n = min(len(fast), len(slow))
+    assert n >= 2
+    assert fast[:n] == slow[:n]
+
+
+def histogram(where: Scene, oracle: bool, seeds: range) -> NDArray[np.float64]:
+    counts = np.zeros(N_ACTIONS)
+    for seed in seeds:
+        agent, world = make(where, oracle, seed)
+        decision = agent.decide(*compiled.from_state(world.state, where.radius))
+        counts[decision.action] += 1
+    return counts / counts.sum()
+
+
+def distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    return float(np.abs(a - b).sum() / 2)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_actions_of_both_searches_differ_no_more_than_those_of_two_sets_of_seeds(
+    name: str,
+) -> None:
+    where = SCENES[name]
+    slow = histogram(where, True, range(40))
+    fast, again = histogram(where, False, range(40)), histogram(where, False, range(40, 80))
+    # of 40 draws each, spread over two or three actions, as many as a quarter may differ
+    assert distance(slow, fast) <= max(0.25, distance(fast, again))
+
+
+def test_both_grab_what_lies_in_reach() -> None:
+    for oracle in (False, True):
+        agent, world = make(SCENES["beside"], oracle, 0)
+        decision = agent.decide(*compiled.from_state(world.state, SCENES["beside"].radius))
+        assert decision.action == Action.ATTACH
+
+
+@pytest.mark.parametrize("change", [{"swivel": True}, {"tree_reuse": True}])
+def test_the_oracle_refuses_what_it_does_not_imagine(change: dict[str, bool]) -> None:
+    with pytest.raises(InvalidSettingError, match="swivel"):
+        make(SCENES["ahead"], True, 0, dataclasses.replace(CONFIG, **change))  # type: ignore[arg-type]
