@@ -9,18 +9,15 @@ the opponent's plan is broken, and from there acts on the negated goal itself.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
 
-from phase_ppl.agents.operators import Abilities, Node, Step, plan, start_node
+from phase_ppl.agents.hindering import Hindering
+from phase_ppl.agents.operators import Abilities, Node, Step
 from phase_ppl.agents.symbols import SymbolicState
 from phase_ppl.world.literals import STOP, Literal, Predicate
 from phase_ppl.world.names import NOTHING
-from phase_ppl.world.rooms import N_ROOMS
-
-NodeTest = Callable[[Node], bool]
 
 
-class SubgoalPlanner:
+class SubgoalPlanner(Hindering):
     """Chooses subgoals of one agent, remembering each symbolic state it has planned for.
 
     Args:
@@ -31,11 +28,7 @@ class SubgoalPlanner:
     """
 
     def __init__(self, agent: int, own: Literal, other: Literal, abilities: Abilities) -> None:
-        self.agent = agent
-        self.opponent = 1 - agent
-        self.own = own
-        self.other = other
-        self.abilities = abilities
+        super().__init__(agent, own, other, abilities)
         self._memory: dict[tuple[SymbolicState, tuple[bool, ...]], Literal] = {}
 
     def subgoal(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
@@ -69,13 +62,6 @@ class SubgoalPlanner:
 
     # --- own goals and helping -------------------------------------------------------------
 
-    def _free_hands(self, state: SymbolicState, keep: int = NOTHING) -> Literal | None:
-        """Return the subgoal to let go of whatever is held (other than ``keep``), if anything."""
-        held = state.held[self.agent]
-        if held in (NOTHING, keep):
-            return None
-        return Literal(Predicate.ATTACH, self.agent, held, positive=False)
-
     def _go(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
         """ON(self, landmark) or TOUCH(self, other)."""
         if self.own.predicate is Predicate.ON and state.own_done:
@@ -100,13 +86,6 @@ class SubgoalPlanner:
             state, (self.agent,), frozenset(), lambda node: node.rooms[self.agent] == room
         )
         return steps[0].literal if steps else self._press_on(state, room)
-
-    def _press_on(self, state: SymbolicState, room: int) -> Literal:
-        """Head for a room that the body does not fit into: as near as the walls allow."""
-        way = self.abilities.route((), state.rooms[self.agent], room)
-        if way is None or len(way) < 2:
-            return STOP
-        return Literal(Predicate.CLOSE, self.agent, way[1])
 
     def _deliver(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
         """ON(item, landmark)."""
@@ -178,13 +157,6 @@ class SubgoalPlanner:
         way = self.abilities.route((item,), state.rooms[item], state.rooms[self.opponent])
         return way[1] if way is not None and len(way) > 1 else None
 
-    def _in_sight(self, literal: Literal, item: int, observed: tuple[bool, ...]) -> Literal:
-        """Head straight for an item in view instead of for its room."""
-        walking = literal.predicate is Predicate.CLOSE and literal.subject == self.agent
-        if walking and observed[item]:
-            return Literal(Predicate.TOUCH, self.agent, item)
-        return literal
-
     def _help_to_move(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
         """ON(other, landmark): clear a door that an item closes on the other's way."""
         if self.abilities.is_open or state.other_done or state.own_done:
@@ -208,154 +180,6 @@ class SubgoalPlanner:
         if step.predicate is Predicate.CLOSE and step.subject == item:
             return Literal(Predicate.ON, item, state.rooms[item])
         return self._in_sight(step, item, observed)
-
-    # --- hindering -------------------------------------------------------------------------
-
-    def _keep_away(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
-        """Not ON(other, landmark): fill a door on its way, or meet it there and push it back."""
-        goal_room = self._landmark_room(self.own.target)
-        rival_room = state.rooms[self.opponent]
-        way = self.abilities.route((self.opponent,), rival_room, goal_room)
-        if way is None:
-            return self._free_hands(state) or STOP
-        doors = self._doors(way)
-        for i in range(2):
-            item = 2 + i
-            useful = [d for d in doors if self.abilities.fills[i][d]]
-            near = state.rooms[self.agent] == state.rooms[item]
-            if not useful or not near or not self.abilities.carries_alone[self.agent]:
-                continue
-            reachable = [
-                d for d in useful if d in {ray for ray, _ in self._open(state.rooms[item])}
-            ]
-            if reachable:
-                if state.held[self.agent] == item:
-                    return Literal(Predicate.CLOSE, item, N_ROOMS + reachable[0])
-                return self._take(state, item)
-        letting_go = self._free_hands(state)
-        if letting_go is not None:
-            return letting_go
-        if doors and doors[0] in {ray for ray, _ in self._open(state.rooms[self.agent])}:
-            return Literal(Predicate.CLOSE, self.agent, N_ROOMS + doors[0])
-        meeting = set(way[1:]) if len(way) > 1 else set(way)
-        if state.rooms[self.agent] in meeting or observed[self.opponent]:
-            return self.own
-        steps = self._plan(
-            state, (self.agent,), frozenset(), lambda node: node.rooms[self.agent] in meeting
-        )
-        return steps[0].literal if steps else self._press_on(state, goal_room)
-
-    def _guard_item(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
-        """Not ON(item, landmark): take it away, hold it back, or stand in the way."""
-        item = self.own.subject
-        me, rival = state.rooms[self.agent], state.rooms[self.opponent]
-        item_room, goal_room = state.rooms[item], self._landmark_room(self.own.target)
-        ability = self.abilities
-        letting_go = self._free_hands(state, keep=item)
-        if letting_go is not None:
-            return letting_go
-        rival_way = ability.route((self.opponent,), rival, item_room)
-        rival_holds = state.held[self.opponent] == item
-        if ability.route((self.agent,), me, item_room) is None:
-            if rival_holds or rival == item_room or rival_way is None:
-                return STOP
-            return self._stand_in_door(state, rival_way)
-        holding = state.held[self.agent] == item
-        if rival_holds:
-            if ability.route((self.opponent, item), item_room, goal_room) is None:
-                return self._free_hands(state) or STOP
-            return (
-                Literal(Predicate.ON, item, item_room)
-                if holding
-                else self._take(state, item, observed)
-            )
-        if rival_way is None:
-            return self._free_hands(state) or STOP
-        refuge = self._refuge(item_room, rival)
-        if refuge is None:
-            return Literal(Predicate.ON, self.opponent, rival, positive=False)
-        if refuge == item_room:
-            return Literal(Predicate.ON, item, item_room) if holding else self.own
-        if not holding:
-            return self._take(state, item, observed)
-        way = ability.route((self.agent, item), item_room, refuge)
-        return Literal(Predicate.CLOSE, item, way[1]) if way else self.own
-
-    def _refuge(self, item_room: int, rival: int) -> int | None:
-        """Return the best room to take an item to, if there is one.
-
-        Closed to the rival, or else farthest from it among those nearer to the item than to it.
-        """
-        ability = self.abilities
-        best: tuple[float, int] | None = None
-        for room in range(N_ROOMS):
-            if ability.route((self.agent,), item_room, room) is None:
-                continue
-            if ability.route((self.opponent,), rival, room) is None:
-                return room
-            from_rival = ability.room_distance[rival][room]
-            if ability.room_distance[item_room][room] < from_rival and (
-                best is None or from_rival > best[0]
-            ):
-                best = (from_rival, room)
-        return None if best is None else best[1]
-
-    def _take(
-        self, state: SymbolicState, item: int, observed: tuple[bool, ...] = (False,) * 4
-    ) -> Literal:
-        """Get hold of an item."""
-        steps = self._plan(
-            state, (self.agent,), frozenset({item}), lambda node: node.held[self.agent] == item
-        )
-        if not steps:
-            return self._press_on(state, state.rooms[item])
-        return self._in_sight(steps[0].literal, item, observed)
-
-    def _stand_in_door(self, state: SymbolicState, rival_way: tuple[int, ...]) -> Literal:
-        """Go to the nearest door on the rival's way that this agent can get to."""
-        for ray in reversed(self._doors(rival_way)):
-            if ray in {r for r, _ in self._open(state.rooms[self.agent])}:
-                return Literal(Predicate.CLOSE, self.agent, N_ROOMS + ray)
-        target = rival_way[-2] if len(rival_way) > 1 else rival_way[-1]
-        return self._press_on(state, target)
-
-    # --- searching -------------------------------------------------------------------------
-
-    def _open(self, room: int) -> tuple[tuple[int, int], ...]:
-        return self.abilities.neighbours[room]
-
-    def _doors(self, way: tuple[int, ...] | None) -> list[int]:
-        """Return the rays of the doors that a way through rooms uses."""
-        doors = []
-        for start, end in zip(way or (), (way or ())[1:], strict=False):
-            doors += [ray for ray, following in self._open(start) if following == end][:1]
-        return doors
-
-    def _landmark_room(self, landmark: int) -> int:
-        """Rooms carry the ids of their landmarks; an arena without inner walls is one room."""
-        return 0 if self.abilities.is_open else landmark
-
-    def _plan(
-        self,
-        state: SymbolicState,
-        willing: tuple[int, ...],
-        targets: frozenset[int],
-        is_goal: NodeTest,
-    ) -> list[Step] | None:
-        done = [False] * 4
-        if self.own.predicate is Predicate.ON:
-            done[self.own.subject] = state.own_done
-        start = start_node(state, tuple(done), targets)  # type: ignore[arg-type]
-        distance = self.abilities.room_distance
-        moving = self.own.subject if self.own.predicate is Predicate.ON else None
-        goal_room = self._landmark_room(self.own.target) if moving in targets else None
-
-        def heuristic(node: Node) -> float:
-            if moving is None or goal_room is None or not self.own.positive:
-                return 0.0
-            return distance[node.rooms[moving]][goal_room]
-
-        return plan(start, willing, targets, is_goal, heuristic, self.abilities)
 
     def _first_own_step(self, steps: list[Step] | None) -> Step | None:
         return next((s for s in steps or () if self.agent in s.agents), None)

@@ -30,7 +30,7 @@ from tests.agents.test_subgoals import (
     touch,
 )
 
-DOWN = 2
+LEFT, DOWN = 1, 2
 SMALL, WIDE = 0.8, 1.6
 ONE_ROOM = (0, 0, 0, 0)
 NARROW_WALL_RIGHT = [[16.0, 12.0], [23.5, 12.0]]
@@ -91,16 +91,15 @@ class TestKeepingAnAgentFromItsLandmark:
     def test_an_item_in_another_room_is_too_far_to_fill_a_door_with(self) -> None:
         plan = self.hinderer(walls=NARROW_DOWN, radius=[SMALL, SMALL, WIDE, SMALL])
         rooms = (TOP_LEFT, TOP_LEFT, TOP_RIGHT, TOP_RIGHT)
-        found = plan.subgoal(state(rooms), OUT_OF_VIEW)
-        assert (found.predicate, found.subject) == (Predicate.CLOSE, RED)
+        assert plan.subgoal(state(rooms), OUT_OF_VIEW) == door(RED, LEFT)
 
     def test_one_too_weak_to_carry_the_item_leaves_it(self) -> None:
         sizes = [SMALL, SMALL, WIDE, SMALL]
         plan = self.hinderer(walls=NARROW_DOWN, radius=sizes, strengths=(150.0, 450.0))
         near = state((BOTTOM_LEFT, TOP_LEFT, BOTTOM_LEFT, TOP_RIGHT))
         reach = near._replace(in_reach=(True, False, False, False))
-        assert plan.subgoal(near, IN_VIEW) != touch(RED, BLUE)
-        assert plan.subgoal(reach, IN_VIEW) != attach(RED, BLUE)
+        for found in (plan.subgoal(near, IN_VIEW), plan.subgoal(reach, IN_VIEW)):
+            assert found == door(RED, LEFT)
 
     def test_go_to_the_nearest_room_of_its_way_and_push_it_back_there(self) -> None:
         plan = self.hinderer()
@@ -197,6 +196,10 @@ class TestKeepingAnItemFromItsLandmark:
         reach = near._replace(in_reach=(True, False, False, False))
         assert plan.subgoal(reach, IN_VIEW) == attach(RED, BLUE)
         assert plan.subgoal(near._replace(held=(BLUE, NOWHERE)), IN_VIEW) == close(BLUE, TOP_LEFT)
+
+    def test_grab_it_also_where_it_lies_in_the_room_to_be_held_in(self) -> None:
+        rooms = (TOP_LEFT, TOP_RIGHT, BOTTOM_LEFT, TOP_RIGHT)
+        assert self.hinderer().subgoal(state(rooms), OUT_OF_VIEW) == close(RED, BOTTOM_LEFT)
 
     def test_hold_the_item_in_the_corner_of_the_room_it_was_taken_to(self) -> None:
         arrived = state((TOP_LEFT, BOTTOM_RIGHT, TOP_LEFT, TOP_RIGHT), held=(BLUE, NOWHERE))

@@ -1,0 +1,87 @@
+"""The simulator's speed: python benchmarks/simulator.py [--json FILE] [--only NAME ...]
+
+Ratios are taken in one run, alternately. Figures in ms and s mean little on a busy machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from typing import Any
+
+import common
+from speed import engines, whole
+
+from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.simulator.joint import JointSimulator
+
+DEMANDS = {
+    "transition_speedup": (">=", 8.0),
+    "decision_speedup": (">=", 10.0),
+    "early_stop_same_action": (">=", 1.0),
+    "early_stop_saved": (">=", 0.30),
+    "outside_search_share": ("<=", 0.15),
+    "two_worker_speedup": (">=", 1.8),
+    "fast_speedup": (">=", 8.0),
+    "cpu_ms_per_step_paper": ("<=", 90.0),
+    "first_decision_seconds_warm": ("<=", 1.5),
+    "rss_growth_mb_per_1000_steps": ("<=", 2.0),
+    "oracle_tv": ("<=", 0.1),
+}
+
+
+def where_time_goes() -> dict[str, Any]:
+    shares = {name: whole.shares(PlannerConfig.named(name)) for name in ("paper", "fast")}
+    return {
+        "shares": shares,
+        "outside_search_share": 1 - shares["paper"]["search"],
+        "outside_search_share_fast": 1 - shares["fast"]["search"],
+    }
+
+
+PARTS: dict[str, Callable[[], dict[str, Any]]] = {
+    "transitions": engines.transitions,
+    "decisions": engines.decisions,
+    "early_stop": whole.early_stop,
+    "where_time_goes": where_time_goes,
+    "presets": whole.presets,
+    "two_workers": whole.two_workers,
+    "first_decision": whole.first_decision,
+    "memory": whole.memory,
+}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--json", metavar="FILE", help="write the figures as JSON")
+    parser.add_argument("--only", nargs="+", choices=[*PARTS, "oracle"], metavar="NAME")
+    parser.add_argument("--oracle-seeds", type=int, default=200)
+    options = parser.parse_args()
+    for planner in ("paper", "fast"):
+        JointSimulator(planner).warm_up()
+    report: dict[str, Any] = {}
+    parts = PARTS | {"oracle": lambda: engines.histograms(options.oracle_seeds)}
+    for name, measure in parts.items():
+        if options.only and name not in options.only:
+            continue
+        found = measure()
+        report |= found
+        for key, value in found.items():
+            if not isinstance(value, (int, float)):
+                continue
+            sign, bound = DEMANDS.get(key, ("", None))
+            demand = "" if bound is None else f"   demanded {sign} {bound:g}"
+            if bound is not None:
+                met = value >= bound if sign == ">=" else value <= bound
+                demand += "" if met else "   MISSED"
+            print(f"{key:34} {value:10.3f}{demand}", flush=True)
+    for planner, shares in report.get("shares", {}).items():
+        listed = ", ".join(f"{name} {share:.1%}" for name, share in shares.items())
+        print(f"where the time goes, {planner} planner: {listed}")
+    common.write(report, options.json)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Measurements of the simulator's speed, a file each."""

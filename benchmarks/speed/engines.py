@@ -1,0 +1,167 @@
+"""Compiled model against pymunk: one transition, one decision, and do they decide alike?"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import common
+import numpy as np
+
+from phase_ppl.agents.agent import Agent, Mind
+from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.agents.oracle import OracleAgent
+from phase_ppl.physics import compiled
+from phase_ppl.physics.actions import N_ACTIONS
+from phase_ppl.physics.constants import IMAGINATION_ITERATIONS
+from phase_ppl.physics.pymunk_world import PymunkWorld
+from phase_ppl.world.goals import goal_index
+from phase_ppl.world.state import State
+from speed.scenes import STRENGTHS, contact_mix, crowded
+
+REPEATS = 9
+GOALS = (goal_index("Get blue item to red lm"), goal_index("Get pink item to green lm"))
+
+
+def interleaved(work: dict[str, Callable[[], Any]], repeats: int = REPEATS) -> dict[str, float]:
+    """Return the median CPU seconds of each piece of work, run in turn."""
+    seconds: dict[str, list[float]] = {name: [] for name in work}
+    for name in work:
+        work[name]()
+    for _ in range(repeats):
+        for name, do in work.items():
+            clock = time.process_time()
+            do()
+            seconds[name].append(time.process_time() - clock)
+    return {name: float(np.median(values)) for name, values in seconds.items()}
+
+
+def transitions() -> dict[str, Any]:
+    """Restore a state, apply both actions for five substeps, read the state; equal recipe."""
+    n = 400
+    mix, scene = contact_mix(n), crowded()
+    params = compiled.make_params(scene, STRENGTHS, inner_steps=1)
+    arrays = [compiled.from_state(state, scene.radius) for state, _ in mix]
+    actions = np.array([pair for _, pair in mix])
+    bodies = np.array([a[0] for a in arrays])
+    held = np.array([a[1] for a in arrays])
+    weld = np.array([a[2] for a in arrays])
+    scratch = compiled.make_scratch()
+    rounds = 20
+    many = _many()
+
+    def fast() -> None:
+        many(bodies, held, weld, actions, rounds, params, scratch)
+
+    world = PymunkWorld(
+        scene, STRENGTHS, 1, State.at_start(scene), iterations=IMAGINATION_ITERATIONS
+    )
+
+    def slow() -> None:
+        for state, pair in mix:
+            world.restore(state)
+            world.step(pair)
+            _ = world.state
+
+    seconds = interleaved({"compiled": fast, "pymunk": slow})
+    compiled_us = 1e6 * seconds["compiled"] / n / rounds
+    pymunk_us = 1e6 * seconds["pymunk"] / n
+    return {
+        "transition_us_compiled": compiled_us,
+        "transition_us_pymunk": pymunk_us,
+        "transition_speedup": pymunk_us / compiled_us,
+    }
+
+
+def _many() -> Callable[..., None]:
+    import numba
+
+    step = compiled.step
+
+    @numba.njit(nogil=True)
+    def many(bodies, held, weld, actions, rounds, params, scratch):  # type: ignore[no-untyped-def]
+        body, hold, rod = bodies[0].copy(), held[0].copy(), weld[0].copy()
+        for _ in range(rounds):
+            for k in range(bodies.shape[0]):
+                body[:], hold[:], rod[:] = bodies[k], held[k], weld[k]
+                step(body, hold, rod, actions[k, 0], actions[k, 1], params, scratch)
+
+    return many  # type: ignore[no-any-return]
+
+
+def agents(config: PlannerConfig, seed: int) -> dict[str, Agent]:
+    """Return an agent with the compiled and one with the slow search, of equal settings."""
+    mind = Mind.of(crowded(), STRENGTHS, config)
+    return {
+        "compiled": Agent(0, GOALS, mind, config, np.random.default_rng(seed)),
+        "pymunk": OracleAgent(0, GOALS, mind, config, np.random.default_rng(seed), STRENGTHS),
+    }
+
+
+def perceived(config: PlannerConfig, seed: int) -> dict[str, Agent]:
+    scene = crowded()
+    state = compiled.from_state(State.at_start(scene), scene.radius)
+    made = agents(config, seed)
+    for agent in made.values():
+        agent.perceive(*state)
+    return made
+
+
+def decisions() -> dict[str, Any]:
+    """One decision by 1000 simulations, without early stop, from the same beliefs."""
+    config = PlannerConfig(swivel=False, full_observation=True, early_stop=False)
+    made = perceived(config, 0)
+    subgoal, agreeing = made["compiled"].choose_subgoal()
+    seconds = interleaved(
+        {
+            name: lambda agent=agent: agent.choose_action(subgoal, agreeing)  # type: ignore[misc]
+            for name, agent in made.items()
+        },
+        repeats=5,
+    )
+    return {
+        "decision_ms_compiled": 1e3 * seconds["compiled"],
+        "decision_ms_pymunk": 1e3 * seconds["pymunk"],
+        "decision_speedup": seconds["pymunk"] / seconds["compiled"],
+    }
+
+
+class Draw(NamedTuple):
+    engine: str
+    seed: int
+    simulations: int
+
+
+def choose(draw: Draw) -> int:
+    """Return the action that an engine's agent chooses first."""
+    config = dataclasses.replace(
+        PlannerConfig(swivel=False, full_observation=True), simulations=draw.simulations
+    )
+    agent = perceived(config, draw.seed)[draw.engine]
+    return int(agent.choose_action(*agent.choose_subgoal()).action)
+
+
+def histograms(seeds: int, simulations: int = 1000) -> dict[str, Any]:
+    """Total variation between the engines' first actions, and between sets of seeds of one."""
+    sets = {
+        "compiled": [Draw("compiled", seed, simulations) for seed in range(seeds)],
+        "pymunk": [Draw("pymunk", seed, simulations) for seed in range(seeds)],
+        "again": [Draw("compiled", seed, simulations) for seed in range(seeds, 2 * seeds)],
+    }
+    draws = [draw for group in sets.values() for draw in group]
+    chosen = dict(common.parallel(choose, draws, "oracle"))
+    counts = {
+        name: np.bincount([chosen[draw] for draw in group], minlength=N_ACTIONS) / seeds
+        for name, group in sets.items()
+    }
+
+    def distance(a: str, b: str) -> float:
+        return float(np.abs(counts[a] - counts[b]).sum() / 2)
+
+    return {
+        "oracle_tv": distance("compiled", "pymunk"),
+        "oracle_tv_between_seeds": distance("compiled", "again"),
+        "oracle_seeds": seeds,
+    }

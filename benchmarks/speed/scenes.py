@@ -1,0 +1,56 @@
+"""States for the measurements: a mix full of contacts, as agents meet them, and whole episodes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+import phase_ppl as ppl
+from phase_ppl.physics.actions import Action
+from phase_ppl.physics.pymunk_world import PymunkWorld
+from phase_ppl.world.event import Event
+from phase_ppl.world.goals import GOALS
+from phase_ppl.world.hypothesis import Hypothesis
+from phase_ppl.world.scene import Scene
+from phase_ppl.world.state import State
+
+STRENGTHS = (450.0, 300.0)
+WALLS = [[[16, 12], [16, 22]], [[16, 12], [11, 12]], [[16, 12], [16, 7]], [[16, 12], [21, 12]]]
+BUNDLED = ("collaborate", "independent", "compete", "oppose")
+
+
+def crowded() -> Scene:
+    """Return a scene whose bodies lie close together in one room."""
+    start = [[13.0, 14.0, 0.3], [10.0, 16.5, -1.2], [13.2, 16.4, 0.0], [9.5, 14.2, 0.0]]
+    return Scene(np.array(start), np.array([0.8, 1.2, 0.8, 1.01]), np.array(WALLS, np.float64))
+
+
+def contact_mix(n: int) -> list[tuple[State, tuple[int, int]]]:
+    """Return states of crowded random motion, holding or not, each with a pair of actions."""
+    rng = np.random.default_rng(0)
+    mix = []
+    while len(mix) < n:
+        world = PymunkWorld(crowded(), STRENGTHS)
+        for _ in range(20):
+            red, green = (int(a) for a in rng.integers(0, len(Action), 2))
+            mix.append((world.state, (red, green)))
+            world.step((red, green))
+    return mix[:n]
+
+
+def episodes() -> list[tuple[Event, Hypothesis]]:
+    """Return the bundled events with their true hypotheses."""
+    found = []
+    for name in BUNDLED:
+        event = ppl.load_event(name)
+        truth = event.truth
+        assert truth is not None
+        assert truth.strength_red is not None
+        assert truth.strength_green is not None
+        hypothesis = Hypothesis(
+            GOALS.index(truth.goal_red),
+            GOALS.index(truth.goal_green),
+            strength_red=truth.strength_red,
+            strength_green=truth.strength_green,
+        )
+        found.append((event, hypothesis))
+    return found

@@ -1,0 +1,109 @@
+"""Hindering: the cheapest state from which the opponent's plan is broken, and how to get there."""
+
+from __future__ import annotations
+
+from phase_ppl.agents.planning import Planning
+from phase_ppl.agents.symbols import SymbolicState
+from phase_ppl.world.literals import STOP, Literal, Predicate
+from phase_ppl.world.rooms import N_ROOMS
+
+
+class Hindering(Planning):
+    """Subgoals of an agent whose goal is the negation of the other's."""
+
+    def _keep_away(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
+        """Not ON(other, landmark): fill a door on its way, or meet it there and push it back."""
+        goal_room = self._landmark_room(self.own.target)
+        rival_room = state.rooms[self.opponent]
+        way = self.abilities.route((self.opponent,), rival_room, goal_room)
+        if way is None:
+            return self._free_hands(state) or STOP
+        doors = self._doors(way)
+        for i in range(2):
+            item = 2 + i
+            useful = [d for d in doors if self.abilities.fills[i][d]]
+            near = state.rooms[self.agent] == state.rooms[item]
+            if not useful or not near or not self.abilities.carries_alone[self.agent]:
+                continue
+            reachable = [
+                d for d in useful if d in {ray for ray, _ in self._open(state.rooms[item])}
+            ]
+            if reachable:
+                if state.held[self.agent] == item:
+                    return Literal(Predicate.CLOSE, item, N_ROOMS + reachable[0])
+                return self._take(state, item)
+        letting_go = self._free_hands(state)
+        if letting_go is not None:
+            return letting_go
+        if doors and doors[0] in {ray for ray, _ in self._open(state.rooms[self.agent])}:
+            return Literal(Predicate.CLOSE, self.agent, N_ROOMS + doors[0])
+        meeting = set(way[1:]) if len(way) > 1 else set(way)
+        if state.rooms[self.agent] in meeting or observed[self.opponent]:
+            return self.own
+        steps = self._plan(
+            state, (self.agent,), frozenset(), lambda node: node.rooms[self.agent] in meeting
+        )
+        return steps[0].literal if steps else self._press_on(state, goal_room)
+
+    def _guard_item(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
+        """Not ON(item, landmark): take it away, hold it back, or stand in the way."""
+        item = self.own.subject
+        me, rival = state.rooms[self.agent], state.rooms[self.opponent]
+        item_room, goal_room = state.rooms[item], self._landmark_room(self.own.target)
+        ability = self.abilities
+        letting_go = self._free_hands(state, keep=item)
+        if letting_go is not None:
+            return letting_go
+        rival_way = ability.route((self.opponent,), rival, item_room)
+        rival_holds = state.held[self.opponent] == item
+        if ability.route((self.agent,), me, item_room) is None:
+            if rival_holds or rival == item_room or rival_way is None:
+                return STOP
+            return self._stand_in_door(state, rival_way)
+        holding = state.held[self.agent] == item
+        if rival_holds:
+            if ability.route((self.opponent, item), item_room, goal_room) is None:
+                return self._free_hands(state) or STOP
+            return (
+                Literal(Predicate.ON, item, item_room)
+                if holding
+                else self._take(state, item, observed)
+            )
+        if rival_way is None:
+            return self._free_hands(state) or STOP
+        refuge = self._refuge(item_room, rival)
+        if refuge is None:
+            return Literal(Predicate.ON, self.opponent, rival, positive=False)
+        if not holding:
+            return self._take(state, item, observed)
+        if refuge == item_room:
+            return Literal(Predicate.ON, item, item_room)
+        way = ability.route((self.agent, item), item_room, refuge)
+        return Literal(Predicate.CLOSE, item, way[1]) if way else self.own
+
+    def _refuge(self, item_room: int, rival: int) -> int | None:
+        """Return the best room to take an item to, if there is one.
+
+        Closed to the rival, or else farthest from it among those nearer to the item than to it.
+        """
+        ability = self.abilities
+        best: tuple[float, int] | None = None
+        for room in range(N_ROOMS):
+            if ability.route((self.agent,), item_room, room) is None:
+                continue
+            if ability.route((self.opponent,), rival, room) is None:
+                return room
+            from_rival = ability.room_distance[rival][room]
+            if ability.room_distance[item_room][room] < from_rival and (
+                best is None or from_rival > best[0]
+            ):
+                best = (from_rival, room)
+        return None if best is None else best[1]
+
+    def _stand_in_door(self, state: SymbolicState, rival_way: tuple[int, ...]) -> Literal:
+        """Go to the nearest door on the rival's way that this agent can get to."""
+        for ray in reversed(self._doors(rival_way)):
+            if ray in {r for r, _ in self._open(state.rooms[self.agent])}:
+                return Literal(Predicate.CLOSE, self.agent, N_ROOMS + ray)
+        target = rival_way[-2] if len(rival_way) > 1 else rival_way[-1]
+        return self._press_on(state, target)
