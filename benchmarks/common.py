@@ -120,11 +120,14 @@ def add_planner(parser: argparse.ArgumentParser, default: str = "fast") -> None:
 
 def planner_of(options: argparse.Namespace) -> PlannerConfig:
     """Return the planner that the options ask for."""
-    changes = dict(change.split("=", 1) for change in options.changes)
-    return dataclasses.replace(
-        PlannerConfig.named(options.planner),
-        **{key: json.loads(value.lower()) for key, value in changes.items()},
-    )
+    known = {field.name for field in dataclasses.fields(PlannerConfig)}
+    changes: dict[str, Any] = {}
+    for change in options.changes:
+        key, _, value = change.partition("=")
+        if key not in known or not value:
+            sys.exit(f"--set {change}: expected KEY=VALUE with a KEY of {', '.join(sorted(known))}")
+        changes[key] = json.loads(value.lower())
+    return dataclasses.replace(PlannerConfig.named(options.planner), **changes)
 
 
 def interval(

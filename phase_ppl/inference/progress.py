@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import sys
 from types import TracebackType
-from typing import Self
+from typing import Final, Self
 
 from tqdm import tqdm
+
+WARMING_UP: Final = "warming up (compiles the first time)"
 
 
 class Progress:
@@ -21,7 +23,7 @@ class Progress:
         if shown is None:
             shown = sys.stderr.isatty() or "ipykernel" in sys.modules
         self._bar = tqdm(
-            total=total, disable=not shown, file=sys.stderr, unit="sim", desc="simulating"
+            total=total, disable=not shown, file=sys.stderr, unit="sim", desc=WARMING_UP
         )
 
     def __enter__(self) -> Self:
@@ -37,6 +39,8 @@ class Progress:
 
     def one_more(self, *_: object) -> None:
         """Count one simulation."""
+        if self._bar.n == 0:
+            self._bar.set_description("simulating", refresh=False)
         self._bar.update(1)
 
     def reach(self, done: int) -> None:

@@ -1,0 +1,67 @@
+"""The benchmarks run and write what they say; their figures are not judged here."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+VIDEOS = Path(os.environ.get("PHASE_TEST") or ROOT.parent / "shared" / "phase-test")
+
+
+def run(script: str, *options: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, str(ROOT / "benchmarks" / script), *options],
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+
+
+def figures(tmp_path: Path, script: str, *options: str) -> dict[str, float]:
+    file = tmp_path / "figures.json"
+    result = run(script, *options, "--json", str(file))
+    assert result.returncode == 0, result.stderr
+    report: dict[str, float] = json.loads(file.read_text())
+    return report
+
+
+def test_speed_of_one_transition(tmp_path: Path) -> None:
+    report = figures(tmp_path, "simulator.py", "--only", "transitions")
+    us = report["transition_us_pymunk"], report["transition_us_compiled"]
+    assert report["transition_speedup"] == pytest.approx(us[0] / us[1])
+
+
+def test_one_behaviour_with_a_changed_planner(tmp_path: Path) -> None:
+    options = ["--only", "chase", "--seeds", "1", "--set", "simulations=60"]
+    report = figures(tmp_path, "behaviour.py", *options)
+    assert "chase" in json.dumps(report)
+
+
+def test_an_unknown_setting_of_the_planner_is_named() -> None:
+    result = run("behaviour.py", "--only", "chase", "--seeds", "1", "--set", "simulation=60")
+    assert result.returncode != 0
+    assert "simulation" in result.stderr
+
+
+@pytest.mark.skipif(not VIDEOS.exists(), reason="the real videos are not at ../shared/phase-test")
+def test_replay_of_recovered_actions(tmp_path: Path) -> None:
+    report = figures(tmp_path, "realism.py", "replay")
+    assert 0 < report["median_error_row5"] < report["median_error_row10"] < 0.2
+
+
+def test_missing_videos_are_reported(tmp_path: Path) -> None:
+    result = subprocess.run(
+        [sys.executable, str(ROOT / "benchmarks" / "realism.py"), "replay"],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PHASE_TEST": str(tmp_path)},
+        timeout=120,
+    )
+    assert result.returncode == 1
+    assert "PHASE_TEST" in result.stderr
