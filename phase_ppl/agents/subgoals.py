@@ -92,7 +92,7 @@ class SubgoalPlanner(Hindering):
         item, room = self.own.subject, self._landmark_room(self.own.target)
         holding = state.held[self.agent] == item
         if state.own_done:
-            return self.own if holding else self._free_hands(state) or STOP
+            return self._free_hands(state) or STOP
         letting_go = self._free_hands(state, keep=item)
         if letting_go is not None:
             return letting_go

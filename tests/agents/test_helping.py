@@ -79,16 +79,11 @@ class TestHelpingWithAnItem:
         plan = planner(self.GOAL, self.GOAL)
         assert plan.subgoal(state(own_done=True), IN_VIEW) == STOP
 
-    def test_at_the_goal_a_helper_goes_on_holding(self) -> None:
-        # the authors' helper lets go; theirs and our collaborators keep holding
+    @pytest.mark.parametrize("item", [BLUE, PINK])
+    def test_at_the_goal_a_helper_lets_go(self, item: int) -> None:
         plan = planner(self.GOAL, self.GOAL)
-        arrived = state((BOTTOM_RIGHT,) * 4, own_done=True, held=(BLUE, NOWHERE))
-        assert plan.subgoal(arrived, IN_VIEW) == on(BLUE, BOTTOM_RIGHT)
-
-    def test_at_the_goal_a_helper_lets_go_of_the_other_item(self) -> None:
-        plan = planner(self.GOAL, self.GOAL)
-        arrived = state(own_done=True, held=(PINK, NOWHERE))
-        assert plan.subgoal(arrived, IN_VIEW) == attach(RED, PINK, positive=False)
+        arrived = state(own_done=True, held=(item, NOWHERE))
+        assert plan.subgoal(arrived, IN_VIEW) == attach(RED, item, positive=False)
 
     def test_a_helper_that_reaches_item_and_goal_acts_as_if_it_were_its_own(self) -> None:
         helping = planner(self.GOAL, self.GOAL)
