@@ -113,6 +113,7 @@ class Agent:
             config.c_init,
             config.c_base,
             config.early_stop,
+            config.paired,
         )
         self.tree = pomcp.make_tree(config.simulations)
         self._scratch = compiled.make_scratch()

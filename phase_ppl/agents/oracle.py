@@ -121,7 +121,7 @@ class OracleAgent(Agent):
     """An agent that searches with :class:`SlowSearch`; all else is as in :class:`Agent`.
 
     Raises:
-        InvalidSettingError: the planner imagines swivelling holds or reuses trees.
+        InvalidSettingError: the planner imagines swivelling holds, reuses trees or pairs.
     """
 
     def __init__(
@@ -133,8 +133,8 @@ class OracleAgent(Agent):
         generator: np.random.Generator,
         strengths: tuple[float, float],
     ) -> None:
-        if config.swivel or config.tree_reuse:
-            raise InvalidSettingError("the oracle's search has neither swivel nor tree_reuse")
+        if config.swivel or config.tree_reuse or config.paired:
+            raise InvalidSettingError("the oracle's search has no swivel, tree_reuse or paired")
         super().__init__(agent, goals, mind, config, generator)
         self.slow_search = SlowSearch(
             mind, strengths, self.search, config.inner_steps, generator.spawn(1)[0]

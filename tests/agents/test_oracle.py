@@ -96,7 +96,7 @@ def test_both_grab_what_lies_in_reach() -> None:
         assert decision.action == Action.ATTACH
 
 
-@pytest.mark.parametrize("change", [{"swivel": True}, {"tree_reuse": True}])
+@pytest.mark.parametrize("change", [{"swivel": True}, {"tree_reuse": True}, {"paired": True}])
 def test_the_oracle_refuses_what_it_does_not_imagine(change: dict[str, bool]) -> None:
     with pytest.raises(InvalidSettingError, match="swivel"):
         make(SCENES["ahead"], True, 0, dataclasses.replace(CONFIG, **change))  # type: ignore[arg-type]

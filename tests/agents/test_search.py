@@ -62,6 +62,25 @@ def test_early_stop_never_changes_the_action(seed: int) -> None:
         assert run[1] <= run[0] == CONFIG.simulations
 
 
+def test_paired_actions_of_the_same_effect_are_worth_exactly_the_same() -> None:
+    def gaps(paired: bool) -> list[float]:
+        """Differences in value of stopping and doing nothing, the same for an agent at rest."""
+        found = []
+        for seed in range(8):
+            config = dataclasses.replace(CONFIG, simulations=100, paired=paired, early_stop=False)
+            agent = agent_in(scene(red=(23.5, 14.0, math.pi)), config, seed)
+            decision = agent.choose_action(Literal(Predicate.ON, 0, 2), ALL)
+            actions = decision.actions.tolist()
+            stop, nothing = actions.index(Action.STOP), actions.index(Action.NO_FORCE)
+            if decision.visits[stop] == decision.visits[nothing]:
+                found.append(abs(float(decision.values[stop] - decision.values[nothing])))
+        return found
+
+    assert gaps(paired=True)
+    assert max(gaps(paired=True)) < 1e-12
+    assert min(gaps(paired=False), default=1.0) > 1e-6
+
+
 def test_a_kept_subtree_carries_its_visits_over() -> None:
     agent = agent_in(scene(red=(23.5, 14.0, math.pi)))
     subgoal = Literal(Predicate.ON, 0, 2)
