@@ -21,6 +21,7 @@ DEMANDS = {
     "early_stop_same_action": (">=", 1.0),
     "early_stop_saved": (">=", 0.30),
     "outside_search_share": ("<=", 0.15),
+    "outside_search_share_fast": ("<=", 0.15),
     "two_worker_speedup": (">=", 1.8),
     "fast_speedup": (">=", 8.0),
     "cpu_ms_per_step_paper": ("<=", 90.0),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
+import contextlib
 import itertools
 import subprocess
 import sys
@@ -23,77 +23,53 @@ from speed.scenes import episodes
 STEPS = 30
 
 
-def run(planner: PlannerConfig, steps: int = STEPS, seed: int = 0) -> tuple[float, list[int], int]:
-    """Return CPU seconds, all actions, and physics steps of the searches, over four events."""
-    actions, searched = [], 0
-    made: list[Agent] = []
-    create = Agent.__init__
-
-    def noted(self: Agent, *arguments: Any, **named: Any) -> None:
-        create(self, *arguments, **named)
-        made.append(self)
-
-    Agent.__init__ = noted  # type: ignore[method-assign]
-    try:
-        clock = time.process_time()
-        for event, hypothesis in episodes():
-            frames = JointSimulator(planner).steps(
-                event.scene, hypothesis, np.random.default_rng(seed)
-            )
-            for _, decisions in itertools.islice(frames, steps + 1):
-                actions += [int(decision.action) for decision in decisions]
-        seconds = time.process_time() - clock
-    finally:
-        Agent.__init__ = create  # type: ignore[method-assign]
-    searched = sum(int(agent.tree.statistics[1]) for agent in made)
-    return seconds, actions, searched
+def run(planner: PlannerConfig, steps: int = STEPS, seed: int = 0) -> float:
+    """Simulate four events and return the CPU seconds."""
+    chosen = episodes()
+    clock = time.process_time()
+    for event, hypothesis in chosen:
+        frames = JointSimulator(planner)(event.scene, hypothesis, np.random.default_rng(seed))
+        for _ in itertools.islice(frames, steps + 1):
+            pass
+    return time.process_time() - clock
 
 
 def early_stop() -> dict[str, Any]:
-    """The same episodes with and without the early stop, which draws no random number less."""
-    paper = PlannerConfig()
-    _, kept, all_steps = run(dataclasses.replace(paper, early_stop=False))
-    same, decisions = compare_decisions(paper)
-    _, _, fewer = run(paper)
-    return {
-        "early_stop_same_action": same / decisions,
-        "early_stop_decisions": decisions,
-        "early_stop_saved": 1 - fewer / all_steps,
-        "decisions_without_early_stop": len(kept),
-    }
+    """Every decision of the episodes twice, with and without the early stop, from the same state.
 
-
-def compare_decisions(planner: PlannerConfig) -> tuple[int, int]:
-    """Return in how many decisions the early stop chooses as the full search, and of how many."""
-    same = total = 0
+    The action, not the tie, is compared: where the early stop ends a search the leader is alone.
+    """
     original = Agent._search_actions
+    same: list[bool] = []
+    steps = {True: 0, False: 0}
 
     def both(self: Agent, *arguments: Any) -> Any:
-        nonlocal same, total
-        rng, search = self._rng.copy(), self.search
-        self.search = search._replace(early_stop=False)
-        full = original(self, *arguments)
-        after = self._rng.copy()
-        self._rng[:] = rng
+        begin, search = self._rng.copy(), self.search
+        chosen = {}
+        for stops in (True, False):
+            self._rng[:] = begin
+            self.search = search._replace(early_stop=stops)
+            before = int(self.tree.statistics[1])
+            chosen[stops] = original(self, *arguments)
+            steps[stops] += int(self.tree.statistics[1]) - before
         self.search = search
-        stopped = original(self, *arguments)
-        # ties are broken at random after the search; count them as the same
-        most = full[1] == full[1].max()
-        same += bool(most[stopped[0]])
-        total += 1
-        self._rng[:] = after
-        return full
+        same.append(chosen[True][0] == chosen[False][0])
+        return chosen[False]
 
     Agent._search_actions = both  # type: ignore[method-assign]
     try:
-        run(planner)
+        run(PlannerConfig())
     finally:
         Agent._search_actions = original  # type: ignore[method-assign]
-    return same, total
+    return {
+        "early_stop_same_action": sum(same) / len(same),
+        "early_stop_decisions": len(same),
+        "early_stop_saved": 1 - steps[True] / steps[False],
+    }
 
 
 class Clock:
-    """Adds up the seconds that calls of a function take."""
+    """Adds up the CPU seconds that calls of a function take."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
@@ -104,11 +80,11 @@ class Clock:
         self.seconds.setdefault(label, 0.0)
 
         def timed(*arguments: Any, **named: Any) -> Any:
-            clock = time.perf_counter()
+            clock = time.process_time()
             try:
                 return function(*arguments, **named)
             finally:
-                self.seconds[label] += time.perf_counter() - clock
+                self.seconds[label] += time.process_time() - clock
 
         setattr(owner, name, timed)
         self._undo.append((owner, name, function))
@@ -127,10 +103,10 @@ def shares(planner: PlannerConfig) -> dict[str, float]:
     clock.time(beliefs, "update", "beliefs")
     clock.time(Agent, "choose_subgoal", "symbols and A*")
     clock.time(PymunkWorld, "step", "world")
-    begin = time.perf_counter()
-    run(planner)
-    total = time.perf_counter() - begin
-    clock.stop()
+    try:
+        total = run(planner)
+    finally:
+        clock.stop()
     found = {name: seconds / total for name, seconds in clock.seconds.items()}
     return found | {"rest": 1 - sum(found.values())}
 
@@ -140,7 +116,7 @@ def presets() -> dict[str, Any]:
     times: dict[str, list[float]] = {"paper": [], "fast": []}
     for repeat in range(3):
         for name, values in times.items():
-            values.append(run(PlannerConfig.named(name), seed=repeat)[0])
+            values.append(run(PlannerConfig.named(name), seed=repeat))
     per_step = {
         name: 1e3 * float(np.median(v)) / (STEPS * len(episodes())) for name, v in times.items()
     }
@@ -151,38 +127,46 @@ def presets() -> dict[str, Any]:
     }
 
 
-def two_workers() -> dict[str, Any]:
-    """The same requests with one worker process and with two, start-up not counted."""
+def two_workers(repeats: int = 3) -> dict[str, Any]:
+    """The same requests by one worker process and by two, in turn, start-up not counted."""
     event, hypothesis = episodes()[0]
-    seconds = {}
-    for workers in (1, 2):
-        with Runner(
-            JointSimulator("fast"), event.scene, event.observation, workers=workers
-        ) as runner:
+    seconds: dict[int, list[float]] = {1: [], 2: []}
+    with contextlib.ExitStack() as stack:
+        runners = {
+            workers: stack.enter_context(
+                Runner(JointSimulator("fast"), event.scene, event.observation, workers=workers)
+            )
+            for workers in seconds
+        }
+        for runner in runners.values():
             runner.run([hypothesis] * 2, [1, 2])
-            clock = time.perf_counter()
-            runner.run([hypothesis] * 24, range(10, 34))
-            seconds[workers] = time.perf_counter() - clock
-    return {"two_worker_speedup": seconds[1] / seconds[2]}
+        for _ in range(repeats):
+            for workers, runner in runners.items():
+                clock = time.perf_counter()
+                runner.run([hypothesis] * 24, range(10, 34))
+                seconds[workers].append(time.perf_counter() - clock)
+    ratios = np.array(seconds[1]) / np.array(seconds[2])
+    return {"two_worker_speedup": float(np.median(ratios))}
 
 
 FIRST = """
-import time; begin = time.perf_counter()
-import itertools, numpy as np, phase_ppl as ppl
+import itertools, time, numpy as np, phase_ppl as ppl
 from phase_ppl.simulator.joint import JointSimulator
 event = ppl.load_event("collaborate")
 h = ppl.Hypothesis(event.truth.goal_red, event.truth.goal_green)
 steps = JointSimulator("paper").steps(event.scene, h, np.random.default_rng(0))
 for _ in itertools.islice(steps, 2): pass
-print(time.perf_counter() - begin)
+print(time.monotonic())
 """
 
 
 def first_decision() -> dict[str, Any]:
-    """A new process with a warm cache, from its first line to the first step."""
-    seconds = [
-        float(subprocess.check_output([sys.executable, "-c", FIRST], text=True)) for _ in range(4)
-    ]
+    """A new process with a warm cache, from the start of Python to the end of the first step."""
+    seconds = []
+    for _ in range(6):
+        begin = time.monotonic()
+        end = float(subprocess.check_output([sys.executable, "-c", FIRST], text=True))
+        seconds.append(end - begin)
     return {"first_decision_seconds_warm": float(np.median(seconds[1:]))}
 
 

@@ -62,8 +62,10 @@ class PlannerConfig:
     def fast(cls) -> PlannerConfig:
         """Return the fast preset: 100 simulations per decision, paired over the root actions.
 
-        Pairing more than makes up for the tenth of the simulations: on recorded decisions of
-        real agents it agrees as often as 1000 unpaired ones do (``benchmarks/realism.py``).
+        Measured by ``benchmarks/realism.py`` on 50 real videos: it agrees with 71 % of the real
+        agents' decisions (the paper's setting with 73 %, 300 unpaired simulations with 70 %), and
+        simulations under the true hypothesis stay as near to the videos as with any setting
+        tried (6.9 units per frame in the mean; 300 unpaired: 7.4).
         """
         return cls(simulations=100, paired=True)
 
