@@ -15,13 +15,24 @@ from phase_ppl.world.state import State
 
 STRENGTHS = (450.0, 300.0)
 WALLS = [[[16, 12], [16, 22]], [[16, 12], [11, 12]], [[16, 12], [16, 7]], [[16, 12], [21, 12]]]
+UNDECIDED = {
+    "turned": (13.0, 14.0, 0.82),
+    "averted": (13.0, 14.0, -1.2),
+    "other room": (20.0, 8.0, 1.58),
+    "other room, averted": (20.0, 8.0, -0.9),
+}
 BUNDLED = ("collaborate", "independent", "compete", "oppose")
 
 
-def crowded() -> Scene:
-    """Return a scene whose bodies lie close together in one room."""
-    start = [[13.0, 14.0, 0.3], [10.0, 16.5, -1.2], [13.2, 16.4, 0.0], [9.5, 14.2, 0.0]]
+def crowded(red: tuple[float, float, float] = (13.0, 14.0, 0.3)) -> Scene:
+    """Return a scene whose bodies lie close together in one room, red perhaps elsewhere."""
+    start = [red, [10.0, 16.5, -1.2], [13.2, 16.4, 0.0], [9.5, 14.2, 0.0]]
     return Scene(np.array(start), np.array([0.8, 1.2, 0.8, 1.01]), np.array(WALLS, np.float64))
+
+
+def undecided() -> dict[str, Scene]:
+    """Return scenes by name; red's headings lie near where its choice changes."""
+    return {name: crowded(red) for name, red in UNDECIDED.items()}
 
 
 def contact_mix(n: int) -> list[tuple[State, tuple[int, int]]]:
