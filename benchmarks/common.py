@@ -121,13 +121,25 @@ def add_planner(parser: argparse.ArgumentParser, default: str = "fast") -> None:
 def planner_of(options: argparse.Namespace) -> PlannerConfig:
     """Return the planner that the options ask for."""
     known = {field.name for field in dataclasses.fields(PlannerConfig)}
-    changes: dict[str, Any] = {}
-    for change in options.changes:
-        key, _, value = change.partition("=")
-        if key not in known or not value:
-            sys.exit(f"--set {change}: expected KEY=VALUE with a KEY of {', '.join(sorted(known))}")
-        changes[key] = json.loads(value.lower())
+    changes = assignments(options.changes)
+    for key in changes:
+        if key not in known:
+            sys.exit(f"--set {key}: there is no such setting, but {', '.join(sorted(known))}")
     return dataclasses.replace(PlannerConfig.named(options.planner), **changes)
+
+
+def assignments(given: Iterable[str]) -> dict[str, Any]:
+    """Return KEY=VALUE options; a value that is no JSON, such as a word, is taken as it is."""
+    changes: dict[str, Any] = {}
+    for change in given:
+        key, equals, value = change.partition("=")
+        if not (key and equals and value):
+            sys.exit(f"{change}: expected KEY=VALUE")
+        try:
+            changes[key] = json.loads(value)
+        except json.JSONDecodeError:
+            changes[key] = value
+    return changes
 
 
 def interval(

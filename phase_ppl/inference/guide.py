@@ -1,17 +1,18 @@
 """The bottom-up proposal Q(h | window) as a NumPyro program (paper, Appendix 4B).
 
 The guide is the prior program with some of its distributions replaced by what the window shows:
-those of the goals, and of the strengths where there is an estimate. Alpha and any further sites
-of the user's keep the prior's, given the sites before them. With a small weight the whole
-hypothesis comes from the prior itself, so that Q > 0 wherever the prior is and Hastings'
-correction is always defined.
+those of the goals, of alpha where the tables speak of it (a program that samples it after a goal
+has it drawn before everything else), and of the strengths where there is an estimate. Any
+further sites of the user's keep the prior's, given the sites before them. With a small weight
+the whole hypothesis comes from the prior itself, so that Q > 0 wherever the prior is and
+Hastings' correction is always defined.
 """
 
 from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 import jax
 import jax.numpy as jnp
@@ -27,15 +28,19 @@ from numpyro.primitives import Messenger
 from phase_ppl.inference.proposals import BottomUpTables
 from phase_ppl.inference.strength import VALIDATION_SD
 from phase_ppl.models.density import Program, draw, log_density
-from phase_ppl.models.sites import GOAL_SITES, IMPOSSIBLE, STRENGTH_SITES
+from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, IMPOSSIBLE, STRENGTH_SITES
 from phase_ppl.world.goals import N_GOALS
-from phase_ppl.world.hypothesis import STRENGTH_RANGE
+from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_RANGE
 
-Replace = Callable[[dist.Distribution], dist.Distribution]
+Replace = Callable[[dist.Distribution, Mapping[str, jax.Array]], dist.Distribution]
 
 _NEVER = -80.0
 """Log probability below which a goal is taken to have no prior mass; NumPyro's categorical
 distribution gives a probability of 0 a log of -87."""
+
+_NEVER_ALPHA: Final = 1e-30
+_PRIOR_DRAWS: Final = 32
+"""Over which a prior of alpha that depends on a user's own sites is averaged."""
 
 
 def bottom_up_guide(
@@ -50,57 +55,123 @@ def bottom_up_guide(
 
     Args:
         prior: the user's prior.
-        sites: its latent sites and their shapes.
+        sites: its latent sites and their shapes, in the order in which it samples them.
         tables: of the event; the index after the last window stands for the whole observation.
         prior_share: weight of the prior, in (0, 1).
         strength_sd: error of the strengths' estimate, newtons.
     """
-    local = _local_program(prior, tables, strength_sd)
+    local = _local_program(prior, sites, tables, strength_sd)
     return Mixture((local, lambda window: prior()), (1 - prior_share, prior_share), sites)
 
 
-def _local_program(prior: Program, tables: BottomUpTables, strength_sd: float) -> Program:
+def _local_program(
+    prior: Program,
+    sites: Mapping[str, tuple[int, ...]],
+    tables: BottomUpTables,
+    strength_sd: float,
+) -> Program:
     logits = jnp.asarray(tables.goal_logits, jnp.float32)
     strength = jnp.asarray(tables.strength, jnp.float32)
     known = ~jnp.isnan(strength)
     estimate = jnp.where(known, strength, float(np.mean(STRENGTH_RANGE)))
 
+    social = None if tables.alpha_logits is None else jnp.asarray(tables.alpha_logits, jnp.float32)
+    order = list(sites)
+    alpha_is_late = any(order.index(goal) < order.index(ALPHA_SITE) for goal in GOAL_SITES)
+    prior_of_alpha = _prior_of_alpha(prior) if social is not None and alpha_is_late else None
+
     def local(window: jax.Array) -> None:
         replace: dict[str, Replace] = {}
+        given: dict[str, jax.Array] = {}
+        if prior_of_alpha is not None and social is not None:
+            both = dist.Categorical(logits=prior_of_alpha + social[window])
+            given[ALPHA_SITE] = numpyro.sample(ALPHA_SITE, both)
+        elif social is not None:
+            replace[ALPHA_SITE] = functools.partial(_alpha_distribution, social[window])
         for agent, name in enumerate(GOAL_SITES):
-            replace[name] = functools.partial(_goal_distribution, logits[window, agent])
+            replace[name] = functools.partial(_goal_distribution, logits[window, ..., agent, :])
         for agent, name in enumerate(STRENGTH_SITES):
             normal = dist.TruncatedNormal(
                 estimate[window, agent], strength_sd, low=STRENGTH_RANGE[0], high=STRENGTH_RANGE[1]
             )
-            replace[name] = functools.partial(Either, known[window, agent], normal)
-        with Replaced(replace):
+            replace[name] = functools.partial(_strength_distribution, known[window, agent], normal)
+        with (
+            handlers.block(hide=list(given)),
+            handlers.substitute(data=given),
+            Replaced(replace, given),
+        ):
             prior()
 
     return local
 
 
-def _goal_distribution(logits: jax.Array, prior: dist.Distribution) -> dist.Distribution:
-    """Return the window's distribution of a goal, on goals that have prior mass."""
+def _prior_of_alpha(prior: Program) -> jax.Array:
+    """Return (alpha,) the log prior, with whatever it depends on averaged out."""
+
+    def probabilities(key: jax.Array) -> jax.Array:
+        trace = handlers.trace(handlers.seed(prior, key)).get_trace()
+        return jnp.exp(trace[ALPHA_SITE]["fn"].log_prob(jnp.arange(len(ALPHAS))))
+
+    mean = jax.vmap(probabilities)(random.split(random.key(0), _PRIOR_DRAWS)).mean(axis=0)
+    return jnp.log(jnp.maximum(mean, _NEVER_ALPHA))
+
+
+def _alpha_distribution(
+    logits: jax.Array, prior: dist.Distribution, values: Mapping[str, jax.Array]
+) -> dist.Distribution:
+    """Return the window's distribution of alpha, times the prior given the sites before it."""
+    return dist.Categorical(logits=prior.log_prob(jnp.arange(len(ALPHAS))) + logits)
+
+
+def _goal_distribution(
+    logits: jax.Array, prior: dist.Distribution, values: Mapping[str, jax.Array]
+) -> dist.Distribution:
+    """Return the window's distribution of a goal, on goals that have prior mass.
+
+    Args:
+        logits: (goal,), or (alpha, goal) where it depends on alpha.
+        prior: of the goal.
+        values: of the sites before it.
+    """
+    if logits.ndim == 2:
+        logits = logits[values[ALPHA_SITE]]
     possible = prior.log_prob(jnp.arange(N_GOALS)) > _NEVER
     return dist.Categorical(logits=jnp.where(possible, logits, IMPOSSIBLE))
+
+
+def _strength_distribution(
+    known: jax.Array,
+    normal: dist.Distribution,
+    prior: dist.Distribution,
+    values: Mapping[str, jax.Array],
+) -> dist.Distribution:
+    """Return the distribution around the estimate, the prior's where there is none."""
+    return Either(known, normal, prior)
 
 
 class Replaced(Messenger):
     """Effect handler that replaces the distributions of sites as they are sampled.
 
     Args:
-        replace: site -> function of its distribution that returns another one.
+        replace: site -> function of its distribution, and of the values of the sites before it,
+            that returns another one.
+        given: values of sites that are known beforehand.
     """
 
-    def __init__(self, replace: Mapping[str, Replace]) -> None:
+    def __init__(self, replace: Mapping[str, Replace], given: Mapping[str, jax.Array]) -> None:
         super().__init__(None)
         self._replace = replace
+        self._values = dict(given)
 
     def process_message(self, msg: Any) -> None:
         """Replace the distribution if the message is about one of the sites."""
         if msg["type"] == "sample" and not msg["is_observed"] and msg["name"] in self._replace:
-            msg["fn"] = self._replace[msg["name"]](msg["fn"])
+            msg["fn"] = self._replace[msg["name"]](msg["fn"], self._values)
+
+    def postprocess_message(self, msg: Any) -> None:
+        """Remember the value that a site has got."""
+        if msg["type"] == "sample":
+            self._values[msg["name"]] = msg["value"]
 
 
 class Either(dist.Distribution):

@@ -117,6 +117,7 @@ def infer(
             scene,
             observation,
             window=settings.window,
+            form=settings.proposal,
             gamma=settings.gamma,
             sign=settings.sign,
         )

@@ -1,26 +1,34 @@
 """What a window of the observation says about goals and strengths (paper, Appendix 4B).
 
-Computed once per event, in NumPy. A goal is proposed for a window from t1 to t2 in proportion to
+Computed once per event, in NumPy, in one of two forms.
+
+"learned". Goals are scored by :mod:`phase_ppl.inference.goal_features`, which also see what the
+agent itself did, and proposed together with alpha (:mod:`phase_ppl.inference.social`). The
+weights of the features were learned from simulated events.
+
+"paper". A goal is proposed for a window from t1 to t2 in proportion to
 exp(-gamma (2 d(t2) - d(t1)) / 28.28): it is likely if it is nearly achieved at the end (d(t2)
-small) or has come closer (d(t1) - d(t2) large). The paper prints the opposite sign, which its
-text contradicts; ``sign="printed"`` keeps it.
+small) or has come closer (d(t1) - d(t2) large); alpha comes from the prior. The paper prints the
+opposite sign, which its text contradicts; ``sign="printed"`` keeps it.
 
 d is the distance of the goal's own entity: of the item for a goal about an item, of the named
 agent for a goal about an agent at a landmark, between the agents for "get to". For a goal to be
 *away* it is the distance to the set of places that are away: max(0, R - distance), with R the
-diagonal of the arena. A smaller R leaves many goals at distance 0 that nobody works for. On the
-50 development videos, the true pair of effective goals is among 105 proposals in 79 % of the
-videos with the diagonal, in 67 % with R = 10.
+diagonal of the arena. A smaller R leaves many goals at distance 0 that nobody works for.
 """
 
 from __future__ import annotations
 
+import functools
+import importlib.resources
 from typing import Final, Literal, NamedTuple
 
 import jax
 import numpy as np
 from numpy.typing import NDArray
 
+from phase_ppl.inference.goal_features import GOAL_PARTS, goal_features
+from phase_ppl.inference.social import joint_logits
 from phase_ppl.inference.strength import driving_hits, estimated_strength
 from phase_ppl.models.sites import IMPOSSIBLE, SELF_REFERRING
 from phase_ppl.world.goals import N_GOALS, goal_literal
@@ -30,9 +38,15 @@ from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 Sign = Literal["intended", "printed"]
+Form = Literal["learned", "paper"]
 
 SIGNS: Final = ("intended", "printed")
+FORMS: Final = ("learned", "paper")
+
+WEIGHTS_FILE: Final = "goal_weights.npz"
+"""Weights of the features, (kind, feature): ``window`` and ``whole``."""
 
 
 def window_length(n_frames: int, window: int) -> int:
@@ -49,12 +63,15 @@ class BottomUpTables(NamedTuple):
     """What each window says; the last entry is about the whole observation.
 
     Attributes:
-        goal_logits: (window + 1, agent, goal) unnormalised log probabilities.
+        goal_logits: (window + 1, agent, goal) unnormalised log probabilities of stated goals; or
+            (window + 1, alpha, agent, goal), given alpha.
         strength: (window + 1, agent) estimate, newtons; NaN where there is no free driving.
+        alpha_logits: (window + 1, alpha) beside the prior's; None: alpha as in the prior.
     """
 
     goal_logits: FloatArray | jax.Array
     strength: FloatArray | jax.Array
+    alpha_logits: FloatArray | jax.Array | None = None
 
 
 def bottom_up_tables(
@@ -62,6 +79,7 @@ def bottom_up_tables(
     observation: Observation,
     *,
     window: int = 10,
+    form: Form = "learned",
     gamma: float = 10.0,
     sign: Sign = "intended",
 ) -> BottomUpTables:
@@ -70,24 +88,42 @@ def bottom_up_tables(
     Args:
         scene, observation: what was seen.
         window: Delta T, steps; shorter where the observation is.
-        gamma: weight of the distances.
+        form: of the proposal of goals, "learned" or "paper".
+        gamma: weight of the distances in the paper's form.
         sign: "intended", or "printed" as in the paper.
     """
     n_frames = observation.n_frames
     length = window_length(n_frames, window)
     starts = np.arange(window_count(n_frames, window))
     first, last = np.append(starts, 0), np.append(starts + length, n_frames - 1)
+    hits = driving_hits(observation.trajectory, scene.radius)
+    strength = np.stack([estimated_strength(hits, a, b) for a, b in zip(first, last, strict=True)])
+    if form == "learned":
+        joint = joint_logits(_scores(scene, observation, first, last))
+        return BottomUpTables(joint.goal, strength, joint.alpha)
     distance = goal_distances(scene, observation)
     x0, x1, y0, y1 = scene.arena
     unit = float(np.hypot(x1 - x0, y1 - y0))
     closeness = gamma * (2 * distance[last] - distance[first]) / unit
     logits = closeness if sign == "printed" else -closeness
-    hits = driving_hits(observation.trajectory, scene.radius)
-    strength = [estimated_strength(hits, a, b) for a, b in zip(first, last, strict=True)]
-    return BottomUpTables(
-        goal_logits=np.where(SELF_REFERRING, IMPOSSIBLE, logits),
-        strength=np.stack(strength),
-    )
+    return BottomUpTables(np.where(SELF_REFERRING, IMPOSSIBLE, logits), strength)
+
+
+def _scores(scene: Scene, observation: Observation, first: IntArray, last: IntArray) -> FloatArray:
+    """Return (window + 1, agent, goal) scores; the last stretch is the whole observation."""
+    features = goal_features(scene, observation, first, last)
+    weights = goal_weights()
+    scores = (features * weights["window"][GOAL_PARTS.kind]).sum(axis=-1)
+    scores[-1] = (features[-1] * weights["whole"][GOAL_PARTS.kind]).sum(axis=-1)
+    return scores
+
+
+@functools.cache
+def goal_weights() -> dict[str, FloatArray]:
+    """Return the weights that come with the package, (kind, feature) each."""
+    file = importlib.resources.files(__package__) / WEIGHTS_FILE
+    with file.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
+        return {name: stored[name].astype(np.float64) for name in ("window", "whole")}
 
 
 def goal_distances(scene: Scene, observation: Observation) -> FloatArray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 
-from phase_ppl.inference.proposals import SIGNS, Sign
+from phase_ppl.inference.proposals import FORMS, SIGNS, Form, Sign
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 
 
@@ -15,7 +15,9 @@ class SimpleSettings:
 
     Attributes:
         eta: weight of the errors in the choice of a window, 1 / units.
-        gamma: weight of the distances in the proposal of goals.
+        proposal: of goals: "learned", features of what the agents did, with learned weights; or
+            "paper", distances alone, to which ``gamma`` and ``sign`` apply.
+        gamma: weight of the distances in the paper's proposal of goals.
         window: Delta T, steps; shorter where the observation is.
         beta: replaces that of the model's radial likelihood, 1 / units; None: keep the model's,
             by default the paper's 0.05.
@@ -24,10 +26,11 @@ class SimpleSettings:
 
     Raises:
         InvalidSettingError: a value is out of range.
-        UnknownNameError: an unknown sign.
+        UnknownNameError: an unknown proposal or sign.
     """
 
     eta: float = 0.1
+    proposal: Form = "learned"
     gamma: float = 10.0
     window: int = 10
     beta: float | None = None
@@ -44,8 +47,9 @@ class SimpleSettings:
                 f"prior_share={shown(self.prior_share)}, expected a number in (0, 1)"
             )
         whole_number("window", self.window)
-        if self.sign not in SIGNS:
-            raise unknown_name("sign", self.sign, SIGNS)
+        for name, allowed in (("sign", SIGNS), ("proposal", FORMS)):
+            if getattr(self, name) not in allowed:
+                raise unknown_name(name, getattr(self, name), allowed)
 
 
 def _is_number(value: object) -> bool:

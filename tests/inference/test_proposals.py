@@ -17,6 +17,7 @@ from numpyro.infer.util import log_density as numpyro_log_density
 from phase_ppl.inference.guide import Mixture, bottom_up_guide
 from phase_ppl.inference.proposals import (
     BottomUpTables,
+    Form,
     bottom_up_tables,
     window_count,
     window_length,
@@ -33,6 +34,9 @@ START = np.array([[8, 10, 0.3], [20, 8, 1.0], [10, 16, 0], [18, 12, 0]], float)
 SCENE = Scene(START, np.array([0.8, 1.2, 1.01, 0.8]))
 RED, GREEN = 0, 1
 
+distances = functools.partial(bottom_up_tables, form="paper")
+"""The paper's form of the proposal."""
+
 
 def moving(entity: int, towards: tuple[float, float], n_frames: int = 21) -> Observation:
     """One entity goes straight to a place, the others rest."""
@@ -48,13 +52,13 @@ def logit(tables: BottomUpTables, goal: str, window: int = -1, agent: int = RED)
 @pytest.mark.parametrize(("n_frames", "length", "count"), [(2, 1, 1), (11, 10, 1), (50, 10, 40)])
 def test_windows_cover_all_frames(n_frames: int, length: int, count: int) -> None:
     assert (window_length(n_frames, 10), window_count(n_frames, 10)) == (length, count)
-    tables = bottom_up_tables(SCENE, moving(2, (20.0, 6.0), n_frames))
+    tables = distances(SCENE, moving(2, (20.0, 6.0), n_frames))
     assert tables.goal_logits.shape == (count + 1, 2, 36)
     assert tables.strength.shape == (count + 1, 2)
 
 
 def test_goal_that_an_item_comes_to_is_the_likeliest_of_its_own() -> None:
-    tables = bottom_up_tables(SCENE, moving(2, (23.5, 4.5)))
+    tables = distances(SCENE, moving(2, (23.5, 4.5)))
     mine = [goal for goal in GOALS if goal.startswith("Get blue item")]
     assert max(mine, key=lambda goal: logit(tables, goal)) == "Get blue item to red lm"
 
@@ -62,35 +66,35 @@ def test_goal_that_an_item_comes_to_is_the_likeliest_of_its_own() -> None:
 def test_progress_counts_as_well_as_closeness() -> None:
     there = np.repeat(START[None], 21, axis=0)
     there[:, 2, :2] = 20.0, 8.0
-    resting = bottom_up_tables(SCENE, Observation(there))
-    arriving = bottom_up_tables(SCENE, moving(2, (20.0, 8.0)))
+    resting = distances(SCENE, Observation(there))
+    arriving = distances(SCENE, moving(2, (20.0, 8.0)))
     goal = "Get blue item to red lm"
     assert logit(arriving, goal) > logit(resting, goal) + 1
 
 
 def test_window_is_judged_by_its_own_motion() -> None:
-    tables = bottom_up_tables(SCENE, moving(2, (23.5, 4.5), 41))
+    tables = distances(SCENE, moving(2, (23.5, 4.5), 41))
     goal = "Get blue item to red lm"
     assert logit(tables, goal, 30) > logit(tables, goal, 0)
 
 
 def test_goal_about_the_other_agent_is_judged_by_the_other_agent() -> None:
-    tables = bottom_up_tables(SCENE, moving(1, (23.5, 4.5)))
+    tables = distances(SCENE, moving(1, (23.5, 4.5)))
     goal = "Get green agent to red lm"
     assert logit(tables, goal, agent=RED) == logit(tables, goal, agent=GREEN)
     assert logit(tables, goal) > logit(tables, "Get red agent to red lm")
 
 
 def test_chase_is_judged_by_the_distance_between_the_agents() -> None:
-    closer = bottom_up_tables(SCENE, moving(0, (18.0, 8.0)))
-    farther = bottom_up_tables(SCENE, moving(0, (6.5, 21.0)))
+    closer = distances(SCENE, moving(0, (18.0, 8.0)))
+    farther = distances(SCENE, moving(0, (6.5, 21.0)))
     assert logit(closer, "get to green agent") > logit(farther, "get to green agent")
     away = "get away from green agent"
     assert logit(farther, away) > logit(closer, away)
 
 
 def test_being_far_is_no_reason_to_believe_in_getting_away() -> None:
-    tables = bottom_up_tables(SCENE, moving(2, (23.5, 4.5)))
+    tables = distances(SCENE, moving(2, (23.5, 4.5)))
     reached = logit(tables, "Get blue item to red lm")
     for landmark in ("blue lm", "green lm", "yellow lm"):
         assert logit(tables, f"Get blue item away from {landmark}") < reached
@@ -98,8 +102,8 @@ def test_being_far_is_no_reason_to_believe_in_getting_away() -> None:
 
 def test_printed_sign_prefers_far_goals() -> None:
     observation = moving(2, (23.5, 4.5))
-    intended = bottom_up_tables(SCENE, observation)
-    printed = bottom_up_tables(SCENE, observation, sign="printed")
+    intended = distances(SCENE, observation)
+    printed = distances(SCENE, observation, sign="printed")
     possible = ~sites.SELF_REFERRING
     for tables, sign in ((intended, -1), (printed, 1)):
         scores = np.asarray(tables.goal_logits)[:, possible]
@@ -107,16 +111,16 @@ def test_printed_sign_prefers_far_goals() -> None:
 
 
 def test_goals_that_name_their_holder_are_never_proposed() -> None:
-    tables = bottom_up_tables(SCENE, moving(2, (23.5, 4.5)))
+    tables = distances(SCENE, moving(2, (23.5, 4.5)))
     assert (np.asarray(tables.goal_logits)[:, sites.SELF_REFERRING] < -1e20).all()
 
 
 # --- the guide as a program --------------------------------------------------------------------
 
 
-def guide_of(prior: Callable[[], Any]) -> Mixture:
+def guide_of(prior: Callable[[], Any], form: Form = "learned") -> Mixture:
     """A guide with an estimate of the red strength, none of the green one."""
-    tables = bottom_up_tables(SCENE, moving(2, (23.5, 4.5)))
+    tables = bottom_up_tables(SCENE, moving(2, (23.5, 4.5)), form=form)
     strength = np.full(tables.strength.shape, np.nan)
     strength[:, RED] = 300.0
     model = Model(prior=prior, simulator=never_called)
@@ -133,9 +137,9 @@ def drawn_from(program: Any, n: int, *args: Any) -> dict[str, np.ndarray]:
 
 
 @functools.cache
-def proposed(prior: Callable[[], Any]) -> dict[str, np.ndarray]:
+def proposed(prior: Callable[[], Any], form: Form = "learned") -> dict[str, np.ndarray]:
     """20,000 proposals of the guide in one window."""
-    return drawn_from(guide_of(prior), 20_000, jnp.array(WINDOW))
+    return drawn_from(guide_of(prior, form), 20_000, jnp.array(WINDOW))
 
 
 def densities(program: Any, z: Any, *args: Any) -> np.ndarray:
@@ -211,7 +215,7 @@ def test_strength_is_proposed_around_its_estimate_and_otherwise_from_the_prior()
 
 
 def test_sites_of_the_users_own_come_from_the_prior() -> None:
-    z = proposed(helpful_moods)
+    z = proposed(helpful_moods, "paper")
     mood, alpha = z["mood"], z["alpha"]
     assert mood.mean() == pytest.approx(0.3, abs=0.03)
     helping = np.isin(alpha, (1, 2))
