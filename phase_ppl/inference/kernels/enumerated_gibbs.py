@@ -1,4 +1,4 @@
-r"""Gibbs sampling of goals by simulating all of them, with a Metropolis-Hastings update of the rest.
+r"""Gibbs sampling of goals by simulating all; Metropolis-Hastings for the rest.
 
 An agent's goal is drawn from its conditional given everything else. The target P(h) p(w) L(e(h, w))
 has one simulator seed w; give each value v of the goal a seed w_v of its own:
