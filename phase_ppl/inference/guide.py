@@ -33,7 +33,7 @@ from phase_ppl.world.hypothesis import STRENGTH_RANGE
 
 Replace = Callable[[dist.Distribution], dist.Distribution]
 
-_NEVER = -80.0
+NEVER = -80.0
 """Log probability below which a goal is taken to have no prior mass; NumPyro's categorical
 distribution gives a probability of 0 a log of -87."""
 
@@ -82,7 +82,7 @@ def _local_program(prior: Program, tables: BottomUpTables, strength_sd: float) -
 
 def _goal_distribution(logits: jax.Array, prior: dist.Distribution) -> dist.Distribution:
     """Return the window's distribution of a goal, on goals that have prior mass."""
-    possible = prior.log_prob(jnp.arange(N_GOALS)) > _NEVER
+    possible = prior.log_prob(jnp.arange(N_GOALS)) > NEVER
     return dist.Categorical(logits=jnp.where(possible, logits, IMPOSSIBLE))
 
 

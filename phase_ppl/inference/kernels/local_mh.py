@@ -105,6 +105,11 @@ def log_after(
     return logsumexp(log_windows + log_proposal)
 
 
+def log_after_bound(rule: Rule, log_proposal: jax.Array) -> jax.Array | float:
+    """Return the most that :func:`log_after` can be, whatever the simulation."""
+    return jnp.max(log_proposal) if rule == "exact" else 0.0
+
+
 class LocalMH(MetropolisKernel):
     """SIMPLE's kernel; see the module for its rules.
 
@@ -186,7 +191,7 @@ class LocalMH(MetropolisKernel):
             memo,
             known,
             lambda step_error: log_after(rule, window, before, self._log_windows(step_error)),
-            jnp.max(before) if rule == "exact" else 0.0,
+            log_after_bound(rule, before),
             window,
         )
 

@@ -12,6 +12,7 @@ import numpy as np
 from jax import random
 from numpy.typing import NDArray
 
+from phase_ppl.inference.guide import NEVER
 from phase_ppl.inference.metropolis import MHState, ProposalKernel
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.inference.settings import positive_number
@@ -32,8 +33,9 @@ SCALE: Final = 60.0
 class RandomWalkMH(ProposalKernel):
     """Moves a random site by a small step; all others stay.
 
-    * a goal: to a neighbour (:func:`phase_ppl.world.goals.neighbouring_goals`), or, with
-      probability :data:`LEAP`, to one from its prior given the sites above it;
+    * a goal: to one of those neighbours (:func:`phase_ppl.world.goals.neighbouring_goals`) that
+      have prior mass; with probability :data:`LEAP`, or where there is none, to a goal from its
+      prior given the sites above it;
     * alpha: to any other;
     * a strength: by a normal step, reflected at the ends of its support;
     * a site of a user's own: drawn from its prior given the sites above it.
@@ -71,26 +73,28 @@ class RandomWalkMH(ProposalKernel):
 def _nearby_goal(
     holder: int, key: jax.Array, site: Mapping[str, Any]
 ) -> tuple[jax.Array, jax.Array]:
-    leap = np.log(LEAP) + site["fn"].log_prob(jnp.arange(N_GOALS))
-    near = jnp.asarray(_log_near()[holder], jnp.float32)
+    goals = jnp.arange(N_GOALS)
+    log_prior = jnp.where(site["fn"].support(goals), site["fn"].log_prob(goals), -jnp.inf)
+    prior = jnp.exp(log_prior)
+    neighbours = jnp.asarray(_neighbours()[holder]) & (log_prior > NEVER)
+
+    def log_q(goal: jax.Array) -> jax.Array:
+        """Return (goal,) log probabilities of what is proposed from a goal."""
+        near = neighbours[goal]
+        leap = jnp.where(near.any(), LEAP, 1.0)
+        return jnp.log((1 - leap) * near / jnp.maximum(near.sum(), 1) + leap * prior)
+
     old = site["value"]
-    there = jnp.logaddexp(near[old], leap)
+    there = log_q(old)
     new = random.categorical(key, there)
-    return new, jnp.logaddexp(near[new, old], leap[old]) - there[new]
+    return new, log_q(new)[old] - there[new]
 
 
 @functools.cache
-def _log_near() -> NDArray[np.float64]:
-    """Return (holder, from, to) log probabilities of the neighbours proposed.
-
-    Goals have between five and eight possible neighbours, so it is no symmetric matrix.
-    """
-    q = np.zeros((len(GOAL_SITES), N_GOALS, N_GOALS))
-    for holder, goal in np.ndindex(q.shape[:2]):
-        near = np.isin(np.arange(N_GOALS), neighbouring_goals(int(goal))) & ~SELF_REFERRING[holder]
-        q[holder, goal] = (1 - LEAP) * near / near.sum()
-    with np.errstate(divide="ignore"):
-        return np.log(q)
+def _neighbours() -> NDArray[np.bool_]:
+    """Return (holder, goal, goal) which possible goals are each other's neighbours."""
+    near = [np.isin(np.arange(N_GOALS), neighbouring_goals(goal)) for goal in range(N_GOALS)]
+    return np.array(near)[None] & ~SELF_REFERRING[:, None, :]
 
 
 def _another_alpha(key: jax.Array, site: Mapping[str, Any]) -> tuple[jax.Array, float]:
