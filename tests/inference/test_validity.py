@@ -36,7 +36,7 @@ from tests.inference.toy import (
 
 CHAINS = 15
 BLOCK = 100
-BLOCKS = 10
+BLOCKS = 7
 """Steps are compiled a block at a time."""
 
 ERRORS = table_errors()
@@ -127,7 +127,7 @@ def test_draws_visit_hypotheses_as_often_as_the_posterior_says(name: str) -> Non
     # the total variation to be expected of so many independent chains
     error = share.std(axis=0, ddof=1) / np.sqrt(CHAINS)
     expected = 0.5 * np.sqrt(2 / np.pi) * error.sum()
-    assert expected < 0.07
+    assert expected < 0.09
     assert total_variation(share.mean(axis=0), exact_characters(ERRORS).share) < 2 * expected
 
 
@@ -208,8 +208,8 @@ def test_particles_do_not_notice_each_other(name: str) -> None:
         np.testing.assert_array_equal(values[:, 7], before.z[site][:BLOCK, 4], site)
 
 
-@pytest.mark.parametrize("name", ["prior_mh", "enumerated_gibbs"])
-def test_a_particle_moves_among_others_as_it_would_alone(name: str) -> None:
+def test_a_particle_moves_among_others_as_it_would_alone() -> None:
+    name = "enumerated_gibbs"  # whose simulations are a batch of their own
     sites = {site: values[4] for site, values in START.items()}
     alone, _, runner, bridge = follow(name, KEYS[4], sites, 1, TableRunner(ERRORS))
     among = run(name).states
