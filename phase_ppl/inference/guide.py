@@ -34,7 +34,7 @@ from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_RANGE
 
 Replace = Callable[[dist.Distribution, Mapping[str, jax.Array]], dist.Distribution]
 
-_NEVER = -80.0
+NEVER = -80.0
 """Log probability below which a goal is taken to have no prior mass; NumPyro's categorical
 distribution gives a probability of 0 a log of -87."""
 
@@ -135,7 +135,7 @@ def _goal_distribution(
     """
     if logits.ndim == 2:
         logits = logits[values[ALPHA_SITE]]
-    possible = prior.log_prob(jnp.arange(N_GOALS)) > _NEVER
+    possible = prior.log_prob(jnp.arange(N_GOALS)) > NEVER
     return dist.Categorical(logits=jnp.where(possible, logits, IMPOSSIBLE))
 
 

@@ -67,6 +67,28 @@ def whole_number(name: str, value: object, minimum: int = 1) -> int:
     return value
 
 
+def positive_number(name: str, value: object) -> float:
+    """Return ``value`` if it is a finite number above 0.
+
+    Raises:
+        InvalidSettingError: it is not.
+    """
+    if not (_is_number(value) and value > 0):  # type: ignore[operator]
+        raise InvalidSettingError(f"{name}={shown(value)}, expected a positive number")
+    return float(value)  # type: ignore[arg-type]
+
+
+def probability(name: str, value: object) -> float:
+    """Return ``value`` if it is a number in [0, 1].
+
+    Raises:
+        InvalidSettingError: it is not.
+    """
+    if not (_is_number(value) and 0 <= value <= 1):  # type: ignore[operator]
+        raise InvalidSettingError(f"{name}={shown(value)}, expected a number in [0, 1]")
+    return float(value)  # type: ignore[arg-type]
+
+
 @dataclasses.dataclass(frozen=True)
 class Budget:
     """A cap on the number of simulations, the initial ones included."""

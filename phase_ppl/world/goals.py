@@ -83,6 +83,30 @@ def is_self_referring(goal: str | int, holder: int) -> bool:
     return literal.predicate is Predicate.TOUCH and literal.subject == literal.target
 
 
+def neighbouring_goals(goal: str | int) -> tuple[int, ...]:
+    """Return the goals that differ from ``goal`` in one thing.
+
+    A goal says who or what is to be where, and whether it is to get there or away; being at the
+    goal's holder counts as a place beside the landmarks. So "Get red agent to red lm" neighbours
+    on the same with another entity or another landmark, on its negation, and on "get to red
+    agent". If one goal is a neighbour of another, so is the other of it.
+    """
+    parts = _parts(goal_index(goal))
+
+    def differences(other: int) -> int:
+        return sum(a != b for a, b in zip(parts, _parts(other), strict=True))
+
+    return tuple(other for other in range(N_GOALS) if differences(other) == 1)
+
+
+def _parts(index: int) -> tuple[int, int | None, bool]:
+    """Return a goal's entity, its landmark (None: its holder), and whether it is to get there."""
+    literal = goal_literal(index, RED)
+    if literal.predicate is Predicate.TOUCH:
+        return literal.target, None, literal.positive
+    return literal.subject, literal.target, literal.positive
+
+
 def shared_goal(goal: str | int, owner: int) -> int:
     """Return the goal that the other agent has when it helps ``owner`` with ``goal``.
 

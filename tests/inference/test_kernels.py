@@ -1,148 +1,198 @@
-"""Kernels against exact enumeration on a toy whose simulations are looked up in a table."""
+"""SIMPLE's kernel and its rules; what holds for every exact kernel is in test_validity."""
 
 from __future__ import annotations
 
 import functools
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax import random
+from numpy.typing import NDArray
 from numpyro.infer import MCMC
 
-from phase_ppl.inference.kernels.local_mh import LocalMH
+from phase_ppl.inference.kernels.enumerated_gibbs import SIMS_PER_STEP, EnumeratedGibbs
+from phase_ppl.inference.kernels.local_mh import (
+    EXACT_RULES,
+    RULES,
+    LocalMH,
+    Rule,
+    log_after,
+    log_after_bound,
+    log_before,
+    log_window_choice,
+)
+from phase_ppl.inference.kernels.mixture import MixtureMH
 from phase_ppl.inference.kernels.prior_mh import PriorMH
-from phase_ppl.models.bridge import SimulatorBridge
+from phase_ppl.inference.kernels.random_walk_mh import RandomWalkMH
+from phase_ppl.inference.metropolis import log_ratio
+from phase_ppl.models import priors
+from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from tests.inference.toy import (
     N_FRAMES,
     SETTINGS,
     TableRunner,
-    exact_posterior,
     run,
     table_errors,
     table_guide,
     table_program,
     total_variation,
-    visited_share,
 )
 
-STEPS = 1500
-MONTE_CARLO = 0.06
-"""Twice the total variation that the autocorrelated draws of so many steps give."""
-
 ERRORS = table_errors()
-KEYS = random.split(random.key(0), 15)
+KEYS = random.split(random.key(0), 2)
 
 
-def local_mh(runner: TableRunner, **options: Any) -> tuple[LocalMH, SimulatorBridge]:
-    program, bridge = table_program(runner)
-    return LocalMH(program, table_guide(), SETTINGS, **options), bridge
+# --- the rules, on a chain so small that its transition matrix can be written down ---------------
+
+HYPOTHESES, SEEDS, TIME, LENGTH, ETA, BETA = 8, 3, 10, 3, 0.5, 0.4
 
 
-@functools.cache
-def local_run(rule: str = "exact", early_reject: bool = True) -> tuple[Any, SimulatorBridge]:
-    kernel, bridge = local_mh(TableRunner(ERRORS), rule=rule, early_reject=early_reject)
-    return run(kernel, STEPS, KEYS), bridge
+class Tiny:
+    """Random hypotheses whose proposals look at the errors of a window, and a uniform seed."""
+
+    def __init__(self, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        level = rng.gamma(1.2, 1.0, (HYPOTHESES, 1, TIME))
+        self.errors = np.abs(level + rng.normal(0, 0.6, (HYPOTHESES, SEEDS, TIME)))
+        self.prior = rng.dirichlet(np.full(HYPOTHESES, 3.0))
+        frames = np.arange(TIME - LENGTH)[:, None] + np.arange(LENGTH + 1)
+        likes = np.exp(-1.5 * level[:, 0, frames].sum(axis=-1).T)
+        likes /= likes.sum(axis=1, keepdims=True)
+        self.proposal = 0.9 * likes + 0.1 / HYPOTHESES  # (window, hypothesis)
+
+    def posterior(self) -> NDArray[np.float64]:
+        mass = self.prior * np.exp(-BETA * self.errors.sum(axis=-1)).mean(axis=1)
+        return mass / mass.sum()
+
+    def stationary(self, rule: Rule) -> NDArray[np.float64]:
+        """Return (hypothesis,) the law that the library's acceptance leaves invariant."""
+        matrix = self.transitions(rule)
+        assert (matrix >= 0).all()
+        n = len(matrix)
+        equations = np.vstack([matrix.T - np.eye(n), np.ones(n)])
+        law = np.linalg.lstsq(equations, np.append(np.zeros(n), 1.0), rcond=None)[0]
+        return law.reshape(HYPOTHESES, SEEDS).sum(axis=1)
+
+    def transitions(self, rule: Rule) -> NDArray[np.float64]:
+        """Return the matrix over (hypothesis, seed)."""
+        with jax.enable_x64(True):
+            return np.asarray(_transitions(rule, self.errors, self.prior, self.proposal))
 
 
-def test_exact_rule_reaches_the_enumerated_posterior() -> None:
-    states, _ = local_run()
-    assert total_variation(visited_share(states.z), exact_posterior(ERRORS)) < MONTE_CARLO
+@functools.partial(jax.jit, static_argnums=0)
+def _transitions(rule: Rule, errors: jax.Array, prior: jax.Array, proposal: jax.Array) -> jax.Array:
+    hypothesis = np.repeat(np.arange(HYPOTHESES), SEEDS)
+    errors = errors.reshape(-1, TIME)
+    log_prior, log_q = jnp.log(prior)[hypothesis], jnp.log(proposal.T)[hypothesis]
+    log_windows = jax.vmap(lambda e: log_window_choice(e, ETA, LENGTH))(errors)
+    by_frame = RadialLikelihood(BETA).log_prob(errors)
+
+    def flow(old: jax.Array, new: jax.Array, window: jax.Array) -> jax.Array:
+        known = log_before(
+            rule,
+            window,
+            (log_prior[old], log_prior[new]),
+            (log_q[old], log_q[new]),
+            log_windows[old],
+        )
+        after = log_after(rule, window, log_q[old], log_windows[new])
+        ratio = log_ratio(known, by_frame[old], by_frame[new], after)
+        proposed = log_windows[old, window] + log_q[new, window] - jnp.log(SEEDS)
+        return jnp.exp(proposed + jnp.minimum(ratio, 0.0))
+
+    states, windows = jnp.arange(len(errors)), jnp.arange(log_windows.shape[1])
+    by_window = jax.vmap(flow, (None, None, 0))
+    moves = jax.vmap(jax.vmap(by_window, (None, 0, None)), (0, None, None))
+    matrix = moves(states, states, windows).sum(axis=-1)
+    return matrix + jnp.diag(1 - matrix.sum(axis=1))
 
 
-def test_exact_rule_leaves_strengths_that_change_nothing_at_their_prior() -> None:
-    states, _ = local_run()
-    strength = np.asarray(states.z["strength_red"])
-    assert strength.mean() == pytest.approx(375, abs=6)
-    assert strength.std() == pytest.approx(450 / np.sqrt(12), abs=6)
+@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("rule", EXACT_RULES)
+def test_exact_rules_leave_the_posterior_invariant(rule: Rule, seed: int) -> None:
+    tiny = Tiny(seed)
+    assert total_variation(tiny.stationary(rule), tiny.posterior()) < 1e-6
 
 
-def test_printed_rule_settles_elsewhere() -> None:
-    states, _ = local_run("paper")
-    assert total_variation(visited_share(states.z), exact_posterior(ERRORS)) > 0.1
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_the_printed_rule_leaves_something_else_invariant(seed: int) -> None:
+    tiny = Tiny(seed)
+    assert total_variation(tiny.stationary("paper"), tiny.posterior()) > 0.1
 
 
-def test_prior_proposals_reach_the_enumerated_posterior() -> None:
+def test_a_window_summed_out_accepts_more() -> None:
+    kept = {rule: np.trace(Tiny(0).transitions(rule)) for rule in EXACT_RULES}
+    assert kept["exact"] < kept["window"]
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_no_simulation_adds_more_to_the_ratio_than_early_rejection_allows(rule: Rule) -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        log_q = jnp.asarray(rng.normal(0.0, 3.0, TIME - LENGTH))
+        log_windows = log_window_choice(jnp.asarray(rng.gamma(1.0, 5.0, TIME)), ETA, LENGTH)
+        for window in (0, TIME - LENGTH - 1):
+            after = log_after(rule, window, log_q, log_windows)
+            assert after <= log_after_bound(rule, log_q) + 1e-5
+
+
+# --- options and what NumPyro asks for ------------------------------------------------------------
+
+
+def test_draws_are_the_same_under_numpyros_chain_methods() -> None:
     program, _bridge = table_program(TableRunner(ERRORS))
-    states = run(PriorMH(program), STEPS, KEYS)
-    assert total_variation(visited_share(states.z), exact_posterior(ERRORS)) < MONTE_CARLO
+    draws = []
+    for method in ("vectorized", "sequential"):
+        mcmc = MCMC(
+            PriorMH(program),
+            num_warmup=0,
+            num_samples=30,
+            num_chains=2,
+            chain_method=method,
+            progress_bar=False,
+        )
+        mcmc.run(KEYS)
+        draws.append(mcmc.get_samples(group_by_chain=True))
+    for name, values in draws[0].items():
+        assert values.shape == (2, 30)
+        np.testing.assert_allclose(values, draws[1][name], 1e-5, err_msg=name)
 
 
-def test_early_rejection_leaves_the_chain_bit_for_bit_the_same() -> None:
-    with_it, bridge_with = local_run()
-    without, bridge_without = local_run(early_reject=False)
-    for field in ("sim_seed", "step_error", "window", "accepted", "log_joint", "log_proposal"):
-        np.testing.assert_array_equal(getattr(with_it, field), getattr(without, field), field)
-    for site, values in with_it.z.items():
-        np.testing.assert_array_equal(values, without.z[site], site)
-    frames = [
-        sum(record.result.frames_simulated for record in bridge.records)
-        for bridge in (bridge_with, bridge_without)
-    ]
-    assert frames[0] < 0.95 * frames[1]
-
-
-def test_current_hypothesis_is_never_simulated_again() -> None:
-    states, bridge = local_run()
-    assert bridge.calls == STEPS + 1
-    stayed = ~np.asarray(states.accepted)[1:]
-    same = (np.asarray(states.step_error)[1:] == np.asarray(states.step_error)[:-1]).all(axis=-1)
-    assert same[stayed].all()
-    seed = np.asarray(states.sim_seed)
-    assert (seed[1:] == seed[:-1])[stayed].all()
-
-
-def test_a_state_agrees_with_its_own_simulation() -> None:
-    states, _ = local_run()
-    z = {name: np.asarray(values)[-1] for name, values in states.z.items()}
-    seed = np.asarray(states.sim_seed)[-1]
-    for chain in np.flatnonzero(z["alpha"] == 0):
-        expected = ERRORS[z["goal_red"][chain], z["goal_green"][chain], seed[chain] % 3]
-        np.testing.assert_allclose(states.step_error[-1, chain], expected, rtol=1e-5)
-
-
-def test_a_particle_moves_among_others_as_it_would_alone() -> None:
+def test_enumeration_simulates_every_other_goal_once_and_one_hypothesis_more() -> None:
     runner = TableRunner(ERRORS)
-    kernel, _bridge = local_mh(runner)
-    together = run(kernel, 30, KEYS[:3])
-    assert runner.batches == [3] * 31
-    runner.batches.clear()
-    alone = run(kernel, 30, KEYS[1])
-    assert runner.batches == [1] * 31
-    for name in ("accepted", "window", "sim_seed", "log_joint", "step_error"):
-        one, among = getattr(alone, name), getattr(together, name)[:, 1]
-        np.testing.assert_allclose(one, among, 1e-5, err_msg=name)
-    for name, values in alone.z.items():
-        np.testing.assert_allclose(values, together.z[name][:, 1], 1e-5, err_msg=name)
+    program, bridge = table_program(runner, priors.uniform)
+    states = run(EnumeratedGibbs(program), 3, KEYS)
+    assert SIMS_PER_STEP == 34
+    assert runner.batches == [2, *[2 * (SIMS_PER_STEP - 1), 2] * 3]
+    first = bridge.records[2 : 2 * SIMS_PER_STEP]
+    for chain in (0, 1):
+        own = [r.sites for r in first if r.chain == chain]
+        before = bridge.records[chain].sites
+        assert len(own) == SIMS_PER_STEP - 1
+        changed = [s for s in ("goal_red", "goal_green") if own[0][s] != before[s]]
+        assert len(changed) == 1
+        assert len({int(sites[changed[0]]) for sites in own} | {int(before[changed[0]])}) == 34
+        assert all(sites["strength_red"] == before["strength_red"] for sites in own)
+    assert set(np.unique(states.window)) == {-1}
 
 
-@functools.cache
-def prior_kernel() -> tuple[PriorMH, SimulatorBridge, Any]:
-    program, bridge = table_program(TableRunner(ERRORS))
-    kernel = PriorMH(program)
-    return kernel, bridge, run(kernel, 5, KEYS[:2]).z
-
-
-@pytest.mark.parametrize("method", ["vectorized", "sequential"])
-def test_kernel_runs_under_numpyros_chain_methods(method: str) -> None:
-    kernel, _bridge, expected = prior_kernel()
-    mcmc = MCMC(
-        kernel,
-        num_warmup=0,
-        num_samples=5,
-        num_chains=2,
-        chain_method=method,
-        progress_bar=False,
-    )
-    mcmc.run(KEYS[:2])
-    for name, values in mcmc.get_samples(group_by_chain=True).items():
-        np.testing.assert_allclose(values, np.swapaxes(expected[name], 0, 1), 1e-5)
-
-
-def test_unknown_rule_is_refused() -> None:
-    with pytest.raises(UnknownNameError, match="papr"):
-        LocalMH(rule="papr")  # type: ignore[arg-type]
+@pytest.mark.parametrize(
+    ("kernel", "options", "error"),
+    [
+        (LocalMH, {"rule": "papr"}, UnknownNameError),
+        (RandomWalkMH, {"scale": 0}, InvalidSettingError),
+        (RandomWalkMH, {"scale": float("nan")}, InvalidSettingError),
+        (MixtureMH, {"local_share": 1.5}, InvalidSettingError),
+        (MixtureMH, {"local_share": "half"}, InvalidSettingError),
+    ],
+)
+def test_an_option_that_cannot_be_is_refused(kernel: Any, options: Any, error: Any) -> None:
+    with pytest.raises(error, match=next(iter(options))):
+        kernel(**options)
 
 
 def test_kernel_without_an_event_says_so() -> None:
@@ -155,5 +205,6 @@ def test_bound_copy_keeps_the_options() -> None:
     bound = LocalMH(rule="paper").bound_to(program, table_guide(), SETTINGS)
     assert bound.settings == SETTINGS
     assert bound.validity == "approximate"
+    assert LocalMH(rule="window").validity == "exact"
     assert bound.model is program
     assert program.n_frames == N_FRAMES

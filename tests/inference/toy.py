@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import itertools
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -27,7 +27,7 @@ from phase_ppl.models.program import EventProgram
 from phase_ppl.simulator.contract import SimulationResult
 from phase_ppl.world.event import Event, Truth
 from phase_ppl.world.goals import GOALS, N_GOALS, goal_literal
-from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
+from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_RANGE, Hypothesis
 from phase_ppl.world.literals import Predicate
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
@@ -44,19 +44,49 @@ GREEN_GOALS = (3, 9)
 ALPHA_CODES = (0, 1, 4)
 
 
+RED_MASS = (0.5, 0.3, 0.2)
+GREEN_MASS = (0.6, 0.4)
+ALPHA_MASS = (0.5, 0.3, 0.2)
+
+
 def few_goals() -> None:
     """A prior with mass on eighteen combinations, unequal ones."""
-    for name, codes, mass in (
-        ("goal_red", RED_GOALS, (0.5, 0.3, 0.2)),
-        ("goal_green", GREEN_GOALS, (0.6, 0.4)),
-    ):
-        probs = np.zeros(N_GOALS)
-        probs[list(codes)] = mass
-        numpyro.sample(name, dist.Categorical(probs=jnp.asarray(probs)))
-    probs = np.zeros(len(ALPHAS))
-    probs[list(ALPHA_CODES)] = (0.5, 0.3, 0.2)
-    numpyro.sample("alpha", dist.Categorical(probs=jnp.asarray(probs)))
+    _goals()
+    _categorical("alpha", ALPHA_CODES, jnp.array(ALPHA_MASS), len(ALPHAS))
     sites.strengths()
+
+
+def characters() -> None:
+    """The goals of ``few_goals`` and sites of one's own: a vector, above a bounded number whose
+    bounds it sets, above alpha; and one below a goal."""
+    red = _goals()
+    outgoing = numpyro.sample("outgoing", dist.Bernoulli(OUTGOING).expand([2]).to_event(1))
+    low, high = sociability_bounds(outgoing.sum())
+    sociability = numpyro.sample("sociability", dist.Uniform(low, high))
+    shares = jnp.array([1.0, 0.0, 0.0]) + sociability * jnp.array(SOCIABLE)
+    _categorical("alpha", ALPHA_CODES, shares, len(ALPHAS))
+    numpyro.sample("haste", dist.Normal(red / 10, 1.0))
+    sites.strengths()
+
+
+OUTGOING = 0.4
+SOCIABLE = (-1.0, 0.6, 0.4)
+"""How the shares of the three alphas change with sociability."""
+
+
+def sociability_bounds(outgoing: Any) -> tuple[Any, Any]:
+    return 0.1 * outgoing, 0.5 + 0.25 * outgoing
+
+
+def _goals() -> jax.Array:
+    red = _categorical("goal_red", RED_GOALS, jnp.array(RED_MASS), N_GOALS)
+    _categorical("goal_green", GREEN_GOALS, jnp.array(GREEN_MASS), N_GOALS)
+    return red
+
+
+def _categorical(name: str, codes: Sequence[int], mass: jax.Array, n: int) -> jax.Array:
+    probs = jnp.zeros(n).at[jnp.array(codes)].set(mass)
+    return numpyro.sample(name, dist.Categorical(probs=probs))
 
 
 class TableRunner:
@@ -64,10 +94,12 @@ class TableRunner:
 
     Args:
         errors: (effective red, effective green, seed modulo SEEDS, time), units.
+        stops_early: whether it stops where it may.
     """
 
-    def __init__(self, errors: FloatArray) -> None:
+    def __init__(self, errors: FloatArray, stops_early: bool = True) -> None:
         self.errors = errors
+        self.stops_early = stops_early
         self.batches: list[int] = []
 
     def run(
@@ -83,7 +115,7 @@ class TableRunner:
     def _simulate(self, hypothesis: Hypothesis, seed: int, ceiling: float) -> SimulationResult:
         red, green = hypothesis.effective_goals
         errors = self.errors[red, green, seed % SEEDS].copy()
-        over = np.cumsum(errors) > ceiling
+        over = np.cumsum(errors) > (ceiling if self.stops_early else np.inf)
         frames = int(over.argmax()) + 1 if over.any() else len(errors)
         errors[frames:] = np.inf
         trajectory = np.zeros((len(errors), 4, 3), np.float32)
@@ -116,16 +148,46 @@ def table_guide(prior: Any = few_goals, seed: int = 1) -> Mixture:
     return bottom_up_guide(prior, Model(prior=prior).sites, tables, prior_share=0.1)
 
 
-def exact_posterior(errors: FloatArray) -> FloatArray:
+def exact_posterior(errors: FloatArray, alpha_mass: Sequence[float] = ALPHA_MASS) -> FloatArray:
     """Return (red, green, alpha) of the stated hypotheses of ``few_goals``, by enumeration."""
     likelihood = RadialLikelihood()
-    prior = np.einsum("r,g,a->rga", (0.5, 0.3, 0.2), (0.6, 0.4), (0.5, 0.3, 0.2))
+    prior = np.einsum("r,g,a->rga", RED_MASS, GREEN_MASS, alpha_mass)
     mass = np.zeros_like(prior)
     for r, g, a in itertools.product(*map(range, prior.shape)):
         h = Hypothesis(RED_GOALS[r], GREEN_GOALS[g], ALPHAS[ALPHA_CODES[a]])
         log_likelihood = likelihood.log_prob(errors[h.effective_goals]).sum(axis=-1)
         mass[r, g, a] = prior[r, g, a] * np.exp(log_likelihood + N_FRAMES * 36).mean()
     return mass / mass.sum()
+
+
+class Characters(NamedTuple):
+    """Posterior under the prior ``characters``: the hypotheses, and means of its own sites."""
+
+    share: FloatArray
+    means: dict[str, float]
+
+
+def exact_characters(errors: FloatArray) -> Characters:
+    """Return the posterior by enumeration of what is discrete; the rest has closed forms."""
+    outgoing = np.arange(3)
+    mass = np.array([1.0, 2.0, 1.0]) * OUTGOING**outgoing * (1 - OUTGOING) ** (2 - outgoing)
+    low, high = sociability_bounds(outgoing)
+    # moments of sociability given the number of outgoing agents
+    m1, m2 = (low + high) / 2, (low**2 + low * high + high**2) / 3
+    constant, slope = np.array([1.0, 0, 0]), np.array(SOCIABLE)
+    alpha = constant[:, None] + slope[:, None] * m1  # (alpha, outgoing)
+    sociable = constant[:, None] * m1 + slope[:, None] * m2
+    share = exact_posterior(errors, alpha @ mass)
+    given = share.sum(axis=(0, 1)) / (alpha @ mass)
+    return Characters(
+        share,
+        {
+            "outgoing": float(given @ alpha @ (mass * outgoing)) / 2,
+            "sociability": float(given @ sociable @ mass),
+            "haste": float(share.sum(axis=(1, 2)) @ np.array(RED_GOALS)) / 10,
+            "strength_red": float(np.mean(STRENGTH_RANGE)),
+        },
+    )
 
 
 def visited_share(z: dict[str, NDArray[Any]]) -> FloatArray:

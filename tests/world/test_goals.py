@@ -18,6 +18,7 @@ from phase_ppl.world.goals import (
     goal_literal,
     is_self_referring,
     literal_goal,
+    neighbouring_goals,
 )
 from phase_ppl.world.hypothesis import ALPHAS
 from phase_ppl.world.literals import STOP, Literal, Predicate
@@ -163,3 +164,24 @@ def test_who_hinders_a_pursuer_flees_from_it() -> None:
 def test_who_hinders_a_fugitive_pursues_it() -> None:
     red, green = effective_goals("get to green agent", "get away from red agent", (-1, 0))
     assert (GOALS[red], GOALS[green]) == ("get to green agent", "get away from red agent")
+
+
+def test_neighbouring_goals_differ_in_one_thing() -> None:
+    names = {GOALS[g] for g in neighbouring_goals("Get red agent to red lm")}
+    assert names == {
+        "Get red agent away from red lm",
+        *(f"Get red agent to {colour} lm" for colour in ("blue", "green", "yellow")),
+        *(f"Get {entity} to red lm" for entity in ("green agent", "blue item", "pink item")),
+        "get to red agent",
+    }
+
+
+def test_every_goal_is_reached_over_neighbours_and_the_way_back_exists() -> None:
+    neighbours = {goal: set(neighbouring_goals(goal)) for goal in range(N_GOALS)}
+    for goal, near in neighbours.items():
+        assert goal not in near
+        assert all(goal in neighbours[other] for other in near)
+    reached = {0}
+    while new := set().union(*(neighbours[g] for g in reached)) - reached:
+        reached |= new
+    assert reached == set(range(N_GOALS))

@@ -3,27 +3,31 @@ r"""SIMPLE: Metropolis-Hastings with local, bottom-up proposals (paper, Section 
 A particle looks where its simulation fails: it picks a window k of the observation with
 probability r(k | e) proportional to exp(eta * sum of its errors e in the window), and proposes a
 hypothesis from what the observation shows in that window, h' ~ Q(. | S_k), with a fresh
-simulator seed.
+simulator seed. The target is P(h) p(w) L(e(h, w)) over hypothesis h and simulator seed w.
 
-``rule="exact"``. The target is P(h) p(w) L(e(h, w)) over hypothesis h and simulator seed w. The
-window is a random choice within the move, and it depends on the current errors; summing it out
-of the move in both directions gives
+``rule="exact"``. The window is a random choice within the move, and it depends on the current
+errors; summing it out of the move in both directions gives
 
     log A = log P(h') - log P(h) + log L(e') - log L(e)
             + log sum_k r(k | e') Q(h | S_k) - log sum_k r(k | e) Q(h' | S_k)
+
+``rule="window"``. The window is a part of the move, which is reversed from the same one. Exact
+too, but it accepts less:
+
+    log A = log P(h') - log P(h) + log L(e') - log L(e)
+            + log r(k | e') + log Q(h | S_k) - log r(k | e) - log Q(h' | S_k)
 
 ``rule="paper"``. The ratio as printed: log L(e') - log L(e) + log Q(h' | S_k) - log Q(h | S_k),
 for the chosen window. It has the proposals upside down, no prior and no window term. Within a
 fixed window it leaves L Q^2 invariant instead of the posterior.
 
-Early rejection. log u is drawn first. All but L(e') and r(k | e') is known before simulating,
-and sum_k r(k | e') Q(h | S_k) <= max_k Q(h | S_k), so that there is a summed error beyond which
-the proposal cannot be accepted; the runner stops there. Decisions are the same with and without.
+Early rejection. All but L(e') and r(. | e') is known before simulating, and neither
+sum_k r(k | e') Q(h | S_k) <= max_k Q(h | S_k) nor r(k | e') <= 1 can make up for more than that.
 """
 
 from __future__ import annotations
 
-from typing import Any, Final, Literal, NamedTuple
+from typing import Final, Literal
 
 import jax
 import jax.numpy as jnp
@@ -31,7 +35,7 @@ import numpy as np
 from jax import random
 from jax.scipy.special import logsumexp
 
-from phase_ppl.inference.particle import ParticleKernel, chosen, log_uniform
+from phase_ppl.inference.metropolis import MetropolisKernel, MHState, Move
 from phase_ppl.inference.proposals import window_count, window_length
 from phase_ppl.inference.registry import Validity, register_kernel
 from phase_ppl.inference.settings import SimpleSettings
@@ -39,42 +43,74 @@ from phase_ppl.models.density import Program, Sites, log_density
 from phase_ppl.models.program import EventProgram
 from phase_ppl.world.errors import unknown_name
 
-Rule = Literal["exact", "paper"]
+Rule = Literal["exact", "window", "paper"]
 
-RULES: Final = ("exact", "paper")
+RULES: Final = ("exact", "window", "paper")
+
+EXACT_RULES: Final = ("exact", "window")
 
 
-class LocalMHState(NamedTuple):
-    """State of one particle.
+def log_window_choice(step_error: jax.Array, eta: float, length: int) -> jax.Array:
+    """Return (window,) log r(k | e), normalised.
 
-    Attributes:
-        i: iterations so far.
-        z: site -> value, the current hypothesis with any further sites.
-        sim_seed: seed of its simulation.
-        log_prior: its log prior density.
-        log_proposal: (window,) log Q(z | S_k) for every window k.
-        step_error: (time,) errors of its simulation, units; never simulated again.
-        log_joint: log prior + log likelihood, in single precision.
-        window: the window of the last proposal, by its first frame; -1 before the first.
-        accepted: whether the last proposal was accepted.
-        n_accepted: how many were.
-        rng_key: of the chain.
+    Args:
+        step_error: (time,) errors, units.
+        eta: weight of the errors, 1 / units.
+        length: Delta T, steps; a window has one frame more.
     """
-
-    i: jax.Array
-    z: dict[str, jax.Array]
-    sim_seed: jax.Array
-    log_prior: jax.Array
-    log_proposal: jax.Array
-    step_error: jax.Array
-    log_joint: jax.Array
-    window: jax.Array
-    accepted: jax.Array
-    n_accepted: jax.Array
-    rng_key: jax.Array
+    n_windows = step_error.shape[0] - length
+    frames = np.arange(n_windows)[:, None] + np.arange(length + 1)
+    finite = jnp.where(jnp.isfinite(step_error), step_error, 0.0)
+    return jax.nn.log_softmax(eta * finite[frames].sum(axis=1))
 
 
-class LocalMH(ParticleKernel[LocalMHState]):
+def log_before(
+    rule: Rule,
+    window: jax.Array | int,
+    log_prior: tuple[jax.Array, jax.Array],
+    log_proposal: tuple[jax.Array, jax.Array],
+    log_windows: jax.Array,
+) -> jax.Array:
+    """Return the log acceptance ratio as far as it is known before simulating.
+
+    Args:
+        rule: see the module.
+        window: k, the window of the move.
+        log_prior: of the current and of the proposed hypothesis.
+        log_proposal: (window,) log Q(. | S_k) of the current and of the proposed hypothesis.
+        log_windows: (window,) log r(k | e) at the current errors.
+    """
+    if rule == "paper":
+        return log_proposal[1][window] - log_proposal[0][window]
+    prior = log_prior[1] - log_prior[0]
+    if rule == "window":
+        return prior + (log_proposal[0] - log_proposal[1] - log_windows)[window]
+    return prior - logsumexp(log_windows + log_proposal[1])
+
+
+def log_after(
+    rule: Rule, window: jax.Array | int, log_proposal: jax.Array, log_windows: jax.Array
+) -> jax.Array | float:
+    """Return what the simulation adds to the log acceptance ratio, beside its likelihood.
+
+    Args:
+        rule, window: as in :func:`log_before`.
+        log_proposal: (window,) log Q(. | S_k) of the current hypothesis.
+        log_windows: (window,) log r(k | e') at the errors of the proposed one.
+    """
+    if rule == "paper":
+        return 0.0
+    if rule == "window":
+        return log_windows[window]
+    return logsumexp(log_windows + log_proposal)
+
+
+def log_after_bound(rule: Rule, log_proposal: jax.Array) -> jax.Array | float:
+    """Return the most that :func:`log_after` can be, whatever the simulation."""
+    return jnp.max(log_proposal) if rule == "exact" else 0.0
+
+
+class LocalMH(MetropolisKernel):
     """SIMPLE's kernel; see the module for its rules.
 
     Args:
@@ -83,7 +119,8 @@ class LocalMH(ParticleKernel[LocalMHState]):
             by their first frame; the index after the last one stands for the whole observation
             and makes the initial hypotheses.
         settings: eta and the length of the windows; by default the paper's.
-        rule: "exact": Hastings' ratio; "paper": the ratio as printed, which is biased.
+        rule: "exact": Hastings' ratio with the window summed out; "window": with the window in
+            it; "paper": the ratio as printed, which is biased.
         early_reject: stop a simulation once it cannot be accepted any more; the chain is the
             same with and without.
 
@@ -100,115 +137,67 @@ class LocalMH(ParticleKernel[LocalMHState]):
         rule: Rule = "exact",
         early_reject: bool = True,
     ) -> None:
-        super().__init__(program, guide, settings)
+        super().__init__(program, guide, settings, early_reject=early_reject)
         if rule not in RULES:
             raise unknown_name("rule", rule, RULES)
-        self._rule, self._early_reject = rule, early_reject
+        self._rule: Rule = rule
 
     @property
     def validity(self) -> Validity:
-        """Whether the stationary law is the posterior: with the exact rule."""
-        return "exact" if self._rule == "exact" else "approximate"
+        """Whether the stationary law is the posterior: not with the printed rule."""
+        return "exact" if self._rule in EXACT_RULES else "approximate"
 
     @property
     def _n_windows(self) -> int:
         return window_count(self.model.n_frames, self.settings.window)
 
+    def memo(self, sites: Sites) -> dict[str, jax.Array]:
+        """Return (window,) log Q(sites | S_k)."""
+        windows = jnp.arange(self._n_windows)
+        density = jax.vmap(lambda window: log_density(self.guide, sites, window))
+        return {"log_proposal": density(windows)}
+
     def propose_initial(self, key: jax.Array) -> dict[str, jax.Array]:
         """Return a hypothesis from what the whole observation shows."""
         return self.draw_guide(key, self._n_windows)
 
-    def start_one(
-        self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]
-    ) -> LocalMHState:
-        """Simulate the initial hypothesis."""
-        program = self.model
-        seed = program.simulator_seed(key_start, sites)
-        log_prior = program.log_prior(sites)
-        step_error = program.simulate(sites, log_prior, seed)
-        none = jnp.zeros((), jnp.int32)
-        return LocalMHState(
-            i=none,
-            z=sites,
-            sim_seed=seed,
-            log_prior=log_prior,
-            log_proposal=self._log_proposal(sites),
-            step_error=step_error,
-            log_joint=log_prior + program.log_likelihood(step_error).sum(),
-            window=none - 1,
-            accepted=jnp.array(False),
-            n_accepted=none,
-            rng_key=key,
-        )
-
-    def step_one(self, state: LocalMHState) -> LocalMHState:
+    def step_one(self, state: MHState) -> MHState:
         """Propose from a window that is simulated badly; accept by the rule."""
-        program = self.model
         key, key_window, key_sites, key_seed, key_accept = random.split(state.rng_key, 5)
-        log_windows = self._log_windows(state.step_error)
-        window = random.categorical(key_window, log_windows)
-        proposed = self.draw_guide(key_sites, window)
-        log_prior = program.log_prior(proposed)
-        log_proposal = self._log_proposal(proposed)
-        seed = program.simulator_seed(key_seed, proposed)
-        log_u = log_uniform(key_accept)
-        current = program.log_likelihood(state.step_error)
+        window, sites = self.propose_locally(key_window, key_sites, state)
+        return self.settle(self.local_move(window, sites, state), state, key, key_seed, key_accept)
 
-        # what is known before simulating, and a bound of what is not, beside the likelihood
-        if self._rule == "exact":
-            forward = logsumexp(log_windows + log_proposal)
-            known = log_prior - state.log_prior - forward
-            bound = jnp.max(state.log_proposal)
-        else:
-            known = log_proposal[window] - state.log_proposal[window]
-            bound = jnp.zeros(())
-        floor = log_u - known - bound + current.sum()
-        ceiling = self.error_ceiling(floor) if self._early_reject else np.inf
+    def propose_locally(
+        self, key_window: jax.Array, key_sites: jax.Array, state: MHState
+    ) -> tuple[jax.Array, dict[str, jax.Array]]:
+        """Return a window that is simulated badly, and a hypothesis from it."""
+        window = random.categorical(key_window, self._log_windows(state.step_error))
+        return window, self.draw_guide(key_sites, window)
 
-        step_error = program.simulate(proposed, log_prior, seed, ceiling)
-        by_frame = program.log_likelihood(step_error)
-        # frame by frame, so that the large constant of the likelihood cancels without rounding
-        log_ratio = known + (by_frame - current).sum()
-        if self._rule == "exact":
-            log_ratio += logsumexp(self._log_windows(step_error) + state.log_proposal)
-        accepted = log_u < log_ratio  # not a number, where both failed: rejected
-
-        new = (proposed, seed, log_prior, log_proposal, step_error, log_prior + by_frame.sum())
-        z, seed, log_prior, log_proposal, step_error, log_joint = chosen(
-            accepted, new, _kept(state)
+    def local_move(self, window: jax.Array, sites: dict[str, jax.Array], state: MHState) -> Move:
+        """Return the move to a hypothesis that was proposed from a window."""
+        rule, log_prior, memo = self._rule, self.model.log_prior(sites), self.memo(sites)
+        before = state.memo["log_proposal"]
+        known = log_before(
+            rule,
+            window,
+            (state.log_prior, log_prior),
+            (before, memo["log_proposal"]),
+            self._log_windows(state.step_error),
         )
-        return LocalMHState(
-            i=state.i + 1,
-            z=z,
-            sim_seed=seed,
-            log_prior=log_prior,
-            log_proposal=log_proposal,
-            step_error=step_error,
-            log_joint=log_joint,
-            window=window.astype(jnp.int32),
-            accepted=accepted,
-            n_accepted=state.n_accepted + accepted,
-            rng_key=key,
+        return Move(
+            sites,
+            log_prior,
+            memo,
+            known,
+            lambda step_error: log_after(rule, window, before, self._log_windows(step_error)),
+            log_after_bound(rule, before),
+            window,
         )
 
     def _log_windows(self, step_error: jax.Array) -> jax.Array:
-        """Return (window,) log r(k | e), normalised."""
         length = window_length(self.model.n_frames, self.settings.window)
-        frames = np.arange(self._n_windows)[:, None] + np.arange(length + 1)
-        finite = jnp.where(jnp.isfinite(step_error), step_error, 0.0)
-        return jax.nn.log_softmax(self.settings.eta * finite[frames].sum(axis=1))
-
-    def _log_proposal(self, sites: Sites) -> jax.Array:
-        """Return (window,) log Q(sites | S_k)."""
-        windows = jnp.arange(self._n_windows)
-        return jax.vmap(lambda window: log_density(self.guide, sites, window))(windows)
-
-
-def _kept(state: LocalMHState) -> tuple[Any, ...]:
-    return (
-        *(state.z, state.sim_seed, state.log_prior),
-        *(state.log_proposal, state.step_error, state.log_joint),
-    )
+        return log_window_choice(step_error, self.settings.eta, length)
 
 
 @register_kernel("local_mh", validity="exact", needs=("guide", "settings"))

@@ -1,0 +1,121 @@
+r"""Gibbs sampling of goals by simulating all; Metropolis-Hastings for the rest.
+
+An agent's goal is drawn from its conditional given everything else. The target P(h) p(w) L(e(h, w))
+has one simulator seed w; give each value v of the goal a seed w_v of its own:
+
+    P(v, rest) L(e(v, rest, w_v)) prod_v p(w_v)
+
+Summed over the seeds of the values that the particle does not have, this is the target again, so
+a move that leaves it invariant is exact. Here are two such moves. Given the current value, the
+seeds of the others are independent of everything: they are drawn anew. Given all seeds, the value
+is drawn with probabilities proportional to P(v, rest) L(e(v, rest, w_v)), where the current value
+has the seed and the errors that belong to the state. The seeds not chosen are then forgotten.
+
+All values are simulated in one batch, to the end, because each one's likelihood counts. Only an
+agent that acts on its own goal is chosen: that of a helper or hinderer changes nothing that is
+simulated. Which agents do follows from alpha, which stays, so that the choice needs no correction.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar, Final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import random
+from numpyro.util import is_prng_key
+
+from phase_ppl.inference.metropolis import MetropolisKernel, MHState, Move
+from phase_ppl.inference.registry import register_kernel
+from phase_ppl.inference.site_moves import moved_site
+from phase_ppl.models.density import NO_DENSITY
+from phase_ppl.models.program import EventProgram
+from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, SELF_REFERRING
+from phase_ppl.world.goals import N_GOALS
+from phase_ppl.world.hypothesis import ALPHAS
+
+SIMS_PER_STEP: Final = int((~SELF_REFERRING).sum(axis=1).max())
+"""The most a step takes: all other goals that do not name their holder, and one more simulation.
+Goals without prior mass are not simulated."""
+
+_LOG_CHOICE: Final = np.where(np.array(ALPHAS) == 0, 0.0, -np.inf)
+"""(alpha, agent) 0 where the agent acts on its own goal."""
+
+
+class EnumeratedGibbs(MetropolisKernel):
+    """Draws one agent's goal from its conditional, then moves a random site as single_site_mh does.
+
+    Args:
+        program: the model of an event.
+        early_reject: stop the simulation of the second part once it cannot be accepted any more.
+    """
+
+    sims_per_step: ClassVar[int] = SIMS_PER_STEP
+
+    def _sample_fn(self, state: MHState) -> MHState:
+        if not is_prng_key(state.rng_key):
+            return super()._sample_fn(state)
+        # a batch of one, by which the bridge tells a particle from the values of its goal
+        moved = super()._sample_fn(jax.tree.map(lambda leaf: leaf[None], state))
+        single: MHState = jax.tree.map(lambda leaf: leaf[0], moved)
+        return single
+
+    def step_one(self, state: MHState) -> MHState:
+        """Draw a goal, then propose another value of one site."""
+        key, key_goal, key_site, key_seed, key_accept = random.split(state.rng_key, 5)
+        drawn = self._goal_drawn(key_goal, state)
+        model = self.model.model
+        sites, log_hastings = moved_site(model.prior, key_site, drawn.z, tuple(model.sites))
+        log_prior = self.model.log_prior(sites)
+        known = self.log_known(log_prior, log_hastings, drawn)
+        move = Move(sites, log_prior, self.memo(sites), known)
+        settled = self.settle(move, drawn, key, key_seed, key_accept)
+        accepted = settled.accepted | (drawn.sim_seed != state.sim_seed)
+        return settled._replace(accepted=accepted, n_accepted=state.n_accepted + accepted)
+
+    def _goal_drawn(self, key: jax.Array, state: MHState) -> MHState:
+        """Return the state after a draw of one agent's goal; its counters stay."""
+        program = self.model
+        key_agent, key_value, *keys = random.split(key, 2 + N_GOALS)
+        agent = random.categorical(key_agent, jnp.asarray(_LOG_CHOICE)[state.z[ALPHA_SITE]])
+        values = jnp.arange(N_GOALS)
+        current = jnp.stack([state.z[name] for name in GOAL_SITES])[agent]
+
+        def with_goal(value: jax.Array) -> dict[str, jax.Array]:
+            goals = {
+                name: jnp.where(agent == holder, value, state.z[name]).astype(state.z[name].dtype)
+                for holder, name in enumerate(GOAL_SITES)
+            }
+            return {**state.z, **goals}
+
+        def simulated(value: jax.Array, key: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+            sites = with_goal(value)
+            kept = value == current
+            log_prior = program.log_prior(sites)
+            seed = jnp.where(kept, state.sim_seed, program.simulator_seed(key, sites))
+            # nothing is simulated where there is no mass
+            asked = jnp.where(kept, -jnp.inf, log_prior)
+            errors = program.simulate(sites, asked, seed)
+            return log_prior, seed, jnp.where(kept, state.step_error, errors)
+
+        log_prior, seed, step_error = jax.vmap(simulated)(values, jnp.stack(keys))
+        by_frame = program.log_likelihood(step_error)
+        # relative to errors of 0, so that the large constant of the likelihood cancels
+        likeness = (by_frame - program.log_likelihood(jnp.zeros_like(step_error))).sum(axis=1)
+        weight = jnp.where(log_prior > NO_DENSITY, log_prior + likeness, -jnp.inf)
+        value = random.categorical(key_value, weight)
+        value = jnp.where(jnp.isfinite(weight).any(), value, current)  # all failed
+        return state._replace(
+            z=with_goal(value),
+            sim_seed=seed[value],
+            log_prior=log_prior[value],
+            step_error=step_error[value],
+            log_joint=log_prior[value] + by_frame[value].sum(),
+        )
+
+
+@register_kernel("enumerated_gibbs", validity="exact", sims_per_step=SIMS_PER_STEP)
+def enumerated_gibbs(program: EventProgram, *, early_reject: bool = True) -> EnumeratedGibbs:
+    """Gibbs sampling of goals by simulating all, with Metropolis-Hastings for the rest."""
+    return EnumeratedGibbs(program, early_reject=early_reject)
