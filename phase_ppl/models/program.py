@@ -79,6 +79,14 @@ class EventProgram:
         """Return (time,) the log density of each observed frame."""
         return self.model.likelihood.log_prob(step_error)
 
+    def relative_log_likelihood(self, step_error: jax.Array) -> jax.Array:
+        """Return the log density of the observation less that of no error at all.
+
+        Frame by frame, so that the large constant of the likelihood cancels without rounding.
+        """
+        none = self.log_likelihood(jnp.zeros_like(step_error))
+        return (self.log_likelihood(step_error) - none).sum()
+
     def simulate(
         self,
         sites: Sites,

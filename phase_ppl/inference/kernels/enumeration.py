@@ -11,7 +11,6 @@ from jax import random
 from numpyro.util import is_prng_key
 
 from phase_ppl.inference.grid import Grid, hypothesis_grid
-from phase_ppl.inference.kernels.importance import relative_log_likelihood
 from phase_ppl.inference.particle import ParticleKernel, chosen
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.inference.settings import whole_number
@@ -160,9 +159,7 @@ class Enumeration(ParticleKernel[EnumerationState]):
         seed = program.simulator_seed(key_seed, sites)
         error = program.simulate(sites, log_prior, seed)
         done = jnp.isfinite(error).all()
-        log_weight = jnp.asarray(self._grid.log_prior)[row] + relative_log_likelihood(
-            program, error
-        )
+        log_weight = jnp.asarray(self._grid.log_prior)[row] + program.relative_log_likelihood(error)
         sites, seed = chosen(done, (sites, seed), (state.z, state.sim_seed))
         return EnumerationState(
             state.i + 1,

@@ -111,7 +111,7 @@ class Importance(ParticleKernel[ImportanceState]):
         log_prior = program.log_prior(sites)
         log_proposal = mixture_log_density(self.guide, sites, self._n_windows)
         error = program.simulate(sites, log_prior, seed)
-        log_weight = log_prior - log_proposal + relative_log_likelihood(program, error)
+        log_weight = log_prior - log_proposal + program.relative_log_likelihood(error)
         return seed, jnp.where(jnp.isfinite(error).all(), log_weight, -jnp.inf)
 
 
@@ -119,15 +119,6 @@ def mixture_log_density(guide: Program, sites: Sites, n_windows: int) -> jax.Arr
     """Return the log density of the even mixture of ``guide(0)``, ..., ``guide(n_windows - 1)``."""
     by_window = jax.vmap(lambda w: log_density(guide, sites, w))(jnp.arange(n_windows))
     return logsumexp(by_window) - np.log(n_windows)
-
-
-def relative_log_likelihood(program: EventProgram, step_error: jax.Array) -> jax.Array:
-    """Return the log likelihood less that of no error at all.
-
-    Frame by frame, so that the large constant of the likelihood cancels without rounding.
-    """
-    none = program.log_likelihood(jnp.zeros_like(step_error))
-    return (program.log_likelihood(step_error) - none).sum()
 
 
 @register_kernel(

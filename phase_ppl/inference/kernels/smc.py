@@ -24,7 +24,6 @@ from jax import random
 from jax.scipy.special import logsumexp
 from numpyro.util import is_prng_key
 
-from phase_ppl.inference.kernels.importance import relative_log_likelihood
 from phase_ppl.inference.kernels.local_mh import LocalMH
 from phase_ppl.inference.kernels.prior_mh import PriorMH
 from phase_ppl.inference.particle import ParticleKernel
@@ -144,7 +143,7 @@ class SMC(ParticleKernel[SMCState]):
         """Simulate and weigh the first draw of one particle."""
         particle = self._mover(self.model).start_one(key, key_start, sites)
         log_proposal = log_density(self.guide, sites, jnp.asarray(self._whole))
-        log_likelihood = relative_log_likelihood(self.model, particle.step_error)
+        log_likelihood = self.model.relative_log_likelihood(particle.step_error)
         log_weight = particle.log_prior - log_proposal + log_likelihood
         zero = jnp.zeros(())
         return SMCState(
@@ -196,9 +195,7 @@ class SMC(ParticleKernel[SMCState]):
         )
 
     def _log_likelihood(self, particle: Any) -> jax.Array:
-        return jax.vmap(lambda error: relative_log_likelihood(self.model, error))(
-            particle.step_error
-        )
+        return jax.vmap(self.model.relative_log_likelihood)(particle.step_error)
 
 
 @register_kernel(
