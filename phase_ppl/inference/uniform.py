@@ -29,7 +29,8 @@ IMPOSSIBLE: Final = 1e8
 """Potential of what has no mass. Finite: NumPyro's SA never gives up a point with an infinite
 one."""
 
-_MARGIN: Final = 1e-6
+_STEPS: Final = 2**16
+"""Distinct values of a uniform number."""
 
 
 class At(NamedTuple):
@@ -94,7 +95,10 @@ class Uniformised:
         return self(point).potential
 
     def _uniform(self, point: jax.Array) -> jax.Array:
-        return jnp.clip(jax.nn.sigmoid(point), _MARGIN, 1 - _MARGIN)
+        # in steps: compiled code rounds the same sum differently in different places, and what
+        # was simulated must be known again when the sampler has moved there
+        steps = jnp.minimum(jnp.floor(jax.nn.sigmoid(point) * _STEPS), _STEPS - 1)
+        return (steps + 0.5) / _STEPS
 
 
 def seed_of(program: EventProgram, uniform: jax.Array, sites: dict[str, jax.Array]) -> jax.Array:
