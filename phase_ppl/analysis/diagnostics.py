@@ -151,22 +151,10 @@ def _simulation_costs(tree: xr.DataTree, n_frames: int) -> dict[str, Any]:
 
 def verdict(found: dict[str, Any]) -> str:
     """Return in a few sentences whether the posterior with these diagnostics can be trusted."""
-    sentences = [_agreement_in_words(found)]
-    rate, ess = found["acceptance_rate"], found["weighted_draws_ess"]
-    if ess is not None:
-        draws = found["particles"] * found["iterations"]
-        sentences.append(f"The {draws} weighted draws are worth {ess * draws:.1f} equal ones.")
-        if ess < FEW:
-            sentences.append("So few draws decide that another run may well differ.")
-    elif rate == 0:
-        sentences.append(
-            "No proposal was accepted: this is still the bottom-up guess, not a posterior."
-        )
-    elif rate < STUCK:
-        sentences.append(
-            f"Only {rate:.0%} of the proposals were accepted: the particles have hardly left "
-            "the bottom-up guess."
-        )
+    if found["weighted_draws_ess"] is None:
+        sentences = [_agreement_in_words(found), *_acceptance_in_words(found["acceptance_rate"])]
+    else:
+        sentences = [_weighted_in_words(found)]
     if found["weights"] == "visited":
         sentences.append(
             "The weights 'visited' are an approximation; simulations stopped early hide at most "
@@ -183,6 +171,26 @@ def verdict(found: dict[str, Any]) -> str:
     if simulations["failed"]:
         sentences.append(f"{simulations['failed']} of {simulations['total']} simulations failed.")
     return " ".join(sentences)
+
+
+def _acceptance_in_words(rate: float) -> list[str]:
+    if rate == 0:
+        return ["No proposal was accepted: this is still the bottom-up guess, not a posterior."]
+    if rate < STUCK:
+        return [
+            f"Only {rate:.0%} of the proposals were accepted: the particles have hardly left "
+            "the bottom-up guess."
+        ]
+    return []
+
+
+def _weighted_in_words(found: dict[str, Any]) -> str:
+    ess, draws = found["weighted_draws_ess"], found["particles"] * found["iterations"]
+    text = f"The {draws} weighted draws are worth {ess * draws:.1f} equal ones"
+    if found["particles"] > 1:
+        error = max(found["monte_carlo_error"].values())
+        text += f" (Monte-Carlo error of a leading goal's probability: {error:.2f})"
+    return f"{text}: so few decide that another run may well differ." if ess < FEW else f"{text}."
 
 
 def _agreement_in_words(found: dict[str, Any]) -> str:

@@ -25,6 +25,7 @@ class WrappedState(NamedTuple):
         i: iterations so far.
         z: site -> value, the current hypothesis with any further sites.
         sim_seed: seed of its simulation.
+        step_error: (time,) errors of its simulation, units.
         inner: state of the sampler, with an entry per particle in every array.
         accepted: whether the sampler moved in the last iteration.
         n_accepted: how often it did.
@@ -34,6 +35,7 @@ class WrappedState(NamedTuple):
     i: jax.Array
     z: dict[str, jax.Array]
     sim_seed: jax.Array
+    step_error: jax.Array
     inner: Any
     accepted: jax.Array
     n_accepted: jax.Array
@@ -56,10 +58,10 @@ def settled(
         found: sites, seed and error of its point; the bridge has simulated it already.
         rng_key: for the next iteration.
     """
-    sites, seed, error = found
-    moved &= jnp.isfinite(error).all()
-    z, sim_seed = chosen(moved, (sites, seed), (state.z, state.sim_seed))
-    return WrappedState(state.i + 1, z, sim_seed, inner, moved, state.n_accepted + moved, rng_key)
+    moved &= jnp.isfinite(found[2]).all()
+    z, sim_seed, error = chosen(moved, found, (state.z, state.sim_seed, state.step_error))
+    n_accepted = state.n_accepted + moved
+    return WrappedState(state.i + 1, z, sim_seed, error, inner, moved, n_accepted, rng_key)
 
 
 class UniformKernel(MCMCKernel):
@@ -107,7 +109,7 @@ class UniformKernel(MCMCKernel):
         inner = self.start(keys[:, 0], jax.vmap(self.uniform.draw)(keys[:, 1]))
         at = self._at(inner)
         none = jnp.zeros(rng_key.shape, jnp.int32)
-        return WrappedState(none, at.sites, at.seed, inner, none > 0, none, keys[:, 2])
+        return WrappedState(none, at.sites, at.seed, at.error, inner, none > 0, none, keys[:, 2])
 
     def sample(
         self, state: WrappedState, model_args: Any = (), model_kwargs: Any = None

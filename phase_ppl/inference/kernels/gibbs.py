@@ -199,7 +199,8 @@ class GibbsKernel(ParticleKernel[WrappedState]):
         inner = self._gibbs().init(key, 0, start, (), {})
         none = jnp.zeros((), jnp.int32)
         seed = seed_of(self.model, uniform, sites)
-        return WrappedState(none, sites, seed, inner, none > 0, none, key)
+        error = self.model.simulate(sites, self.model.log_prior(sites), seed)
+        return WrappedState(none, sites, seed, error, inner, none > 0, none, key)
 
     def step_one(self, state: WrappedState) -> WrappedState:
         """Update all sites."""
