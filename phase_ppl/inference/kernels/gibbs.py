@@ -146,7 +146,8 @@ class GibbsKernel(ParticleKernel[WrappedState]):
                 if not law.support.is_discrete:
                     continue
                 values = law.enumerate_support(False) if law.has_enumerate_support else []
-                if not np.array_equal(np.ravel(values), np.arange(len(values))) or law.event_shape:
+                in_order = np.array_equal(np.ravel(values), np.arange(len(values)))
+                if not len(values) or not in_order or law.event_shape:
                     raise InvalidSettingError(
                         f"kernel 'gibbs' cannot update site {name!r} ({type(law).__name__}): the "
                         "values of a discrete site must be 0, 1, ..., n"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 import jax
 import jax.numpy as jnp
@@ -14,20 +14,27 @@ from phase_ppl.inference.uniform import IMPOSSIBLE
 from phase_ppl.inference.wrapped import UniformKernel
 from phase_ppl.models.program import EventProgram
 
+_POINTS_PER_SITE: Final = 8
+
 
 class SampleAdaptive(UniformKernel):
     """A pool of points per particle proposes a new one, which takes the place of another.
 
     The draw of an iteration is a point of the pool by chance. The pool's points are simulated at
-    the start, and it takes many iterations to leave them behind.
+    the start, and it takes many iterations to leave them behind. With few points NumPyro's
+    sampler is biased: on the toy of the tests by a total variation of 0.05 with twice as many as
+    sites, below 0.015 with eight times as many. Hence "consistent", and hence the default.
 
     Args:
         program: the model of an event.
-        pool: points per particle; by default twice the number of sites, as in NumPyro.
+        pool: points per particle; by default eight times the number of sites, the seed's
+            included.
 
     Raises:
         InvalidSettingError: ``pool`` is below 2, or a site has no inverse distribution function.
     """
+
+    validity = "consistent"
 
     def __init__(self, program: EventProgram | None = None, *, pool: int | None = None) -> None:
         super().__init__(program)
@@ -36,7 +43,7 @@ class SampleAdaptive(UniformKernel):
     @property
     def sims_at_start(self) -> int:
         """Simulations that the first pool of a particle takes."""
-        return 2 * self.uniform.dimensions if self._pool is None else self._pool
+        return _POINTS_PER_SITE * self.uniform.dimensions if self._pool is None else self._pool
 
     def start(self, keys: jax.Array, points: jax.Array) -> Any:
         """Simulate pools around the points."""
@@ -67,7 +74,7 @@ class SampleAdaptive(UniformKernel):
         return sampler, sampler.init(keys, 0, points)
 
 
-@register_kernel("sa", validity="exact")
+@register_kernel("sa", validity="consistent")
 def sa(program: EventProgram, *, pool: int | None = None) -> SampleAdaptive:
     """Sample Adaptive MCMC on the uniformised model."""
     return SampleAdaptive(program, pool=pool)
