@@ -6,12 +6,13 @@ A hypothesis is drawn from the prior, a trajectory is simulated with it, and an 
 around that from the likelihood's own noise. Among the particles of a run on this observation the
 truth then has a rank, and over many events ranks are evenly spread if the kernel draws from the
 posterior. Ranked are both strengths, and the marginal probability of both agents' effective goals,
-with ties broken by chance. The simulator is that of the tests, which walks to its goals: a fast one.
+with ties broken by chance. The simulator is that of the tests, a fast one that walks to its goals.
 """
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import itertools
 import sys
 from pathlib import Path
@@ -36,6 +37,8 @@ from tests.inference.toy import walkers, walking_event
 FRAMES = 12
 BETA = 1.0
 """1 / units: informative noise, some 8 units per frame over all entities."""
+
+ARENA = (-84.0, 116.0, -88.0, 112.0)
 
 PARTICLES = 15
 """Ranks go from 0 to this."""
@@ -116,7 +119,8 @@ def drawn_event(model: ppl.Model, seed: int) -> tuple[Hypothesis, Event]:
         float(sites["strength_red"]),
         float(sites["strength_green"]),
     )
-    scene = walking_event().scene
+    # noise knows no border: the arena is large enough for it
+    scene = dataclasses.replace(walking_event().scene, arena=ARENA)
     rng = np.random.default_rng([seed, 7])
     frames = np.array(list(itertools.islice(walkers(scene, truth, rng), FRAMES)))
     frames[..., :2] = RadialTrajectory(frames[..., :2], BETA).sample(key_noise)

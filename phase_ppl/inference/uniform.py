@@ -96,7 +96,8 @@ class Uniformised:
 
     def _uniform(self, point: jax.Array) -> jax.Array:
         # in steps: compiled code rounds the same sum differently in different places, and what
-        # was simulated must be known again when the sampler has moved there
+        # was simulated must be known again when the sampler has moved there; once in some
+        # thousand iterations a step is missed, and simulated again
         steps = jnp.minimum(jnp.floor(jax.nn.sigmoid(point) * _STEPS), _STEPS - 1)
         return (steps + 0.5) / _STEPS
 
