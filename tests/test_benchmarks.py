@@ -43,6 +43,24 @@ def test_one_behaviour_with_a_changed_planner(tmp_path: Path) -> None:
     assert "chase" in json.dumps(report)
 
 
+def test_validity_of_one_kernel(tmp_path: Path) -> None:
+    report = figures(tmp_path, "validity.py", "--only", "prior_mh", "--simulations", "3000")
+    (name, found), *others = report["kernels"].items()  # type: ignore[attr-defined]
+    assert (name, found["validity"], others) == ("prior_mh", "exact", [])
+    assert 0 < found["tv"] < 0.5
+    assert 2000 < found["simulations"] <= 3000
+
+
+def test_calibration_of_a_few_events(tmp_path: Path) -> None:
+    options = ["--events", "2", "--iterations", "8", "--kernel", "prior_mh"]
+    image = tmp_path / "ranks.png"
+    report = figures(tmp_path, "calibration.py", *options, "--figure", str(image))
+    ranks = report["ranks"]
+    assert {len(values) for values in ranks.values()} == {2}  # type: ignore[attr-defined]
+    assert all(0 <= rank <= 15 for v in ranks.values() for rank in v)  # type: ignore[attr-defined]
+    assert image.stat().st_size > 1000
+
+
 def test_an_unknown_setting_of_the_planner_is_named() -> None:
     result = run("behaviour.py", "--only", "chase", "--seeds", "1", "--set", "simulation=60")
     assert result.returncode != 0

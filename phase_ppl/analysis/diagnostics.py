@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.tree import HYPOTHESIS
+from phase_ppl.analysis.tree import HYPOTHESIS, log_weight_of_draws
 from phase_ppl.analysis.weights import aborted_mass_bound
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.names import AGENTS
@@ -19,6 +19,9 @@ AGREED = 0.8
 
 STUCK = 0.05
 """Acceptance rate below which the particles are said to have hardly moved."""
+
+FEW = 0.1
+"""Effective share of weighted draws below which a few of them are said to decide."""
 
 FloatArray = NDArray[np.float64]
 
@@ -34,11 +37,13 @@ def diagnostics(tree: xr.DataTree, weights: str, row_weights: FloatArray) -> dic
       None with a single draw.
     * ``distinct_hypotheses``, ``distinct_goal_pairs``: among the draws.
     * ``effective_rows``: 1 / sum of squared weights, of the weighting in use.
+    * ``weighted_draws_ess``: for kernels that weigh their draws, the effective share of them,
+      1 / (n * sum of squared weights); None for others. The next three count the draws' weights.
     * ``agreement``: per goal, the share of particles whose own leading goal leads overall.
     * ``between_chain_tv``: per goal, mean and max over pairs of particles of the total
       variation between their marginals; None with one particle.
     * ``monte_carlo_error``: per goal, the standard error of the leading goal's probability
-      under equal draws, from the spread between particles; None with one particle.
+      from the spread between particles; None with one particle.
     * ``simulations``: total, completed, aborted (stopped early), failed.
     * ``frames_saved``, ``frames_saved_share``: by stopping early.
     * ``aborted_mass_bound``: see :func:`phase_ppl.analysis.weights.aborted_mass_bound`.
@@ -52,7 +57,14 @@ def diagnostics(tree: xr.DataTree, weights: str, row_weights: FloatArray) -> dic
     n_chains, n_draws = posterior["goal_red"].shape
     accepted = stats["accepted"].values.astype(float)
     goals = {name: posterior[name].values for name in ("goal_red", "goal_green")}
-    by_chain = {name: _chain_marginals(codes) for name, codes in goals.items()}
+    log_weight = log_weight_of_draws(tree)
+    if not np.isfinite(log_weight).any():  # under other weights than the draws' own
+        log_weight = np.zeros_like(log_weight)
+    draw_weights = np.exp(log_weight - log_weight.max())
+    draw_weights /= draw_weights.sum()
+    shares = draw_weights.sum(axis=1)
+    by_chain = {name: _chain_marginals(codes, draw_weights) for name, codes in goals.items()}
+    weighted = "log_evidence" in stats or bool(np.ptp(log_weight) > 0)
     pair = goals["goal_red"].astype(np.int64) * N_GOALS + goals["goal_green"]
     n_frames = tree["observed_data"].sizes["time"]
     result: dict[str, Any] = {
@@ -67,9 +79,12 @@ def diagnostics(tree: xr.DataTree, weights: str, row_weights: FloatArray) -> dic
         "distinct_hypotheses": _n_distinct([posterior[name].values for name in HYPOTHESIS]),
         "distinct_goal_pairs": len(np.unique(pair)),
         "effective_rows": float(1 / (row_weights**2).sum()),
-        "agreement": {name: _agreement(p) for name, p in by_chain.items()},
-        "between_chain_tv": {name: _between_chain_tv(p) for name, p in by_chain.items()},
-        "monte_carlo_error": {name: _monte_carlo_error(p) for name, p in by_chain.items()},
+        "weighted_draws_ess": (
+            float(1 / (draw_weights.size * (draw_weights**2).sum())) if weighted else None
+        ),
+        "agreement": {name: _agreement(p, shares) for name, p in by_chain.items()},
+        "between_chain_tv": {name: _between_chain_tv(p, shares) for name, p in by_chain.items()},
+        "monte_carlo_error": {name: _monte_carlo_error(p, shares) for name, p in by_chain.items()},
         **_simulation_costs(tree, n_frames),
         "aborted_mass_bound": aborted_mass_bound(tree),
         "best_error_per_frame": float(stats["total_error"].min()) / n_frames,
@@ -78,30 +93,37 @@ def diagnostics(tree: xr.DataTree, weights: str, row_weights: FloatArray) -> dic
     return result
 
 
-def _chain_marginals(codes: NDArray[Any]) -> FloatArray:
-    """Return (chain, goal): each chain's share of draws per goal."""
-    return np.stack([np.bincount(chain, minlength=N_GOALS) / len(chain) for chain in codes])
+def _chain_marginals(codes: NDArray[Any], weights: FloatArray) -> FloatArray:
+    """Return (chain, goal): each chain's share of its draws' weight per goal; 0 without weight."""
+    mass = np.stack(
+        [np.bincount(c, w, minlength=N_GOALS) for c, w in zip(codes, weights, strict=True)]
+    )
+    return mass / np.maximum(mass.sum(axis=1, keepdims=True), np.finfo(float).tiny)
 
 
-def _agreement(by_chain: FloatArray) -> float:
-    leading = by_chain.mean(axis=0).argmax()
-    return float((by_chain.argmax(axis=1) == leading).mean())
+def _agreement(by_chain: FloatArray, shares: FloatArray) -> float:
+    leading = (shares @ by_chain).argmax()
+    return float((by_chain.argmax(axis=1) == leading)[shares > 0].mean())
 
 
-def _between_chain_tv(by_chain: FloatArray) -> dict[str, float] | None:
+def _between_chain_tv(by_chain: FloatArray, shares: FloatArray) -> dict[str, float] | None:
     distances = [
-        0.5 * float(np.abs(one - other).sum()) for one, other in itertools.combinations(by_chain, 2)
+        0.5 * float(np.abs(one - other).sum())
+        for one, other in itertools.combinations(by_chain[shares > 0], 2)
     ]
     if not distances:
         return None
     return {"mean": float(np.mean(distances)), "max": max(distances)}
 
 
-def _monte_carlo_error(by_chain: FloatArray) -> float | None:
-    if len(by_chain) < 2:
+def _monte_carlo_error(by_chain: FloatArray, shares: FloatArray) -> float | None:
+    """Return the error of a ratio of sums over particles; with equal shares sd / sqrt(M)."""
+    n = len(by_chain)
+    if n < 2:
         return None
-    leading = by_chain.mean(axis=0).argmax()
-    return float(by_chain[:, leading].std(ddof=1) / np.sqrt(len(by_chain)))
+    overall = shares @ by_chain
+    deviation = by_chain[:, overall.argmax()] - overall.max()
+    return float(np.sqrt(n / (n - 1) * ((shares * deviation) ** 2).sum()))
 
 
 def _n_distinct(columns: list[NDArray[Any]]) -> int:
@@ -129,17 +151,10 @@ def _simulation_costs(tree: xr.DataTree, n_frames: int) -> dict[str, Any]:
 
 def verdict(found: dict[str, Any]) -> str:
     """Return in a few sentences whether the posterior with these diagnostics can be trusted."""
-    sentences = [_agreement_in_words(found)]
-    rate = found["acceptance_rate"]
-    if rate == 0:
-        sentences.append(
-            "No proposal was accepted: this is still the bottom-up guess, not a posterior."
-        )
-    elif rate < STUCK:
-        sentences.append(
-            f"Only {rate:.0%} of the proposals were accepted: the particles have hardly left "
-            "the bottom-up guess."
-        )
+    if found["weighted_draws_ess"] is None:
+        sentences = [_agreement_in_words(found), *_acceptance_in_words(found["acceptance_rate"])]
+    else:
+        sentences = [_weighted_in_words(found)]
     if found["weights"] == "visited":
         sentences.append(
             "The weights 'visited' are an approximation; simulations stopped early hide at most "
@@ -156,6 +171,26 @@ def verdict(found: dict[str, Any]) -> str:
     if simulations["failed"]:
         sentences.append(f"{simulations['failed']} of {simulations['total']} simulations failed.")
     return " ".join(sentences)
+
+
+def _acceptance_in_words(rate: float) -> list[str]:
+    if rate == 0:
+        return ["No proposal was accepted: this is still the bottom-up guess, not a posterior."]
+    if rate < STUCK:
+        return [
+            f"Only {rate:.0%} of the proposals were accepted: the particles have hardly left "
+            "the bottom-up guess."
+        ]
+    return []
+
+
+def _weighted_in_words(found: dict[str, Any]) -> str:
+    ess, draws = found["weighted_draws_ess"], found["particles"] * found["iterations"]
+    text = f"The {draws} weighted draws are worth {ess * draws:.1f} equal ones"
+    if found["particles"] > 1:
+        error = max(found["monte_carlo_error"].values())
+        text += f" (Monte-Carlo error of a leading goal's probability: {error:.2f})"
+    return f"{text}: so few decide that another run may well differ." if ess < FEW else f"{text}."
 
 
 def _agreement_in_words(found: dict[str, Any]) -> str:

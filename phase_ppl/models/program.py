@@ -57,7 +57,7 @@ class EventProgram:
         self.model = model
         self.bridge = bridge
         self.n_frames = n_frames
-        self._salt = salt
+        self.salt = salt
 
     def __call__(self, seed: jax.Array, error_ceiling: jax.Array | float = np.inf) -> None:
         with handlers.trace() as trace:
@@ -79,6 +79,14 @@ class EventProgram:
         """Return (time,) the log density of each observed frame."""
         return self.model.likelihood.log_prob(step_error)
 
+    def relative_log_likelihood(self, step_error: jax.Array) -> jax.Array:
+        """Return the log density of the observation less that of no error at all.
+
+        Frame by frame, so that the large constant of the likelihood cancels without rounding.
+        """
+        none = self.log_likelihood(jnp.zeros_like(step_error))
+        return (self.log_likelihood(step_error) - none).sum()
+
     def simulate(
         self,
         sites: Sites,
@@ -98,7 +106,7 @@ class EventProgram:
         if self.model.noise == "fixed":
             codes = [sites[name] for name in (*GOAL_SITES, ALPHA_SITE)]
             pair = jnp.asarray(_effective_pairs())[tuple(codes)]
-            key = random.fold_in(random.key(self._salt), pair)
+            key = random.fold_in(random.key(self.salt), pair)
             for name in STRENGTH_SITES:
                 strength = jnp.asarray(sites[name], jnp.float32)
                 key = random.fold_in(key, strength.view(jnp.uint32))

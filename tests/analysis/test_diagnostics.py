@@ -67,6 +67,20 @@ def test_effective_rows_fall_with_uneven_weights() -> None:
     assert post.diagnostics()["effective_rows"] == pytest.approx(1)
 
 
+def test_weighted_draws_are_judged_by_their_weights() -> None:
+    simulations = [proposed(A, 0), proposed(B, 1)]
+    tree = make_tree(simulations, [[0], [1], [1], [0]])
+    tree["sample_stats"]["log_weight"] = (("chain", "draw"), np.log([[3.0], [1.0], [1.0], [1.0]]))
+    found = Posterior(tree, "count").diagnostics()
+    assert found["weighted_draws_ess"] == pytest.approx(36 / 12 / 4)
+    # a ratio estimate: sqrt(4/3 * sum of (share * (indicator - 2/3))^2)
+    deviations = np.array([3 / 6 * 1 / 3, 1 / 6 * 2 / 3, 1 / 6 * 2 / 3, 1 / 6 * 1 / 3])
+    expected = np.sqrt(4 / 3 * (deviations**2).sum())
+    assert found["monte_carlo_error"]["goal_red"] == pytest.approx(expected)
+    assert "4 weighted draws are worth 3.0 equal ones" in found["verdict"]
+    assert "accepted" not in found["verdict"]
+
+
 def verdict(
     draws: list[list[int]], simulations: list[Simulation], weights: str = "count", **options: str
 ) -> str:

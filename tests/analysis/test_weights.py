@@ -31,6 +31,18 @@ def test_count_gives_every_draw_the_same_weight() -> None:
     )
 
 
+def test_count_heeds_the_weights_that_a_kernel_gave_its_draws() -> None:
+    tree = make_tree([Simulation(A), Simulation(B)], [[0, 0, 1], [1, 1, 1]])
+    log_weight = np.log(np.array([[2.0, 0, 1], [1, 0, 0]]) + 1e-300) - 500
+    tree["sample_stats"]["log_weight"] = (("chain", "draw"), log_weight)
+    post = Posterior(tree, "count")
+    assert goal_probabilities(post)[BLUE_TO_RED] == pytest.approx(0.5)
+    tree["sample_stats"]["log_weight"] = (("chain", "draw"), np.full((2, 3), -np.inf))
+    with pytest.raises(InvalidSettingError, match="cannot be weighted"):
+        Posterior(tree, "count")
+    assert Posterior(tree, "visited").diagnostics()["weighted_draws_ess"] is None
+
+
 def test_likelihood_weighs_each_draw_by_its_own_likelihood() -> None:
     simulations = [Simulation(A, 1, log_likelihood=LOG(0.3)), Simulation(B, 2, 0.0, LOG(0.1))]
     tree = make_tree(simulations, [[0, 1, 1]])

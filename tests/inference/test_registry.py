@@ -113,6 +113,7 @@ def test_kernels_of_other_packages_are_loaded_by_their_entry_points(
         {"validity": "exact", "sims_per_step": 0},
         {"validity": "exact", "chain_methods": ("diagonal",)},
         {"validity": "exact", "needs": ("luck",)},
+        {"validity": "exact", "keeps": "first"},
     ],
 )
 def test_a_wrong_registration_is_refused(wrong: Any) -> None:

@@ -123,6 +123,18 @@ def test_identical_requests_are_paid_for_once() -> None:
     assert [record.result.seed for record in bridge.records] == [5, 6]
 
 
+def test_a_completed_simulation_answers_later_requests_at_no_cost() -> None:
+    runner = Counting()
+    bridge = SimulatorBridge(runner, N_FRAMES)
+    seeds = jnp.array([3, 4], jnp.int32)
+    first = ask(bridge, sites_of(2), seeds)
+    again = ask(bridge, sites_of(2), seeds[::-1], ceiling=1.0)
+    np.testing.assert_array_equal(again, first[::-1])
+    assert len(bridge.records) == 2
+    ask(bridge, sites_of(2, strength_red=301.0), seeds)
+    assert len(bridge.records) == 4
+
+
 def test_ceilings_reach_the_runner() -> None:
     runner = Counting()
     ask(SimulatorBridge(runner, N_FRAMES), sites_of(2), jnp.arange(2), ceiling=[3.0, np.inf])

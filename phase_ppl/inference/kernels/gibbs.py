@@ -1,0 +1,227 @@
+"""Site by site: NumPyro's composable Gibbs with random walks in its blocks."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from typing import Any, Final, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import numpyro
+import numpyro.distributions as dist
+from jax import random
+from numpyro import handlers
+from numpyro.infer.gibbs import DiscreteGibbs, Gibbs, discrete_latent_sites
+from numpyro.infer.mcmc import MCMCKernel
+
+from phase_ppl.inference.particle import ParticleKernel, chosen, log_uniform
+from phase_ppl.inference.registry import register_kernel
+from phase_ppl.inference.uniform import seed_of
+from phase_ppl.inference.wrapped import WrappedState, settled
+from phase_ppl.models.density import draw, trace_log_density
+from phase_ppl.models.program import EventProgram
+from phase_ppl.world.errors import InvalidSettingError, shown
+
+SEED_SITE: Final = "_simulator_seed"
+"""Uniform number that stands for the simulator's seed."""
+
+_DRAWS: Final = 256
+
+
+class WalkState(NamedTuple):
+    """State of the block of numbers.
+
+    Attributes:
+        z: site -> value.
+        log_density: of the joint model, given the other block.
+        rng_key: for the next step.
+    """
+
+    z: dict[str, jax.Array]
+    log_density: jax.Array
+    rng_key: jax.Array
+
+
+class RandomWalk(MCMCKernel):
+    """Random walk on all real sites together, and now and then a new simulator seed.
+
+    Args:
+        model: NumPyro program; Gibbs conditions it on the sites of other blocks.
+        scale: site -> standard deviation of its steps.
+    """
+
+    sample_field = "z"
+
+    def __init__(self, model: Callable[..., Any], scale: dict[str, Any]) -> None:
+        self.model, self._scale = model, scale
+
+    def wrap_model(self, wrapper: Any) -> RandomWalk:
+        """Return a copy on a wrapped model."""
+        wrapped = copy.copy(self)
+        wrapped.model = wrapper(self.model)
+        return wrapped
+
+    def get_constrain_fn(self, model_args: Any, model_kwargs: Any) -> Callable[[Any], Any]:
+        """Return the identity: values are constrained."""
+        return lambda values: values
+
+    def init(
+        self, rng_key: jax.Array, num_warmup: int, init_params: Any, args: Any, kwargs: Any
+    ) -> WalkState:
+        """Return the state at ``init_params``."""
+        return WalkState(init_params, self._log_density(init_params, kwargs), rng_key)
+
+    def refresh(self, state: WalkState, args: Any, kwargs: Any) -> WalkState:
+        """Return the state with its density given what other blocks have done."""
+        return state._replace(log_density=self._log_density(state.z, kwargs))
+
+    def sample(self, state: WalkState, args: Any, kwargs: Any) -> WalkState:
+        """Propose a step; accept it by the ratio of densities."""
+        key, key_step, key_coin, key_seed, key_accept = random.split(state.rng_key, 5)
+        proposed = {}
+        for number, (name, value) in enumerate(sorted(state.z.items())):
+            if name == SEED_SITE:
+                fresh = random.uniform(key_seed, dtype=value.dtype)
+                proposed[name] = jnp.where(random.bernoulli(key_coin), fresh, value)
+            else:
+                noise = random.normal(random.fold_in(key_step, number), value.shape, value.dtype)
+                proposed[name] = value + self._scale[name] * noise
+        log_density = self._log_density(proposed, kwargs)
+        accepted = log_uniform(key_accept) < log_density - state.log_density
+        z, log_density = chosen(accepted, (proposed, log_density), (state.z, state.log_density))
+        return WalkState(z, log_density, key)
+
+    def _log_density(self, values: Any, kwargs: Any) -> jax.Array:
+        model = handlers.seed(handlers.substitute(self.model, values), random.key(0))
+        total = trace_log_density(handlers.trace(model).get_trace(**kwargs))
+        return jnp.where(jnp.isnan(total), -jnp.inf, total)
+
+
+class GibbsKernel(ParticleKernel[WrappedState]):
+    """Updates the discrete sites one by one, in random order, then the numbers and the seed.
+
+    A discrete site is proposed evenly from its other values, with the simulator's seed kept; the
+    target is the joint law of hypothesis and seed. An iteration takes one simulation for each
+    discrete site and one for the rest.
+
+    Args:
+        program: the model of an event.
+        step: standard deviation of the steps of real sites, in those of the prior.
+
+    Raises:
+        InvalidSettingError: ``step`` is no positive number, or a discrete site's values are not
+            0, 1, ..., n.
+    """
+
+    validity = "exact"
+
+    def __init__(self, program: EventProgram | None = None, *, step: float = 0.5) -> None:
+        super().__init__(program)
+        if isinstance(step, bool) or not isinstance(step, int | float) or not 0 < step < np.inf:
+            raise InvalidSettingError(f"step={shown(step)}, expected a positive number")
+        self._step = step
+        if program is not None:
+            self.sims_per_step  # noqa: B018  (refuses sites that it cannot update)
+
+    @property
+    def sims_per_step(self) -> int:
+        """One for each discrete element, and one for the rest."""
+        shapes = self.model.model.sites
+        return 1 + sum(int(np.prod(shapes[name])) for name in self._discrete())
+
+    def _discrete(self) -> list[str]:
+        """Return the discrete sites.
+
+        Raises:
+            InvalidSettingError: one has other values than 0, 1, ..., n.
+        """
+        with jax.ensure_compile_time_eval():
+            prior = handlers.seed(self.model.model.prior, random.key(0))
+            trace = handlers.trace(prior).get_trace()
+            found = []
+            for name in self.model.model.sites:
+                law = trace[name]["fn"]
+                if not law.support.is_discrete:
+                    continue
+                values = law.enumerate_support(False) if law.has_enumerate_support else []
+                in_order = np.array_equal(np.ravel(values), np.arange(len(values)))
+                if not len(values) or not in_order or law.event_shape:
+                    raise InvalidSettingError(
+                        f"kernel 'gibbs' cannot update site {name!r} ({type(law).__name__}): the "
+                        "values of a discrete site must be 0, 1, ..., n"
+                    )
+                found.append(name)
+        return found
+
+    def _gibbs(self) -> Gibbs:
+        program = self.model
+        fresh = program.model.noise == "fresh"
+
+        def joint() -> None:
+            with handlers.trace() as trace:
+                program.model.prior()
+            sites = {name: trace[name]["value"] for name in program.model.sites}
+            uniform = numpyro.sample(SEED_SITE, dist.Uniform()) if fresh else jnp.zeros(())
+            # looks at the support of all sites, whether Gibbs holds them fixed or not
+            with handlers.block():
+                log_prior = program.log_prior(sites)
+            error = program.simulate(sites, log_prior, seed_of(program, uniform, sites))
+            log_likelihood = program.relative_log_likelihood(error)
+            possible = jnp.isfinite(log_prior) & jnp.isfinite(log_likelihood)
+            numpyro.factor("trajectory", jnp.where(possible, log_likelihood, -jnp.inf))
+
+        blocks = [
+            (DiscreteGibbs(joint, random_walk=True, modified=True), discrete_latent_sites),
+            (RandomWalk(joint, self._scale()), None),
+        ]
+        return Gibbs(blocks)
+
+    def _scale(self) -> dict[str, Any]:
+        """Return the prior's standard deviations times the step."""
+        with jax.ensure_compile_time_eval():
+            keys = random.split(random.key(0), _DRAWS)
+            draws = jax.vmap(lambda key: draw(self.model.model.prior, key))(keys)
+            return {name: self._step * values.std(axis=0) for name, values in draws.items()}
+
+    def propose_initial(self, key: jax.Array) -> dict[str, jax.Array]:
+        """Return a hypothesis from the prior."""
+        return self.model.draw_prior(key)
+
+    def start_one(
+        self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]
+    ) -> WrappedState:
+        """Simulate the initial hypothesis."""
+        uniform = random.uniform(key_start)
+        start = dict(sites)
+        if self.model.model.noise == "fresh":
+            start[SEED_SITE] = uniform
+        inner = self._gibbs().init(key, 0, start, (), {})
+        none = jnp.zeros((), jnp.int32)
+        seed = seed_of(self.model, uniform, sites)
+        error = self.model.simulate(sites, self.model.log_prior(sites), seed)
+        return WrappedState(none, sites, seed, error, inner, none > 0, none, key)
+
+    def step_one(self, state: WrappedState) -> WrappedState:
+        """Update all sites."""
+        key, key_inner, *key_blocks = random.split(state.rng_key, 4)
+        gibbs = self._gibbs()
+        gibbs.init(key_inner, 0, state.inner.z, (), {})  # makes it ready; simulates nothing
+        blocks = tuple(
+            block._replace(rng_key=key_block)
+            for block, key_block in zip(state.inner.block_states, key_blocks, strict=True)
+        )
+        before = state.inner._replace(block_states=blocks, rng_key=key_inner)
+        inner = gibbs.sample(before, (), {})
+        sites = {name: inner.z[name] for name in state.z}
+        moved = jnp.stack([jnp.any(inner.z[n] != state.inner.z[n]) for n in inner.z]).any()
+        seed = seed_of(self.model, inner.z.get(SEED_SITE, jnp.zeros(())), sites)
+        error = self.model.simulate(sites, self.model.log_prior(sites), seed)
+        return settled(state, inner, moved, (sites, seed, error), key)
+
+
+@register_kernel("gibbs", validity="exact", sims_per_step=4)
+def gibbs(program: EventProgram, *, step: float = 0.5) -> GibbsKernel:
+    """Gibbs sampling: random walks site by site."""
+    return GibbsKernel(program, step=step)

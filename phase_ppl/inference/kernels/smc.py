@@ -1,0 +1,218 @@
+r"""Sequential Monte Carlo: a population that is cooled from the proposal to the posterior.
+
+The particles of a run are one population. They start as draws from what the whole observation
+shows, with weights P / Q, and pass through the laws P(h) p(w) L(e)^t of hypothesis h and simulator
+seed w, from t = 0 to the posterior at t = 1 (Del Moral, Doucet, Jasra 2006). Each iteration
+
+1. raises t as far as the stored errors allow: no simulation is needed to reweight;
+2. resamples, systematically;
+3. moves every particle once by Metropolis-Hastings at that t: one simulation each, which is
+   stopped early as in the kernel that makes the move.
+
+From t = 1 on, iterations are moves only. A run that ends before has draws that carry the weight
+L^(1 - t) that is left. The draws are the last population only.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import random
+from jax.scipy.special import logsumexp
+from numpyro.util import is_prng_key
+
+from phase_ppl.inference.kernels.local_mh import LocalMH
+from phase_ppl.inference.kernels.prior_mh import PriorMH
+from phase_ppl.inference.particle import ParticleKernel
+from phase_ppl.inference.proposals import window_count
+from phase_ppl.inference.registry import register_kernel
+from phase_ppl.inference.settings import SimpleSettings
+from phase_ppl.inference.tempering import next_temperature, powered, systematic, tempered
+from phase_ppl.models.density import Program, log_density
+from phase_ppl.models.program import EventProgram
+from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
+
+Move = Literal["local_mh", "prior_mh"]
+
+MOVES: Final = ("local_mh", "prior_mh")
+
+
+class SMCState(NamedTuple):
+    """State of the population; all arrays are (chain, ...).
+
+    Attributes:
+        i: iterations so far.
+        particle: state of the kernel that moves the particles.
+        temperature: t, the same for all.
+        log_weight: of the particles as draws from the posterior: what is left at t, up to a
+            constant.
+        log_evidence: estimate of the log probability of the observation, the same for all.
+        log_evidence_so_far: the part that is due to the temperatures so far, less the log
+            likelihood without any error.
+        rng_key: of the places; the population's randomness comes from the first.
+    """
+
+    i: jax.Array
+    particle: Any
+    temperature: jax.Array
+    log_weight: jax.Array
+    log_evidence: jax.Array
+    log_evidence_so_far: jax.Array
+    rng_key: jax.Array
+
+    @property
+    def z(self) -> dict[str, jax.Array]:
+        """Site -> (chain, ...) current hypotheses."""
+        sites: dict[str, jax.Array] = self.particle.z
+        return sites
+
+    @property
+    def sim_seed(self) -> Any:
+        """Seeds of their simulations."""
+        return self.particle.sim_seed
+
+    @property
+    def accepted(self) -> Any:
+        """Whether each particle's last proposal was accepted."""
+        return self.particle.accepted
+
+    @property
+    def n_accepted(self) -> Any:
+        """How many proposals were accepted on the way to each particle."""
+        return self.particle.n_accepted
+
+
+class SMC(ParticleKernel[SMCState]):
+    """Tempered sequential Monte Carlo; see the module.
+
+    Args:
+        program: the model of an event.
+        guide: proposal program ``guide(window)``.
+        settings: of SIMPLE.
+        target: share of the population that a rise in temperature may leave effective; the
+            lower, the fewer iterations reach the posterior, and the fewer distinct particles.
+        move: name of the kernel that moves the particles.
+
+    Raises:
+        InvalidSettingError: ``target`` is not in (0, 1).
+        UnknownNameError: there is no such move.
+    """
+
+    validity = "consistent"
+    keeps = "last"
+    weighted = True
+
+    def __init__(
+        self,
+        program: EventProgram | None = None,
+        guide: Program | None = None,
+        settings: SimpleSettings | None = None,
+        *,
+        target: float = 0.5,
+        move: Move = "local_mh",
+    ) -> None:
+        super().__init__(program, guide, settings)
+        if isinstance(target, bool) or not isinstance(target, int | float) or not 0 < target < 1:
+            raise InvalidSettingError(f"target={shown(target)}, expected a number in (0, 1)")
+        if move not in MOVES:
+            raise unknown_name("move", move, MOVES)
+        self._target, self._move = float(target), move
+
+    def _mover(self, program: EventProgram) -> LocalMH | PriorMH:
+        if self._move == "local_mh":
+            return LocalMH(program, self.guide, self.settings)
+        return PriorMH(program)
+
+    def propose_initial(self, key: jax.Array) -> dict[str, jax.Array]:
+        """Return a hypothesis from what the whole observation shows."""
+        return self.draw_guide(key, self._whole)
+
+    @property
+    def _whole(self) -> int:
+        return window_count(self.model.n_frames, self.settings.window)
+
+    def _initial_sites(self, key: jax.Array) -> dict[str, jax.Array]:
+        return self.propose_initial(key)  # one draw: the best of several has another density
+
+    def start_one(
+        self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]
+    ) -> SMCState:
+        """Simulate and weigh the first draw of one particle."""
+        particle = self._mover(self.model).start_one(key, key_start, sites)
+        log_proposal = log_density(self.guide, sites, jnp.asarray(self._whole))
+        log_likelihood = self.model.relative_log_likelihood(particle.step_error)
+        log_weight = particle.log_prior - log_proposal + log_likelihood
+        zero = jnp.zeros(())
+        return SMCState(
+            i=particle.i,
+            particle=particle,
+            temperature=zero,
+            log_weight=jnp.where(jnp.isfinite(log_likelihood), log_weight, -jnp.inf),
+            log_evidence=zero + jnp.nan,
+            log_evidence_so_far=zero,
+            rng_key=key,
+        )
+
+    def step_one(self, state: SMCState) -> SMCState:
+        """Return a population of one after one iteration."""
+        whole = jax.tree.map(lambda leaf: leaf[None], state)
+        return jax.tree.map(lambda leaf: leaf[0], self._step(whole))
+
+    def _sample_fn(self, state: SMCState) -> SMCState:
+        return self.step_one(state) if is_prng_key(state.rng_key) else self._step(state)
+
+    def _step(self, state: SMCState) -> SMCState:
+        """Cool, resample and move the population."""
+        keys = jax.vmap(lambda key: random.split(key, 3))(state.rng_key)
+        log_likelihood = self._log_likelihood(state.particle)
+        old = state.temperature[0]
+        before = state.log_weight - powered(log_likelihood, 1 - old)
+        before = jnp.where(jnp.isfinite(state.log_weight), before, -jnp.inf)
+        temperature = next_temperature(before, log_likelihood, old, self._target)
+        weights = before + powered(log_likelihood, temperature - old)
+        so_far = state.log_evidence_so_far + logsumexp(weights) - np.log(len(weights))
+
+        places = systematic(keys[0, 0], weights)
+        particle = jax.tree.map(lambda leaf: leaf[places], state.particle)
+        particle = particle._replace(rng_key=keys[:, 1])
+        mover = self._mover(tempered(self.model, temperature))
+        particle = jax.vmap(mover.step_one)(particle)
+
+        log_weight = powered(self._log_likelihood(particle), 1 - temperature)
+        without_error = self.model.log_likelihood(jnp.zeros(self.model.n_frames)).sum()
+        left = logsumexp(log_weight) - np.log(len(weights))
+        return SMCState(
+            i=state.i + 1,
+            particle=particle,
+            temperature=jnp.full_like(state.temperature, temperature),
+            log_weight=log_weight,
+            log_evidence=so_far + left + without_error,
+            log_evidence_so_far=so_far,
+            rng_key=keys[:, 2],
+        )
+
+    def _log_likelihood(self, particle: Any) -> jax.Array:
+        return jax.vmap(self.model.relative_log_likelihood)(particle.step_error)
+
+
+@register_kernel(
+    "smc",
+    validity="consistent",
+    chain_methods=("vectorized",),
+    needs=("guide", "settings"),
+    keeps="last",
+    weighted=True,
+)
+def smc(
+    program: EventProgram,
+    *,
+    guide: Program,
+    settings: SimpleSettings,
+    target: float = 0.5,
+    move: Move = "local_mh",
+) -> SMC:
+    """Sequential Monte Carlo: a population cooled from the proposal to the posterior."""
+    return SMC(program, guide, settings, target=target, move=move)
