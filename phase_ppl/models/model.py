@@ -97,9 +97,9 @@ class Model:
         own = self.simulator is not None
         return {
             "prior": _name(self.prior),
-            "prior_source": _source_hash(self.prior),
+            "prior_source": source_hash(self.prior),
             "simulator": _name(self.simulator) if own else "joint",
-            "simulator_source": _source_hash(self.simulator) if own else None,
+            "simulator_source": source_hash(self.simulator) if own else None,
             "likelihood": repr(self.likelihood),
             "planner": None if own else self._planner_config().to_dict(),
             "noise": self.noise,
@@ -111,7 +111,7 @@ def _name(thing: Any) -> str:
     return f"{named.__module__}.{named.__qualname__}"
 
 
-def _source_hash(thing: Callable[..., Any] | None) -> str | None:
+def source_hash(thing: Callable[..., Any] | None) -> str | None:
     """Return a hash of the source of a function or of an object's class; None without source."""
     try:
         source = inspect.getsource(thing if hasattr(thing, "__qualname__") else type(thing))  # type: ignore[arg-type]
