@@ -34,8 +34,10 @@ _WHERE = {
     "load_event": "phase_ppl.dataset.load",
     "load_events": "phase_ppl.dataset.load",
     "register_kernel": "phase_ppl.inference.registry",
+    "resume": "phase_ppl.inference.infer",
     "save_event": "phase_ppl.dataset.load",
     "save_events": "phase_ppl.dataset.load",
+    "seconds": "phase_ppl.inference.infer",
     "simulate": "phase_ppl.simulator.simulate",
     "simulations": "phase_ppl.inference.infer",
 }
@@ -62,6 +64,8 @@ if TYPE_CHECKING:
     from phase_ppl.inference.infer import Interrupted as Interrupted
     from phase_ppl.inference.infer import SimpleSettings as SimpleSettings
     from phase_ppl.inference.infer import infer as infer
+    from phase_ppl.inference.infer import resume as resume
+    from phase_ppl.inference.infer import seconds as seconds
     from phase_ppl.inference.infer import simulations as simulations
     from phase_ppl.inference.registry import available_kernels as available_kernels
     from phase_ppl.inference.registry import register_kernel as register_kernel

@@ -95,10 +95,8 @@ def event_digest(event: Event) -> str:
     return digest.hexdigest()
 
 
-def differences(
-    stored: Mapping[str, Any], given: Mapping[str, Any], within: str = ""
-) -> list[str]:
-    """Return in words where two identities differ, as ``event`` or ``model.prior 'a', not 'b'``."""
+def differences(stored: Mapping[str, Any], given: Mapping[str, Any], within: str = "") -> list[str]:
+    """Return in words where two identities differ, such as "model.noise is 'a', was 'b'"."""
     found: list[str] = []
     for name in dict.fromkeys([*stored, *given]):
         old, new = stored.get(name), given.get(name)
@@ -106,9 +104,8 @@ def differences(
             found += differences(old, new, f"{within}{name}.")
         elif old != new:
             hashed = name in ("event", "source") or name.endswith("_source")
-            found.append(
-                f"{within}{name}" + ("" if hashed else f" is {shown(new)}, was {shown(old)}")
-            )
+            how = "differs" if hashed else f"is {shown(new)}, was {shown(old)}"
+            found.append(f"{within}{name} {how}")
     return found
 
 

@@ -96,7 +96,11 @@ class Runner:
         self._pool: Pool | None = None
         if executor is not None:
             self._pool = BorrowedExecutor(executor, slots, *self._packed_work())
-        elif self.workers is not None and self.workers > 1 and not hasattr(simulator, "simulate_batch"):
+        elif (
+            self.workers is not None
+            and self.workers > 1
+            and not hasattr(simulator, "simulate_batch")
+        ):
             warm_up = hasattr(simulator, "warm_up")
             self._pool = OwnWorkers(self.workers, *self._packed_work(), warm_up)
 
