@@ -1,18 +1,20 @@
-"""The terminal: ``phase-ppl infer | simulate | render``."""
+"""The terminal: ``phase-ppl infer | resume | simulate | render``."""
 
 from __future__ import annotations
 
 import argparse
+import functools
+import inspect
 import json
 import os
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import phase_ppl
-from phase_ppl.world.errors import OutputError, PhasePPLError
+from phase_ppl.world.errors import InvalidSettingError, OutputError, PhasePPLError
 
 if TYPE_CHECKING:
     from phase_ppl.analysis.posterior import Posterior
@@ -20,6 +22,9 @@ if TYPE_CHECKING:
 
 BAD_INPUT = 2
 INTERRUPTED = 130
+
+CHECKPOINT = "run.ckpt"
+"""The file in the folder of results that holds an unfinished run."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -46,30 +51,89 @@ def _one_line(error: BaseException) -> str:
 def _infer(options: argparse.Namespace) -> int:
     event = _load(options)
     out = None if options.out is None else _writable_folder(options.out)
-    interrupted = False
-    try:
-        post = phase_ppl.infer(
-            event,
-            kernel=options.kernel,
-            planner=options.planner,
-            chains=options.chains,
-            iterations=options.iterations,
-            seed=options.seed,
-            workers=options.workers,
-            progress=not options.quiet,
+    kept = None if out is None else out / CHECKPOINT
+    if kept is not None and kept.exists():
+        raise OutputError(
+            f"{kept} holds an unfinished run: continue it with 'phase-ppl resume {kept}', or "
+            "delete it"
         )
+    run = functools.partial(
+        phase_ppl.infer,
+        event,
+        kernel=options.kernel,
+        planner=options.planner,
+        chains=options.chains,
+        seed=options.seed,
+        checkpoint=kept,
+        **_means(options),
+        **_kernel_options(options.option),
+    )
+    return _finish(run, event, out, kept, options)
+
+
+def _resume(options: argparse.Namespace) -> int:
+    from phase_ppl.inference.checkpoint import Checkpoint
+
+    out = _writable_folder(options.file.parent if options.out is None else options.out)
+    event = Checkpoint(options.file).event
+    run = functools.partial(phase_ppl.resume, options.file, **_means(options))
+    return _finish(run, event, out, options.file, options)
+
+
+def _finish(
+    run: Callable[[], Posterior],
+    event: Event,
+    out: Path | None,
+    kept: Path | None,
+    options: argparse.Namespace,
+) -> int:
+    """Do a run, print and write what came out, and delete the file of one that is complete."""
+    code = 0
+    try:
+        post = run()
     except phase_ppl.Interrupted as stopped:
         if stopped.posterior is None:
             print("phase-ppl: interrupted before the first draws", file=sys.stderr)
             return INTERRUPTED
         print("phase-ppl: interrupted; this is what was done until then", file=sys.stderr)
-        post, interrupted = stopped.posterior, True
+        post, code = stopped.posterior, INTERRUPTED
+    except PhasePPLError as error:
+        if getattr(error, "posterior", None) is None:
+            raise
+        print(f"phase-ppl: error: {_one_line(error)}", file=sys.stderr)
+        print("phase-ppl: this is what was done until then", file=sys.stderr)
+        post, code = error.posterior, BAD_INPUT  # type: ignore[attr-defined]
     print(post)
     if out is None:
         print("\nNothing was saved; --out DIR keeps the posterior, a figure and a video.")
     else:
         _write_results(post, event, out)
-    return INTERRUPTED if interrupted else 0
+    if kept is not None and kept.exists():
+        if code:
+            print(f"Go on with: phase-ppl resume {kept}")
+        elif not options.keep_checkpoint:
+            kept.unlink()
+    return code
+
+
+def _means(options: argparse.Namespace) -> dict[str, Any]:
+    given = ("iterations", "budget", "workers", "on_failure", "retries")
+    found = {name: getattr(options, name) for name in given}
+    return {
+        "progress": not options.quiet,
+        **{name: value for name, value in found.items() if value is not None},
+    }
+
+
+def _kernel_options(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
+    taken = inspect.signature(phase_ppl.infer).parameters
+    found: dict[str, Any] = {}
+    for name, value in pairs:
+        if name in taken or name in found:
+            why = "given twice" if name in found else "no option of a kernel"
+            raise InvalidSettingError(f"--option {name}: {why}")
+        found[name] = value
+    return found
 
 
 def _write_results(post: Posterior, event: Event, out: Path) -> None:
@@ -172,6 +236,27 @@ def _whole(minimum: int) -> Any:
     return parse
 
 
+def _budget(text: str) -> Any:
+    try:
+        if text.endswith("s"):
+            return phase_ppl.seconds(float(text[:-1]))
+        return phase_ppl.simulations(int(text))
+    except ValueError:  # of ours too
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is no budget; expected simulations, as in 500, or seconds, as in 60s"
+        ) from None
+
+
+def _option(text: str) -> tuple[str, Any]:
+    name, equals, value = text.partition("=")
+    if not (equals and name.isidentifier()):
+        raise argparse.ArgumentTypeError(f"{text!r} is not of the form NAME=VALUE")
+    try:
+        return name, json.loads(value)
+    except json.JSONDecodeError:
+        return name, value
+
+
 def _alpha(text: str) -> int:
     if text not in ("-1", "0", "1", "+1"):
         raise argparse.ArgumentTypeError(f"{text!r} is none of -1, 0, 1")
@@ -197,12 +282,27 @@ def _parser() -> argparse.ArgumentParser:
     infer.add_argument("--planner", choices=("fast", "paper"), default="fast")
     infer.add_argument("--kernel", metavar="NAME", default="local_mh")
     infer.add_argument("--chains", metavar="M", type=_whole(1), default=15, help="default 15")
-    infer.add_argument("--iterations", metavar="L", type=_whole(1), default=6, help="default 6")
     infer.add_argument(
-        "--workers", metavar="N", type=_whole(1), help="processes; default one per usable core"
+        "--option",
+        metavar="NAME=VALUE",
+        type=_option,
+        action="append",
+        default=[],
+        help="of the kernel, such as rule=paper; may be given several times",
     )
     infer.add_argument("--out", metavar="DIR", type=Path)
-    infer.add_argument("--quiet", action="store_true", help="no progress bar")
+    _add_means(infer)
+
+    resume = commands.add_parser(
+        "resume",
+        help="go on with an interrupted run, or extend one",
+        description="Go on with an interrupted run, or extend one, as if it had never stopped.",
+        epilog="example: phase-ppl resume out/run.ckpt --workers 4",
+    )
+    resume.set_defaults(run=_resume)
+    resume.add_argument("file", metavar="FILE", type=Path, help="the run.ckpt that it left")
+    resume.add_argument("--out", metavar="DIR", type=Path, help="default: where FILE is")
+    _add_means(resume)
 
     simulate = _command(
         commands,
@@ -235,6 +335,30 @@ def _parser() -> argparse.ArgumentParser:
     )
     render.add_argument("--out", metavar="FILE", type=Path, required=True, help=".mp4")
     return parser
+
+
+def _add_means(command: argparse.ArgumentParser) -> None:
+    """Add what ``infer`` and ``resume`` share."""
+    length = command.add_mutually_exclusive_group()
+    length.add_argument("--iterations", metavar="L", type=_whole(1), help="default 6, or as before")
+    length.add_argument(
+        "--budget", metavar="B", type=_budget, help="simulations, as in 500, or seconds, as in 60s"
+    )
+    command.add_argument(
+        "--workers", metavar="N", type=_whole(1), help="processes; default one per usable core"
+    )
+    command.add_argument(
+        "--on-failure",
+        choices=("reject", "raise", "retry"),
+        help="what becomes of a failed simulation; default reject, or as before",
+    )
+    command.add_argument("--retries", metavar="N", type=_whole(1), help="of retry; default 3")
+    command.add_argument(
+        "--keep-checkpoint",
+        action="store_true",
+        help=f"keep {CHECKPOINT} when the run is complete, to extend it",
+    )
+    command.add_argument("--quiet", action="store_true", help="no progress bar")
 
 
 def _command(

@@ -221,7 +221,7 @@ class Chains:
 
     def blank_state(self) -> Any:
         """Return the shapes and types of the kernel's state; nothing is simulated."""
-        with _on_cpu():
+        with on_cpu():
             return jax.eval_shape(self._compiled.init, self._keys(), self._data)
 
     def go_on(self, state: Any, start: Step, steps: list[Step]) -> None:
@@ -251,12 +251,12 @@ class Chains:
         )
 
     def _in_thread(self, work: Callable[[], Result]) -> Result:
-        def on_cpu() -> Result:
-            with _on_cpu():
+        def worked() -> Result:
+            with on_cpu():
                 return jax.block_until_ready(work())
 
         with futures.ThreadPoolExecutor(1, thread_name_prefix="phase_ppl") as executor:
-            future = executor.submit(on_cpu)
+            future = executor.submit(worked)
             try:
                 while not future.done():
                     futures.wait([future], timeout=POLL_SECONDS)
@@ -271,7 +271,8 @@ class Chains:
         return result
 
 
-def _on_cpu() -> contextlib.AbstractContextManager[Any]:
+def on_cpu() -> contextlib.AbstractContextManager[Any]:
+    """Return a context in which JAX works on the processor."""
     # the programs are tiny, and the same everywhere; an accelerator would not help
     return jax.default_device(jax.local_devices(backend="cpu")[0])
 

@@ -16,7 +16,7 @@ import jax
 
 from phase_ppl.dataset.events_json import event_from_record, event_record
 from phase_ppl.inference.archive import damaged, read_archive, write_archive
-from phase_ppl.inference.chains import Step
+from phase_ppl.inference.chains import Step, on_cpu
 from phase_ppl.inference.packing import (
     packed_leaf,
     packed_records,
@@ -120,10 +120,11 @@ class Checkpoint:
         )
         spent = dict(document["spent"])
         self.spent = Spent(**{**spent, "statistics": Statistics(**spent["statistics"])})
-        self._leaves = [
-            (str(name), unpacked_leaf(self._arrays[f"state/{i}"], kind))
-            for i, (name, kind) in enumerate(document["state"])
-        ]
+        with on_cpu():
+            self._leaves = [
+                (str(name), unpacked_leaf(self._arrays[f"state/{i}"], kind))
+                for i, (name, kind) in enumerate(document["state"])
+            ]
 
     def state(self, blank: Any) -> Any:
         """Return the state of the kernel.

@@ -99,6 +99,13 @@ def packed_records(records: Sequence[Record]) -> Arrays:
 
 
 def unpacked_records(arrays: Arrays, failed: Mapping[str, str], n_frames: int) -> list[Record]:
+    """Return the records that :func:`packed_records` was given.
+
+    Args:
+        arrays: that it returned.
+        failed: number of the record -> what went wrong.
+        n_frames: of a complete simulation.
+    """
     sites = _below(arrays, "records/sites/")
     columns = {name: arrays[f"records/{name}"] for name in _RECORD}
     errors, trajectory = arrays["records/error"], arrays["records/trajectory"]
