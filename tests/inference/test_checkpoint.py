@@ -9,6 +9,7 @@ import pickle
 import signal
 import subprocess
 import sys
+import tempfile
 import textwrap
 import zipfile
 from collections.abc import Callable
@@ -76,9 +77,10 @@ def test_an_interrupted_run_goes_on_bit_for_bit(
     call: int, tmp_path: Path, whole: ppl.Posterior, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "run.ckpt"
-    with monkeypatch.context() as patch, pytest.raises(ppl.Interrupted) as caught:
+    with monkeypatch.context() as patch:
         patch.setattr(session, "Runner", stops_at(call))
-        infer(checkpoint=path)
+        with pytest.raises(ppl.Interrupted) as caught:
+            infer(checkpoint=path)
     assert caught.value.posterior is not None
     assert len(Checkpoint(path).steps) == call - 1
     assert_same_draws(whole.tree, resume(path).tree)
@@ -136,6 +138,7 @@ SCRIPT = """
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="a process kills itself")
 def test_a_killed_run_goes_on_in_a_fresh_process(tmp_path: Path, whole: ppl.Posterior) -> None:
     script = tmp_path / "script.py"
@@ -265,12 +268,13 @@ def rewritten(change: Callable[[dict[str, Any], dict[str, Any]], None]) -> Calla
     """Return what makes a whole, formally sound file of other content."""
 
     def make(content: bytes) -> bytes:
-        target = Path(os.environ["PYTEST_CHANGED"])
-        target.write_bytes(content)
-        document, arrays = read_archive(target)
-        change(document, arrays)
-        write_archive(target, document, arrays)
-        return target.read_bytes()
+        with tempfile.TemporaryDirectory() as folder:
+            target = Path(folder) / "run.ckpt"
+            target.write_bytes(content)
+            document, arrays = read_archive(target)
+            change(document, arrays)
+            write_archive(target, document, arrays)
+            return target.read_bytes()
 
     return make
 
@@ -311,11 +315,7 @@ HOSTILE: dict[str, Callable[[bytes], bytes]] = {
     "no state": rewritten(lambda document, arrays: document.pop("state")),
     "no steps": rewritten(lambda document, arrays: arrays.pop("steps/sim_seed")),
     "more steps": rewritten(lambda document, arrays: document.update(iterations=3)),
-    "other event": rewritten(
-        lambda document, arrays: (
-            document["event"]["scene"].update(walls=[]) or document["identity"].update(event="0")
-        )
-    ),
+    "other event": rewritten(lambda document, arrays: document["identity"].update(event="0")),
     "lists": rewritten(lambda document, arrays: document.update(identity=[], spent=[])),
     "odd frames": rewritten(
         lambda document, arrays: arrays.update({"records/frames": arrays["records/frames"] * 1000})
@@ -326,9 +326,8 @@ HOSTILE: dict[str, Callable[[bytes], bytes]] = {
 
 @pytest.mark.parametrize("make", HOSTILE.values(), ids=HOSTILE)
 def test_a_foreign_or_hostile_file_is_one_clear_error(
-    make: Callable[[bytes], bytes], path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    make: Callable[[bytes], bytes], path: Path
 ) -> None:
-    monkeypatch.setenv("PYTEST_CHANGED", str(tmp_path / "changed.ckpt"))
     content = make(path.read_bytes())
     path.write_bytes(content)
     with pytest.raises(InvalidEventError, match=r"run.ckpt is no checkpoint, or a damaged one"):

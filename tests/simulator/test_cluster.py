@@ -10,12 +10,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import distributed
 import pytest
 
 import phase_ppl as ppl
 from tests.inference.toy import walkers, walking_event
-
-distributed = pytest.importorskip("distributed")
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="kills a process")
 
@@ -32,11 +31,11 @@ class SlowWalkers:
     """Walks as the toy does, some time after having said in which process."""
 
     def __init__(self, folder: Path) -> None:
-        self.folder = folder
+        self.folder, self.seconds = folder, 0.2
 
     def __call__(self, scene: Any, hypothesis: Any, rng: Any) -> Iterator[Any]:
         (self.folder / f"{os.getpid()}-{time.monotonic_ns()}").touch()
-        time.sleep(0.2)
+        time.sleep(self.seconds)
         yield from walkers(scene, hypothesis, rng)
 
 
@@ -53,8 +52,8 @@ def kill_the_third(folder: Path, killed: list[int]) -> None:
 
 
 def test_a_cluster_that_loses_a_worker_gives_the_same_posterior(tmp_path: Path) -> None:
-    event = walking_event()
-    alone = ppl.infer(event, ppl.Model(simulator=walkers), workers=1, **OPTIONS)
+    event, simulator = walking_event(), SlowWalkers(tmp_path)
+    model = ppl.Model(simulator=simulator)
     killed: list[int] = []
     killer = threading.Thread(target=kill_the_third, args=(tmp_path, killed))
     with (
@@ -64,14 +63,11 @@ def test_a_cluster_that_loses_a_worker_gives_the_same_posterior(tmp_path: Path) 
         distributed.Client(cluster) as client,
     ):
         killer.start()
-        post = ppl.infer(
-            event,
-            ppl.Model(simulator=SlowWalkers(tmp_path)),
-            executor=client.get_executor(),
-            **OPTIONS,
-        )
+        post = ppl.infer(event, model, executor=client.get_executor(), **OPTIONS)
         killer.join()
         processes = {int(file.name.split("-")[0]) for file in tmp_path.iterdir()}
+    simulator.seconds = 0.0
+    alone = ppl.infer(event, model, workers=1, **OPTIONS)
     assert killed
     assert len(processes) == 3  # two, and the one that took the dead one's place
     for group in ("posterior", "sample_stats", "posterior_predictive", "simulations"):
