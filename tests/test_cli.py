@@ -87,7 +87,7 @@ def test_resume_extends_a_run_beside_its_file_and_then_deletes_it(
     assert main(["infer", str(event), *tiny, *kernel, *length, "--out", str(out)]) == 0
     assert "unfinished run" in fails(capsys, "infer", str(event), "--out", str(out))
     file = out / "run.ckpt"
-    assert "has 1 already" not in fails(capsys, "resume", str(file), "--budget", "4", *tiny)
+    assert "too small" in fails(capsys, "resume", str(file), "--budget", "4", *tiny)
     assert main(["resume", str(file), "--iterations", "2", *tiny]) == 0
     assert not file.exists()
     summary = json.loads((out / "summary.json").read_text())

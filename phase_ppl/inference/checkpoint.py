@@ -25,7 +25,13 @@ from phase_ppl.inference.packing import (
     unpacked_records,
     unpacked_steps,
 )
-from phase_ppl.inference.plan import Plan, event_digest, stored_model, stored_options
+from phase_ppl.inference.plan import (
+    Plan,
+    event_digest,
+    fields_of,
+    stored_model,
+    stored_options,
+)
 from phase_ppl.models.bridge import Record
 from phase_ppl.simulator.costs import Statistics
 from phase_ppl.world.errors import InvalidSettingError, shown
@@ -85,6 +91,7 @@ class Checkpoint:
         model: to make the model again; None where it has parts of a user's own.
         kernel: name of the kernel; None where it is a user's own object.
         options: of the kernel; None where they are not plain data.
+        settings: of SIMPLE; likewise.
         start, steps, records, spent: as in :class:`Progressed`.
 
     Raises:
@@ -113,6 +120,7 @@ class Checkpoint:
         self.model: dict[str, Any] | None = again["model"]
         self.kernel: str | None = again["kernel"]
         self.options: dict[str, Any] | None = again["options"]
+        self.settings: dict[str, Any] | None = again["settings"]
         self.start = unpacked_steps(self._arrays, "start", 1)[0]
         self.steps = unpacked_steps(self._arrays, "steps", int(document["iterations"]))
         self.records = unpacked_records(
@@ -175,6 +183,7 @@ def write_checkpoint(
             "model": stored_model(plan.model),
             "kernel": plan.kernel if isinstance(plan.kernel, str) else None,
             "options": stored_options(plan.options),
+            "settings": stored_options(fields_of(plan.settings)),
         },
         "target": dict(target),
         "failures": dict(failures),

@@ -148,6 +148,7 @@ def resume(
     on_failure: str | None = None,
     retries: int | None = None,
     progress: bool | None = None,
+    settings: SimpleSettings | None = None,
     **kernel_options: Any,
 ) -> Posterior:
     """Go on with a run of which ``infer(..., checkpoint=path)`` left a file.
@@ -167,7 +168,7 @@ def resume(
         workers, executor, progress: as in :func:`infer`.
         on_failure, retries: as in :func:`infer`; by default as before. They can be changed for
             others as long as no simulation has failed.
-        **kernel_options: may be given; must be where they are no plain data.
+        settings, **kernel_options: may be given; must be where they are no plain data.
 
     Raises:
         InvalidEventError: there is no such file, or it is damaged or of another kind.
@@ -177,7 +178,13 @@ def resume(
     """
     began = pace.clock()
     saved = Checkpoint(path)
-    settings = SimpleSettings(**saved.identity["settings"])
+    if settings is None:
+        if saved.settings is None:
+            raise InvalidSettingError(
+                f"{path}: the settings {saved.identity['settings']} are not all plain data: give "
+                "them again, resume(path, settings=...)"
+            )
+        settings = SimpleSettings(**saved.settings)
     if model is None:
         if saved.model is None:
             own = saved.identity["model"]

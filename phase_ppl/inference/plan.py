@@ -76,10 +76,15 @@ class Plan:
                 "values": _plain_values(self.kernel),
                 "options": _stable(dict(self.options)),
             },
-            "settings": dataclasses.asdict(self.settings),
+            "settings": _stable(fields_of(self.settings)),
             "chains": self.chains,
             "seed": self.seed,
         }
+
+
+def fields_of(settings: SimpleSettings) -> dict[str, Any]:
+    """Return the settings by name."""
+    return {f.name: getattr(settings, f.name) for f in dataclasses.fields(settings)}
 
 
 def event_digest(event: Event) -> str:
@@ -158,7 +163,7 @@ def model_again(stored: Mapping[str, Any]) -> Model:
 
 
 def stored_options(options: Mapping[str, Any]) -> dict[str, Any] | None:
-    """Return kernel options in JSON's types; None where some are of others."""
+    """Return options or settings in JSON's types; None where some are of others."""
     try:
         plain: dict[str, Any] = json.loads(json.dumps(dict(options), allow_nan=False))
         return plain if _same(plain, dict(options)) else None

@@ -16,7 +16,7 @@ from phase_ppl.inference.checkpoint import Checkpoint, Progressed, Spent, write_
 from phase_ppl.inference.draws import Drawn, build_tree
 from phase_ppl.inference.length import run_length
 from phase_ppl.inference.pace import Pace
-from phase_ppl.inference.plan import Plan
+from phase_ppl.inference.plan import Plan, fields_of
 from phase_ppl.inference.progress import Progress
 from phase_ppl.inference.proposals import bottom_up_tables
 from phase_ppl.inference.settings import Budget, SimpleSettings, TimeBudget
@@ -24,7 +24,7 @@ from phase_ppl.models.bridge import SimulatorBridge
 from phase_ppl.models.program import event_salt
 from phase_ppl.simulator.contract import Cancelled
 from phase_ppl.simulator.runner import Runner
-from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.errors import InvalidSettingError, OutputError
 
 
 class Interrupted(KeyboardInterrupt):
@@ -45,11 +45,11 @@ class Interrupted(KeyboardInterrupt):
 
 @dataclasses.dataclass(frozen=True)
 class Means:
-    """What a call has to work with; none of it changes a draw.
+    """What a call has to work with.
 
     Attributes:
         iterations, budget: as given; the length of the run.
-        on_failure, retries: what becomes of failed simulations. Of these alone the draws depend.
+        on_failure, retries: what becomes of failed simulations; draws depend on it where some fail.
         workers, executor: where simulations run.
         progress: whether to show a bar.
         path: of the checkpoint; None: none is written.
@@ -157,7 +157,9 @@ class Session:
             try:
                 self._advance(bar)
             except (KeyboardInterrupt, Cancelled) as stop:
-                self._keep()  # in case that it came while the file was being written
+                # in case that it came while the file was being written; the posterior comes first
+                with contextlib.suppress(OutputError):
+                    self._keep()
                 return stop
             except Exception as error:
                 return error
@@ -255,4 +257,4 @@ class Session:
 
 def _without_beta(settings: SimpleSettings) -> dict[str, Any]:
     """Return the settings; beta is left to the model's likelihood, which has it."""
-    return {name: value for name, value in dataclasses.asdict(settings).items() if name != "beta"}
+    return {name: value for name, value in fields_of(settings).items() if name != "beta"}
