@@ -63,6 +63,9 @@ REQUIRED: Final[Mapping[str, Mapping[str, tuple[str, ...] | None]]] = {
 }
 """Group -> variable -> dimensions (None: any)."""
 
+OPTIONAL: Final = ("log_weight", "log_evidence")
+"""Further variables (chain, draw) of ``sample_stats``: not all files and kernels have them."""
+
 REQUIRED_ATTRS: Final = ("event_id", "settings", "cost", "kernel", "validity", "weights", "schema")
 
 
@@ -88,6 +91,12 @@ def check_tree(tree: xr.DataTree) -> None:
                 raise InvalidEventError(
                     f"{group}/{name} has dimensions {dataset[name].dims}, expected {dims}"
                 )
+    stats = tree["sample_stats"].dataset
+    for name in OPTIONAL:
+        if name in stats and stats[name].dims != _DRAW:
+            raise InvalidEventError(
+                f"sample_stats/{name} has dimensions {stats[name].dims}, expected {_DRAW}"
+            )
     _check_sizes(tree)
     _check_codes(tree)
 
@@ -120,6 +129,14 @@ def _check_codes(tree: xr.DataTree) -> None:
 def array(tree: xr.DataTree, group: str, name: str) -> NDArray[Any]:
     """Return the values of a variable of the tree."""
     return tree[group].dataset[name].values
+
+
+def log_weight_of_draws(tree: xr.DataTree) -> NDArray[np.float64]:
+    """Return (chain, draw) the log weights of the draws; 0 where the tree has none."""
+    stats = tree["sample_stats"].dataset
+    if "log_weight" not in stats:
+        return np.zeros(array(tree, "posterior", "goal_red").shape)
+    return stats["log_weight"].values.astype(float)
 
 
 def simulation_of_draw(tree: xr.DataTree) -> NDArray[np.int64]:

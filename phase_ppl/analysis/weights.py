@@ -3,8 +3,10 @@
 Every query is a sum over such a table. Which weighting is valid when:
 
 ``"count"``
-    Every draw weighs the same. Valid for every kernel whose stationary law is the posterior,
-    and the only one that is: a chain visits a hypothesis in proportion to its probability.
+    Every draw weighs exp(its log weight). Draws of a Markov chain weigh the same: a chain visits
+    a hypothesis in proportion to its probability. Kernels such as importance sampling give each
+    draw a weight of its own. Valid for every kernel whose stationary law is the posterior, and
+    for those that approach it as particles grow; the only weighting that is.
 ``"visited"``
     Every pair of effective goals that was simulated weighs its prior times the mean likelihood
     of its simulations, whether a chain stayed there or not: strengths and seeds, which were
@@ -30,7 +32,13 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.tree import HYPOTHESIS, SITES, array, simulation_of_draw
+from phase_ppl.analysis.tree import (
+    HYPOTHESIS,
+    SITES,
+    array,
+    log_weight_of_draws,
+    simulation_of_draw,
+)
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 
 FloatArray = NDArray[np.float64]
@@ -77,10 +85,13 @@ def normalised(log_weights: FloatArray) -> FloatArray:
 
 
 def count(tree: xr.DataTree) -> Rows:
-    """Return all draws with equal weights."""
+    """Return all draws, weighted as the kernel says: equally, but for weighted draws.
+
+    Raises:
+        InvalidSettingError: all weights are zero.
+    """
     values, index = _draws(tree)
-    n_draws = len(index["draw"])
-    return Rows(values, np.full(n_draws, 1.0 / n_draws), index)
+    return Rows(values, normalised(log_weight_of_draws(tree).reshape(-1)), index)
 
 
 def likelihood(tree: xr.DataTree) -> Rows:

@@ -126,12 +126,16 @@ class Step(NamedTuple):
         sim_seed: (chain,) seeds of their simulations.
         accepted: (chain,) whether the iteration's proposal was accepted.
         window: (chain,) first frame of the window it came from; -1 where there is none.
+        log_weight: (chain,) of the draws, up to a constant; 0 where the kernel gives none.
+        log_evidence: of the observation, where the kernel estimates it, else NaN.
     """
 
     sites: dict[str, NDArray[Any]]
     sim_seed: NDArray[np.int64]
     accepted: NDArray[np.bool_]
     window: NDArray[np.int64]
+    log_weight: NDArray[np.float64]
+    log_evidence: NDArray[np.float64]
 
 
 class Chains:
@@ -196,6 +200,9 @@ class Chains:
             source = [next(c for c in np.roll(chain, -i) if completed[c]) for i in chain]
             copied = jax.tree.map(lambda leaf: leaf[np.array(source)], state)
             state = copied._replace(rng_key=state.rng_key)
+            if hasattr(state, "log_weight"):
+                weight = jax.numpy.where(completed, state.log_weight, -np.inf)
+                state = state._replace(log_weight=weight)
         self._state = state
         self.start = _on_host(state)
 
@@ -257,4 +264,13 @@ def _on_host(state: Any) -> Step:
     seed = np.asarray(state.sim_seed).astype(np.int64)
     window = getattr(state, "window", np.full(seed.shape, -1))
     accepted = getattr(state, "accepted", np.zeros(seed.shape, bool))
-    return Step(sites, seed, np.asarray(accepted).astype(bool), np.asarray(window).astype(np.int64))
+    log_weight = getattr(state, "log_weight", np.zeros(seed.shape))
+    log_evidence = getattr(state, "log_evidence", np.full(seed.shape, np.nan))
+    return Step(
+        sites,
+        seed,
+        np.asarray(accepted).astype(bool),
+        np.asarray(window).astype(np.int64),
+        np.asarray(log_weight).astype(np.float64),
+        np.asarray(log_evidence).astype(np.float64),
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.metadata
 import json
 import platform
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from phase_ppl import __version__
 from phase_ppl.analysis.tree import SCHEMA
 from phase_ppl.inference.chains import Step
+from phase_ppl.inference.registry import KernelInfo
 from phase_ppl.models.bridge import Record
 from phase_ppl.models.effective import log_prior_of_effective
 from phase_ppl.models.model import Model
@@ -26,7 +28,8 @@ from phase_ppl.world.names import ENTITIES, LANDMARKS
 from phase_ppl.world.observation import FRAMES_PER_SECOND
 
 DEFAULT_WEIGHTS: Final = "visited"
-"""Default weighting of a run as short as the paper's; ``phase_ppl.analysis.weights`` says why."""
+"""Default weighting of a run as short as the paper's; ``phase_ppl.analysis.weights`` says why.
+Kernels that weigh their draws themselves have "count"."""
 
 _LIBRARIES: Final = ("numpyro", "jax", "numpy", "xarray", "pymunk", "numba")
 _STORED: Final = {
@@ -40,10 +43,35 @@ _FRAME: Final = ("time", "entity", "coord")
 Columns = dict[str, NDArray[Any]]
 
 
+@dataclasses.dataclass(frozen=True)
+class Drawn:
+    """The particles that are draws of the posterior.
+
+    Attributes:
+        steps: (draw,) the particles.
+        iterations: (draw,) the iteration after which they stood so; 0 for the initial ones.
+        weighted: whether they carry weights of their own.
+    """
+
+    steps: Sequence[Step]
+    iterations: Sequence[int]
+    weighted: bool = False
+
+    @classmethod
+    def kept(cls, start: Step, steps: Sequence[Step], kernel: KernelInfo) -> Drawn:
+        """Return those of a run that ``kernel`` keeps: the initial ones if there are no others."""
+        numbered = list(enumerate((start, *steps)))
+        if kernel.keeps == "last":
+            numbered = numbered[-1:]
+        elif kernel.keeps == "all" and steps:
+            numbered = numbered[1:]
+        return cls([s for _, s in numbered], [i for i, _ in numbered], kernel.weighted)
+
+
 def build_tree(
     event: Event,
     model: Model,
-    steps: Sequence[Step],
+    drawn: Drawn,
     records: Sequence[Record],
     attrs: Mapping[str, str],
 ) -> xr.DataTree:
@@ -52,12 +80,12 @@ def build_tree(
     Args:
         event: what was explained; its scene, observation and id are stored.
         model: prior and likelihood.
-        steps: the particles after each iteration.
+        drawn: the particles that are draws.
         records: every simulation.
         attrs: further root attributes.
     """
     table = _simulation_table(records, model)
-    index = _records_of_draws(steps, records)
+    index = _records_of_draws(drawn.steps, records)
     draw_coords = {"chain": np.arange(index.shape[0]), "draw": np.arange(index.shape[1])}
     time = ("time", np.arange(event.observation.n_frames) / FRAMES_PER_SECOND, {"units": "s"})
     frame_coords = {"time": time, "entity": list(ENTITIES), "coord": ["x", "y", "angle"]}
@@ -67,7 +95,7 @@ def build_tree(
             {name: _variable(name, _PAIR, table[name][index]) for name in sites}, draw_coords
         ),
         "sample_stats": xr.Dataset(
-            _sample_stats(steps, records, table, index), {**draw_coords, "time": time}
+            _sample_stats(drawn, records, table, index), {**draw_coords, "time": time}
         ),
         "posterior_predictive": xr.Dataset(
             {"trajectory": ((*_PAIR, *_FRAME), _trajectories(records, index))},
@@ -84,7 +112,7 @@ def build_tree(
     tree = xr.DataTree.from_dict(groups)
     tree.attrs = {
         "event_id": event.id,
-        "weights": DEFAULT_WEIGHTS,
+        "weights": "count" if drawn.weighted else DEFAULT_WEIGHTS,
         "versions": json.dumps(_versions()),
         "schema": SCHEMA,
         **attrs,
@@ -156,24 +184,30 @@ def _key(sites: Mapping[str, NDArray[Any]], seed: int) -> tuple[Any, ...]:
 
 
 def _sample_stats(
-    steps: Sequence[Step], records: Sequence[Record], table: Columns, index: NDArray[np.int64]
+    drawn: Drawn, records: Sequence[Record], table: Columns, index: NDArray[np.int64]
 ) -> dict[str, Any]:
+    steps = drawn.steps
     errors = np.array([record.result.errors for record in records], np.float32)
-    n_chains, n_draws = index.shape
-    frames = np.zeros((n_chains, n_draws + 1), np.int64)
-    within = table["iteration"] <= n_draws
+    frames = np.zeros((len(index), max(drawn.iterations) + 1), np.int64)
+    within = table["iteration"] < frames.shape[1]
     where = table["chain"][within], table["iteration"][within]
     np.add.at(frames, where, table["frames_simulated"][within])
     paid = {"long_name": "frames simulated for this iteration's proposal, accepted or not"}
-    return {
+    weight = {"long_name": "log weight of the draw, up to a constant; 0 where all are equal"}
+    stats = {
         "log_joint": (_PAIR, (table["log_prior"] + table["log_likelihood"])[index]),
         "total_error": (_PAIR, table["total_error"][index], {"units": "units of length"}),
         "accepted": (_PAIR, np.stack([step.accepted for step in steps], axis=1)),
         "window": (_PAIR, np.stack([step.window for step in steps], axis=1)),
-        "frames_simulated": (_PAIR, frames[:, 1:], paid),
+        "frames_simulated": (_PAIR, frames[:, list(drawn.iterations)], paid),
         "sim_seed": (_PAIR, table["seed"][index]),
         "step_error": ((*_PAIR, "time"), errors[index]),
+        "log_weight": (_PAIR, np.stack([step.log_weight for step in steps], axis=1), weight),
     }
+    log_evidence = np.stack([step.log_evidence for step in steps], axis=1)
+    if not np.isnan(log_evidence).all():
+        stats["log_evidence"] = (_PAIR, log_evidence)
+    return stats
 
 
 def _trajectories(records: Sequence[Record], index: NDArray[np.int64]) -> NDArray[np.float32]:

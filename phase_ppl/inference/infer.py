@@ -12,10 +12,11 @@ from numpyro.infer.mcmc import MCMCKernel
 
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.inference.chains import Chains, EventData, Recipe
-from phase_ppl.inference.draws import build_tree
+from phase_ppl.inference.draws import Drawn, build_tree
+from phase_ppl.inference.length import check_chains, run_length
 from phase_ppl.inference.progress import Progress
 from phase_ppl.inference.proposals import bottom_up_tables
-from phase_ppl.inference.registry import Factory, KernelInfo, described
+from phase_ppl.inference.registry import Factory, described
 from phase_ppl.inference.settings import Budget, SimpleSettings, simulations, whole_number
 from phase_ppl.models.bridge import SimulatorBridge
 from phase_ppl.models.likelihood import RadialLikelihood
@@ -34,9 +35,6 @@ __all__ = ["Budget", "Interrupted", "SimpleSettings", "infer", "simulations"]
 
 CHAINS: Final = 15
 """M, the paper's number of particles."""
-
-ITERATIONS: Final = 6
-"""L, the paper's number of iterations."""
 
 
 class Interrupted(KeyboardInterrupt):
@@ -103,14 +101,12 @@ def infer(
     settings = SimpleSettings() if settings is None else settings
     model = _model(model, planner, settings)
     chosen = described(kernel)
-    whole_number("chains", chains)
+    check_chains(chosen, chains)
     whole_number("seed", seed, minimum=0)
-    n_iterations = _iterations(iterations, budget, chains, chosen)
 
     scene, observation = event.scene, event.observation
     options = tuple(kernel_options.items())
     recipe = Recipe(chosen, options, model, settings, observation.n_frames)
-    n_simulations = chains * (1 + n_iterations * chosen.sims_per_step)
     with Runner(model.build_simulator(), scene, observation, workers=workers) as runner:
         bridge = SimulatorBridge(runner, observation.n_frames)
         tables = bottom_up_tables(
@@ -122,25 +118,25 @@ def infer(
         )
         data = EventData(tables, event_salt(scene, observation), bridge.handle)
         built = recipe.build(data)
+        length = run_length(built, chosen, chains, iterations, budget)
         run = Chains(recipe, data, bridge, runner, chains, seed)
         interrupted = False
-        with Progress(n_simulations, progress) as bar:
+        with Progress(length.simulations(chains), progress) as bar:
             runner.on_result = bar.one_more
             try:
                 run.initialise()
-                for done in range(n_iterations):
-                    bar.reach(chains * (1 + done * chosen.sims_per_step))
+                for done in range(length.iterations):
+                    bar.reach(length.simulations(chains, done))
                     run.advance()
-                bar.reach(n_simulations)
+                bar.reach(length.simulations(chains))
             except (KeyboardInterrupt, Cancelled):
                 interrupted = True
     if run.start is None:
         raise Interrupted(None)
-    steps = run.steps or [run.start]
     tree = build_tree(
         event,
         model,
-        steps,
+        Drawn.kept(run.start, run.steps, chosen),
         bridge.records,
         {
             "kernel": chosen.name,
@@ -164,16 +160,6 @@ def infer(
     if interrupted:
         raise Interrupted(posterior)
     return posterior
-
-
-def _iterations(
-    iterations: int | None, budget: Budget | None, chains: int, chosen: KernelInfo
-) -> int:
-    if budget is None:
-        return ITERATIONS if iterations is None else whole_number("iterations", iterations)
-    if iterations is not None:
-        raise InvalidSettingError("give either iterations or a budget, not both")
-    return budget.iterations(chains, chosen.sims_per_step)
 
 
 def _model(

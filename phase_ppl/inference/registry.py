@@ -8,8 +8,12 @@ Another package registers its kernel under the entry point group ``phase_ppl.ker
 where ``my_kernel`` is a function decorated with :func:`register_kernel`.
 
 A kernel is an ``MCMCKernel`` of NumPyro. Its state has the fields ``z`` (site -> value) and
-``sim_seed`` (the seed with which that hypothesis was simulated), and may have ``accepted`` and
-``window``.
+``sim_seed`` (the seed with which that hypothesis was simulated), and may have ``accepted``,
+``window``, ``log_weight`` (of the draw, where draws are not equal) and ``log_evidence``.
+
+What a kernel knows only once it is made for a model is asked of the kernel itself, where it says
+so: ``validity``, ``sims_per_step``, ``sims_at_start`` (simulations per initial particle, 1 by
+default) and ``n_iterations(chains)``, of a kernel that decides its own length.
 """
 
 from __future__ import annotations
@@ -30,8 +34,10 @@ from phase_ppl.models.program import EventProgram
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 
 Validity = Literal["exact", "consistent", "approximate"]
+Keeps = Literal["all", "last", "start"]
 
 VALIDITIES: Final = ("exact", "consistent", "approximate")
+KEEPS: Final = ("all", "last", "start")
 ENTRY_POINTS: Final = "phase_ppl.kernels"
 
 NEEDS: Final = ("guide", "settings")
@@ -53,10 +59,14 @@ class KernelInfo:
         factory: makes the kernel from an :class:`~phase_ppl.models.program.EventProgram`.
         validity: "exact": its stationary law is the posterior; "consistent": it approaches the
             posterior as particles grow; "approximate": neither; "unknown" where nobody says.
-        sims_per_step: simulations per particle and step.
+        sims_per_step: the most simulations that a step takes per particle.
         chain_methods: NumPyro's ``chain_method`` values it works with.
         needs: keyword arguments that the factory asks for, of :data:`NEEDS`.
         summary: first line of the factory's documentation.
+        even_chains: whether it needs an even number of chains.
+        keeps: which particles are draws of the posterior: "all", those after every iteration;
+            "last", those after the last one; "start", all and the initial ones.
+        weighted: whether draws carry a weight, the state's ``log_weight``.
     """
 
     name: str
@@ -66,6 +76,9 @@ class KernelInfo:
     chain_methods: tuple[str, ...]
     needs: tuple[str, ...]
     summary: str
+    even_chains: bool = False
+    keeps: Keeps = "all"
+    weighted: bool = False
 
     def make(self, program: EventProgram, **options: Any) -> MCMCKernel:
         """Return the kernel for the model of an event; see :func:`make_kernel`."""
@@ -86,6 +99,9 @@ def register_kernel(
     sims_per_step: int = 1,
     chain_methods: Sequence[str] = ("vectorized", "sequential"),
     needs: Sequence[str] = (),
+    even_chains: bool = False,
+    keeps: Keeps = "all",
+    weighted: bool = False,
 ) -> Callable[[Factory], Factory]:
     """Return a decorator that makes a kernel factory known under ``name``.
 
@@ -98,7 +114,7 @@ def register_kernel(
         raise InvalidSettingError(f"validity={validity!r} is none of {VALIDITIES}")
     if isinstance(sims_per_step, bool) or not isinstance(sims_per_step, int) or sims_per_step < 1:
         raise InvalidSettingError(f"sims_per_step={sims_per_step!r}, expected a number >= 1")
-    for given, allowed in ((chain_methods, CHAIN_METHODS), (needs, NEEDS)):
+    for given, allowed in ((chain_methods, CHAIN_METHODS), (needs, NEEDS), ((keeps,), KEEPS)):
         for entry in given:
             if entry not in allowed:
                 raise InvalidSettingError(f"kernel {name!r}: {entry!r} is none of {allowed}")
@@ -109,7 +125,16 @@ def register_kernel(
             raise InvalidSettingError(f"a kernel named {name!r} exists: {_origin(known.factory)}")
         summary = (inspect.getdoc(factory) or "").split("\n")[0]
         _KERNELS[name] = KernelInfo(
-            name, factory, validity, sims_per_step, tuple(chain_methods), tuple(needs), summary
+            name,
+            factory,
+            validity,
+            sims_per_step,
+            tuple(chain_methods),
+            tuple(needs),
+            summary,
+            even_chains,
+            keeps,
+            weighted,
         )
         return factory
 
@@ -198,4 +223,7 @@ def described(kernel: str | Factory | MCMCKernel) -> KernelInfo:
         chain_methods=("vectorized",),
         needs=tuple(need for need in NEEDS if need in parameters),
         summary=(inspect.getdoc(kernel) or "").split("\n")[0],
+        even_chains=getattr(kernel, "even_chains", False),
+        keeps=getattr(kernel, "keeps", "all"),
+        weighted=getattr(kernel, "weighted", False),
     )

@@ -69,17 +69,18 @@ class Budget:
 
     simulations: int
 
-    def iterations(self, chains: int, sims_per_step: int) -> int:
+    def iterations(self, chains: int, sims_per_step: int, sims_at_start: int = 1) -> int:
         """Return how many iterations of ``chains`` particles the budget allows.
 
         Raises:
             InvalidSettingError: not one beside the initial particles.
         """
-        iterations = (self.simulations - chains) // (chains * sims_per_step)
+        at_start = chains * sims_at_start
+        iterations = (self.simulations - at_start) // (chains * sims_per_step)
         if iterations < 1:
             raise InvalidSettingError(
                 f"a budget of {self.simulations} simulations is too small: {chains} initial "
-                f"particles and one iteration need {chains * (1 + sims_per_step)}"
+                f"particles and one iteration need {at_start + chains * sims_per_step}"
             )
         return iterations
 

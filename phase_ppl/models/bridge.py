@@ -58,7 +58,8 @@ class SimulatorBridge:
     """Answers compiled code's requests for simulations, and keeps a record of them.
 
     A request is a pure function of its arguments, since the seed is one of them; JAX may
-    therefore reorder it. All particles of a vectorised step arrive in one call.
+    therefore reorder it, and one that was answered by a completed simulation before is answered
+    by it again, at no cost. All particles of a vectorised step arrive in one call.
 
     Args:
         runner: runs the simulations.
@@ -84,6 +85,7 @@ class SimulatorBridge:
         self.defers = False
         self._runner = runner
         self._n_frames = n_frames
+        self._completed: dict[tuple[Any, ...], SimulationResult] = {}
         _open[self.handle] = self
 
     def answer(
@@ -116,19 +118,27 @@ class SimulatorBridge:
         rows_per_chain = n_rows // batch[0] if batch else 1
         flat = {k: v.reshape(n_rows, *v.shape[len(batch) :]) for k, v in columns.items()}
         log_prior, seed, ceiling = log_prior.ravel(), seed.ravel(), ceiling.ravel()
-        rows = np.flatnonzero(_in_support(flat, log_prior)).tolist()
+        errors = np.full((n_rows, self._n_frames), np.inf, np.float32)
+        rows: list[int] = []
+        for row in np.flatnonzero(_in_support(flat, log_prior)).tolist():
+            known = self._completed.get(_request(flat, seed, row))
+            if known is None:
+                rows.append(row)
+            else:
+                errors[row] = known.errors
         results = self._runner.run(
             [_hypothesis(flat, row) for row in rows],
             [int(seed[row]) for row in rows],
             [float(ceiling[row]) for row in rows],
         )
-        errors = np.full((n_rows, self._n_frames), np.inf, np.float32)
         paid: set[int] = set()
         for row, result in zip(rows, results, strict=True):
             errors[row] = result.errors
             if id(result) in paid:  # identical requests are simulated once
                 continue
             paid.add(id(result))
+            if result.completed:
+                self._completed[_request(flat, seed, row)] = result
             self.records.append(
                 Record(
                     result,
@@ -194,6 +204,11 @@ def _in_support(flat: _Columns, log_prior: NDArray[np.float32]) -> NDArray[np.bo
     for name in STRENGTH_SITES:
         inside &= (flat[name] > 0) & np.isfinite(flat[name])
     return inside
+
+
+def _request(flat: _Columns, seed: NDArray[np.int32], row: int) -> tuple[Any, ...]:
+    """Return what identifies a request: seed and sites, to the last bit."""
+    return int(seed[row]), *(flat[name][row].tobytes() for name in sorted(flat))
 
 
 def _hypothesis(flat: _Columns, row: int) -> Hypothesis:
