@@ -11,6 +11,11 @@ from tqdm import tqdm
 WARMING_UP: Final = "warming up (compiles the first time)"
 
 
+def is_shown(shown: bool | None) -> bool:
+    """Return whether to show a bar; None: where stderr is a terminal, and in notebooks."""
+    return (sys.stderr.isatty() or "ipykernel" in sys.modules) if shown is None else shown
+
+
 class Progress:
     """A bar on stderr that counts simulations.
 
@@ -20,10 +25,8 @@ class Progress:
     """
 
     def __init__(self, total: int, shown: bool | None = None) -> None:
-        if shown is None:
-            shown = sys.stderr.isatty() or "ipykernel" in sys.modules
         self._bar = tqdm(
-            total=total, disable=not shown, file=sys.stderr, unit="sim", desc=WARMING_UP
+            total=total, disable=not is_shown(shown), file=sys.stderr, unit="sim", desc=WARMING_UP
         )
 
     def __enter__(self) -> Self:

@@ -50,7 +50,11 @@ _TRIES: Final = 32
 
 _REMEMBERED: Final = 64
 
-_NOT_POSITIVE: Final = (-1e4, -600.0, -300.0, -1.0, -1e-3)
+_NOT_POSITIVE: Final = -np.logspace(-3, 6, 91, dtype=np.float32)
+"""Strengths that no support may hold."""
+
+_FAR: Final = 100
+"""How far from the allowed codes others are looked for."""
 
 
 def checked_sites(prior: Program) -> dict[str, tuple[int, ...]]:
@@ -140,6 +144,9 @@ def _check_hypothesis_site(prior: str, name: str, site: Mapping[str, Any]) -> No
         raise InvalidSettingError(
             f"{start} with support {site['fn'].support}: expected {_EXPECTED[name]}"
         )
+    dtype = jnp.result_type(site["value"])
+    if name not in STRENGTH_SITES and not jnp.issubdtype(dtype, jnp.integer):
+        raise InvalidSettingError(f"{start} of type {dtype}: expected {_EXPECTED[name]}")
 
 
 def _support_fits(name: str, distribution: dist.Distribution) -> bool:
@@ -150,9 +157,9 @@ def _support_fits(name: str, distribution: dist.Distribution) -> bool:
             possible = values[np.asarray(support(values))]
             return bool(((possible > 0) & np.isfinite(possible)).all())
         if name in STRENGTH_SITES:
-            return not np.asarray(support(np.array(_NOT_POSITIVE, np.float32))).any()
+            return not np.asarray(support(_NOT_POSITIVE)).any()
         limit = len(ALPHAS) if name == ALPHA_SITE else N_GOALS
-        outside = np.array([-limit, -1, limit, limit + 1, 10 * limit])
+        outside = np.append(np.arange(-_FAR, 0), np.arange(limit, limit + _FAR))
         return support.is_discrete and not np.asarray(support(outside)).any()
     except (NotImplementedError, AttributeError, TypeError, ValueError):
         return False  # a support that cannot be asked, or values that cannot be listed

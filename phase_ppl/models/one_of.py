@@ -12,8 +12,11 @@ from jax import random
 from jax.scipy.special import logsumexp
 from numpyro.distributions import constraints
 
+_NOTHING = -1e30
+"""Logit of a probability of 0; finite, so that NumPyro's argument checks let it pass."""
+
 _MASSLESS = -1e15
-"""Logits below this are no values at all: they are outside the support."""
+"""Values with logits below this are outside the support."""
 
 
 class OneOf(dist.Distribution):
@@ -56,6 +59,7 @@ class OneOf(dist.Distribution):
             raise ValueError("OneOf takes probs or logits, not both")
         if probs is not None:
             logits = jnp.log(jnp.asarray(probs, jnp.float32))
+            logits = jnp.where(jnp.isneginf(logits), _NOTHING, logits)
         elif logits is None:
             logits = jnp.zeros(len(self.values))
         self.logits = jnp.asarray(logits, jnp.float32)
