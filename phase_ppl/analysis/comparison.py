@@ -53,8 +53,8 @@ class Comparison:
         curve: the accuracy of every run after ever more simulations: ``kernel``, ``repeat``,
             ``simulations``, and the measures of accuracy.
         settings: all that determines the result: event, model, kernels with their options,
-            budget, chains, seed, weights, and ``reference``, with a description of it and its
-            marginals.
+            budget, chains, seed, weights, and ``reference``: its ``description``, ``marginals``,
+            and what it makes of the truth (``truth``).
     """
 
     runs: pd.DataFrame

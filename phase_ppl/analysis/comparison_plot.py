@@ -50,7 +50,7 @@ def comparison(
     """Draw measures of accuracy against simulations, a line per kernel.
 
     Lines are means over repeats, bands their standard errors. A kernel that keeps its last
-    population only is a point with a bar.
+    population only is a point with a bar. A dashed line is what the reference says.
 
     Args:
         c: what to draw.
@@ -71,7 +71,7 @@ def comparison(
     figure = new_figure(4.6 * len(drawn), 3.6)
     grid = figure.add_gridspec(
         1, len(drawn), left=0.62 / (4.6 * len(drawn)), right=1 - 1.15 / (4.6 * len(drawn)),
-        top=0.84, bottom=0.185, wspace=1.75 / 2.9,
+        top=0.86, bottom=0.185, wspace=1.75 / 2.9,
     )  # fmt: skip
     for panel, name in enumerate(drawn):
         axes = figure.add_subplot(grid[panel])
@@ -98,6 +98,10 @@ def _panel(axes: Axes, c: Comparison, name: str) -> None:
             axes.fill_between(x, mean - error, mean + error, color=colour, alpha=0.16, lw=0)
             axes.plot(x, mean, color=colour, ls=style, lw=1.8, solid_capstyle="round")
         ends.append((float(x[-1]), float(mean[-1]), kernel, colour))
+    reference = c.settings["reference"].get("truth", {}).get(name)
+    if reference is not None:
+        axes.axhline(reference, color="#777777", lw=0.9, ls=(0, (4, 3)), zorder=1)
+        ends.append((0.0, reference, "reference", "#777777"))
     bare(axes)
     axes.set_xlabel("simulations", fontsize=NORMAL, color=INK)
     axes.set_xlim(0, max(end[0] for end in ends) * 1.02)
@@ -137,7 +141,7 @@ def _direct_labels(axes: Axes, ends: list[tuple[float, float, str, str]]) -> Non
         lift = max(0.0, 0.02 - places[0])
         places[0] += lift
     for place, i in zip(places, order, strict=True):
-        x, _, kernel, colour = ends[i]
+        _, _, kernel, colour = ends[i]
         axes.annotate(
             kernel,
             (1.0, wanted[i]),

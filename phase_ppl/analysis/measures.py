@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.tree import array
 from phase_ppl.world.event import Truth
+from phase_ppl.world.goals import goal_index
+from phase_ppl.world.relations import RELATIONS
 
 FloatArray = NDArray[np.float64]
 
@@ -59,13 +61,23 @@ def accuracy(post: Posterior, reference: Marginals, truth: Truth | None) -> dict
         "tv_relation": apart["relation"],
     }
     if truth is None:
-        names = ("p_pair", "p_goals", "p_relation", "map_goals", "map_relation")
-        return result | dict.fromkeys(names, np.nan)
-    true = {"goal_red": truth.goal_red, "goal_green": truth.goal_green, "relation": truth.relation}
-    p = {name: post.probability(**{name: label}) for name, label in true.items()}
-    best = {name: float(post.top(name, 1)[0][0] == label) for name, label in true.items()}
-    return result | {
-        "p_pair": post.probability(goal_red=truth.goal_red, goal_green=truth.goal_green),
+        return result | {"p_pair": np.nan} | of_truth(found, truth)
+    pair = post.probability(goal_red=truth.goal_red, goal_green=truth.goal_green)
+    return result | {"p_pair": pair} | of_truth(found, truth)
+
+
+def of_truth(found: Marginals, truth: Truth | None) -> dict[str, float]:
+    """Return what marginals make of the truth, as :func:`accuracy`; NaN where there is none."""
+    if truth is None:
+        return dict.fromkeys(("p_goals", "p_relation", "map_goals", "map_relation"), np.nan)
+    codes = {
+        "goal_red": goal_index(truth.goal_red),
+        "goal_green": goal_index(truth.goal_green),
+        "relation": RELATIONS.index(truth.relation),
+    }
+    p = {name: float(found[name][code]) for name, code in codes.items()}
+    best = {name: float(found[name].argmax() == code) for name, code in codes.items()}
+    return {
         "p_goals": (p["goal_red"] + p["goal_green"]) / 2,
         "p_relation": p["relation"],
         "map_goals": (best["goal_red"] + best["goal_green"]) / 2,

@@ -54,7 +54,6 @@ _ROOM_FOR_NAMES: Final = 1.3
 """Strip above and below the arena that holds the landmarks' names, units."""
 
 
-
 def posterior(post: Posterior, path: str | os.PathLike[str] | None = None) -> Figure:
     """Draw goals, relation, scenario, tracks and strengths of a posterior on one page.
 

@@ -14,11 +14,12 @@ import pandas as pd
 from tqdm import tqdm
 
 from phase_ppl.analysis.comparison import CURVE_COLUMNS, RUN_COLUMNS, Comparison
-from phase_ppl.analysis.measures import accuracy, curve, efficiency
+from phase_ppl.analysis.measures import accuracy, curve, efficiency, of_truth
 from phase_ppl.analysis.posterior import Posterior
+from phase_ppl.analysis.summary import plain
 from phase_ppl.analysis.weights import WEIGHTINGS
 from phase_ppl.inference.contenders import Contender, Spec, contenders, described_budget
-from phase_ppl.inference.infer import CHAINS, infer
+from phase_ppl.inference.infer import CHAINS
 from phase_ppl.inference.progress import is_shown
 from phase_ppl.inference.reference import Reference, reference_of
 from phase_ppl.inference.settings import Budget, SimpleSettings, whole_number
@@ -133,6 +134,7 @@ def compare(
             bar.set_description("reference")
             if record.reference is None:
                 found = reference_of(wanted, event, model, seed, workers)
+                found["truth"] = of_truth(found["marginals"], event.truth)
                 record.keep_reference(found)
             bar.update()
             marginals = {name: np.array(p) for name, p in record.reference["marginals"].items()}
@@ -166,9 +168,7 @@ class _Record:
         path: of the checkpoint, if there is one.
     """
 
-    def __init__(
-        self, settings: Mapping[str, Any], path: str | os.PathLike[str] | None
-    ) -> None:
+    def __init__(self, settings: Mapping[str, Any], path: str | os.PathLike[str] | None) -> None:
         self.settings: dict[str, Any] = _stable(settings)
         self.runs: list[dict[str, Any]] = []
         self.curves: list[pd.DataFrame] = []
@@ -243,4 +243,4 @@ class _Record:
 
 def _stable(value: Any) -> Any:
     """Return ``value`` in JSON's types, without what differs from process to process."""
-    return json.loads(_ADDRESS.sub("", json.dumps(value, default=repr)))
+    return json.loads(_ADDRESS.sub("", json.dumps(plain(value), default=repr)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Mapping
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import jax
 from jax import random
@@ -22,8 +22,8 @@ from phase_ppl.models.program import event_salt
 from phase_ppl.world.errors import InvalidSettingError, PhasePPLError, shown
 from phase_ppl.world.event import Event
 
-Kernel = str | Factory | MCMCKernel
-Spec = Kernel | tuple[Kernel, Mapping[str, Any]]
+Kernel: TypeAlias = str | Factory | MCMCKernel
+Spec: TypeAlias = Kernel | tuple[Kernel, Mapping[str, Any]]
 """A kernel, or a kernel and its options."""
 
 _TAKEN: Final = (

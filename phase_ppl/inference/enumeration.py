@@ -138,9 +138,7 @@ def enumerate_goals(
     return Enumeration(_table(plan.pairs, weight, usable), halves, len(results))
 
 
-def _table(
-    pairs: NDArray[np.int64], weight: FloatArray, usable: NDArray[np.bool_]
-) -> FloatArray:
+def _table(pairs: NDArray[np.int64], weight: FloatArray, usable: NDArray[np.bool_]) -> FloatArray:
     """Return (goal_red, goal_green) the mean weights of the usable simulations, of sum 1."""
     table = np.zeros((N_GOALS, N_GOALS))
     table[tuple(pairs.T)] = weight.sum(axis=1) / np.maximum(usable.sum(axis=1), 1)

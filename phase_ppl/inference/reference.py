@@ -182,7 +182,7 @@ def _entry(
     apart = "" if halves is None else f"; its halves differ by a TV of {halves:.2f}"
     return {
         "description": words + apart,
-        "marginals": {name: values.tolist() for name, values in found.items()},
+        "marginals": dict(found),
         "simulations": simulations,
         "halves_apart": halves,
     }

@@ -58,7 +58,7 @@ class Model:
         UnknownNameError: an unknown prior, planner or noise.
     """
 
-    prior: _PriorField = _PriorField()  # noqa: RUF009  (a descriptor, shared on purpose)
+    prior: _PriorField = _PriorField()
     simulator: Simulator | None = None
     likelihood: Likelihood = dataclasses.field(default_factory=RadialLikelihood)
     planner: str | PlannerConfig | None = None

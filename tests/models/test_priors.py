@@ -131,7 +131,7 @@ def test_relation_first_gives_each_relation_a_third() -> None:
 def test_relation_first_is_the_papers_prior_once_the_relation_is_known() -> None:
     both = [density(name, CODES, STRENGTHS) for name in ("relation_first", "uniform")]
     for relation in range(len(RELATIONS)):
-        one, other = (mass[RELATION == relation] for mass in both)
+        one, other = (mass[relation == RELATION] for mass in both)
         np.testing.assert_allclose(one / one.sum(), other / other.sum(), rtol=1e-3, atol=1e-12)
 
 
@@ -141,8 +141,8 @@ def test_relations_can_have_other_probabilities() -> None:
 
     many = compiled(jax.vmap(lambda key: draw(mostly_friends, key)))
     z = {site: np.asarray(v) for site, v in many(random.split(random.key(0), 4000)).items()}
-    pairs = [effective_goals(int(r), int(g), ALPHAS[a])
-             for r, g, a in zip(z["goal_red"], z["goal_green"], z["alpha"], strict=True)]  # fmt: skip
+    stated = zip(z["goal_red"], z["goal_green"], z["alpha"], strict=True)
+    pairs = [effective_goals(int(r), int(g), ALPHAS[a]) for r, g, a in stated]
     found = np.bincount(RELATION_TABLE[tuple(np.array(pairs).T)], minlength=3) / len(pairs)
     expected = {"friendly": 0.7, "neutral": 0.1, "adversarial": 0.2}
     np.testing.assert_allclose(found, [expected[r] for r in RELATIONS], atol=0.04)

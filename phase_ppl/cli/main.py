@@ -1,25 +1,31 @@
-"""The terminal: ``phase-ppl infer | simulate | render``."""
+"""The commands ``infer``, ``simulate`` and ``render``, and what all commands have in common."""
 
 from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import phase_ppl
+from phase_ppl.cli import compare
+from phase_ppl.cli.shared import (
+    BAD_INPUT,
+    INTERRUPTED,
+    Parser,
+    command,
+    load,
+    whole,
+    writable_folder,
+    write_text,
+)
 from phase_ppl.world.errors import OutputError, PhasePPLError
 
 if TYPE_CHECKING:
     from phase_ppl.analysis.posterior import Posterior
     from phase_ppl.world.event import Event
-
-BAD_INPUT = 2
-INTERRUPTED = 130
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -44,12 +50,13 @@ def _one_line(error: BaseException) -> str:
 
 
 def _infer(options: argparse.Namespace) -> int:
-    event = _load(options)
-    out = None if options.out is None else _writable_folder(options.out)
+    event = load(options)
+    out = None if options.out is None else writable_folder(options.out)
     interrupted = False
     try:
         post = phase_ppl.infer(
             event,
+            phase_ppl.Model(prior=options.prior),
             kernel=options.kernel,
             planner=options.planner,
             chains=options.chains,
@@ -76,7 +83,7 @@ def _write_results(post: Posterior, event: Event, out: Path) -> None:
     """Write posterior.nc, summary.json, posterior.png and replay.mp4 into ``out``."""
     post.save(out / "posterior.nc")
     text = json.dumps(post.summary(), indent=2, ensure_ascii=False, allow_nan=False)
-    _write_text(out / "summary.json", text + "\n")
+    write_text(out / "summary.json", text + "\n")
     phase_ppl.plot.posterior(post, path=out / "posterior.png")
     phase_ppl.render.video(event, out / "replay.mp4", compare=post.replay())
     print(f"\nWritten to {out}: posterior.nc, summary.json, posterior.png, replay.mp4")
@@ -89,8 +96,8 @@ def _simulate(options: argparse.Namespace) -> int:
     suffixes = (".json", ".mp4")
     if options.out.suffix.lower() not in suffixes:
         raise OutputError(f"--out {options.out}: expected a file ending in {' or '.join(suffixes)}")
-    event = _load(options)
-    _writable_folder(options.out.parent)
+    event = load(options)
+    writable_folder(options.out.parent)
     hypothesis = phase_ppl.Hypothesis(
         goal_red=options.goal_red,
         goal_green=options.goal_green,
@@ -118,58 +125,14 @@ def _simulate(options: argparse.Namespace) -> int:
 
 
 def _render(options: argparse.Namespace) -> int:
-    event = _load(options)
-    _writable_folder(options.out.parent)
+    event = load(options)
+    writable_folder(options.out.parent)
     phase_ppl.render.video(event, options.out)
     print(f"{event.observation.n_frames} frames of {event.id} written to {options.out}")
     return 0
 
 
-# --- shared ----------------------------------------------------------------------------------
-
-
-def _load(options: argparse.Namespace) -> Event:
-    return phase_ppl.load_event(options.event, video=options.video, turning=options.turning)
-
-
-def _writable_folder(folder: Path) -> Path:
-    """Create ``folder`` and check that it can be written, before any work is done."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        raise OutputError(f"cannot write into folder {folder}: {error.strerror or error}") from None
-    return folder
-
-
-def _write_text(path: Path, text: str) -> None:
-    part = path.with_name(path.name + ".part")
-    try:
-        part.write_text(text, encoding="utf-8")
-        os.replace(part, path)
-    except OSError as error:
-        raise OutputError(f"cannot write {path}: {error.strerror or error}") from None
-
-
-class _Parser(argparse.ArgumentParser):
-    """Reports a usage error in one line, exit code 2."""
-
-    def error(self, message: str) -> Any:
-        self.exit(BAD_INPUT, f"{self.prog}: error: {message} (see {self.prog} --help)\n")
-
-
-def _whole(minimum: int) -> Any:
-    def parse(text: str) -> int:
-        try:
-            value = int(text)
-        except ValueError:
-            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
-        if value < minimum:
-            raise argparse.ArgumentTypeError(f"{value} is too small, expected at least {minimum}")
-        return value
-
-    return parse
+# --- options ----------------------------------------------------------------------------------
 
 
 def _alpha(text: str) -> int:
@@ -179,7 +142,7 @@ def _alpha(text: str) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(
+    parser = Parser(
         prog="phase-ppl",
         description="Who wants what? Social perception grounded in intuitive physics.",
         epilog="example: phase-ppl infer collaborate --out out",
@@ -187,7 +150,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=phase_ppl.__version__)
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
 
-    infer = _command(
+    infer = command(
         commands,
         "infer",
         _infer,
@@ -195,16 +158,17 @@ def _parser() -> argparse.ArgumentParser:
         "phase-ppl infer collaborate --planner fast --seed 0 --out out",
     )
     infer.add_argument("--planner", choices=("fast", "paper"), default="fast")
+    infer.add_argument("--prior", metavar="NAME", default="uniform", help="default uniform")
     infer.add_argument("--kernel", metavar="NAME", default="local_mh")
-    infer.add_argument("--chains", metavar="M", type=_whole(1), default=15, help="default 15")
-    infer.add_argument("--iterations", metavar="L", type=_whole(1), default=6, help="default 6")
+    infer.add_argument("--chains", metavar="M", type=whole(1), default=15, help="default 15")
+    infer.add_argument("--iterations", metavar="L", type=whole(1), default=6, help="default 6")
     infer.add_argument(
-        "--workers", metavar="N", type=_whole(1), help="processes; default one per usable core"
+        "--workers", metavar="N", type=whole(1), help="processes; default one per usable core"
     )
     infer.add_argument("--out", metavar="DIR", type=Path)
     infer.add_argument("--quiet", action="store_true", help="no progress bar")
 
-    simulate = _command(
+    simulate = command(
         commands,
         "simulate",
         _simulate,
@@ -222,11 +186,11 @@ def _parser() -> argparse.ArgumentParser:
         )
     simulate.add_argument("--planner", choices=("fast", "paper"), default="fast")
     simulate.add_argument(
-        "--frames", metavar="T", type=_whole(2), help="default: as long as the event"
+        "--frames", metavar="T", type=whole(2), help="default: as long as the event"
     )
     simulate.add_argument("--out", metavar="FILE", type=Path, required=True, help=".json or .mp4")
 
-    render = _command(
+    render = command(
         commands,
         "render",
         _render,
@@ -234,26 +198,5 @@ def _parser() -> argparse.ArgumentParser:
         "phase-ppl render collaborate --out collaborate.mp4",
     )
     render.add_argument("--out", metavar="FILE", type=Path, required=True, help=".mp4")
+    compare.add_to(commands)
     return parser
-
-
-def _command(
-    commands: Any, name: str, run: Any, description: str, example: str
-) -> argparse.ArgumentParser:
-    command: argparse.ArgumentParser = commands.add_parser(
-        name, help=description, description=description, epilog=f"example: {example}"
-    )
-    command.set_defaults(run=run)
-    command.add_argument("event", metavar="EVENT", help="an event file, or a bundled event's name")
-    command.add_argument("--video", metavar="ID", help="one event of a file with many")
-    command.add_argument("--seed", metavar="N", type=_whole(0), default=0, help="default 0")
-    command.add_argument(
-        "--turning",
-        choices=("both", "ccw", "cw"),
-        help="which way agents can turn; default: as observed",
-    )
-    return command
-
-
-if __name__ == "__main__":
-    sys.exit(main())
