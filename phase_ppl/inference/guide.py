@@ -27,6 +27,7 @@ from numpyro.primitives import Messenger
 from phase_ppl.inference.proposals import BottomUpTables
 from phase_ppl.inference.strength import VALIDATION_SD
 from phase_ppl.models.density import Program, draw, log_density
+from phase_ppl.models.one_of import OneOf
 from phase_ppl.models.sites import GOAL_SITES, IMPOSSIBLE, STRENGTH_SITES
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import STRENGTH_RANGE
@@ -73,7 +74,7 @@ def _local_program(prior: Program, tables: BottomUpTables, strength_sd: float) -
             normal = dist.TruncatedNormal(
                 estimate[window, agent], strength_sd, low=STRENGTH_RANGE[0], high=STRENGTH_RANGE[1]
             )
-            replace[name] = functools.partial(Either, known[window, agent], normal)
+            replace[name] = functools.partial(_strength_distribution, known[window, agent], normal)
         with Replaced(replace):
             prior()
 
@@ -82,8 +83,24 @@ def _local_program(prior: Program, tables: BottomUpTables, strength_sd: float) -
 
 def _goal_distribution(logits: jax.Array, prior: dist.Distribution) -> dist.Distribution:
     """Return the window's distribution of a goal, on goals that have prior mass."""
-    possible = prior.log_prob(jnp.arange(N_GOALS)) > _NEVER
+    codes = jnp.arange(N_GOALS)
+    possible = (prior.log_prob(codes) > _NEVER) & prior.support(codes)
     return dist.Categorical(logits=jnp.where(possible, logits, IMPOSSIBLE))
+
+
+def _strength_distribution(
+    known: jax.Array, estimate: dist.Distribution, prior: dist.Distribution
+) -> dist.Distribution:
+    """Return the window's distribution of a strength where there is an estimate, else the prior.
+
+    Where the prior allows some values only, the estimate's density says which of them.
+    """
+    if prior.support.is_discrete:
+        values = prior.enumerate_support(expand=False)
+        possible = (prior.log_prob(values) > _NEVER) & prior.support(values)
+        logits = jnp.where(possible, estimate.log_prob(values), IMPOSSIBLE)
+        estimate = OneOf(values, logits=logits)
+    return Either(known, estimate, prior)
 
 
 class Replaced(Messenger):

@@ -137,14 +137,12 @@ def complete_model(
 
 def stored_model(model: Model) -> dict[str, Any] | None:
     """Return what :func:`model_again` needs; None where the model has parts of a user's own."""
-    plain = (
-        model.prior is priors.uniform
-        and model.simulator is None
-        and type(model.likelihood) is RadialLikelihood
-    )
-    if not plain or not isinstance(model.likelihood, RadialLikelihood):
+    prior = next((name for name, known in priors.PRIORS.items() if known is model.prior), None)
+    plain = model.simulator is None and type(model.likelihood) is RadialLikelihood
+    if prior is None or not plain or not isinstance(model.likelihood, RadialLikelihood):
         return None
     return {
+        "prior": prior,
         "beta": model.likelihood.beta,
         "planner": model.fingerprint()["planner"],
         "noise": model.noise,
@@ -156,6 +154,7 @@ def model_again(stored: Mapping[str, Any]) -> Model:
     from phase_ppl.agents.config import PlannerConfig
 
     return Model(
+        prior=stored["prior"],
         likelihood=RadialLikelihood(stored["beta"]),
         planner=PlannerConfig(**stored["planner"]),
         noise=stored["noise"],

@@ -18,6 +18,11 @@ clock = time.monotonic
 _ROUNDS: Final = 2
 
 
+def is_shown(shown: bool | None) -> bool:
+    """Return whether to show a bar; None: where stderr is a terminal, and in notebooks."""
+    return (sys.stderr.isatty() or "ipykernel" in sys.modules) if shown is None else shown
+
+
 class _Bar(tqdm):
     """A bar whose rate is set from outside."""
 
@@ -45,8 +50,6 @@ class Progress:
     def __init__(
         self, total: int, shown: bool | None = None, *, done: int = 0, batch: int = 1
     ) -> None:
-        if shown is None:
-            shown = sys.stderr.isatty() or "ipykernel" in sys.modules
         self._n, self._total = done, total
         self._times = deque([(clock(), done)], maxlen=_ROUNDS * batch + 1)
         self._batch = batch
@@ -54,7 +57,7 @@ class Progress:
         self._bar = _Bar(
             total=total,
             initial=done,
-            disable=not shown,
+            disable=not is_shown(shown),
             file=sys.stderr,
             unit="sim",
             desc=WARMING_UP,

@@ -24,12 +24,26 @@ Noise = Literal["fresh", "fixed"]
 DEFAULT_PLANNER: Final = "fast"
 
 
+class _PriorField:
+    """A field that is set to a program or to the name of a ready-made one, and is a program."""
+
+    def __get__(self, model: object | None, owner: type) -> Program:
+        if model is None:
+            return priors.uniform  # the default
+        program: Program = vars(model)["prior"]
+        return program
+
+    def __set__(self, model: object, value: Program | str) -> None:
+        vars(model)["prior"] = priors.named(value) if isinstance(value, str) else value
+
+
 @dataclasses.dataclass(frozen=True)
 class Model:
     """What is simulated, inferred, compared and evaluated.
 
     Attributes:
-        prior: NumPyro program that samples the five hypothesis sites, and perhaps more.
+        prior: NumPyro program that samples the five hypothesis sites, and perhaps more; or the
+            name of a ready-made one (:mod:`phase_ppl.models.priors`).
         simulator: generator function ``(scene, hypothesis, rng)`` of frames; None for the joint
             simulator of the paper (Algorithm 1).
         likelihood: of a trajectory, from its per-frame errors.
@@ -41,10 +55,10 @@ class Model:
     Raises:
         InvalidSettingError: the prior cannot work (the message names the site and what is
             expected), or a planner is given for another simulator.
-        UnknownNameError: an unknown planner or noise.
+        UnknownNameError: an unknown prior, planner or noise.
     """
 
-    prior: Program = priors.uniform
+    prior: _PriorField = _PriorField()
     simulator: Simulator | None = None
     likelihood: Likelihood = dataclasses.field(default_factory=RadialLikelihood)
     planner: str | PlannerConfig | None = None
