@@ -13,6 +13,8 @@ __version__ = "0.1.0"
 _WHERE = {
     "AGENTS": "phase_ppl.world.names",
     "ALPHAS": "phase_ppl.world.hypothesis",
+    "Comparison": "phase_ppl.analysis.comparison",
+    "ComparisonInterrupted": "phase_ppl.inference.compare",
     "Event": "phase_ppl.world.event",
     "GOALS": "phase_ppl.world.goals",
     "Hypothesis": "phase_ppl.world.hypothesis",
@@ -30,12 +32,15 @@ _WHERE = {
     "Truth": "phase_ppl.world.event",
     "available_kernels": "phase_ppl.inference.registry",
     "bundled_events": "phase_ppl.dataset.bundled",
+    "compare": "phase_ppl.inference.compare",
     "infer": "phase_ppl.inference.infer",
     "load_event": "phase_ppl.dataset.load",
     "load_events": "phase_ppl.dataset.load",
     "register_kernel": "phase_ppl.inference.registry",
+    "resume": "phase_ppl.inference.infer",
     "save_event": "phase_ppl.dataset.load",
     "save_events": "phase_ppl.dataset.load",
+    "seconds": "phase_ppl.inference.infer",
     "simulate": "phase_ppl.simulator.simulate",
     "simulations": "phase_ppl.inference.infer",
 }
@@ -53,15 +58,20 @@ if TYPE_CHECKING:
     from phase_ppl import render as render
     from phase_ppl.agents.config import PlannerConfig as PlannerConfig
     from phase_ppl.analysis import plots as plot
+    from phase_ppl.analysis.comparison import Comparison as Comparison
     from phase_ppl.analysis.posterior import Posterior as Posterior
     from phase_ppl.dataset.bundled import bundled_events as bundled_events
     from phase_ppl.dataset.load import load_event as load_event
     from phase_ppl.dataset.load import load_events as load_events
     from phase_ppl.dataset.load import save_event as save_event
     from phase_ppl.dataset.load import save_events as save_events
+    from phase_ppl.inference.compare import ComparisonInterrupted as ComparisonInterrupted
+    from phase_ppl.inference.compare import compare as compare
     from phase_ppl.inference.infer import Interrupted as Interrupted
     from phase_ppl.inference.infer import SimpleSettings as SimpleSettings
     from phase_ppl.inference.infer import infer as infer
+    from phase_ppl.inference.infer import resume as resume
+    from phase_ppl.inference.infer import seconds as seconds
     from phase_ppl.inference.infer import simulations as simulations
     from phase_ppl.inference.registry import available_kernels as available_kernels
     from phase_ppl.inference.registry import register_kernel as register_kernel

@@ -11,11 +11,14 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+import phase_ppl
 from phase_ppl.cli import main
 from phase_ppl.world.goals import GOALS
+from tests.inference.toy import walkers, walking_event
 
 TINY = ["--chains", "2", "--iterations", "1", "--workers", "1", "--quiet"]
 
@@ -37,6 +40,7 @@ def fails(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("out")
     assert main(["infer", "collaborate", *TINY, "--out", str(out)]) == 0
+    assert not (out / "run.ckpt").exists()
     return out
 
 
@@ -62,11 +66,58 @@ def test_the_same_seed_gives_the_same_summary_with_one_and_with_two_workers(
 ) -> None:
     tiny = [*TINY]
     tiny[tiny.index("--workers") + 1] = "2"
-    assert main(["infer", "collaborate", *tiny, "--out", str(tmp_path)]) == 0
+    assert main(["infer", "collaborate", *tiny, "--out", str(tmp_path), "--keep-checkpoint"]) == 0
     one, two = (json.loads((p / "summary.json").read_text()) for p in (results, tmp_path))
     for summary in (one, two):
         del summary["cost"]
     assert one == two
+
+    assert (tmp_path / "run.ckpt").exists()
+
+
+def test_resume_extends_a_run_beside_its_file_and_then_deletes_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(phase_ppl.Model, "build_simulator", lambda self: walkers)
+    event, out = tmp_path / "walk.json", tmp_path / "out"
+    phase_ppl.save_event(walking_event(), event)
+    tiny = ["--workers", "1", "--quiet"]
+    kernel = ["--kernel", "prior_mh", "--option", "early_reject=false", "--chains", "4"]
+    length = ["--budget", "8", "--keep-checkpoint"]
+    assert main(["infer", str(event), *tiny, *kernel, *length, "--out", str(out)]) == 0
+    assert "unfinished run" in fails(capsys, "infer", str(event), "--out", str(out))
+    file = out / "run.ckpt"
+    assert "too small" in fails(capsys, "resume", str(file), "--budget", "4", *tiny)
+    assert main(["resume", str(file), "--iterations", "2", *tiny]) == 0
+    assert not file.exists()
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["settings"]["iterations"] == 2
+    assert summary["settings"]["kernel"] == {"name": "prior_mh", "early_reject": False}
+    assert summary["cost"]["calls"] == 2
+
+
+def test_a_failed_simulation_that_ends_the_run_leaves_results_and_a_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls: list[int] = []
+
+    def fails_later(*given: Any) -> Any:
+        calls.append(1)
+        if len(calls) == 6:
+            raise ValueError("not today")
+        yield from walkers(*given)
+
+    monkeypatch.setattr(phase_ppl.Model, "build_simulator", lambda self: fails_later)
+    event, out = tmp_path / "walk.json", tmp_path / "out"
+    phase_ppl.save_event(walking_event(), event)
+    tiny = ["--workers", "1", "--quiet"]
+    more = ["--kernel", "prior_mh", "--chains", "4", "--on-failure", "raise", "--out", str(out)]
+    assert main(["infer", str(event), *tiny, *more]) == 2
+    written = capsys.readouterr()
+    assert "not today" in written.err
+    assert "Go on with: phase-ppl resume" in written.out
+    assert (out / "posterior.nc").exists()
+    assert main(["resume", str(out / "run.ckpt"), "--iterations", "1", *tiny]) == 0
 
 
 def test_simulate_and_render_write_files(tmp_path: Path) -> None:
@@ -78,7 +129,7 @@ def test_simulate_and_render_write_files(tmp_path: Path) -> None:
     assert film.stat().st_size > 1000
 
 
-@pytest.mark.parametrize("command", [[], ["infer"], ["simulate"], ["render"]])
+@pytest.mark.parametrize("command", [[], ["infer"], ["resume"], ["simulate"], ["render"]])
 def test_help_gives_an_example(command: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stop:
         main([*command, "--help"])
@@ -132,6 +183,31 @@ class TestBadInput:
         error = fails(capsys, "infer", "collaborate", "--out", str(tmp_path / "file" / "out"))
         assert "cannot write" in error
 
+    @pytest.mark.parametrize(
+        ("arguments", "message"),
+        [
+            (["--budget", "60m"], "seconds, as in 60s"),
+            (["--budget", "0s"], "seconds, as in 60s"),
+            (["--budget", "29"], "need 30"),
+            (["--budget", "60s", "--iterations", "2"], "not allowed"),
+            (["--option", "rule"], "NAME=VALUE"),
+            (["--option", "chains=3"], "no option of a kernel"),
+            (["--option", "rule=paper", "--option", "rule=exact"], "given twice"),
+            (["--option", "rule=papr"], "'paper'"),
+            (["--retries", "2"], "on_failure='retry'"),
+        ],
+    )
+    def test_settings_of_a_run(
+        self, arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        assert message in fails(capsys, "infer", "collaborate", "--quiet", *arguments)
+
+    def test_a_file_that_is_no_run(
+        self, capsys: pytest.CaptureFixture[str], tmp_path: Path
+    ) -> None:
+        (tmp_path / "run.ckpt").write_bytes(b"PK\x03\x04 and no more")
+        assert "no checkpoint" in fails(capsys, "resume", str(tmp_path / "run.ckpt"))
+
     def test_an_output_of_another_kind(
         self, capsys: pytest.CaptureFixture[str], tmp_path: Path
     ) -> None:
@@ -173,4 +249,6 @@ def test_ctrl_c_stops_soon_leaves_no_worker_and_keeps_what_was_done(tmp_path: Pa
     assert "interrupted" in errors
     assert "goal" in output.lower() or "red agent" in output
     assert (tmp_path / "posterior.nc").exists()
+    assert (tmp_path / "run.ckpt").exists()
+    assert "Go on with: phase-ppl resume" in output
     assert _is_gone_within(run.pid, seconds=15)

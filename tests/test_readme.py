@@ -23,8 +23,9 @@ def run(example: str, folder: Path) -> str:
     return done.stdout
 
 
-def test_there_are_two_examples() -> None:
-    assert ["ppl.render.video" in e or "ppl.Model" in e for e in EXAMPLES] == [True, True]
+def test_there_are_three_examples() -> None:
+    told_by = ("ppl.render.video", "ppl.Model", "ppl.resume")
+    assert [name in e for name, e in zip(told_by, EXAMPLES, strict=True)] == [True] * 3
 
 
 def test_the_main_example_prints_a_posterior_and_writes_its_files(tmp_path: Path) -> None:
@@ -37,6 +38,12 @@ def test_the_main_example_prints_a_posterior_and_writes_its_files(tmp_path: Path
 def test_a_prior_and_a_simulator_defined_in_a_script_work(tmp_path: Path) -> None:
     printed = run(EXAMPLES[1] + "\nprint(post)\n", tmp_path)
     assert "15 particles x 6 iterations" in printed
+
+
+def test_a_run_on_a_cluster_is_kept_and_extended(tmp_path: Path) -> None:
+    printed = run(EXAMPLES[2] + "\n    print(post)\n", tmp_path)
+    assert "4 particles x 2 iterations" in printed
+    assert (tmp_path / "run.ckpt").stat().st_size > 1000
 
 
 @pytest.mark.parametrize("name", ["make demo", "make test"])

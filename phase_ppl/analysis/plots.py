@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from phase_ppl.analysis.comparison_plot import comparison as comparison
+from phase_ppl.analysis.style import INK, NORMAL, SMALL, bare, new_figure, written
 from phase_ppl.analysis.tree import array
-from phase_ppl.world.files import atomic_output
 from phase_ppl.world.geometry import agent_outline, is_agent
 from phase_ppl.world.hypothesis import STRENGTH_RANGE
 from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS
@@ -44,10 +45,6 @@ LANDMARK_COLOURS: Final = (
 )
 """Blue, green, red, yellow landmark, as in the paper's animations."""
 
-FORMATS: Final = (".png", ".pdf", ".svg")
-"""File name endings a figure can be written with."""
-
-INK: Final = "#222222"
 _GREY: Final = "#8a8a8a"
 _SHADE: Final = (0.82, 0.68, 0.72, 0.86)
 """Per entity, how far its colour is kept when a line or bar needs contrast with white."""
@@ -55,9 +52,6 @@ _SHADE: Final = (0.82, 0.68, 0.72, 0.86)
 _N_GOALS_SHOWN: Final = 6
 _ROOM_FOR_NAMES: Final = 1.3
 """Strip above and below the arena that holds the landmarks' names, units."""
-
-_SMALL, _NORMAL = 7.5, 8.5
-"""Font sizes, points."""
 
 
 def posterior(post: Posterior, path: str | os.PathLike[str] | None = None) -> Figure:
@@ -76,11 +70,7 @@ def posterior(post: Posterior, path: str | os.PathLike[str] | None = None) -> Fi
     Raises:
         OutputError: the figure cannot be written there, or the ending is another.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(10, 6), facecolor="white")
-    FigureCanvasAgg(figure)
+    figure = new_figure(10, 6)
     left = figure.add_gridspec(
         3, 1, left=0.235, right=0.50, top=0.90, bottom=0.075, height_ratios=(6, 6, 7.4), hspace=0.36
     )
@@ -104,10 +94,7 @@ def posterior(post: Posterior, path: str | os.PathLike[str] | None = None) -> Fi
         if agent == 0:
             _panel_letter(axes, "d", -0.11)
     figure.suptitle(post.event_id, x=0.012, y=0.985, ha="left", fontsize=10, color=INK)
-    if path is not None:
-        with atomic_output(path, FORMATS) as part:
-            figure.savefig(part, dpi=200)
-    return figure
+    return written(figure, path)
 
 
 def goal_bars(axes: Axes, post: Posterior, name: str, agent: int) -> None:
@@ -115,7 +102,7 @@ def goal_bars(axes: Axes, post: Posterior, name: str, agent: int) -> None:
     entries = [(goal, value) for goal, value in post.top(name, _N_GOALS_SHOWN) if value > 0]
     _bars(axes, entries, _line_colour(agent))
     axes.set_ylim(_N_GOALS_SHOWN - 0.4, -0.6)
-    axes.set_title(f"Goal of the {AGENTS[agent]}", fontsize=_NORMAL + 1, loc="left", color=INK)
+    axes.set_title(f"Goal of the {AGENTS[agent]}", fontsize=NORMAL + 1, loc="left", color=INK)
 
 
 def relation_bars(axes: Axes, post: Posterior) -> None:
@@ -127,8 +114,8 @@ def relation_bars(axes: Axes, post: Posterior) -> None:
     ]
     gap = len(relation)
     _bars(axes, entries, "#4c5b76", gap_after=gap)
-    axes.set_title("Relation, and scenario", fontsize=_NORMAL + 1, loc="left", color=INK)
-    axes.set_xlabel("posterior probability", fontsize=_NORMAL, color=INK)
+    axes.set_title("Relation, and scenario", fontsize=NORMAL + 1, loc="left", color=INK)
+    axes.set_xlabel("posterior probability", fontsize=NORMAL, color=INK)
 
 
 def tracks(axes: Axes, post: Posterior) -> None:
@@ -160,11 +147,11 @@ def tracks(axes: Axes, post: Posterior) -> None:
         bbox_to_anchor=(0.5, 0.0),
         ncols=3,
         frameon=False,
-        fontsize=_SMALL + 0.5,
+        fontsize=SMALL + 0.5,
         handlelength=2.6,
         columnspacing=1.4,
     )
-    axes.set_title("Tracks", fontsize=_NORMAL + 1, loc="left", color=INK)
+    axes.set_title("Tracks", fontsize=NORMAL + 1, loc="left", color=INK)
 
 
 def strength_histogram(axes: Axes, post: Posterior, name: str, agent: int) -> None:
@@ -176,15 +163,15 @@ def strength_histogram(axes: Axes, post: Posterior, name: str, agent: int) -> No
     axes.hist(clipped, bins=bins.tolist(), weights=table["weight"], color=_line_colour(agent))
     axes.set_title(
         f"{AGENTS[agent]}: {post.mean(name):.0f} N ({low:.0f} to {high:.0f})",
-        fontsize=_NORMAL,
+        fontsize=NORMAL,
         loc="left",
         color=INK,
     )
     axes.set_xlim(*STRENGTH_RANGE)
     axes.set_xticks([150, 300, 450, 600])
     axes.set_yticks([])
-    axes.set_xlabel("strength [N]", fontsize=_NORMAL, color=INK, labelpad=1)
-    _bare(axes, "left")
+    axes.set_xlabel("strength [N]", fontsize=NORMAL, color=INK, labelpad=1)
+    bare(axes, "left")
 
 
 def _bars(
@@ -198,22 +185,13 @@ def _bars(
     axes.barh(places, values, height=0.72, color=colour)
     for place, value in zip(places, values, strict=True):
         text = f"{value:.2f}" if value else "0"
-        axes.text(value + 0.015, place, text, va="center", fontsize=_SMALL, color=INK)
+        axes.text(value + 0.015, place, text, va="center", fontsize=SMALL, color=INK)
     axes.set_yticks(places, [label for label, _ in entries])
     axes.set_ylim(places[-1] + 0.6, -0.6)
     axes.set_xlim(0, 1.15)
     axes.set_xticks([0, 0.5, 1], ["0", "0.5", "1"])
-    _bare(axes)
+    bare(axes)
     axes.tick_params(axis="y", length=0)
-
-
-def _bare(axes: Axes, *more: str) -> None:
-    for side in ("top", "right", *more):
-        axes.spines[side].set_visible(False)
-    for side in ("left", "bottom"):
-        axes.spines[side].set_linewidth(0.7)
-        axes.spines[side].set_color(INK)
-    axes.tick_params(labelsize=_SMALL + 0.5, width=0.7, length=3, colors=INK)
 
 
 def _panel_letter(axes: Axes, letter: str, x: float) -> None:
@@ -250,7 +228,7 @@ def _arena(axes: Axes, post: Posterior) -> None:
             name,
             ha="center",
             va="bottom" if above else "top",
-            fontsize=_SMALL,
+            fontsize=SMALL,
             color=_darker(colour),
         )
     border = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]])

@@ -108,10 +108,17 @@ def _cost(cost: Mapping[str, Any], found: Mapping[str, Any]) -> str:
         words += f" in {cost['seconds']:.0f} s"
     if isinstance(cost.get("workers"), int):
         words += f" on {cost['workers']} worker{'' if cost['workers'] == 1 else 's'}"
-    return (
-        f"{words}; {simulations['aborted']} stopped early, which saved "
-        f"{found['frames_saved_share']:.0%} of the frames; {simulations['failed']} failed"
-    )
+    if isinstance(cost.get("seconds_overhead"), int | float):
+        words += f", {cost['seconds_overhead']:.0f} s of it beside the simulations"
+    if simulations["aborted"]:
+        words += (
+            f"; {simulations['aborted']} stopped early, which saved "
+            f"{found['frames_saved_share']:.0%} of the frames"
+        )
+    else:
+        words += "; none stopped early"
+    words += f"; {cost.get('failures', simulations['failed'])} failed"
+    return f"{words}, {cost['retries']} run again" if cost.get("retries") else words
 
 
 def _wrapped(label: str, text: str) -> list[str]:

@@ -155,6 +155,7 @@ class Chains:
     Attributes:
         start: the initial particles, once there are any.
         steps: what was done since.
+        state: of the kernel, from which the next iteration starts.
     """
 
     def __init__(
@@ -172,7 +173,7 @@ class Chains:
         bridge.defers = True
         self._n_chains = n_chains
         self._key_number = int(np.random.SeedSequence(seed).generate_state(1)[0])
-        self._state: Any = None
+        self.state: Any = None
         try:
             self._compiled = _compiled_once(recipe)
         except TypeError:  # a part of the user's cannot be hashed, so cannot be recognised
@@ -203,7 +204,7 @@ class Chains:
             if hasattr(state, "log_weight"):
                 weight = jax.numpy.where(completed, state.log_weight, -np.inf)
                 state = state._replace(log_weight=weight)
-        self._state = state
+        self.state = state
         self.start = _on_host(state)
 
     def advance(self) -> None:
@@ -214,13 +215,25 @@ class Chains:
         """
         self._bridge.iteration += 1
         step = self._compiled.step
-        state = self._in_thread(lambda: step(self._state, self._data))
-        self._state = state
+        state = self._in_thread(lambda: step(self.state, self._data))
+        self.state = state
         self.steps.append(_on_host(state))
 
+    def blank_state(self) -> Any:
+        """Return the shapes and types of the kernel's state; nothing is simulated."""
+        with on_cpu():
+            return jax.eval_shape(self._compiled.init, self._keys(), self._data)
+
+    def go_on(self, state: Any, start: Step, steps: list[Step]) -> None:
+        """Continue another run: from its state, with the steps that it has done."""
+        self.state, self.start, self.steps = state, start, steps
+        self._bridge.iteration = len(steps)
+
+    def _keys(self) -> jax.Array:
+        return random.split(random.key(self._key_number), self._n_chains)
+
     def _initial_state(self) -> Any:
-        keys = random.split(random.key(self._key_number), self._n_chains)
-        state = self._compiled.init(keys, self._data)
+        state = self._compiled.init(self._keys(), self._data)
         for field in ("z", "sim_seed", "rng_key"):
             if not hasattr(state, field):
                 raise InvalidSettingError(
@@ -238,13 +251,12 @@ class Chains:
         )
 
     def _in_thread(self, work: Callable[[], Result]) -> Result:
-        def on_cpu() -> Result:
-            # the programs are tiny, and the same everywhere; an accelerator would not help
-            with jax.default_device(jax.local_devices(backend="cpu")[0]):
+        def worked() -> Result:
+            with on_cpu():
                 return jax.block_until_ready(work())
 
         with futures.ThreadPoolExecutor(1, thread_name_prefix="phase_ppl") as executor:
-            future = executor.submit(on_cpu)
+            future = executor.submit(worked)
             try:
                 while not future.done():
                     futures.wait([future], timeout=POLL_SECONDS)
@@ -257,6 +269,12 @@ class Chains:
         if self._bridge.failure is not None:
             raise self._bridge.failure
         return result
+
+
+def on_cpu() -> contextlib.AbstractContextManager[Any]:
+    """Return a context in which JAX works on the processor."""
+    # the programs are tiny, and the same everywhere; an accelerator would not help
+    return jax.default_device(jax.local_devices(backend="cpu")[0])
 
 
 def _on_host(state: Any) -> Step:

@@ -28,6 +28,7 @@ from numpyro.primitives import Messenger
 from phase_ppl.inference.proposals import BottomUpTables
 from phase_ppl.inference.strength import VALIDATION_SD
 from phase_ppl.models.density import Program, draw, log_density
+from phase_ppl.models.one_of import OneOf
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, IMPOSSIBLE, STRENGTH_SITES
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_RANGE
@@ -135,18 +136,27 @@ def _goal_distribution(
     """
     if logits.ndim == 2:
         logits = logits[values[ALPHA_SITE]]
-    possible = prior.log_prob(jnp.arange(N_GOALS)) > NEVER
+    codes = jnp.arange(N_GOALS)
+    possible = (prior.log_prob(codes) > NEVER) & prior.support(codes)
     return dist.Categorical(logits=jnp.where(possible, logits, IMPOSSIBLE))
 
 
 def _strength_distribution(
     known: jax.Array,
-    normal: dist.Distribution,
+    estimate: dist.Distribution,
     prior: dist.Distribution,
     values: Mapping[str, jax.Array],
 ) -> dist.Distribution:
-    """Return the distribution around the estimate, the prior's where there is none."""
-    return Either(known, normal, prior)
+    """Return the window's distribution of a strength where there is an estimate, else the prior.
+
+    Where the prior allows some values only, the estimate's density says which of them.
+    """
+    if prior.support.is_discrete:
+        levels = prior.enumerate_support(expand=False)
+        possible = (prior.log_prob(levels) > NEVER) & prior.support(levels)
+        logits = jnp.where(possible, estimate.log_prob(levels), IMPOSSIBLE)
+        estimate = OneOf(levels, logits=logits)
+    return Either(known, estimate, prior)
 
 
 class Replaced(Messenger):

@@ -1,56 +1,56 @@
-"""From an event to a posterior."""
+"""From an event to a posterior, and on from where a run was left."""
 
 from __future__ import annotations
 
-import dataclasses
-import json
-import platform
-import time
+import os
+from concurrent.futures import Executor
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from numpyro.infer.mcmc import MCMCKernel
 
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.inference.chains import Chains, EventData, Recipe
-from phase_ppl.inference.draws import Drawn, build_tree
-from phase_ppl.inference.length import check_chains, run_length
-from phase_ppl.inference.progress import Progress
-from phase_ppl.inference.proposals import bottom_up_tables
-from phase_ppl.inference.registry import Factory, described
-from phase_ppl.inference.settings import Budget, SimpleSettings, simulations, whole_number
-from phase_ppl.models.bridge import SimulatorBridge
-from phase_ppl.models.likelihood import RadialLikelihood
+from phase_ppl.inference import pace
+from phase_ppl.inference.archive import SUFFIXES
+from phase_ppl.inference.checkpoint import Checkpoint
+from phase_ppl.inference.length import check_chains
+from phase_ppl.inference.plan import (
+    Plan,
+    complete_model,
+    differences,
+    event_digest,
+    model_again,
+)
+from phase_ppl.inference.registry import Factory
+from phase_ppl.inference.session import Interrupted, Means, carry_out
+from phase_ppl.inference.settings import (
+    Budget,
+    SimpleSettings,
+    TimeBudget,
+    seconds,
+    simulations,
+)
 from phase_ppl.models.model import Model
-from phase_ppl.models.program import event_salt
-from phase_ppl.simulator.contract import Cancelled
-from phase_ppl.simulator.runner import Runner
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
+from phase_ppl.world.errors import InvalidSettingError, OutputError
 from phase_ppl.world.event import Event
+from phase_ppl.world.files import check_output
 
 if TYPE_CHECKING:
     from phase_ppl.agents.config import PlannerConfig
 
-__all__ = ["Budget", "Interrupted", "SimpleSettings", "infer", "simulations"]
-
+__all__ = [
+    "Budget",
+    "Interrupted",
+    "SimpleSettings",
+    "TimeBudget",
+    "infer",
+    "resume",
+    "seconds",
+    "simulations",
+]
 
 CHAINS: Final = 15
 """M, the paper's number of particles."""
-
-
-class Interrupted(KeyboardInterrupt):
-    """The run was interrupted; what was done until then is kept.
-
-    A ``KeyboardInterrupt``, so that no ``except Exception`` in a loop over events swallows it.
-
-    Attributes:
-        posterior: of the iterations that were finished, of the initial particles where none
-            was; None where not even those were.
-    """
-
-    def __init__(self, posterior: Posterior | None) -> None:
-        kept = "nothing was complete yet" if posterior is None else "see .posterior"
-        super().__init__(f"the run was interrupted; {kept}")
-        self.posterior = posterior
 
 
 def infer(
@@ -63,7 +63,11 @@ def infer(
     seed: int = 0,
     planner: str | PlannerConfig | None = None,
     workers: int | None = None,
-    budget: Budget | None = None,
+    executor: Executor | None = None,
+    budget: Budget | TimeBudget | None = None,
+    on_failure: str = "reject",
+    retries: int | None = None,
+    checkpoint: str | os.PathLike[str] | None = None,
     progress: bool | None = None,
     settings: SimpleSettings | None = None,
     **kernel_options: Any,
@@ -72,6 +76,16 @@ def infer(
 
     Only ``event.scene`` and ``event.observation`` are read. The same seed gives the same result
     with any number of workers.
+
+    What becomes of a simulation that fails (``on_failure``) is part of the model:
+
+    * "reject": its likelihood is zero. Hypotheses under which the simulator often fails lose
+      that share of their probability.
+    * "retry": it is run again with a fresh seed, which follows from its own, up to ``retries``
+      times, and only then rejected. The likelihood is that of the runs that succeed, so failing
+      costs a hypothesis next to nothing.
+    * "raise": the run ends with the error, and keeps what was done. Until then there was none,
+      so this changes no probability.
 
     Args:
         event: what to explain.
@@ -82,9 +96,17 @@ def infer(
         iterations: L, the draws per particle; by default 6.
         seed: a whole number >= 0.
         planner: "fast" (the default), "paper" or a ``PlannerConfig``, for the joint simulator.
-        workers: processes; by default one per usable core.
-        budget: ``phase_ppl.simulations(n)`` instead of ``iterations``: as many as n simulations
-            allow, the initial ones included.
+        workers: processes; by default one per usable core. With an ``executor``, how many
+            simulations to give it at a time; by default all.
+        executor: any PEP 3148 executor to simulate in, such as that of a ``dask.distributed``
+            client; it is not shut down.
+        budget: instead of ``iterations``, ``phase_ppl.simulations(n)``: as many as n simulations
+            allow, the initial ones included; or ``phase_ppl.seconds(n)``: as many as can be
+            expected to end in time, which may be none after the initial particles.
+        on_failure: "reject", "raise" or "retry", see above.
+        retries: of "retry"; by default 3.
+        checkpoint: file, ending in .ckpt, in which the run is kept after the initial particles
+            and after every iteration, for :func:`resume`. There must be none of that name yet.
         progress: whether to show a bar on stderr; by default where that is a terminal.
         settings: of SIMPLE; by default the paper's.
         **kernel_options: for the kernel, such as ``rule="paper"``.
@@ -92,110 +114,147 @@ def infer(
     Raises:
         InvalidSettingError, UnknownNameError: a setting that cannot be used.
         InvalidEventError: ``event`` is no event.
-        SimulationError: all initial simulations failed.
-        Interrupted: Ctrl-C; it carries what was done.
+        OutputError: the checkpoint exists, or cannot be written.
+        SimulationError: all initial simulations failed; or one failed, with "raise".
+        Interrupted: Ctrl-C.
+
+    The last two carry what was done until then as ``posterior``, as any error does that ends a
+    run; None where the initial particles were not complete.
     """
-    begin = time.perf_counter()
-    if not isinstance(event, Event):
-        raise InvalidEventError(f"{shown(event)} is no event; phase_ppl.load_event reads one")
+    began = pace.clock()
     settings = SimpleSettings() if settings is None else settings
-    model = _model(model, planner, settings)
-    chosen = described(kernel)
-    check_chains(chosen, chains)
-    whole_number("seed", seed, minimum=0)
-
-    scene, observation = event.scene, event.observation
-    options = tuple(kernel_options.items())
-    recipe = Recipe(chosen, options, model, settings, observation.n_frames)
-    with Runner(model.build_simulator(), scene, observation, workers=workers) as runner:
-        bridge = SimulatorBridge(runner, observation.n_frames)
-        tables = bottom_up_tables(
-            scene,
-            observation,
-            window=settings.window,
-            form=settings.proposal,
-            gamma=settings.gamma,
-            sign=settings.sign,
-        )
-        data = EventData(tables, event_salt(scene, observation), bridge.handle)
-        built = recipe.build(data)
-        length = run_length(built, chosen, chains, iterations, budget)
-        run = Chains(recipe, data, bridge, runner, chains, seed)
-        interrupted = False
-        with Progress(length.simulations(chains), progress) as bar:
-            runner.on_result = bar.one_more
-            try:
-                run.initialise()
-                for done in range(length.iterations):
-                    bar.reach(length.simulations(chains, done))
-                    run.advance()
-                bar.reach(length.simulations(chains))
-            except (KeyboardInterrupt, Cancelled):
-                interrupted = True
-    if run.start is None:
-        raise Interrupted(None)
-    tree = build_tree(
-        event,
-        model,
-        Drawn.kept(run.start, run.steps, chosen),
-        bridge.records,
-        {
-            "kernel": chosen.name,
-            "validity": getattr(built, "validity", chosen.validity),
-            "settings": json.dumps(
-                {
-                    "kernel": {"name": chosen.name, **kernel_options},
-                    "chains": chains,
-                    "iterations": len(run.steps),  # an interrupted run equals a shorter one
-                    "seed": seed,
-                    "turning": scene.turning,
-                    "simple": _plain(settings),
-                    "model": model.fingerprint(),
-                },
-                default=repr,
-            ),
-            "cost": json.dumps(_cost(runner, begin, interrupted)),
-        },
+    model = complete_model(model, planner, settings)
+    plan = Plan(event, model, kernel, kernel_options, settings, chains, seed)
+    check_chains(plan.info, chains)
+    if checkpoint is not None:
+        _check_new(checkpoint)
+    means = Means(
+        iterations, budget, on_failure, retries, workers, executor, progress, checkpoint, began
     )
-    posterior = Posterior(tree)
-    if interrupted:
-        raise Interrupted(posterior)
-    return posterior
+    return carry_out(plan, means)
 
 
-def _model(
-    model: Model | None, planner: str | PlannerConfig | None, settings: SimpleSettings
-) -> Model:
-    model = Model() if model is None else model
-    if planner is not None:
-        model = dataclasses.replace(model, planner=planner)
-    if settings.beta is not None:
-        if not isinstance(model.likelihood, RadialLikelihood):
-            raise InvalidSettingError("beta is of the radial likelihood; the model has another")
-        model = dataclasses.replace(model, likelihood=RadialLikelihood(settings.beta))
-    return model
+def resume(
+    path: str | os.PathLike[str],
+    event: Event | None = None,
+    model: Model | None = None,
+    *,
+    kernel: str | Factory | MCMCKernel | None = None,
+    iterations: int | None = None,
+    planner: str | PlannerConfig | None = None,
+    workers: int | None = None,
+    executor: Executor | None = None,
+    budget: Budget | TimeBudget | None = None,
+    on_failure: str | None = None,
+    retries: int | None = None,
+    progress: bool | None = None,
+    settings: SimpleSettings | None = None,
+    **kernel_options: Any,
+) -> Posterior:
+    """Go on with a run of which ``infer(..., checkpoint=path)`` left a file.
+
+    The result is, draw for draw, that of a run that was never interrupted, with any number of
+    workers (the versions of phase_ppl, NumPyro and JAX being the same). The file is kept up to
+    date. Of a run that is complete the posterior is returned at once, or it is extended by a
+    larger number of iterations.
+
+    Args:
+        path: of the file.
+        event: may be given to be sure that the run is of it; the file has it.
+        model: where its prior, simulator or likelihood is your own: a file holds no code.
+        kernel: likewise, where it was not given by name.
+        iterations, budget: of the whole run, what was done included; by default as before.
+        planner: as in :func:`infer`, where ``model`` is given.
+        workers, executor, progress: as in :func:`infer`.
+        on_failure, retries: as in :func:`infer`; by default as before. They can be changed for
+            others as long as no simulation has failed.
+        settings, **kernel_options: may be given; must be where they are no plain data.
+
+    Raises:
+        InvalidEventError: there is no such file, or it is damaged or of another kind.
+        InvalidSettingError: event, model or kernel is another than the run's, the message says
+            in what; or must be given; or a setting cannot be used.
+        OutputError, SimulationError, Interrupted: as in :func:`infer`.
+    """
+    began = pace.clock()
+    saved = Checkpoint(path)
+    if settings is None:
+        if saved.settings is None:
+            raise InvalidSettingError(
+                f"{path}: the settings {saved.identity['settings']} are not all plain data: give "
+                "them again, resume(path, settings=...)"
+            )
+        settings = SimpleSettings(**saved.settings)
+    if model is None:
+        if saved.model is None:
+            own = saved.identity["model"]
+            raise InvalidSettingError(
+                f"{path}: the model has parts of its own (prior {own['prior']}, simulator "
+                f"{own['simulator']}, {own['likelihood']}), which a file cannot hold: give it "
+                "again, resume(path, model=...)"
+            )
+        model = model_again(saved.model)
+    if kernel is None:
+        if saved.kernel is None:
+            name = saved.identity["kernel"]["name"]
+            raise InvalidSettingError(
+                f"{path}: the kernel {name} was given as an object, which a file cannot hold: "
+                "give it again, resume(path, kernel=...)"
+            )
+        kernel = saved.kernel
+    if not kernel_options:
+        if saved.options is None:
+            given = saved.identity["kernel"]["options"]
+            raise InvalidSettingError(
+                f"{path}: the kernel options {given} are not all plain data: give them again"
+            )
+        kernel_options = saved.options
+    plan = Plan(
+        saved.event if event is None else event,
+        complete_model(model, planner, settings),
+        kernel,
+        kernel_options,
+        settings,
+        saved.identity["chains"],
+        saved.identity["seed"],
+    )
+    _check_same(saved, plan)
+    if iterations is None and budget is None:
+        iterations = saved.target["iterations"]
+        if iterations is None:
+            budget = TimeBudget(saved.target["seconds"])
+    if on_failure is None:
+        on_failure = str(saved.failures["on_failure"])
+        retries = saved.failures["retries"] if retries is None else retries
+    _check_failures(saved, on_failure, retries)
+    check_output(path, SUFFIXES)
+    means = Means(iterations, budget, on_failure, retries, workers, executor, progress, path, began)
+    return carry_out(plan, means, saved)
 
 
-def _plain(settings: SimpleSettings) -> dict[str, Any]:
-    """Return the settings; beta is left to the model's likelihood, which has it."""
-    return {name: value for name, value in dataclasses.asdict(settings).items() if name != "beta"}
+def _check_new(path: str | os.PathLike[str]) -> None:
+    if Path(path).exists():
+        raise OutputError(
+            f"{path} exists and may hold a run: continue it with phase_ppl.resume, or delete it"
+        )
+    check_output(path, SUFFIXES)
 
 
-def _cost(runner: Runner, begin: float, interrupted: bool) -> dict[str, Any]:
-    """Return what the run cost; seconds are of wall time unless they say otherwise."""
-    statistics = runner.statistics
-    seconds = time.perf_counter() - begin
-    return {
-        "simulations": statistics.simulations,
-        "frames": statistics.frames,
-        "frames_saved": statistics.frames_saved,
-        "failures": statistics.failures,
-        "retries": statistics.retries,
-        "seconds": seconds,
-        "seconds_simulating": statistics.seconds_simulating,  # summed over workers
-        "seconds_waiting": statistics.seconds_waiting,
-        "seconds_overhead": seconds - statistics.seconds_waiting,
-        "workers": runner.workers,
-        "host": f"{platform.node()} ({platform.system()}, {platform.machine()})",
-        "interrupted": interrupted,
-    }
+def _check_same(saved: Checkpoint, plan: Plan) -> None:
+    if event_digest(plan.event) != saved.identity["event"]:
+        raise InvalidSettingError(
+            f"{saved.path} is a run of another event ({saved.event.id!r}): its scene or "
+            "observation differ"
+        )
+    found = differences(saved.identity, plan.identity())
+    if found:
+        raise InvalidSettingError(f"{saved.path} is another run: {'; '.join(found)}")
+
+
+def _check_failures(saved: Checkpoint, on_failure: str, retries: int | None) -> None:
+    before = saved.failures["on_failure"], saved.failures["retries"]
+    if (on_failure, retries) != before and saved.spent.statistics.failures:
+        raise InvalidSettingError(
+            f"on_failure={on_failure!r}, retries={retries}: {saved.path} has failed simulations, "
+            f"which went by on_failure={before[0]!r}, retries={before[1]}"
+        )

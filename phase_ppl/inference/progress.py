@@ -3,27 +3,64 @@
 from __future__ import annotations
 
 import sys
+import time
+from collections import deque
 from types import TracebackType
-from typing import Final, Self
+from typing import Any, Final, Self
 
 from tqdm import tqdm
 
 WARMING_UP: Final = "warming up (compiles the first time)"
 
+clock = time.monotonic
+"""Seconds of wall time."""
+
+_ROUNDS: Final = 2
+
+
+def is_shown(shown: bool | None) -> bool:
+    """Return whether to show a bar; None: where stderr is a terminal, and in notebooks."""
+    return (sys.stderr.isatty() or "ipykernel" in sys.modules) if shown is None else shown
+
+
+class _Bar(tqdm):
+    """A bar whose rate is set from outside."""
+
+    steady_rate: float | None = None
+
+    @property
+    def format_dict(self) -> dict[str, Any]:
+        """What is shown; without a rate, tqdm takes the mean since the beginning."""
+        return {**super().format_dict, "rate": self.steady_rate}
+
 
 class Progress:
     """A bar on stderr that counts simulations.
 
+    Simulations are uneven: those stopped early end first, others come in bursts as workers end
+    together. The time left therefore rests on whole rounds, the last two.
+
     Args:
         total: simulations to be done.
         shown: True or False; None: where stderr is a terminal, and in notebooks.
+        done: simulations done before.
+        batch: simulations of a round, which run side by side.
     """
 
-    def __init__(self, total: int, shown: bool | None = None) -> None:
-        if shown is None:
-            shown = sys.stderr.isatty() or "ipykernel" in sys.modules
-        self._bar = tqdm(
-            total=total, disable=not shown, file=sys.stderr, unit="sim", desc=WARMING_UP
+    def __init__(
+        self, total: int, shown: bool | None = None, *, done: int = 0, batch: int = 1
+    ) -> None:
+        self._n, self._total = done, total
+        self._times = deque([(clock(), done)], maxlen=_ROUNDS * batch + 1)
+        self._batch = batch
+        self._began = False
+        self._bar = _Bar(
+            total=total,
+            initial=done,
+            disable=not is_shown(shown),
+            file=sys.stderr,
+            unit="sim",
+            desc=WARMING_UP,
         )
 
     def __enter__(self) -> Self:
@@ -38,11 +75,35 @@ class Progress:
         self._bar.close()
 
     def one_more(self, *_: object) -> None:
-        """Count one simulation."""
-        if self._bar.n == 0:
+        """Count one simulation, stopped early or not."""
+        if not self._began:
+            self._began = True
             self._bar.set_description("simulating", refresh=False)
-        self._bar.update(1)
+        self._count(1)
 
     def reach(self, done: int) -> None:
         """Count up to ``done``: what had no prior mass needed no simulation."""
-        self._bar.update(max(done - self._bar.n, 0))
+        if done > self._n:
+            self._count(done - self._n)
+
+    def expect(self, total: int) -> None:
+        """Let there be ``total`` simulations: with a budget of seconds it shows on the way."""
+        self._total = self._bar.total = total
+
+    def seconds_left(self) -> float | None:
+        """Return how long the rest takes at the pace of the last two rounds; None: too early."""
+        rate = self._rate()
+        return None if rate is None else max(self._total - self._n, 0) / rate
+
+    def _count(self, n: int) -> None:
+        self._n += n
+        self._times.append((clock(), self._n))
+        self._bar.steady_rate = self._rate()
+        self._bar.update(n)
+
+    def _rate(self) -> float | None:
+        (begin, before), (end, now) = self._times[0], self._times[-1]
+        # not before a whole round, most of which may have been compiling
+        if now - before < self._batch or end <= begin:
+            return None
+        return (now - before) / (end - begin)

@@ -6,6 +6,7 @@ import dataclasses
 import math
 
 from phase_ppl.inference.proposals import FORMS, SIGNS, Form, Sign
+from phase_ppl.world.checks import whole_number as whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 
 
@@ -56,17 +57,6 @@ def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
-def whole_number(name: str, value: object, minimum: int = 1) -> int:
-    """Return ``value`` if it is a whole number of at least ``minimum``.
-
-    Raises:
-        InvalidSettingError: it is not.
-    """
-    if isinstance(value, bool) or not isinstance(value, int) or value < minimum:
-        raise InvalidSettingError(f"{name}={shown(value)}, expected a whole number >= {minimum}")
-    return value
-
-
 def positive_number(name: str, value: object) -> float:
     """Return ``value`` if it is a finite number above 0.
 
@@ -91,7 +81,10 @@ def probability(name: str, value: object) -> float:
 
 @dataclasses.dataclass(frozen=True)
 class Budget:
-    """A cap on the number of simulations, the initial ones included."""
+    """A cap on the number of simulations, the initial ones included.
+
+    What fails and is run again (``on_failure="retry"``) comes on top.
+    """
 
     simulations: int
 
@@ -111,6 +104,13 @@ class Budget:
         return iterations
 
 
+@dataclasses.dataclass(frozen=True)
+class TimeBudget:
+    """A cap on the wall time of a run, in seconds, from its call on."""
+
+    seconds: float
+
+
 def simulations(n: int) -> Budget:
     """Return a budget of ``n`` simulations, the initial ones included.
 
@@ -118,3 +118,17 @@ def simulations(n: int) -> Budget:
         InvalidSettingError: ``n`` is no whole number >= 1.
     """
     return Budget(whole_number("simulations", n))
+
+
+def seconds(n: float) -> TimeBudget:
+    """Return a budget of ``n`` seconds.
+
+    The initial particles are simulated in any case. No iteration begins of which those before
+    let expect that it ends too late, so a run rarely takes longer, and often somewhat less.
+
+    Raises:
+        InvalidSettingError: ``n`` is no positive number.
+    """
+    if not (_is_number(n) and n > 0):
+        raise InvalidSettingError(f"seconds={shown(n)}, expected a number > 0")
+    return TimeBudget(float(n))

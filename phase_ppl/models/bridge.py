@@ -105,6 +105,12 @@ class SimulatorBridge:
             return np.full((*seed.shape, self._n_frames), np.inf, np.float32)
         raise self.failure
 
+    def remember(self, record: Record) -> None:
+        """Keep a simulation; the same request is answered by it from now on, if it completed."""
+        self.records.append(record)
+        if record.result.completed:
+            self._completed[_request(record.sites, record.result.seed)] = record.result
+
     def _simulate(
         self,
         columns: _Columns,
@@ -121,13 +127,14 @@ class SimulatorBridge:
         errors = np.full((n_rows, self._n_frames), np.inf, np.float32)
         rows: list[int] = []
         for row in np.flatnonzero(_in_support(flat, log_prior)).tolist():
-            known = self._completed.get(_request(flat, seed, row))
+            sites = {name: values[row] for name, values in flat.items()}
+            known = self._completed.get(_request(sites, int(seed[row])))
             if known is None:
                 rows.append(row)
             else:
                 errors[row] = known.errors
         results = self._runner.run(
-            [_hypothesis(flat, row) for row in rows],
+            [hypothesis_of_row(flat, row) for row in rows],
             [int(seed[row]) for row in rows],
             [float(ceiling[row]) for row in rows],
         )
@@ -137,9 +144,7 @@ class SimulatorBridge:
             if id(result) in paid:  # identical requests are simulated once
                 continue
             paid.add(id(result))
-            if result.completed:
-                self._completed[_request(flat, seed, row)] = result
-            self.records.append(
+            self.remember(
                 Record(
                     result,
                     {name: values[row] for name, values in flat.items()},
@@ -206,12 +211,13 @@ def _in_support(flat: _Columns, log_prior: NDArray[np.float32]) -> NDArray[np.bo
     return inside
 
 
-def _request(flat: _Columns, seed: NDArray[np.int32], row: int) -> tuple[Any, ...]:
+def _request(sites: _Columns, seed: int) -> tuple[Any, ...]:
     """Return what identifies a request: seed and sites, to the last bit."""
-    return int(seed[row]), *(flat[name][row].tobytes() for name in sorted(flat))
+    return seed, *(sites[name].tobytes() for name in sorted(sites))
 
 
-def _hypothesis(flat: _Columns, row: int) -> Hypothesis:
+def hypothesis_of_row(flat: _Columns, row: int) -> Hypothesis:
+    """Return the hypothesis that a row of columns of sites stands for."""
     red, green = (int(flat[name][row]) for name in GOAL_SITES)
     strengths = (float(flat[name][row]) for name in STRENGTH_SITES)
     return Hypothesis(red, green, ALPHAS[int(flat[ALPHA_SITE][row])], *strengths)

@@ -2,23 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import functools
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
+import jax
 import jax.numpy as jnp
+import numpy as np
+import numpyro.distributions as dist
 from jax import random
+from numpy.typing import NDArray
 from numpyro import handlers
 
-from phase_ppl.models.density import Program, latent_sites, trace_log_density
+from phase_ppl.models.density import (
+    NO_DENSITY,
+    Program,
+    latent_sites,
+    log_density,
+)
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, HYPOTHESIS_SITES, STRENGTH_SITES
-from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS
 
 _EXPECTED: Final = {
     **dict.fromkeys(GOAL_SITES, f"a goal code, 0..{N_GOALS - 1}, as phase_ppl.sites.goals()"),
     ALPHA_SITE: f"an alpha code, 0..{len(ALPHAS) - 1}, as phase_ppl.sites.alpha()",
-    **dict.fromkeys(STRENGTH_SITES, "a positive real number, as phase_ppl.sites.strengths()"),
+    **dict.fromkeys(
+        STRENGTH_SITES,
+        "a positive real number, as phase_ppl.sites.strengths(), or one of a few, as "
+        "phase_ppl.sites.OneOf",
+    ),
 }
 
 RESERVED: Final = frozenset(
@@ -31,6 +45,17 @@ RESERVED: Final = frozenset(
 )
 """Names that a prior's own sites cannot have."""
 
+_TRIES: Final = 32
+"""Draws that are looked at."""
+
+_REMEMBERED: Final = 64
+
+_NOT_POSITIVE: Final = -np.logspace(-3, 6, 91, dtype=np.float32)
+"""Strengths that no support may hold."""
+
+_FAR: Final = 100
+"""How far from the allowed codes others are looked for."""
+
 
 def checked_sites(prior: Program) -> dict[str, tuple[int, ...]]:
     """Return the latent sites of a prior with their shapes.
@@ -39,20 +64,37 @@ def checked_sites(prior: Program) -> dict[str, tuple[int, ...]]:
         InvalidSettingError: it is not a program that can serve as a prior; the message names
             the site and what is expected.
     """
-    name = getattr(prior, "__name__", repr(prior))
     if not callable(prior):
         raise InvalidSettingError(
-            f"prior={name} is no NumPyro program: expected a function without arguments that "
-            f"samples {', '.join(HYPOTHESIS_SITES)}"
+            f"prior={shown(prior)} is no NumPyro program: expected the name of a ready-made prior "
+            f"or a function without arguments that samples {', '.join(HYPOTHESIS_SITES)}"
         )
+    try:
+        return dict(_checked_once(prior))
+    except TypeError:  # it cannot be hashed
+        return _checked(prior)
+
+
+def _checked(prior: Program) -> dict[str, tuple[int, ...]]:
+    name = getattr(prior, "__name__", shown(prior))
     try:
         trace = handlers.trace(handlers.seed(prior, random.key(0))).get_trace()
     except Exception as error:  # whatever a user's program does
-        raise InvalidSettingError(
-            f"the prior {name} cannot be run: {type(error).__name__}: {error}"
-        ) from error
+        raise InvalidSettingError(f"the prior {name} cannot be run: {_reason(error)}") from error
     _check_trace(name, trace)
-    return {site: tuple(jnp.shape(s["value"])) for site, s in latent_sites(trace).items()}
+    sites = {site: tuple(jnp.shape(s["value"])) for site, s in latent_sites(trace).items()}
+    _check_draws(name, prior, sites)
+    return sites
+
+
+_checked_once = functools.lru_cache(_REMEMBERED)(_checked)
+
+
+def _reason(error: BaseException) -> str:
+    return f"{type(error).__name__}: {' '.join(str(error).split())}"
+
+
+# --- one run of the program ----------------------------------------------------------------
 
 
 def _check_trace(prior: str, trace: Mapping[str, Any]) -> None:
@@ -67,32 +109,153 @@ def _check_trace(prior: str, trace: Mapping[str, Any]) -> None:
             raise InvalidSettingError(
                 f"the prior {prior} does not sample {name!r}: expected {_EXPECTED[name]}"
             )
-        _check_site(prior, name, latent[name])
-    for name in latent:
-        if name in RESERVED:
-            raise InvalidSettingError(f"the prior {prior} samples {name!r}, a reserved name")
-    try:
-        log_density = trace_log_density(trace)
-    except (NotImplementedError, AttributeError) as error:
-        raise InvalidSettingError(f"the prior {prior} has no density: {error}") from error
-    if jnp.isnan(log_density):
-        raise InvalidSettingError(f"the density of the prior {prior} is not a number")
+        _check_hypothesis_site(prior, name, latent[name])
+    for name, site in latent.items():
+        _check_any_site(prior, name, site)
 
 
-def _check_site(prior: str, name: str, site: Mapping[str, Any]) -> None:
-    shape = jnp.shape(site["value"])
+def _check_any_site(prior: str, name: str, site: Mapping[str, Any]) -> None:
     start = f"the prior {prior} samples {name!r}"
+    if name in RESERVED:
+        raise InvalidSettingError(f"{start}, a reserved name")
+    if not name or "/" in name:
+        raise InvalidSettingError(f"{start}: expected a name without '/', by which it is stored")
+    if isinstance(site["fn"], dist.MaskedDistribution) or site["scale"] not in (None, 1.0):
+        raise InvalidSettingError(
+            f"{start} with a mask or a scale: expected a plain distribution, whose density is "
+            "that of its draws"
+        )
+
+
+def _check_hypothesis_site(prior: str, name: str, site: Mapping[str, Any]) -> None:
+    start = f"the prior {prior} samples {name!r}"
+    if site["cond_indep_stack"]:
+        plates = ", ".join(repr(frame.name) for frame in site["cond_indep_stack"])
+        raise InvalidSettingError(
+            f"{start} in the plate {plates}: expected a single value outside of plates, "
+            f"{_EXPECTED[name]}"
+        )
+    shape = jnp.shape(site["value"])
     if shape != ():
         raise InvalidSettingError(
             f"{start} of shape {shape}: expected a single value, {_EXPECTED[name]}"
         )
-    support = site["fn"].support
-    wrong = f"{start} with support {support}: expected {_EXPECTED[name]}"
-    if name in STRENGTH_SITES:
-        if support.is_discrete or bool(support(jnp.array(-1.0))):
-            raise InvalidSettingError(wrong)
-        return
-    limit = len(ALPHAS) if name == ALPHA_SITE else N_GOALS
-    outside = jnp.array([-1, limit, limit + 1])
-    if not support.is_discrete or any(bool(support(code)) for code in outside):
-        raise InvalidSettingError(wrong)
+    if not _support_fits(name, site["fn"]):
+        raise InvalidSettingError(
+            f"{start} with support {site['fn'].support}: expected {_EXPECTED[name]}"
+        )
+    dtype = jnp.result_type(site["value"])
+    if name not in STRENGTH_SITES and not jnp.issubdtype(dtype, jnp.integer):
+        raise InvalidSettingError(f"{start} of type {dtype}: expected {_EXPECTED[name]}")
+
+
+def _support_fits(name: str, distribution: dist.Distribution) -> bool:
+    try:
+        support = distribution.support
+        if name in STRENGTH_SITES and support.is_discrete:
+            values = np.asarray(distribution.enumerate_support(expand=False))
+            possible = values[np.asarray(support(values))]
+            return bool(((possible > 0) & np.isfinite(possible)).all())
+        if name in STRENGTH_SITES:
+            return not np.asarray(support(_NOT_POSITIVE)).any()
+        limit = len(ALPHAS) if name == ALPHA_SITE else N_GOALS
+        outside = np.append(np.arange(-_FAR, 0), np.arange(limit, limit + _FAR))
+        return support.is_discrete and not np.asarray(support(outside)).any()
+    except (NotImplementedError, AttributeError, TypeError, ValueError):
+        return False  # a support that cannot be asked, or values that cannot be listed
+
+
+# --- many runs, as inference makes them ----------------------------------------------------
+
+
+def _check_draws(name: str, prior: Program, sites: Mapping[str, tuple[int, ...]]) -> None:
+    """Draw often, compiled and vectorised as in kernels, and look at values and densities."""
+
+    def drawn(key: jax.Array) -> tuple[dict[str, jax.Array], dict[str, jax.Array]]:
+        latent = latent_sites(handlers.trace(handlers.seed(prior, key)).get_trace())
+        values = {site: entry["value"] for site, entry in latent.items()}
+        return values, {site: _log_prob(name, site, entry) for site, entry in latent.items()}
+
+    def given(values: dict[str, jax.Array]) -> jax.Array:
+        return log_density(prior, values)
+
+    keys = random.split(random.key(1), _TRIES)
+    try:
+        values, by_site = _vectorised(drawn)(keys)
+    except InvalidSettingError:
+        raise
+    except Exception as error:
+        raise InvalidSettingError(
+            f"the prior {name} cannot be compiled: {_reason(error)}; expected jax.numpy "
+            "throughout, such as jnp.where instead of if"
+        ) from error
+    found = {site: jnp.shape(value)[1:] for site, value in values.items()}
+    if found != dict(sites):
+        differing = sorted(s for s in {*found, *sites} if found.get(s) != sites.get(s))
+        raise InvalidSettingError(
+            f"the prior {name} samples {', '.join(map(repr, differing))} in some runs and not, or "
+            "with another shape, in others: expected the same sites each time"
+        )
+    _check_values(name, {site: np.asarray(value) for site, value in values.items()})
+    for site, densities in by_site.items():
+        bad = ~np.isfinite(np.asarray(densities))
+        if bad.any():
+            raise InvalidSettingError(
+                f"the prior {name} samples {site!r} with a log density of {densities[bad][0]} at "
+                f"a value that it drew, {shown(np.asarray(values[site])[bad][0].tolist())}: "
+                "expected a finite number"
+            )
+    try:
+        density = _vectorised(given)(values)
+    except Exception as error:
+        raise InvalidSettingError(
+            f"the density of the prior {name} cannot be evaluated at given values of its sites: "
+            f"{_reason(error)}"
+        ) from error
+    total = np.sum([np.asarray(densities) for densities in by_site.values()], axis=0)
+    _check_densities(name, np.asarray(density), total)
+
+
+def _log_prob(prior: str, name: str, site: Mapping[str, Any]) -> jax.Array:
+    try:
+        return jnp.sum(site["fn"].log_prob(site["value"]))
+    except Exception as error:
+        raise InvalidSettingError(
+            f"the prior {prior} samples {name!r}, which has no density: {_reason(error)}; expected "
+            "a distribution with log_prob"
+        ) from error
+
+
+def _vectorised(one: Callable[..., Any]) -> Callable[..., Any]:
+    # compiling well would take longer than running
+    options: dict[str, Any] = {"xla_backend_optimization_level": 0}
+    function: Callable[..., Any] = jax.jit(jax.vmap(one), compiler_options=options)
+    return function
+
+
+def _check_values(prior: str, columns: Mapping[str, NDArray[Any]]) -> None:
+    limits = {**dict.fromkeys(GOAL_SITES, N_GOALS), ALPHA_SITE: len(ALPHAS)}
+    for name in HYPOTHESIS_SITES:
+        values = columns[name]
+        if name in limits:
+            wrong = (values < 0) | (values >= limits[name])
+        else:
+            wrong = ~((values > 0) & np.isfinite(values))
+        if wrong.any():
+            raise InvalidSettingError(
+                f"the prior {prior} draws {name}={values[wrong][0]}: expected {_EXPECTED[name]}"
+            )
+
+
+def _check_densities(
+    prior: str, density: NDArray[np.float32], drawn_density: NDArray[np.float32]
+) -> None:
+    if (density < NO_DENSITY).any():
+        raise InvalidSettingError(
+            f"the prior {prior} draws values outside its own support: they have no density"
+        )
+    if not np.allclose(density, drawn_density, rtol=1e-3, atol=1e-2):
+        raise InvalidSettingError(
+            f"the density of the prior {prior} changes from run to run: expected all randomness "
+            "to come from numpyro.sample"
+        )

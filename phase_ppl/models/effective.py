@@ -20,6 +20,7 @@ from jax.scipy.special import logsumexp
 from numpy.typing import NDArray
 from numpyro import handlers
 
+from phase_ppl.models.density import latent_sites, trace_log_density
 from phase_ppl.world.goals import N_GOALS, effective_goals
 from phase_ppl.world.hypothesis import ALPHAS
 
@@ -45,20 +46,17 @@ def stated_hypotheses() -> dict[tuple[int, int], NDArray[np.int64]]:
 def log_prior_of_hypotheses(prior: Prior, sites: Mapping[str, NDArray[Any]]) -> FloatArray:
     """Return (n,) log densities of the hypothesis sites, each (n,), own sites averaged out."""
     names = tuple(sites)
-    latent = {name for name, site in _trace(prior, 0).items() if _is_latent(site)}
-    own = tuple(sorted(latent - set(names)))
-    draws = [_trace(prior, seed) for seed in range(_OWN_DRAWS if own else 1)]
-    values = {name: jnp.stack([jnp.asarray(d[name]["value"]) for d in draws]) for name in own}
+    has_own = not latent_sites(_trace(prior, jax.random.key(0), {})).keys() <= set(names)
+    keys = jax.random.split(jax.random.key(0), _OWN_DRAWS if has_own else 1)
 
-    def given(own_values: dict[str, jax.Array], z: dict[str, jax.Array]) -> jax.Array:
-        # the hypothesis sites alone: own sites below them in a hierarchy integrate to 1
-        trace = handlers.trace(handlers.substitute(prior, {**own_values, **z})).get_trace()
-        return jnp.stack([trace[n]["fn"].log_prob(trace[n]["value"]) for n in names]).sum()
+    def given(key: jax.Array, z: dict[str, jax.Array]) -> jax.Array:
+        # own sites are drawn given the hypothesis sites before them and weighted by those after
+        # them, which averages to the marginal density wherever they stand in a hierarchy
+        trace = _trace(prior, key, z)
+        return trace_log_density({name: trace[name] for name in names})
 
     def marginal(z: dict[str, jax.Array]) -> jax.Array:
-        if not own:
-            return given({}, z)
-        return logsumexp(jax.vmap(given, in_axes=(0, None))(values, z)) - math.log(_OWN_DRAWS)
+        return logsumexp(jax.vmap(given, in_axes=(0, None))(keys, z)) - math.log(len(keys))
 
     density = jax.jit(jax.vmap(marginal))
     n = len(sites[names[0]])
@@ -102,12 +100,7 @@ def log_prior_of_effective(
     return total
 
 
-def _trace(prior: Prior, seed: int) -> dict[str, dict[str, Any]]:
-    trace: dict[str, dict[str, Any]] = handlers.trace(
-        handlers.seed(prior, jax.random.key(seed))
-    ).get_trace()
+def _trace(prior: Prior, key: jax.Array, given: Mapping[str, Any]) -> dict[str, Any]:
+    program = handlers.seed(handlers.substitute(prior, dict(given)), key)
+    trace: dict[str, Any] = handlers.trace(program).get_trace()
     return trace
-
-
-def _is_latent(site: dict[str, Any]) -> bool:
-    return site["type"] == "sample" and not site["is_observed"]

@@ -24,12 +24,26 @@ Noise = Literal["fresh", "fixed"]
 DEFAULT_PLANNER: Final = "fast"
 
 
+class _PriorField:
+    """A field that is set to a program or to the name of a ready-made one, and is a program."""
+
+    def __get__(self, model: object | None, owner: type) -> Program:
+        if model is None:
+            return priors.uniform  # the default
+        program: Program = vars(model)["prior"]
+        return program
+
+    def __set__(self, model: object, value: Program | str) -> None:
+        vars(model)["prior"] = priors.named(value) if isinstance(value, str) else value
+
+
 @dataclasses.dataclass(frozen=True)
 class Model:
     """What is simulated, inferred, compared and evaluated.
 
     Attributes:
-        prior: NumPyro program that samples the five hypothesis sites, and perhaps more.
+        prior: NumPyro program that samples the five hypothesis sites, and perhaps more; or the
+            name of a ready-made one (:mod:`phase_ppl.models.priors`).
         simulator: generator function ``(scene, hypothesis, rng)`` of frames; None for the joint
             simulator of the paper (Algorithm 1).
         likelihood: of a trajectory, from its per-frame errors.
@@ -41,10 +55,10 @@ class Model:
     Raises:
         InvalidSettingError: the prior cannot work (the message names the site and what is
             expected), or a planner is given for another simulator.
-        UnknownNameError: an unknown planner or noise.
+        UnknownNameError: an unknown prior, planner or noise.
     """
 
-    prior: Program = priors.uniform
+    prior: _PriorField = _PriorField()
     simulator: Simulator | None = None
     likelihood: Likelihood = dataclasses.field(default_factory=RadialLikelihood)
     planner: str | PlannerConfig | None = None
@@ -97,9 +111,9 @@ class Model:
         own = self.simulator is not None
         return {
             "prior": _name(self.prior),
-            "prior_source": _source_hash(self.prior),
+            "prior_source": source_hash(self.prior),
             "simulator": _name(self.simulator) if own else "joint",
-            "simulator_source": _source_hash(self.simulator) if own else None,
+            "simulator_source": source_hash(self.simulator) if own else None,
             "likelihood": repr(self.likelihood),
             "planner": None if own else self._planner_config().to_dict(),
             "noise": self.noise,
@@ -111,7 +125,7 @@ def _name(thing: Any) -> str:
     return f"{named.__module__}.{named.__qualname__}"
 
 
-def _source_hash(thing: Callable[..., Any] | None) -> str | None:
+def source_hash(thing: Callable[..., Any] | None) -> str | None:
     """Return a hash of the source of a function or of an object's class; None without source."""
     try:
         source = inspect.getsource(thing if hasattr(thing, "__qualname__") else type(thing))  # type: ignore[arg-type]

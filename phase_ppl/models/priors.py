@@ -1,8 +1,43 @@
-"""Ready-made priors over hypotheses."""
+"""Ready-made priors over hypotheses.
+
+``Model(prior="sparse_social")`` takes one by name, :func:`available` lists them. They are NumPyro
+programs like any other, to be called inside a prior of one's own, and each is exact: its density
+is that of its draws.
+"""
 
 from __future__ import annotations
 
+import functools
+import itertools
+from typing import Final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import numpyro
+import numpyro.distributions as dist
+from jax import random
+from jax.scipy.special import log_ndtr, ndtri
+from numpy.typing import NDArray
+from numpyro.distributions import constraints
+
 from phase_ppl.models import sites
+from phase_ppl.models.density import Program
+from phase_ppl.models.one_of import OneOf
+from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, IMPOSSIBLE, SELF_REFERRING
+from phase_ppl.world.errors import InvalidSettingError, unknown_name
+from phase_ppl.world.goals import N_GOALS, effective_goals
+from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_LEVELS, STRENGTH_RANGE
+from phase_ppl.world.relations import RELATION_TABLE, RELATIONS
+
+SOCIAL: Final = 0.1
+"""Probability of a social goal under :func:`sparse_social`; 2/3 under :func:`uniform`."""
+
+STRENGTH_CORRELATION: Final = 0.8
+"""Correlation of the normal scores of the strengths under :func:`correlated_strengths`."""
+
+_EDGE: Final = 1e-6
+"""How close to 0 and 1 quantiles may come before their normal scores run away."""
 
 
 def uniform() -> None:
@@ -10,3 +45,179 @@ def uniform() -> None:
     sites.goals()
     sites.alpha()
     sites.strengths()
+
+
+def sparse_social() -> None:
+    """Social goals are rare: one agent helps or hinders with probability 0.1, all four ways alike.
+
+    Everything else as in :func:`uniform`.
+    """
+    sites.goals()
+    one = SOCIAL / (len(ALPHAS) - 1)
+    probs = jnp.array([1 - SOCIAL, *[one] * (len(ALPHAS) - 1)])
+    numpyro.sample(ALPHA_SITE, dist.Categorical(probs=probs))
+    sites.strengths()
+
+
+def symmetric_alphas() -> None:
+    """All five alphas alike: 1/5 each.
+
+    Symmetric in what each agent does: the alpha of either is -1, 0 or 1 alike, independently of
+    the other's, given that not both have one (the paper excludes that). :func:`uniform` draws the
+    sign first, the agent second, and has no social goal with probability 1/3.
+    """
+    sites.goals()
+    numpyro.sample(ALPHA_SITE, dist.Categorical(probs=jnp.full(len(ALPHAS), 1 / len(ALPHAS))))
+    sites.strengths()
+
+
+def relation_first(
+    friendly: float = 1 / 3, neutral: float = 1 / 3, adversarial: float = 1 / 3
+) -> None:
+    """The relation is drawn first, then goals and alpha that make it.
+
+    P(goals, alpha) = P(relation) P(goals, alpha | relation), the latter that of :func:`uniform`
+    given its relation. The relation follows from the goals, so it is no site of its own: the
+    program draws the goals one after the other, then alpha, from that joint distribution.
+
+    Args:
+        friendly, neutral, adversarial: probabilities of the relations, 1/3 each by default.
+
+    Raises:
+        InvalidSettingError: they are negative or do not sum to 1.
+    """
+    probabilities = dict(zip(("friendly", "neutral", "adversarial"),
+                             (friendly, neutral, adversarial), strict=True))  # fmt: skip
+    log_red, log_green, log_alpha = _relation_tables(tuple(probabilities[r] for r in RELATIONS))
+    red = numpyro.sample(GOAL_SITES[0], dist.Categorical(logits=jnp.asarray(log_red)))
+    green = numpyro.sample(GOAL_SITES[1], dist.Categorical(logits=jnp.asarray(log_green)[red]))
+    numpyro.sample(ALPHA_SITE, dist.Categorical(logits=jnp.asarray(log_alpha)[red, green]))
+    sites.strengths()
+
+
+FloatArray = NDArray[np.float64]
+
+
+@functools.cache
+def _relation_tables(probabilities: tuple[float, ...]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return log P(red), log P(green | red), log P(alpha | red, green), up to constants.
+
+    Args:
+        probabilities: of the relations, in the order of ``RELATIONS``.
+    """
+    given = np.array(probabilities, float)
+    if not ((given >= 0).all() and abs(given.sum() - 1) < 1e-6):
+        raise InvalidSettingError(
+            f"probabilities of {', '.join(RELATIONS)} = {list(probabilities)}: expected numbers "
+            ">= 0 of sum 1"
+        )
+    relation = np.empty((N_GOALS, N_GOALS, len(ALPHAS)), int)
+    for red, green, alpha in itertools.product(*map(range, relation.shape)):
+        relation[red, green, alpha] = RELATION_TABLE[effective_goals(red, green, ALPHAS[alpha])]
+    base = np.einsum(
+        "r,g,a->rga", *(~SELF_REFERRING).astype(float), np.array(sites.ALPHA_PROBABILITIES)
+    )
+    mass = np.bincount(relation.ravel(), base.ravel(), len(RELATIONS))
+    joint = base * (given / mass)[relation]
+    with np.errstate(divide="ignore"):
+        tables = (np.log(joint.sum(axis=(1, 2))), np.log(joint.sum(axis=2)), np.log(joint))
+    red, green, alpha = (np.maximum(table, IMPOSSIBLE) for table in tables)
+    return red, green, alpha
+
+
+def correlated_strengths() -> None:
+    """The agents are about as strong as each other.
+
+    Each strength alone is uniform on [150, 600] newtons as in :func:`uniform`; their normal
+    scores have the correlation 0.8 (a Gaussian copula), so that neither agent comes first.
+    """
+    sites.goals()
+    sites.alpha()
+    red, green = sites.STRENGTH_SITES
+    first = numpyro.sample(red, dist.Uniform(*STRENGTH_RANGE))
+    numpyro.sample(green, _UniformAlong(first, STRENGTH_CORRELATION))
+
+
+class _UniformAlong(dist.Distribution):
+    """Strength of one agent given the other's: the conditional of a Gaussian copula.
+
+    Args:
+        other: the other's strength, newtons.
+        correlation: of the normal scores of both.
+    """
+
+    support = constraints.interval(*STRENGTH_RANGE)
+    pytree_data_fields = ("other",)
+    pytree_aux_fields = ("correlation",)
+
+    def __init__(self, other: jax.Array, correlation: float) -> None:
+        self.other, self.correlation = other, correlation
+        super().__init__(jnp.shape(other), ())
+
+    def _scores(self) -> dist.Normal:
+        spread = float(np.sqrt(1 - self.correlation**2))
+        return dist.Normal(self.correlation * _normal_score(self.other), spread)
+
+    def sample(self, key: jax.Array, sample_shape: tuple[int, ...] = ()) -> jax.Array:
+        """Draw strengths."""
+        scores = self._scores()
+        shape = sample_shape + self.batch_shape
+        drawn = scores.loc + scores.scale * random.normal(key, shape)
+        low, high = STRENGTH_RANGE
+        # rounding must not leave the interval
+        return jnp.clip(low + (high - low) * jnp.exp(log_ndtr(drawn)), low, high)
+
+    def log_prob(self, value: jax.Array) -> jax.Array:
+        """Return the log density of a strength inside the interval, per newton."""
+        score = _normal_score(value)
+        low, high = STRENGTH_RANGE
+        result: jax.Array = (
+            self._scores().log_prob(score) - dist.Normal().log_prob(score) - np.log(high - low)
+        )
+        return result
+
+
+def _normal_score(strength: jax.Array) -> jax.Array:
+    low, high = STRENGTH_RANGE
+    return ndtri(jnp.clip((strength - low) / (high - low), _EDGE, 1 - _EDGE))
+
+
+def strength_levels() -> None:
+    """Strengths are one of the four levels of the original world, alike: 150, 300, 450, 600 N.
+
+    Everything else as in :func:`uniform`.
+    """
+    sites.goals()
+    sites.alpha()
+    for name in sites.STRENGTH_SITES:
+        numpyro.sample(name, OneOf(STRENGTH_LEVELS))
+
+
+PRIORS: Final[dict[str, Program]] = {
+    prior.__name__: prior
+    for prior in (
+        uniform,
+        sparse_social,
+        symmetric_alphas,
+        relation_first,
+        correlated_strengths,
+        strength_levels,
+    )
+}
+"""Name -> program."""
+
+
+def available() -> list[str]:
+    """Return the names of the ready-made priors, sorted."""
+    return sorted(PRIORS)
+
+
+def named(name: str) -> Program:
+    """Return the ready-made prior of that name.
+
+    Raises:
+        UnknownNameError: there is none; the message names close matches.
+    """
+    if name not in PRIORS:
+        raise unknown_name("prior", name, available())
+    return PRIORS[name]

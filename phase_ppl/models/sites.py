@@ -6,6 +6,8 @@ A prior is a NumPyro program that samples all five sites; it may sample further 
         numpyro.sample("alpha", dist.Categorical(probs=jnp.array([.2, .3, .3, .1, .1])))
         phase_ppl.sites.goals()
         phase_ppl.sites.strengths()
+
+Strengths are real numbers, or one of a few (:class:`OneOf`).
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ import numpy as np
 import numpyro
 import numpyro.distributions as dist
 
+from phase_ppl.models.one_of import OneOf as OneOf
 from phase_ppl.world.goals import N_GOALS, is_self_referring
 from phase_ppl.world.hypothesis import STRENGTH_RANGE
 from phase_ppl.world.names import AGENTS

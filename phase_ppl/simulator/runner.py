@@ -5,11 +5,10 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import math
-import numbers
 import secrets
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, Future, InvalidStateError
 from types import TracebackType
 
@@ -24,35 +23,15 @@ from phase_ppl.simulator.contract import (
     simulate_one,
     simulate_together,
 )
+from phase_ppl.simulator.costs import Statistics
 from phase_ppl.simulator.dispatch import Dispatch, Request
+from phase_ppl.simulator.failures import failure_error, fresh_seed, n_retries
 from phase_ppl.simulator.pool import BorrowedExecutor, OwnWorkers, Pool, Work
+from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
-
-
-@dataclasses.dataclass
-class Statistics:
-    """What the simulations of a runner have cost.
-
-    Attributes:
-        simulations: run; requests merged with an identical one do not count.
-        frames: simulated.
-        frames_saved: not simulated because the fate was decided.
-        seconds_simulating: summed over workers.
-        seconds_waiting: wall time spent in ``run``.
-        failures: simulations that failed.
-        retries: simulations run again because they were lost, most often with their worker.
-    """
-
-    simulations: int = 0
-    frames: int = 0
-    frames_saved: int = 0
-    seconds_simulating: float = 0.0
-    seconds_waiting: float = 0.0
-    failures: int = 0
-    retries: int = 0
 
 
 class Runner:
@@ -71,15 +50,21 @@ class Runner:
             has begun goes on after a cancel, unheeded.
         max_retries: how often a simulation is run again whose worker died. What raises in the
             simulator is a failure at once, as it would raise again.
-        on_result: called in this process as each simulation finishes.
+        on_failure: "reject": a failed simulation is a result, without likelihood; "raise": the
+            first one ends the run; "retry": it is run again with a fresh seed, which follows from
+            its own, and is a failed result only if that fails as well.
+        retries: how often "retry" runs a simulation again; by default 3.
+        on_result: called in this process as each simulation finishes, not before the last retry.
 
     Attributes:
         statistics: what the simulations have cost so far.
-        workers: number of processes.
+        workers: number of processes; None where an executor decides.
+        on_failure, retries: as given; retries are 0 without "retry".
 
     Raises:
-        InvalidSettingError: ``workers`` or ``max_retries`` is out of range, or the simulator
-            cannot be called, or not be sent to workers.
+        InvalidSettingError: ``workers``, ``max_retries`` or ``retries`` is out of range, or the
+            simulator cannot be called, or not be sent to workers.
+        UnknownNameError: an unknown ``on_failure``.
     """
 
     def __init__(
@@ -91,23 +76,31 @@ class Runner:
         workers: int | None = None,
         executor: Executor | None = None,
         max_retries: int = 1,
+        on_failure: str = "reject",
+        retries: int | None = None,
         on_result: Callable[[SimulationResult], None] | None = None,
     ) -> None:
         if not callable(simulator):
             raise InvalidSettingError(f"simulator={shown(simulator)} cannot be called")
-        slots = None if workers is None else _whole_number("workers", workers, 1)
-        self.workers = loky.cpu_count() if slots is None else slots
+        slots = None if workers is None else whole_number("workers", workers)
+        self.workers = loky.cpu_count() if slots is None and executor is None else slots
+        self.on_failure, self.retries = on_failure, n_retries(on_failure, retries)
         self.statistics = Statistics()
         self.on_result = on_result
         self._simulator, self._scene = simulator, scene
         self._observed = np.array(observation.positions)
-        self._max_retries = _whole_number("max_retries", max_retries, 0)
+        self._max_retries = whole_number("max_retries", max_retries, 0)
         self._stop: Future[None] = Future()
         self._one_run = threading.Lock()
+        self._attempts_left = self.retries
         self._pool: Pool | None = None
         if executor is not None:
             self._pool = BorrowedExecutor(executor, slots, *self._packed_work())
-        elif self.workers > 1 and not hasattr(simulator, "simulate_batch"):
+        elif (
+            self.workers is not None
+            and self.workers > 1
+            and not hasattr(simulator, "simulate_batch")
+        ):
             warm_up = hasattr(simulator, "warm_up")
             self._pool = OwnWorkers(self.workers, *self._packed_work(), warm_up)
 
@@ -173,22 +166,42 @@ class Runner:
             InvalidSettingError: the lengths differ, or a ceiling is not a number.
             Cancelled: :meth:`cancel` or :meth:`close` was called.
             SimulationError: no simulation can be run, as the simulator cannot be loaded in the
-                workers or the executor is broken. One that fails is a failed result instead.
+                workers or the executor is broken; or one failed, with ``on_failure="raise"``.
         """
         requests = self._requests(hypotheses, seeds, error_ceilings)
         distinct = list(dict.fromkeys(requests))
         with self._one_run:
             clock = time.perf_counter()
             try:
-                if hasattr(self._simulator, "simulate_batch") and self._pool is None:
-                    done = self._run_together(distinct)
-                elif self._pool is None:
-                    done = {request: self._run_here(request) for request in distinct}
-                else:
-                    done = self._run_in(self._pool, distinct)
+                self._attempts_left = self.retries
+                done = self._run_distinct(distinct)
+                while self._attempts_left and (failed := _failed(done)):
+                    self._attempts_left -= 1
+                    done |= self._run_again(failed)
             finally:
                 self.statistics.seconds_waiting += time.perf_counter() - clock
         return [done[request] for request in requests]
+
+    def _run_distinct(self, requests: Sequence[Request]) -> dict[Request, SimulationResult]:
+        if hasattr(self._simulator, "simulate_batch") and self._pool is None:
+            return self._run_together(requests)
+        if self._pool is None:
+            return {request: self._run_here(request) for request in requests}
+        return self._run_in(self._pool, requests)
+
+    def _run_again(self, failed: Sequence[Request]) -> dict[Request, SimulationResult]:
+        """Return the results of failed requests with fresh seeds, under the seeds asked for."""
+        attempt = self.retries - self._attempts_left
+        fresh = {
+            (hypothesis, seed, ceiling): (hypothesis, fresh_seed(seed, attempt), ceiling)
+            for hypothesis, seed, ceiling in failed
+        }
+        self.statistics.retries += len(fresh)
+        done = self._run_distinct(list(dict.fromkeys(fresh.values())))
+        return {
+            request: dataclasses.replace(done[again], seed=request[1])
+            for request, again in fresh.items()
+        }
 
     def _requests(
         self,
@@ -258,6 +271,10 @@ class Runner:
         statistics.seconds_simulating += result.seconds
         if result.failure is not None:
             statistics.failures += 1
+            if self.on_failure == "raise":
+                raise failure_error(result)
+            if self._attempts_left:
+                return result
         else:
             statistics.frames_saved += self.n_frames - result.frames_simulated
         if self.on_result is not None:
@@ -265,7 +282,5 @@ class Runner:
         return result
 
 
-def _whole_number(name: str, value: object, least: int) -> int:
-    if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < least:
-        raise InvalidSettingError(f"{name}={shown(value)}, expected a whole number >= {least}")
-    return int(value)
+def _failed(done: Mapping[Request, SimulationResult]) -> list[Request]:
+    return [request for request, result in done.items() if result.failure is not None]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from typing import Any
 
 _SHOWN_CHARACTERS = 80
 
@@ -33,7 +34,13 @@ class OutputError(PhasePPLError, OSError):
 
 
 class SimulationError(PhasePPLError, RuntimeError):
-    """A simulation that failed; the message names the hypothesis and the seed."""
+    """A simulation that failed; the message names the hypothesis and the seed.
+
+    Attributes:
+        posterior: of what was done until then, where it ended a run that had begun.
+    """
+
+    posterior: Any = None
 
 
 def unknown_name(what: str, name: object, allowed: Iterable[str]) -> UnknownNameError:

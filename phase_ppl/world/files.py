@@ -26,6 +26,19 @@ def atomic_output(path: str | os.PathLike[str], suffixes: Sequence[str]) -> Iter
         OutputError: another ending, a folder in the way, or the folder cannot be written.
     """
     target = Path(path)
+    with _part_of(target, suffixes) as part:
+        yield part
+        os.replace(part, target)
+
+
+def check_output(path: str | os.PathLike[str], suffixes: Sequence[str]) -> None:
+    """Raise OutputError if :func:`atomic_output` could not write ``path``; nothing is written."""
+    with _part_of(Path(path), suffixes):
+        pass
+
+
+@contextlib.contextmanager
+def _part_of(target: Path, suffixes: Sequence[str]) -> Iterator[Path]:
     if target.suffix.lower() not in suffixes:
         raise OutputError(f"cannot write {target}: expected a name in {' or '.join(suffixes)}")
     if target.is_dir():
@@ -35,7 +48,6 @@ def atomic_output(path: str | os.PathLike[str], suffixes: Sequence[str]) -> Iter
     try:
         part.touch(exist_ok=False)
         yield part
-        os.replace(part, target)
     except OSError as error:
         if isinstance(error, OutputError):
             raise

@@ -14,8 +14,7 @@ import xarray as xr
 
 import phase_ppl as ppl
 from phase_ppl.analysis.tree import simulation_of_draw
-from phase_ppl.inference import chains
-from phase_ppl.inference import infer as infer_module
+from phase_ppl.inference import chains, session
 from phase_ppl.inference.kernels.prior_mh import PriorMH
 from phase_ppl.simulator.contract import Cancelled, SimulationResult
 from phase_ppl.simulator.runner import Runner
@@ -191,7 +190,7 @@ def disturb(monkeypatch: pytest.MonkeyPatch, change: Change) -> None:
             results = super().run(hypotheses, seeds, error_ceilings)
             return change(self.calls, self, results) or results
 
-    monkeypatch.setattr(infer_module, "Runner", Disturbed)
+    monkeypatch.setattr(session, "Runner", Disturbed)
 
 
 def interrupt_in(call: int) -> Change:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from phase_ppl.inference import progress
 from phase_ppl.inference.progress import WARMING_UP, Progress
 
 
@@ -23,3 +24,42 @@ def test_a_hidden_bar_writes_nothing(capsys: pytest.CaptureFixture[str]) -> None
     with Progress(1, shown=False) as bar:
         bar.one_more()
     assert capsys.readouterr().err == ""
+
+
+def test_uneven_simulations_give_a_steady_estimate(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = 0.0
+    monkeypatch.setattr(progress, "clock", lambda: now)
+    # rounds of four: two stopped at once, the others in one burst after ten seconds
+    with Progress(40, shown=False, batch=4) as bar:
+        estimates = []
+        now = 30.0  # compiling
+        for done in range(1, 10):
+            bar.one_more()
+            bar.one_more()
+            estimates.append(bar.seconds_left())
+            now += 10.0
+            bar.one_more()
+            bar.one_more()
+            estimates.append(bar.seconds_left())
+            if done > 2:  # what comes before still has the compiling in it
+                left = 10.0 * (10 - done)
+                before, after = estimates[-2:]
+                assert after == pytest.approx(left, rel=0.35)
+                assert before == pytest.approx(left + 10, rel=0.5)
+    assert estimates[0] is None
+
+
+def test_what_was_done_before_is_counted_but_not_its_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now = 0.0
+    monkeypatch.setattr(progress, "clock", lambda: now)
+    with Progress(30, shown=False, done=20, batch=2) as bar:
+        for _ in range(4):
+            now += 3.0
+            bar.one_more()
+        assert bar.seconds_left() == pytest.approx(18.0)
+        bar.expect(40)
+        assert bar.seconds_left() == pytest.approx(48.0)
+        bar.reach(40)
+        assert bar.seconds_left() == 0

@@ -1,0 +1,156 @@
+"""The figure of a comparison: how good each kernel is after ever more simulations."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from phase_ppl.analysis.comparison import Comparison
+from phase_ppl.analysis.style import INK, NORMAL, SMALL, bare, new_figure, written
+from phase_ppl.world.errors import unknown_name
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+FloatArray = NDArray[np.float64]
+
+COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#9a4c8f", "#8a6d00", "#56a0d3", "#444444")
+"""Colours of the kernels, to be told apart without seeing red and green apart."""
+
+STYLES: Final = ("-", (0, (5, 1.6)), (0, (1.2, 1.2)))
+"""Lines of the kernels, for those beyond the colours."""
+
+HEADINGS: Final = {
+    "tv_goals": ("Distance from the reference", "total variation of a goal's marginal"),
+    "tv_relation": ("Distance of the relation", "total variation of the relation's marginal"),
+    "p_goals": ("Belief in the true goals", "probability of an agent's true goal"),
+    "p_pair": ("Belief in the true pair", "probability of the true pair of goals"),
+    "p_relation": ("Belief in the true relation", "probability of the true relation"),
+    "map_goals": ("Accuracy", "share of agents whose leading goal is right"),
+    "map_relation": ("Accuracy", "share of runs whose leading relation is right"),
+}
+"""Measure -> title and label of its axis."""
+
+_POINTS: Final = 200
+_LABEL_GAP: Final = 0.065
+"""Least distance of two labels, as a share of the axis."""
+
+
+def comparison(
+    c: Comparison,
+    path: str | os.PathLike[str] | None = None,
+    *,
+    measures: tuple[str, ...] = ("tv_goals", "p_goals"),
+) -> Figure:
+    """Draw measures of accuracy against simulations, a line per kernel.
+
+    Lines are means over repeats, bands their standard errors. A kernel that keeps its last
+    population only is a point with a bar. A dashed line is what the reference says.
+
+    Args:
+        c: what to draw.
+        path: where to write the figure as well, as .png, .pdf or .svg.
+        measures: a panel for each, of :data:`HEADINGS`; those without values are left out.
+
+    Returns:
+        A matplotlib figure, 4.6 inches wide for each panel.
+
+    Raises:
+        UnknownNameError: there is no such measure.
+        OutputError: the figure cannot be written there, or the ending is another.
+    """
+    for name in measures:
+        if name not in HEADINGS:
+            raise unknown_name("measure", name, HEADINGS)
+    drawn = [name for name in measures if c.curve[name].notna().any()]
+    figure = new_figure(4.6 * len(drawn), 3.6)
+    grid = figure.add_gridspec(
+        1, len(drawn), left=0.62 / (4.6 * len(drawn)), right=1 - 1.15 / (4.6 * len(drawn)),
+        top=0.86, bottom=0.185, wspace=1.75 / 2.9,
+    )  # fmt: skip
+    for panel, name in enumerate(drawn):
+        axes = figure.add_subplot(grid[panel])
+        _panel(axes, c, name)
+        title, label = HEADINGS[name]
+        axes.set_title(title, fontsize=NORMAL + 1, loc="left", color=INK, pad=14)
+        axes.text(0, 1.02, label, transform=axes.transAxes, fontsize=SMALL + 0.5, color="#666666")
+    repeats = c.runs.groupby("kernel").size()
+    words = f"{repeats.min()}" if repeats.min() == repeats.max() else "several"
+    note = f"{c.settings['event']}: mean and standard error of {words} runs each"
+    figure.text(0.62 / (4.6 * len(drawn)), 0.025, note, fontsize=SMALL, color="#666666")
+    return written(figure, path)
+
+
+def _panel(axes: Axes, c: Comparison, name: str) -> None:
+    ends: list[tuple[float, float, str, str]] = []
+    for place, kernel in enumerate(c.kernels):
+        colour, style = COLOURS[place % len(COLOURS)], STYLES[place // len(COLOURS) % len(STYLES)]
+        rows = c.curve[c.curve["kernel"] == kernel]
+        x, mean, error = _mean_curve(rows, name)
+        if len(x) == 1:
+            axes.errorbar(x, mean, error, fmt="o", ms=4, color=colour, capsize=2, lw=1.2)
+        else:
+            axes.fill_between(x, mean - error, mean + error, color=colour, alpha=0.16, lw=0)
+            axes.plot(x, mean, color=colour, ls=style, lw=1.8, solid_capstyle="round")
+        ends.append((float(x[-1]), float(mean[-1]), kernel, colour))
+    reference = c.settings["reference"].get("truth", {}).get(name)
+    if reference is not None:
+        axes.axhline(reference, color="#777777", lw=0.9, ls=(0, (4, 3)), zorder=1)
+        ends.append((0.0, reference, "reference", "#777777"))
+    bare(axes)
+    axes.set_xlabel("simulations", fontsize=NORMAL, color=INK)
+    axes.set_xlim(0, max(end[0] for end in ends) * 1.02)
+    top = axes.get_ylim()[1]
+    axes.set_ylim(0, min(1.02, max(top, 0.05)))
+    axes.grid(axis="y", color="#e6e6e6", lw=0.6)
+    axes.set_axisbelow(True)
+    _direct_labels(axes, ends)
+
+
+def _mean_curve(rows: pd.DataFrame, name: str) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return simulations, mean and standard error over repeats where all repeats have begun.
+
+    Every run counts at each number of simulations with what it had by then.
+    """
+    runs = [(run["simulations"].to_numpy(float), run[name].to_numpy(float))
+            for _, run in rows.groupby("repeat")]  # fmt: skip
+    begin, end = max(x[0] for x, _ in runs), max(x[-1] for x, _ in runs)
+    at = np.unique(np.linspace(begin, end, _POINTS)) if end > begin else np.array([end])
+    values = np.array([y[np.searchsorted(x, at, side="right") - 1] for x, y in runs])
+    spread = values.std(axis=0, ddof=1) / np.sqrt(len(runs)) if len(runs) > 1 else 0.0 * at
+    return at, values.mean(axis=0), spread
+
+
+def _direct_labels(axes: Axes, ends: list[tuple[float, float, str, str]]) -> None:
+    """Write each kernel's name beside the end of its line, moved apart where they would touch."""
+    low, high = axes.get_ylim()
+    wanted = np.array([(end[1] - low) / (high - low) for end in ends])
+    order = np.argsort(wanted)
+    places = wanted[order].copy()
+    for _ in range(200):
+        gaps = np.diff(places)
+        for i in np.flatnonzero(gaps < _LABEL_GAP - 1e-9):
+            push = (_LABEL_GAP - gaps[i]) / 2
+            places[i] -= push
+            places[i + 1] += push
+        lift = max(0.0, 0.02 - places[0])
+        places[0] += lift
+    for place, i in zip(places, order, strict=True):
+        _, _, kernel, colour = ends[i]
+        axes.annotate(
+            kernel,
+            (1.0, wanted[i]),
+            xycoords="axes fraction",
+            xytext=(1.035, place),
+            textcoords="axes fraction",
+            va="center",
+            fontsize=NORMAL,
+            color=colour,
+            annotation_clip=False,
+            arrowprops={"arrowstyle": "-", "color": colour, "lw": 0.7, "shrinkA": 0, "shrinkB": 0},
+        )

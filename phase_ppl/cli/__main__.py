@@ -1,0 +1,8 @@
+"""``python -m phase_ppl.cli``."""
+
+import sys
+
+from phase_ppl.cli.main import main
+
+if __name__ == "__main__":
+    sys.exit(main())

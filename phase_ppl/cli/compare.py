@@ -1,0 +1,122 @@
+"""The command ``compare``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import phase_ppl
+from phase_ppl.cli.shared import INTERRUPTED, command, load, whole, writable_folder
+from phase_ppl.world.errors import InvalidSettingError
+
+
+def add_to(commands: Any) -> None:
+    """Add the command."""
+    parser = command(
+        commands,
+        "compare",
+        _compare,
+        "compare kernels on an event: same budget, several seeds, against a reference",
+        "phase-ppl compare collaborate --kernels local_mh,local_mh:rule=paper,prior_mh "
+        "--budget 500 --repeats 8 --out out",
+    )
+    parser.add_argument(
+        "--kernels",
+        metavar="A,B",
+        required=True,
+        help="names, with options as NAME:OPTION=VALUE:OPTION=VALUE",
+    )
+    parser.add_argument(
+        "--budget", metavar="N", type=whole(1), default=500, help="simulations; default 500"
+    )
+    parser.add_argument("--repeats", metavar="R", type=whole(1), default=8, help="default 8")
+    parser.add_argument("--chains", metavar="M", type=whole(1), default=15, help="default 15")
+    parser.add_argument("--prior", metavar="NAME", default="uniform", help="default uniform")
+    parser.add_argument("--planner", choices=("fast", "paper"), default="fast")
+    parser.add_argument(
+        "--reference",
+        metavar="R",
+        help="a posterior's .nc file, 'enumeration' or a kernel; default: what is affordable",
+    )
+    parser.add_argument("--weights", metavar="NAME", default="count", help="default count")
+    parser.add_argument(
+        "--workers", metavar="N", type=whole(1), help="processes; default one per usable core"
+    )
+    parser.add_argument(
+        "--checkpoint", metavar="FILE", type=Path, help=".json; keeps and takes up finished runs"
+    )
+    parser.add_argument("--out", metavar="DIR", type=Path)
+    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+
+
+def _compare(options: argparse.Namespace) -> int:
+    event = load(options)
+    out = None if options.out is None else writable_folder(options.out)
+    interrupted = False
+    try:
+        found = phase_ppl.compare(
+            event,
+            phase_ppl.Model(prior=options.prior, planner=options.planner),
+            kernels=_kernels(options.kernels),
+            budget=phase_ppl.simulations(options.budget),
+            repeats=options.repeats,
+            chains=options.chains,
+            seed=options.seed,
+            reference=_reference(options.reference),
+            weights=options.weights,
+            workers=options.workers,
+            progress=not options.quiet,
+            checkpoint=options.checkpoint,
+        )
+    except phase_ppl.ComparisonInterrupted as stopped:
+        if stopped.comparison is None:
+            print("phase-ppl: interrupted before the first run was finished", file=sys.stderr)
+            return INTERRUPTED
+        print("phase-ppl: interrupted; this is what was finished until then", file=sys.stderr)
+        found, interrupted = stopped.comparison, True
+    print(found)
+    if out is None:
+        print("\nNothing was saved; --out DIR keeps the table, the runs and a figure.")
+    else:
+        found.save(out / "comparison.json")
+        phase_ppl.plot.comparison(found, path=out / "comparison.png")
+        print(f"\nWritten to {out}: comparison.json, comparison.png")
+    return INTERRUPTED if interrupted else 0
+
+
+def _kernels(text: str) -> dict[str, Any]:
+    """Return label -> (name, options) of ``a,b:option=value``.
+
+    Raises:
+        InvalidSettingError: a name is missing or given twice, or an option has no value.
+    """
+    found: dict[str, Any] = {}
+    for label in (part.strip() for part in text.split(",")):
+        name, *given = label.split(":")
+        if not name or label in found:
+            raise InvalidSettingError(f"--kernels {text}: expected different names, as in a,b,c")
+        options = {}
+        for option in given:
+            key, equals, value = option.partition("=")
+            if not (key and equals and value):
+                raise InvalidSettingError(f"--kernels: {option!r} in {label!r} is no OPTION=VALUE")
+            options[key] = _value(value)
+        found[label] = (name, options)
+    return found
+
+
+def _value(text: str) -> Any:
+    """Return numbers, true and false as such, anything else as text."""
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text
+
+
+def _reference(text: str | None) -> Any:
+    if text is not None and text.endswith(".nc"):
+        return phase_ppl.Posterior.load(text)
+    return text

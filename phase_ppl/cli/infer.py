@@ -1,0 +1,215 @@
+"""The commands ``infer`` and ``resume``."""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import inspect
+import json
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import phase_ppl
+from phase_ppl.cli.shared import (
+    BAD_INPUT,
+    INTERRUPTED,
+    command,
+    load,
+    one_line,
+    whole,
+    writable_folder,
+    write_text,
+)
+from phase_ppl.world.errors import InvalidSettingError, OutputError, PhasePPLError
+
+if TYPE_CHECKING:
+    from phase_ppl.analysis.posterior import Posterior
+    from phase_ppl.world.event import Event
+
+CHECKPOINT: Final = "run.ckpt"
+"""The file in the folder of results that holds an unfinished run."""
+
+
+def add_to(commands: Any) -> None:
+    """Add the commands."""
+    infer = command(
+        commands,
+        "infer",
+        _infer,
+        "print, draw and save the posterior over goals, relation and strengths of an event",
+        "phase-ppl infer collaborate --planner fast --seed 0 --out out",
+    )
+    infer.add_argument("--planner", choices=("fast", "paper"), default="fast")
+    infer.add_argument("--prior", metavar="NAME", default="uniform", help="default uniform")
+    infer.add_argument("--kernel", metavar="NAME", default="local_mh")
+    infer.add_argument("--chains", metavar="M", type=whole(1), default=15, help="default 15")
+    infer.add_argument(
+        "--option",
+        metavar="NAME=VALUE",
+        type=_option,
+        action="append",
+        default=[],
+        help="of the kernel, such as rule=paper; may be given several times",
+    )
+    infer.add_argument("--out", metavar="DIR", type=Path)
+    _add_means(infer)
+
+    resume = commands.add_parser(
+        "resume",
+        help="go on with an interrupted run, or extend one",
+        description="Go on with an interrupted run, or extend one, as if it had never stopped.",
+        epilog="example: phase-ppl resume out/run.ckpt --workers 4",
+    )
+    resume.set_defaults(run=_resume)
+    resume.add_argument("file", metavar="FILE", type=Path, help="the run.ckpt that it left")
+    resume.add_argument("--out", metavar="DIR", type=Path, help="default: where FILE is")
+    _add_means(resume)
+
+
+def _add_means(command: argparse.ArgumentParser) -> None:
+    """Add what ``infer`` and ``resume`` share."""
+    length = command.add_mutually_exclusive_group()
+    length.add_argument("--iterations", metavar="L", type=whole(1), help="default 6, or as before")
+    length.add_argument(
+        "--budget", metavar="B", type=_budget, help="simulations, as in 500, or seconds, as in 60s"
+    )
+    command.add_argument(
+        "--workers", metavar="N", type=whole(1), help="processes; default one per usable core"
+    )
+    command.add_argument(
+        "--on-failure",
+        choices=("reject", "raise", "retry"),
+        help="what becomes of a failed simulation; default reject, or as before",
+    )
+    command.add_argument("--retries", metavar="N", type=whole(1), help="of retry; default 3")
+    command.add_argument(
+        "--keep-checkpoint",
+        action="store_true",
+        help=f"keep {CHECKPOINT} when the run is complete, to extend it",
+    )
+    command.add_argument("--quiet", action="store_true", help="no progress bar")
+
+
+def _infer(options: argparse.Namespace) -> int:
+    event = load(options)
+    out = None if options.out is None else writable_folder(options.out)
+    kept = None if out is None else out / CHECKPOINT
+    if kept is not None and kept.exists():
+        raise OutputError(
+            f"{kept} holds an unfinished run: continue it with 'phase-ppl resume {kept}', or "
+            "delete it"
+        )
+    run = functools.partial(
+        phase_ppl.infer,
+        event,
+        phase_ppl.Model(prior=options.prior),
+        kernel=options.kernel,
+        planner=options.planner,
+        chains=options.chains,
+        seed=options.seed,
+        checkpoint=kept,
+        **_means(options),
+        **_kernel_options(options.option),
+    )
+    return _finish(run, event, out, kept, options)
+
+
+def _resume(options: argparse.Namespace) -> int:
+    from phase_ppl.inference.checkpoint import Checkpoint
+
+    out = writable_folder(options.file.parent if options.out is None else options.out)
+    event = Checkpoint(options.file).event
+    run = functools.partial(phase_ppl.resume, options.file, **_means(options))
+    return _finish(run, event, out, options.file, options)
+
+
+def _finish(
+    run: Callable[[], Posterior],
+    event: Event,
+    out: Path | None,
+    kept: Path | None,
+    options: argparse.Namespace,
+) -> int:
+    """Do a run, print and write what came out, and delete the file of one that is complete."""
+    code = 0
+    try:
+        post = run()
+    except phase_ppl.Interrupted as stopped:
+        if stopped.posterior is None:
+            print("phase-ppl: interrupted before the first draws", file=sys.stderr)
+            return INTERRUPTED
+        print("phase-ppl: interrupted; this is what was done until then", file=sys.stderr)
+        post, code = stopped.posterior, INTERRUPTED
+    except PhasePPLError as error:
+        if getattr(error, "posterior", None) is None:
+            raise
+        print(f"phase-ppl: error: {one_line(error)}", file=sys.stderr)
+        print("phase-ppl: this is what was done until then", file=sys.stderr)
+        post, code = error.posterior, BAD_INPUT  # type: ignore[attr-defined]
+    print(post)
+    if out is None:
+        print("\nNothing was saved; --out DIR keeps the posterior, a figure and a video.")
+    else:
+        _write_results(post, event, out)
+    if kept is not None and kept.exists():
+        if code:
+            print(f"Go on with: phase-ppl resume {kept}")
+        elif not options.keep_checkpoint:
+            kept.unlink()
+    return code
+
+
+def _means(options: argparse.Namespace) -> dict[str, Any]:
+    given = ("iterations", "budget", "workers", "on_failure", "retries")
+    found = {name: getattr(options, name) for name in given}
+    return {
+        "progress": not options.quiet,
+        **{name: value for name, value in found.items() if value is not None},
+    }
+
+
+def _kernel_options(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
+    taken = inspect.signature(phase_ppl.infer).parameters
+    found: dict[str, Any] = {}
+    for name, value in pairs:
+        if name in taken or name in found:
+            why = "given twice" if name in found else "no option of a kernel"
+            raise InvalidSettingError(f"--option {name}: {why}")
+        found[name] = value
+    return found
+
+
+def _write_results(post: Posterior, event: Event, out: Path) -> None:
+    """Write posterior.nc, summary.json, posterior.png and replay.mp4 into ``out``."""
+    post.save(out / "posterior.nc")
+    text = json.dumps(post.summary(), indent=2, ensure_ascii=False, allow_nan=False)
+    write_text(out / "summary.json", text + "\n")
+    phase_ppl.plot.posterior(post, path=out / "posterior.png")
+    phase_ppl.render.video(event, out / "replay.mp4", compare=post.replay())
+    print(f"\nWritten to {out}: posterior.nc, summary.json, posterior.png, replay.mp4")
+
+
+# --- options ---------------------------------------------------------------------------------
+
+
+def _budget(text: str) -> Any:
+    try:
+        if text.endswith("s"):
+            return phase_ppl.seconds(float(text[:-1]))
+        return phase_ppl.simulations(int(text))
+    except ValueError:  # of ours too
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is no budget; expected simulations, as in 500, or seconds, as in 60s"
+        ) from None
+
+
+def _option(text: str) -> tuple[str, Any]:
+    name, equals, value = text.partition("=")
+    if not (equals and name.isidentifier()):
+        raise argparse.ArgumentTypeError(f"{text!r} is not of the form NAME=VALUE")
+    try:
+        return name, json.loads(value)
+    except json.JSONDecodeError:
+        return name, value

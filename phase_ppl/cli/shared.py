@@ -1,0 +1,88 @@
+"""What the commands have in common: options, folders, one-line errors."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import tempfile
+from pathlib import Path
+from typing import Any, Final
+
+import phase_ppl
+from phase_ppl.world.errors import OutputError
+from phase_ppl.world.event import Event
+
+BAD_INPUT: Final = 2
+INTERRUPTED: Final = 130
+
+
+def one_line(error: BaseException) -> str:
+    """Return what an error says, in one line."""
+    return " ".join(str(error).split())
+
+
+def load(options: argparse.Namespace) -> Event:
+    """Return the event that the options name."""
+    return phase_ppl.load_event(options.event, video=options.video, turning=options.turning)
+
+
+def writable_folder(folder: Path) -> Path:
+    """Create ``folder`` and check that it can be written, before any work is done."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise OutputError(f"cannot write into folder {folder}: {error.strerror or error}") from None
+    return folder
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write ``text`` to ``path``, whole or not at all."""
+    part = path.with_name(path.name + ".part")
+    try:
+        part.write_text(text, encoding="utf-8")
+        os.replace(part, path)
+    except OSError as error:
+        raise OutputError(f"cannot write {path}: {error.strerror or error}") from None
+
+
+class Parser(argparse.ArgumentParser):
+    """Reports a usage error in one line, exit code 2."""
+
+    def error(self, message: str) -> Any:
+        self.exit(BAD_INPUT, f"{self.prog}: error: {message} (see {self.prog} --help)\n")
+
+
+def whole(minimum: int) -> Any:
+    """Return a parser of whole numbers that are at least ``minimum``."""
+
+    def parse(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
+        if value < minimum:
+            raise argparse.ArgumentTypeError(f"{value} is too small, expected at least {minimum}")
+        return value
+
+    return parse
+
+
+def command(
+    commands: Any, name: str, run: Any, description: str, example: str
+) -> argparse.ArgumentParser:
+    """Add a command on an event, with the options that all of them have."""
+    command: argparse.ArgumentParser = commands.add_parser(
+        name, help=description, description=description, epilog=f"example: {example}"
+    )
+    command.set_defaults(run=run)
+    command.add_argument("event", metavar="EVENT", help="an event file, or a bundled event's name")
+    command.add_argument("--video", metavar="ID", help="one event of a file with many")
+    command.add_argument("--seed", metavar="N", type=whole(0), default=0, help="default 0")
+    command.add_argument(
+        "--turning",
+        choices=("both", "ccw", "cw"),
+        help="which way agents can turn; default: as observed",
+    )
+    return command

@@ -1,0 +1,246 @@
+"""Kernels against each other: the same event, the same budget, several seeds."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+from tqdm import tqdm
+
+from phase_ppl.analysis.comparison import CURVE_COLUMNS, RUN_COLUMNS, Comparison
+from phase_ppl.analysis.measures import accuracy, curve, efficiency, of_truth
+from phase_ppl.analysis.posterior import Posterior
+from phase_ppl.analysis.summary import plain
+from phase_ppl.analysis.weights import WEIGHTINGS
+from phase_ppl.inference.contenders import Contender, Spec, contenders, described_budget
+from phase_ppl.inference.infer import CHAINS
+from phase_ppl.inference.progress import is_shown
+from phase_ppl.inference.reference import Reference, reference_of
+from phase_ppl.inference.settings import Budget, SimpleSettings, whole_number
+from phase_ppl.models.model import Model
+from phase_ppl.models.program import event_salt
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown, unknown_name
+from phase_ppl.world.event import Event
+
+BUDGET: Final = Budget(500)
+REPEATS: Final = 8
+
+_ADDRESS: Final = re.compile(r" at 0x[0-9a-fA-F]+")
+
+
+class ComparisonInterrupted(KeyboardInterrupt):
+    """The comparison was interrupted; the runs that were finished are kept.
+
+    Attributes:
+        comparison: of the finished runs; None where there are none.
+    """
+
+    def __init__(self, comparison: Comparison | None) -> None:
+        kept = "no run was finished yet" if comparison is None else "see .comparison"
+        super().__init__(f"the comparison was interrupted; {kept}")
+        self.comparison = comparison
+
+
+def compare(
+    event: Event,
+    model: Model | None = None,
+    *,
+    kernels: Iterable[Spec] | Mapping[str, Spec] = ("local_mh", "prior_mh"),
+    budget: Any = BUDGET,
+    repeats: int = REPEATS,
+    chains: int = CHAINS,
+    seed: int = 0,
+    reference: Posterior | Spec | None = None,
+    weights: str = "count",
+    settings: SimpleSettings | None = None,
+    workers: int | None = None,
+    progress: bool | None = None,
+    checkpoint: str | os.PathLike[str] | None = None,
+) -> Comparison:
+    """Return how kernels do on one event under the same budget.
+
+    Repeat r of every kernel runs with the same seed, so that the first repeats of two
+    comparisons of equal settings are equal. Everything is refused before the first simulation
+    if one of the kernels cannot run.
+
+    Args:
+        event: what to explain. Its truth, where it has one, is used to judge the results.
+        model: prior, simulator and likelihood; by default the paper's.
+        kernels: names, or label -> name; instead of a name also ``(name, options)``, a kernel
+            class, or a function that makes a kernel. Options are the kernel's own, and
+            ``chains`` and ``settings``, as in
+            ``{"as printed": ("local_mh", {"rule": "paper"})}``.
+        budget: of every single run; ``phase_ppl.simulations(n)``, the initial ones included.
+        repeats: runs of every kernel.
+        chains: particles M.
+        seed: a whole number >= 0.
+        reference: what the results are compared with: a posterior of the same event and model,
+            "enumeration" (:mod:`phase_ppl.inference.enumeration`), or a kernel as in
+            ``kernels``, whose options may have a ``budget`` or ``iterations``; without, it has
+            ten times the budget. By default enumeration, if ten times the budget suffices for
+            it, else ``local_mh``.
+        weights: of the draws; "count" is the only valid one for judging kernels.
+        settings: of SIMPLE; by default the paper's.
+        workers: processes; by default one per usable core.
+        progress: whether to show a bar on stderr; by default where that is a terminal.
+        checkpoint: a .json file that is rewritten after every run. If it exists, the runs in it
+            are not repeated; more kernels and more repeats may be asked for. It is a comparison
+            in itself.
+
+    Raises:
+        InvalidSettingError, UnknownNameError: a setting or kernel that cannot be used, or a
+            checkpoint of other settings.
+        InvalidEventError: ``event`` is no event, or the checkpoint is damaged.
+        SimulationError: all initial simulations of a run failed.
+        ComparisonInterrupted: Ctrl-C; it carries what was finished.
+    """
+    if not isinstance(event, Event):
+        raise InvalidEventError(f"{shown(event)} is no event; phase_ppl.load_event reads one")
+    model = Model() if model is None else model
+    settings = SimpleSettings() if settings is None else settings
+    whole_number("repeats", repeats)
+    whole_number("seed", seed, minimum=0)
+    if weights not in WEIGHTINGS:
+        raise unknown_name("weights", weights, WEIGHTINGS)
+    chosen = contenders(kernels, chains, settings)
+    wanted = Reference.asked_for(reference, event, budget, chains, settings, weights)
+    for contender in (*chosen, *wanted.contenders):
+        contender.check(event, model, budget)
+    record = _Record(
+        {
+            "event": event.id,
+            "observed": event_salt(event.scene, event.observation),
+            "model": model.fingerprint(),
+            "kernels": {contender.label: contender.record() for contender in chosen},
+            "budget": described_budget(budget),
+            "chains": chains,
+            "repeats": repeats,
+            "seed": seed,
+            "weights": weights,
+            "reference": {"asked": wanted.record()},
+        },
+        checkpoint,
+    )
+    waiting = [(r, c) for r in range(repeats) for c in chosen if not record.has(c, r)]
+    shown_bar = is_shown(progress)
+    try:
+        with tqdm(total=len(waiting) + 1, disable=not shown_bar, unit="run") as bar:
+            bar.set_description("reference")
+            if record.reference is None:
+                found = reference_of(wanted, event, model, seed, workers)
+                found["truth"] = of_truth(found["marginals"], event.truth)
+                record.keep_reference(found)
+            bar.update()
+            marginals = {name: np.array(p) for name, p in record.reference["marginals"].items()}
+            for repeat, contender in waiting:
+                bar.set_description(f"{contender.label}, repeat {repeat + 1}")
+                run_seed = int(np.random.SeedSequence([seed, repeat]).generate_state(1)[0])
+                post = contender.run(event, model, budget, run_seed, workers)
+                post = Posterior(post.tree, weights)
+                columns = {
+                    "kernel": contender.label,
+                    "repeat": repeat,
+                    "seed": run_seed,
+                    "validity": str(post.tree.attrs["validity"]),
+                    **accuracy(post, marginals, event.truth),
+                    **efficiency(post),
+                }
+                rows = curve(post, marginals, event.truth)
+                record.keep(columns, rows.assign(kernel=contender.label, repeat=repeat))
+                bar.update()
+    except KeyboardInterrupt as stopped:
+        done = record.comparison() if record.runs else None
+        raise ComparisonInterrupted(done) from stopped
+    return record.comparison()
+
+
+class _Record:
+    """What is finished, and the file that keeps it.
+
+    Args:
+        settings: of the comparison, in JSON's types or nearly.
+        path: of the checkpoint, if there is one.
+    """
+
+    def __init__(self, settings: Mapping[str, Any], path: str | os.PathLike[str] | None) -> None:
+        self.settings: dict[str, Any] = _stable(settings)
+        self.runs: list[dict[str, Any]] = []
+        self.curves: list[pd.DataFrame] = []
+        self._path = None if path is None else Path(path)
+        if self._path is not None and self._path.exists():
+            self._take_up(Comparison.load(self._path))
+        elif self._path is not None:
+            self.comparison().save(self._path)  # where it cannot be written is said now
+
+    @property
+    def reference(self) -> Any:
+        """The reference with its marginals; None where it is still to be made."""
+        entry = self.settings["reference"]
+        return entry if "marginals" in entry else None
+
+    def has(self, contender: Contender, repeat: int) -> bool:
+        return any(r["kernel"] == contender.label and r["repeat"] == repeat for r in self.runs)
+
+    def keep_reference(self, found: Mapping[str, Any]) -> None:
+        self.settings["reference"] |= _stable(found)
+        self._save()
+
+    def keep(self, run: dict[str, Any], rows: pd.DataFrame) -> None:
+        self.runs.append(run)
+        self.curves.append(rows[list(CURVE_COLUMNS)])
+        self._save()
+
+    def comparison(self) -> Comparison:
+        runs = pd.DataFrame(self.runs, columns=list(RUN_COLUMNS))
+        empty = pd.DataFrame(columns=list(CURVE_COLUMNS))
+        curves = pd.concat(self.curves, ignore_index=True) if self.curves else empty
+        order = {label: place for place, label in enumerate(self.settings["kernels"])}
+        runs, curves = (
+            frame.sort_values(
+                ["kernel", "repeat"],
+                key=lambda c: c.map(order) if c.name == "kernel" else c,
+                kind="stable",
+                ignore_index=True,
+            )
+            for frame in (runs, curves)
+        )
+        return Comparison(runs, curves, self.settings)
+
+    def _save(self) -> None:
+        if self._path is not None:
+            self.comparison().save(self._path)
+
+    def _take_up(self, stored: Comparison) -> None:
+        """Go on from a checkpoint.
+
+        Raises:
+            InvalidSettingError: it has other settings; the message says which.
+        """
+        old, new = dict(stored.settings), self.settings
+        pairs = [(name, old.get(name), new[name]) for name in new
+                 if name not in ("kernels", "repeats", "reference", "event")]  # fmt: skip
+        pairs.append(("reference", old["reference"].get("asked"), new["reference"]["asked"]))
+        shared = old["kernels"].keys() & new["kernels"].keys()
+        pairs += [(f"kernel {k!r}", old["kernels"][k], new["kernels"][k]) for k in sorted(shared)]
+        for name, was, given in pairs:
+            if was != given:
+                raise InvalidSettingError(
+                    f"checkpoint {self._path} was made with another {name}: {shown(was)}, not "
+                    f"{shown(given)}; name another file, or delete this one"
+                )
+        new["kernels"] = {**old["kernels"], **new["kernels"]}
+        new["repeats"] = max(old["repeats"], new["repeats"])
+        new["reference"] = old["reference"]
+        self.runs = stored.runs.to_dict("records")
+        self.curves = [stored.curve] if len(stored.curve) else []
+
+
+def _stable(value: Any) -> Any:
+    """Return ``value`` in JSON's types, without what differs from process to process."""
+    return json.loads(_ADDRESS.sub("", json.dumps(plain(value), default=repr)))

@@ -1,0 +1,194 @@
+"""The kernels of a comparison: what they are called, how they run, whether they can."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Mapping
+from typing import Any, Final, TypeAlias
+
+import jax
+from jax import random
+from numpyro.infer.mcmc import MCMCKernel
+
+from phase_ppl.analysis.posterior import Posterior
+from phase_ppl.inference.chains import EventData, Recipe
+from phase_ppl.inference.infer import infer
+from phase_ppl.inference.length import check_chains, run_length
+from phase_ppl.inference.proposals import bottom_up_tables
+from phase_ppl.inference.registry import Factory, KernelInfo, described
+from phase_ppl.inference.settings import SimpleSettings
+from phase_ppl.models.model import Model
+from phase_ppl.models.program import event_salt
+from phase_ppl.world.errors import InvalidSettingError, PhasePPLError, shown
+from phase_ppl.world.event import Event
+
+Kernel: TypeAlias = str | Factory | MCMCKernel
+Spec: TypeAlias = Kernel | tuple[Kernel, Mapping[str, Any]]
+"""A kernel, or a kernel and its options."""
+
+_TAKEN: Final = (
+    *("event", "model", "kernel", "seed", "workers", "progress", "planner", "budget"),
+    *("iterations", "checkpoint"),
+)
+"""Arguments of ``infer`` that are the comparison's to give."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Contender:
+    """A kernel that takes part.
+
+    Attributes:
+        label: what it is called in tables and figures.
+        kernel: as ``infer`` takes it.
+        options: of the kernel.
+        chains: particles M.
+        settings: of SIMPLE.
+        length: ``budget`` or ``iterations`` where they are not the comparison's.
+        info: what is known of the kernel.
+    """
+
+    label: str
+    kernel: Kernel
+    options: Mapping[str, Any]
+    chains: int
+    settings: SimpleSettings
+    length: Mapping[str, Any]
+    info: KernelInfo
+
+    def record(self) -> dict[str, Any]:
+        """Return name and options as a file keeps them."""
+        return {
+            "name": self.info.name,
+            "options": dict(self.options),
+            "chains": self.chains,
+            "settings": dataclasses.asdict(self.settings),
+            **({"length": {k: described_budget(v) for k, v in self.length.items()}}
+               if self.length else {}),
+        }  # fmt: skip
+
+    def check(self, event: Event, model: Model, budget: Any) -> None:
+        """Make the kernel and trace a step of it, with nothing simulated.
+
+        Raises:
+            InvalidSettingError: it cannot run with these settings; the message names it.
+        """
+        try:
+            check_chains(self.info, self.chains)
+            scene, observation = event.scene, event.observation
+            settings = self.settings
+            tables = bottom_up_tables(
+                scene, observation, window=settings.window, gamma=settings.gamma, sign=settings.sign
+            )
+            options = tuple(self.options.items())
+            recipe = Recipe(self.info, options, model, settings, observation.n_frames)
+            kernel = recipe.build(EventData(tables, event_salt(scene, observation), 0))
+            length = self.length or {"budget": budget}
+            run_length(
+                kernel, self.info, self.chains, length.get("iterations"), length.get("budget")
+            )
+            keys = random.split(random.key(0), self.chains)
+            # one program: NumPyro's own kernels are made ready by init
+            jax.eval_shape(
+                lambda keys: kernel.sample(kernel.init(keys, 0, None, (), {}), (), {}), keys
+            )
+        except PhasePPLError as error:
+            raise type(error)(f"{self.label}: {error}") from None
+        except Exception as error:  # whatever a kernel of somebody's stumbles over
+            reason = " ".join(str(error).split())
+            raise InvalidSettingError(
+                f"{self.label}: the kernel cannot run with {self.chains} chains and these "
+                f"settings: {type(error).__name__}: {reason}"
+            ) from error
+
+    def run(
+        self, event: Event, model: Model, budget: Any, seed: int, workers: int | None
+    ) -> Posterior:
+        """Return the posterior of one run."""
+        length = dict(self.length) or {"budget": budget}
+        return infer(
+            event,
+            model,
+            kernel=self.kernel,
+            chains=self.chains,
+            seed=seed,
+            workers=workers,
+            progress=False,
+            settings=self.settings,
+            **length,
+            **self.options,
+        )
+
+
+def contender(
+    label: str | None,
+    spec: Spec,
+    chains: int,
+    settings: SimpleSettings,
+    own_length: bool = False,
+) -> Contender:
+    """Return the kernel that a user names.
+
+    Args:
+        label: what to call it; None: by its name.
+        spec: the kernel, with its options.
+        chains, settings: where the options have none.
+        own_length: whether the options may have a budget or iterations.
+
+    Raises:
+        InvalidSettingError, UnknownNameError: it cannot be one.
+    """
+    kernel, given = spec if isinstance(spec, tuple) and len(spec) == 2 else (spec, {})
+    if isinstance(kernel, tuple) or not isinstance(given, Mapping):
+        raise InvalidSettingError(
+            f"{shown(spec)} is no kernel: expected a name, a kernel class, or (name, options)"
+        )
+    info = described(kernel)
+    options = dict(given)
+    length = {}
+    if own_length:
+        length = {k: options.pop(k) for k in ("budget", "iterations") if k in options}
+    for name in options:
+        if name in _TAKEN:
+            raise InvalidSettingError(
+                f"kernel {info.name!r}: {name} is the same for all kernels; give it to compare()"
+            )
+    own = options.pop("settings", settings)
+    if not isinstance(own, SimpleSettings):
+        raise InvalidSettingError(f"settings={shown(own)}, expected SimpleSettings")
+    if own.beta is not None:
+        raise InvalidSettingError("beta is the model's here: Model(likelihood=RadialLikelihood(b))")
+    own_chains = options.pop("chains", chains)
+    return Contender(label or info.name, kernel, options, own_chains, own, length, info)
+
+
+def contenders(
+    kernels: Iterable[Spec] | Mapping[str, Spec], chains: int, settings: SimpleSettings
+) -> list[Contender]:
+    """Return the kernels of a comparison.
+
+    Raises:
+        InvalidSettingError: there are none, or two of one name.
+        UnknownNameError: an unknown kernel.
+    """
+    if isinstance(kernels, str):
+        kernels = [kernels]
+    named: Iterable[tuple[str | None, Spec]] = (
+        list(kernels.items()) if isinstance(kernels, Mapping) else [(None, k) for k in kernels]
+    )
+    found = [contender(label, spec, chains, settings) for label, spec in named]
+    if not found:
+        raise InvalidSettingError("kernels is empty: name at least one")
+    labels = [one.label for one in found]
+    for label in labels:
+        if labels.count(label) > 1:
+            raise InvalidSettingError(
+                f"two kernels are called {label!r}: give a mapping from labels to kernels"
+            )
+    return found
+
+
+def described_budget(budget: Any) -> str:
+    """Return a budget in words, such as "500 simulations"."""
+    if not dataclasses.is_dataclass(budget) or isinstance(budget, type):
+        return str(budget)
+    return ", ".join(f"{value} {name}" for name, value in dataclasses.asdict(budget).items())

@@ -1,0 +1,161 @@
+"""The posterior of goals by enumeration: every pair of effective goals is simulated.
+
+The mass of a pair g is the mean over strengths s ~ P(s) and simulator seeds w of
+
+    P(g | s) L(g, s, w)
+
+which needs a few simulations of each of the pairs that have prior mass, some 1150 under the
+paper's prior, and no Markov chain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import random
+from numpy.typing import NDArray
+
+from phase_ppl.models.effective import log_prior_of_effective
+from phase_ppl.models.model import Model
+from phase_ppl.models.program import MAX_SEED, EventProgram, event_salt
+from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, SELF_REFERRING, STRENGTH_SITES
+from phase_ppl.simulator.contract import SimulationResult
+from phase_ppl.simulator.runner import Runner
+from phase_ppl.world.errors import SimulationError
+from phase_ppl.world.event import Event
+from phase_ppl.world.goals import N_GOALS
+from phase_ppl.world.hypothesis import Hypothesis
+
+FloatArray = NDArray[np.float64]
+
+PER_PAIR: Final = 4
+"""Simulations of each pair."""
+
+_POOL: Final = 32
+"""Draws of strengths, of which each pair takes a few."""
+
+_NO_MASS: Final = -60.0
+"""Log probability below which a pair is not simulated."""
+
+
+class Enumeration(NamedTuple):
+    """Posterior of the effective goals.
+
+    Attributes:
+        probability: (goal_red, goal_green), sum 1.
+        halves: (2, goal_red, goal_green) the same from either half of the simulations.
+        simulations: how many were made.
+    """
+
+    probability: FloatArray
+    halves: FloatArray
+    simulations: int
+
+
+class Plan(NamedTuple):
+    """What an enumeration is going to simulate.
+
+    Attributes:
+        pairs: (pair, 2) effective goals of red and green that have prior mass.
+        strengths: (draw, 2) newtons, from the prior.
+        log_prior: (pair, draw) log P(pair | strengths).
+    """
+
+    pairs: NDArray[np.int64]
+    strengths: FloatArray
+    log_prior: FloatArray
+
+
+def plan_enumeration(model: Model, seed: int = 0) -> Plan:
+    """Return the pairs of goals that a model's prior allows, with their probabilities."""
+    program = EventProgram(model, 0, 1)
+    keys = random.split(random.key(seed), _POOL)
+    drawn = jax.jit(jax.vmap(program.draw_prior))(keys)
+    strengths = np.stack([np.asarray(drawn[name], float) for name in STRENGTH_SITES], axis=1)
+    possible = np.argwhere(~SELF_REFERRING[0][:, None] & ~SELF_REFERRING[1][None, :])
+    repeated = {name: np.tile(strengths[:, i], len(possible))
+                for i, name in enumerate(STRENGTH_SITES)}  # fmt: skip
+    log_joint = log_prior_of_effective(model.prior, np.repeat(possible, _POOL, axis=0), repeated)
+    log_joint = log_joint.reshape(len(possible), _POOL)
+    log_prior = log_joint - np.logaddexp.reduce(log_joint, axis=0)
+    kept = log_prior.max(axis=1) > _NO_MASS
+    return Plan(possible[kept], strengths, log_prior[kept])
+
+
+def enumerate_goals(
+    event: Event,
+    model: Model,
+    plan: Plan,
+    *,
+    per_pair: int = PER_PAIR,
+    seed: int = 0,
+    workers: int | None = None,
+    on_result: Callable[[SimulationResult], None] | None = None,
+) -> Enumeration:
+    """Return the posterior of the effective goals by simulating all of them.
+
+    Args:
+        event: what is explained.
+        model: prior, simulator, likelihood.
+        plan: of that model.
+        per_pair: simulations of each pair, each with strengths and a simulator seed of its own;
+            an even number, at most 32.
+        seed: a whole number >= 0.
+        workers: processes; by default one per usable core.
+        on_result: called after each simulation.
+
+    Raises:
+        SimulationError: no simulation was completed.
+        KeyboardInterrupt: Ctrl-C.
+    """
+    rng = np.random.default_rng(seed)
+    which = np.stack([rng.permutation(_POOL)[:per_pair] for _ in plan.pairs])
+    hypotheses = [
+        Hypothesis(int(red), int(green), (0, 0), *(float(s) for s in plan.strengths[draw]))
+        for (red, green), draws in zip(plan.pairs, which, strict=True)
+        for draw in draws
+    ]
+    seeds = _seeds(event, model, hypotheses, seed)
+    with Runner(
+        model.build_simulator(), event.scene, event.observation, workers=workers,
+        on_result=on_result,
+    ) as runner:  # fmt: skip
+        results = runner.run(hypotheses, seeds)
+    errors = np.array([result.errors for result in results])
+    usable = np.array([result.completed for result in results])
+    if not usable.any():
+        raise SimulationError(f"no simulation was completed; the first: {results[0].failure}")
+    log_likelihood = np.asarray(model.likelihood.log_prob(np.where(usable[:, None], errors, 0.0)))
+    log_mass = np.where(usable, log_likelihood.sum(axis=1), -np.inf).reshape(which.shape)
+    log_mass += np.take_along_axis(plan.log_prior, which, axis=1)
+    weight = np.exp(log_mass - log_mass.max())
+    usable = usable.reshape(which.shape)
+    halves = np.stack([_table(plan.pairs, weight[:, h::2], usable[:, h::2]) for h in (0, 1)])
+    return Enumeration(_table(plan.pairs, weight, usable), halves, len(results))
+
+
+def _table(pairs: NDArray[np.int64], weight: FloatArray, usable: NDArray[np.bool_]) -> FloatArray:
+    """Return (goal_red, goal_green) the mean weights of the usable simulations, of sum 1."""
+    table = np.zeros((N_GOALS, N_GOALS))
+    table[tuple(pairs.T)] = weight.sum(axis=1) / np.maximum(usable.sum(axis=1), 1)
+    return table / table.sum()
+
+
+def _seeds(event: Event, model: Model, hypotheses: list[Hypothesis], seed: int) -> list[int]:
+    """Return the simulator seeds; with fixed noise, those that a kernel would take."""
+    if model.noise == "fresh":
+        drawn = np.random.default_rng([seed, 1]).integers(0, MAX_SEED, len(hypotheses))
+        return [int(value) for value in drawn]
+    salt = event_salt(event.scene, event.observation)
+    program = EventProgram(model, 0, event.observation.n_frames, salt)
+    sites = {name: jnp.array([h.effective_goals[i] for h in hypotheses])
+             for i, name in enumerate(GOAL_SITES)}  # fmt: skip
+    sites[ALPHA_SITE] = jnp.zeros(len(hypotheses), jnp.int32)
+    for i, name in enumerate(STRENGTH_SITES):
+        sites[name] = jnp.array([h.strengths[i] for h in hypotheses], jnp.float32)
+    seeds = jax.jit(jax.vmap(program.simulator_seed, in_axes=(None, 0)))(random.key(0), sites)
+    return [int(value) for value in np.asarray(seeds)]

@@ -1,0 +1,261 @@
+"""One call that begins a run, or goes on with one, and ends it with a posterior."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import os
+import platform
+from concurrent.futures import Executor
+from typing import Any
+
+from phase_ppl.analysis.posterior import Posterior
+from phase_ppl.inference.chains import Chains, EventData, Recipe
+from phase_ppl.inference.checkpoint import Checkpoint, Progressed, Spent, write_checkpoint
+from phase_ppl.inference.draws import Drawn, build_tree
+from phase_ppl.inference.length import run_length
+from phase_ppl.inference.pace import Pace
+from phase_ppl.inference.plan import Plan, fields_of
+from phase_ppl.inference.progress import Progress
+from phase_ppl.inference.proposals import bottom_up_tables
+from phase_ppl.inference.settings import Budget, SimpleSettings, TimeBudget
+from phase_ppl.models.bridge import SimulatorBridge
+from phase_ppl.models.program import event_salt
+from phase_ppl.simulator.contract import Cancelled
+from phase_ppl.simulator.runner import Runner
+from phase_ppl.world.errors import InvalidSettingError, OutputError
+
+
+class Interrupted(KeyboardInterrupt):
+    """The run was interrupted; what was done until then is kept.
+
+    A ``KeyboardInterrupt``, so that no ``except Exception`` in a loop over events swallows it.
+
+    Attributes:
+        posterior: of the iterations that were finished, of the initial particles where none
+            was; None where not even those were.
+    """
+
+    def __init__(self, posterior: Posterior | None) -> None:
+        kept = "nothing was complete yet" if posterior is None else "see .posterior"
+        super().__init__(f"the run was interrupted; {kept}")
+        self.posterior = posterior
+
+
+@dataclasses.dataclass(frozen=True)
+class Means:
+    """What a call has to work with.
+
+    Attributes:
+        iterations, budget: as given; the length of the run.
+        on_failure, retries: what becomes of failed simulations; draws depend on it where some fail.
+        workers, executor: where simulations run.
+        progress: whether to show a bar.
+        path: of the checkpoint; None: none is written.
+        began: when the call began, by :func:`phase_ppl.inference.pace.clock`.
+    """
+
+    iterations: int | None
+    budget: Budget | TimeBudget | None
+    on_failure: str
+    retries: int | None
+    workers: int | None
+    executor: Executor | None
+    progress: bool | None
+    path: str | os.PathLike[str] | None
+    began: float
+
+
+def carry_out(plan: Plan, means: Means, saved: Checkpoint | None = None) -> Posterior:
+    """Do a run, or what is left of it, and return its posterior.
+
+    Args:
+        plan: what the run is.
+        means: what the call has to work with.
+        saved: where to go on; None: at the beginning.
+
+    Raises:
+        InvalidSettingError, UnknownNameError: a setting that cannot be used.
+        Interrupted: Ctrl-C.
+        Exception: whatever ended the run, with what was done as its ``posterior``.
+    """
+    with Runner(
+        plan.model.build_simulator(),
+        plan.event.scene,
+        plan.event.observation,
+        workers=means.workers,
+        executor=means.executor,
+        on_failure=means.on_failure,
+        retries=means.retries,
+    ) as runner:
+        session = Session(plan, means, runner, saved)
+        ended = session.advance()
+    if isinstance(ended, KeyboardInterrupt | Cancelled):
+        raise Interrupted(session.posterior(interrupted=True)) from None
+    if ended is not None:
+        raise with_posterior(ended, session.posterior(interrupted=True))
+    posterior = session.posterior(interrupted=False)
+    assert posterior is not None, "a run that ended well has at least its initial particles"
+    return posterior
+
+
+def with_posterior(error: BaseException, posterior: Posterior | None) -> BaseException:
+    """Return ``error`` with what was done until then as its attribute ``posterior``."""
+    with contextlib.suppress(AttributeError):  # of a class without room for it
+        error.posterior = posterior  # type: ignore[attr-defined]
+        if posterior is not None:
+            error.add_note("What was done until then is the attribute posterior of this error.")
+    return error
+
+
+class Session:
+    """A run in the hands of one call; arguments as of :func:`carry_out`, and the open runner."""
+
+    def __init__(self, plan: Plan, means: Means, runner: Runner, saved: Checkpoint | None) -> None:
+        self._plan, self._means, self._runner = plan, means, runner
+        scene, observation = plan.event.scene, plan.event.observation
+        self._bridge = SimulatorBridge(runner, observation.n_frames)
+        tables = bottom_up_tables(
+            scene,
+            observation,
+            window=plan.settings.window,
+            form=plan.settings.proposal,
+            gamma=plan.settings.gamma,
+            sign=plan.settings.sign,
+        )
+        data = EventData(tables, event_salt(scene, observation), self._bridge.handle)
+        options = tuple(plan.options.items())
+        recipe = Recipe(plan.info, options, plan.model, plan.settings, observation.n_frames)
+        self._kernel = recipe.build(data)
+        self._length = run_length(
+            self._kernel, plan.info, plan.chains, means.iterations, means.budget
+        )
+        self._run = Chains(recipe, data, self._bridge, runner, plan.chains, plan.seed)
+        before = Spent() if saved is None else saved.spent
+        self._pace = Pace(self._length, means.began, spent=before.seconds, recent=before.recent)
+        self._calls = before.calls + 1
+        self._written = -1
+        if saved is not None:
+            self._go_on(saved)
+
+    def _go_on(self, saved: Checkpoint) -> None:
+        wanted, done = self._length.iterations, len(saved.steps)
+        if wanted is not None and wanted < done:
+            raise InvalidSettingError(f"iterations={wanted}, but {saved.path} has {done} already")
+        self._run.go_on(saved.state(self._run.blank_state()), saved.start, list(saved.steps))
+        for record in saved.records:
+            self._bridge.remember(record)
+        self._runner.statistics = dataclasses.replace(saved.spent.statistics)
+        self._written = done
+
+    def advance(self) -> BaseException | None:
+        """Do what is left of the run; return what ended it before its end, or None."""
+        batch = self._plan.chains * self._length.sims_per_step
+        before = 0 if self._run.start is None else self._simulations()
+        with Progress(self._expected(), self._means.progress, done=before, batch=batch) as bar:
+            self._runner.on_result = bar.one_more
+            try:
+                self._advance(bar)
+            except (KeyboardInterrupt, Cancelled) as stop:
+                # in case that it came while the file was being written; the posterior comes first
+                with contextlib.suppress(OutputError):
+                    self._keep()
+                return stop
+            except Exception as error:
+                return error
+        return None
+
+    def _advance(self, bar: Progress) -> None:
+        if self._run.start is None:
+            self._pace.begin()
+            self._run.initialise()
+            self._pace.end(initial=True)
+            self._keep()
+        while self._pace.another(len(self._run.steps)):
+            bar.reach(self._simulations())
+            bar.expect(self._expected())
+            self._pace.begin()
+            self._run.advance()
+            self._pace.end()
+            self._keep()
+        bar.expect(self._simulations())
+        bar.reach(self._simulations())
+
+    def _simulations(self) -> int:
+        """Return the most simulations that the run can have taken until now."""
+        return self._length.simulations(self._plan.chains, len(self._run.steps))
+
+    def _expected(self) -> int:
+        """Return the most simulations that the run will have taken in the end."""
+        iterations = self._pace.expected(len(self._run.steps))
+        return self._length.simulations(self._plan.chains, iterations)
+
+    def _keep(self) -> None:
+        """Write the file, if there is to be one that is not up to date."""
+        run, path = self._run, self._means.path
+        if path is None or run.start is None or self._written == len(run.steps):
+            return
+        spent = Spent(self._runner.statistics, self._pace.spent, self._pace.recent, self._calls)
+        write_checkpoint(
+            path,
+            self._plan,
+            {"iterations": self._length.iterations, "seconds": self._length.seconds},
+            {"on_failure": self._runner.on_failure, "retries": self._means.retries},
+            Progressed(run.state, run.start, run.steps, self._bridge.records, spent),
+        )
+        self._written = len(run.steps)
+
+    def posterior(self, *, interrupted: bool) -> Posterior | None:
+        """Return that of what was done; None without initial particles."""
+        plan, run = self._plan, self._run
+        if run.start is None:
+            return None
+        attrs = {
+            "kernel": plan.info.name,
+            "validity": getattr(self._kernel, "validity", plan.info.validity),
+            "settings": json.dumps(self._settings(), default=repr),
+            "cost": json.dumps(self._cost(interrupted)),
+        }
+        drawn = Drawn.kept(run.start, run.steps, plan.info)
+        return Posterior(build_tree(plan.event, plan.model, drawn, self._bridge.records, attrs))
+
+    def _settings(self) -> dict[str, Any]:
+        plan = self._plan
+        return {
+            "kernel": {"name": plan.info.name, **plan.options},
+            "chains": plan.chains,
+            "iterations": len(self._run.steps),  # an interrupted run equals a shorter one
+            "seed": plan.seed,
+            "on_failure": self._runner.on_failure,
+            "retries": self._runner.retries,
+            "turning": plan.event.scene.turning,
+            "simple": _without_beta(plan.settings),
+            "model": plan.model.fingerprint(),
+        }
+
+    def _cost(self, interrupted: bool) -> dict[str, Any]:
+        """Return what the run cost; seconds are of wall time unless they say otherwise."""
+        statistics, seconds = self._runner.statistics, self._pace.spent
+        wanted = statistics.frames + statistics.frames_saved
+        return {
+            "simulations": statistics.simulations,
+            "frames": statistics.frames,
+            "frames_saved": statistics.frames_saved,  # by stopping simulations early
+            "frames_saved_share": statistics.frames_saved / wanted if wanted else 0.0,
+            "failures": statistics.failures,
+            "retries": statistics.retries,
+            "seconds": seconds,
+            "seconds_simulating": statistics.seconds_simulating,  # summed over workers
+            "seconds_waiting": statistics.seconds_waiting,
+            "seconds_overhead": seconds - statistics.seconds_waiting,
+            "workers": self._runner.workers,
+            "host": f"{platform.node()} ({platform.system()}, {platform.machine()})",
+            "calls": self._calls,
+            "interrupted": interrupted,
+        }
+
+
+def _without_beta(settings: SimpleSettings) -> dict[str, Any]:
+    """Return the settings; beta is left to the model's likelihood, which has it."""
+    return {name: value for name, value in fields_of(settings).items() if name != "beta"}

@@ -1,0 +1,18 @@
+"""Checks of settings that several parts share."""
+
+from __future__ import annotations
+
+import numbers
+
+from phase_ppl.world.errors import InvalidSettingError, shown
+
+
+def whole_number(name: str, value: object, minimum: int = 1) -> int:
+    """Return ``value`` as an int if it is a whole number, NumPy's too, of at least ``minimum``.
+
+    Raises:
+        InvalidSettingError: it is not.
+    """
+    if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < minimum:
+        raise InvalidSettingError(f"{name}={shown(value)}, expected a whole number >= {minimum}")
+    return int(value)

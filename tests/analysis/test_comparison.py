@@ -1,0 +1,198 @@
+"""Comparisons of kernels: measures of one posterior, table, file, figure."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.text import Text
+
+from phase_ppl.analysis import Posterior, plots
+from phase_ppl.analysis.comparison import CURVE_COLUMNS, MEASURES, RUN_COLUMNS, Comparison
+from phase_ppl.analysis.measures import accuracy, curve, efficiency, marginals
+from phase_ppl.world.errors import InvalidEventError, OutputError, UnknownNameError
+from phase_ppl.world.event import Truth
+
+from .factory import BLUE_TO_RED, PINK_TO_BLUE, Simulation, hypothesis, make_tree, random_tree
+
+TRUTH = Truth(BLUE_TO_RED, PINK_TO_BLUE)
+
+
+def two_goals(share: int) -> Posterior:
+    """A posterior of ten draws, ``share`` of which have the true pair, in the others red helps."""
+    simulations = [
+        Simulation(hypothesis(), 1),
+        Simulation(hypothesis(BLUE_TO_RED, BLUE_TO_RED), 2, iteration=1),
+    ]
+    return Posterior(make_tree(simulations, [[0] * share + [1] * (10 - share)]), "count")
+
+
+def test_accuracy_is_against_reference_and_truth() -> None:
+    found = accuracy(two_goals(7), marginals(two_goals(2)), TRUTH)
+    assert found["tv_goals"] == pytest.approx(0.25)  # green's goal only: 0.5
+    assert found["tv_relation"] == pytest.approx(0.5)
+    assert found["p_pair"] == found["p_relation"] == pytest.approx(0.7)
+    assert found["p_goals"] == pytest.approx(0.85)
+    assert found["map_goals"] == found["map_relation"] == 1
+    assert accuracy(two_goals(2), marginals(two_goals(2)), TRUTH)["map_goals"] == 0.5
+    assert np.isnan(accuracy(two_goals(2), marginals(two_goals(2)), None)["p_pair"])
+
+
+def test_efficiency_is_per_simulation() -> None:
+    post = Posterior(random_tree(1, n_chains=6, n_draws=40), "count")
+    found = efficiency(post)
+    assert found["simulations"] == 6 * 41
+    assert 0 < found["ess_per_simulation"] < 40 / 41 + 0.2
+    assert found["seconds"] == 12.5
+    assert 0 < found["moves"] <= found["acceptance"] < 1
+    assert np.isnan(efficiency(Posterior(random_tree(1, n_draws=3), "count"))["ess_per_simulation"])
+
+
+@pytest.mark.parametrize("weights", ["count", "visited"])
+def test_curve_is_what_a_shorter_run_would_have_said(weights: str) -> None:
+    tree = random_tree(2, n_chains=3, n_draws=5)
+    post = Posterior(tree, weights)
+    found = curve(post, marginals(two_goals(5)), TRUTH)
+    assert found["simulations"].tolist() == [6, 9, 12, 15, 18]
+    if weights == "count":
+        codes = tree["posterior"]["goal_red"].values[:, :2].ravel()
+        share = np.bincount(codes, minlength=36) / 6
+        other = np.bincount(tree["posterior"]["goal_green"].values[:, :2].ravel(), minlength=36) / 6
+        wanted = marginals(two_goals(5))
+        apart = (np.abs(share - wanted["goal_red"]) + np.abs(other - wanted["goal_green"])).sum()
+        assert found["tv_goals"][1] == pytest.approx(apart / 4)
+    last = accuracy(post, marginals(two_goals(5)), TRUTH)
+    assert found.iloc[-1].drop("simulations").to_dict() == pytest.approx(last)
+
+
+def test_curve_of_the_last_population_is_a_point() -> None:
+    simulations = [Simulation(hypothesis(), i, iteration=i) for i in range(4)]
+    found = curve(Posterior(make_tree(simulations, [[3]])), marginals(two_goals(5)), TRUTH)
+    assert found["simulations"].tolist() == [4]
+
+
+# --- several runs ------------------------------------------------------------------------------
+
+
+def made_up(kernels: dict[str, float], repeats: int = 3, points: int = 8) -> Comparison:
+    """A comparison in which a kernel's measures shrink towards its number."""
+    rng = np.random.default_rng(0)
+    runs, rows = [], []
+    for name, level in kernels.items():
+        for repeat in range(repeats):
+            at = np.linspace(1, 1, 1) * 500 if level < 0 else np.linspace(30, 500, points)
+            value = np.clip(abs(level) + 5 / at + rng.normal(0, 0.01), 0, 1)
+            run = dict.fromkeys(MEASURES, float(value[-1])) | {"moves": np.nan}
+            runs.append({"kernel": name, "repeat": repeat, "seed": repeat, "validity": "exact",
+                         **run})  # fmt: skip
+            rows += [
+                {"kernel": name, "repeat": repeat, **dict.fromkeys(CURVE_COLUMNS[2:-1], v),
+                 "simulations": x}
+                for x, v in zip(at, value, strict=True)
+            ]  # fmt: skip
+    settings = {
+        "event": "made-up",
+        "kernels": {name: {} for name in kernels},
+        "budget": "500 simulations",
+        "chains": 15,
+        "weights": "count",
+        "reference": {"description": "nothing", "truth": {"p_goals": 0.3}},
+    }
+    return Comparison(
+        pd.DataFrame(runs)[list(RUN_COLUMNS)], pd.DataFrame(rows)[list(CURVE_COLUMNS)], settings
+    )
+
+
+FOUR = {"one": 0.2, "two": 0.201, "the third of them": 0.21, "four": 0.6}
+
+
+def test_table_has_means_and_standard_errors() -> None:
+    c = made_up(FOUR)
+    values = c.runs[c.runs["kernel"] == "two"]["tv_goals"]
+    assert c.table.loc["two", ("tv_goals", "mean")] == pytest.approx(values.mean())
+    error = values.std(ddof=1) / np.sqrt(3)
+    assert c.table.loc["two", ("tv_goals", "se")] == pytest.approx(error)
+    assert list(c.table.index) == list(FOUR)
+    assert (c.table["runs", "n"] == 3).all()
+    assert f"{values.mean():.3f} ±{error:.3f}" in str(c)
+    assert "moves" not in str(c)
+
+
+def test_one_repeat_has_no_standard_error() -> None:
+    c = made_up(FOUR, repeats=1)
+    assert np.isnan(c.table.loc["one", ("tv_goals", "se")])
+    assert "±0" not in str(c)
+
+
+def test_file_keeps_everything(tmp_path: Path) -> None:
+    c = made_up(FOUR)
+    again = Comparison.load(c.save(tmp_path / "c.json"))
+    pd.testing.assert_frame_equal(again.runs, c.runs)
+    pd.testing.assert_frame_equal(again.curve, c.curve)
+    assert again.settings == c.settings
+    assert str(again) == str(c)
+
+
+BAD: dict[str, Any] = {
+    "other schema": lambda d: d.update(schema="x"),
+    "no runs": lambda d: d.pop("runs"),
+    "a column less": lambda d: d["runs"].pop("tv_goals"),
+    "text": lambda d: d["runs"].update(tv_goals=["a"] * 12),
+    "unequal": lambda d: d["curve"].update(tv_goals=[0.1]),
+    "unnamed kernel": lambda d: d["settings"].update(kernels={}),
+}
+
+
+@pytest.mark.parametrize("spoil", BAD.values(), ids=BAD)
+def test_damaged_file_is_refused(spoil: Any, tmp_path: Path) -> None:
+    path = made_up(FOUR).save(tmp_path / "c.json")
+    record = json.loads(path.read_text())
+    spoil(record)
+    path.write_text(json.dumps(record))
+    with pytest.raises(InvalidEventError, match="no comparison"):
+        Comparison.load(path)
+
+
+def test_missing_file_and_other_ending_are_named(tmp_path: Path) -> None:
+    with pytest.raises(InvalidEventError, match="nowhere"):
+        Comparison.load(tmp_path / "nowhere.json")
+    with pytest.raises(OutputError, match=r"\.json"):
+        made_up(FOUR).save(tmp_path / "c.nc")
+
+
+# --- the figure --------------------------------------------------------------------------------
+
+
+def test_figure_labels_every_line_and_no_text_covers_another() -> None:
+    figure = plots.comparison(made_up({**FOUR, "last population": -0.4}))
+    figure.canvas.draw()
+    assert len(figure.axes) == 2
+    width, height = figure.canvas.get_width_height()
+    for axes, extra in zip(figure.axes, ([], ["reference"]), strict=True):
+        names = {*FOUR, "last population", "reference"}
+        labels = [text for text in axes.texts if text.get_text() in names]
+        assert {text.get_text() for text in labels} == {*FOUR, "last population", *extra}
+        boxes = [Text.get_window_extent(text) for text in labels]  # without their lines
+        for i, box in enumerate(boxes):
+            assert 0 <= box.x0 < box.x1 <= width
+            assert 0 <= box.y0 < box.y1 <= height
+            assert not any(box.overlaps(other) for other in boxes[i + 1 :])
+
+
+def test_line_is_the_mean_over_repeats() -> None:
+    c = made_up({"one": 0.2})
+    line = plots.comparison(c, measures=("tv_goals",)).axes[0].lines[0]
+    ends = c.curve[c.curve["simulations"] == 500]["tv_goals"]
+    assert line.get_ydata()[-1] == pytest.approx(ends.mean())  # type: ignore[index]
+    assert line.get_xdata()[-1] == 500  # type: ignore[index]
+
+
+def test_figure_is_written(tmp_path: Path) -> None:
+    plots.comparison(made_up(FOUR), tmp_path / "c.png")
+    assert (tmp_path / "c.png").read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(UnknownNameError, match="tv_goals"):
+        plots.comparison(made_up(FOUR), measures=("tv_goal",))

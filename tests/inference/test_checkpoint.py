@@ -1,0 +1,381 @@
+"""A run that was left goes on as if it had not been, and a file cannot do any harm."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import tempfile
+import textwrap
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+from jax import random
+
+import phase_ppl as ppl
+from phase_ppl.inference import session
+from phase_ppl.inference.archive import read_archive, write_archive
+from phase_ppl.inference.checkpoint import Checkpoint
+from phase_ppl.inference.packing import packed_leaf, unpacked_leaf
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, OutputError
+from tests.inference.runs import EVENT, MODEL, OPTIONS, assert_same_draws, infer, stops_at
+from tests.inference.toy import walkers, walking_event
+
+ROOT = Path(ppl.__file__).parents[1]
+
+
+def resume(path: Path, **options: Any) -> ppl.Posterior:
+    return ppl.resume(path, **{"model": MODEL, "workers": 1, "progress": False, **options})
+
+
+@pytest.fixture(scope="module")
+def whole() -> ppl.Posterior:
+    return infer()
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """The file of a run of two iterations."""
+    path = tmp_path_factory.mktemp("finished") / "run.ckpt"
+    infer(iterations=2, checkpoint=path)
+    return path.read_bytes()
+
+
+@pytest.fixture
+def path(tmp_path: Path, finished: bytes) -> Path:
+    file = tmp_path / "run.ckpt"
+    file.write_bytes(finished)
+    return file
+
+
+# --- going on --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_finished_run_is_extended_to_what_a_longer_one_gives(
+    path: Path, whole: ppl.Posterior, workers: int
+) -> None:
+    longer = resume(path, iterations=4, workers=workers)
+    assert_same_draws(whole.tree, longer.tree)
+    assert longer.settings == whole.settings
+    assert longer.cost["simulations"] == whole.cost["simulations"] == 20
+    assert longer.cost["frames"] == whole.cost["frames"]
+    assert longer.cost["calls"] == 2
+
+
+@pytest.mark.parametrize("call", [1, 3])
+def test_an_interrupted_run_goes_on_bit_for_bit(
+    call: int, tmp_path: Path, whole: ppl.Posterior, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "run.ckpt"
+    with monkeypatch.context() as patch:
+        patch.setattr(session, "Runner", stops_at(call))
+        with pytest.raises(ppl.Interrupted) as caught:
+            infer(checkpoint=path)
+    assert caught.value.posterior is not None
+    assert len(Checkpoint(path).steps) == call - 1
+    assert_same_draws(whole.tree, resume(path).tree)
+    assert len(Checkpoint(path).steps) == 4
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_complete_run_gives_its_posterior_without_simulating(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(session, "Runner", stops_at(0))
+    before = path.read_bytes()
+    again = resume(path)
+    assert again.tree["posterior"].sizes["draw"] == 2
+    assert path.read_bytes() == before
+
+
+def test_event_and_parts_of_the_package_need_not_be_given_again(
+    tmp_path: Path, whole: ppl.Posterior, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ppl.Model, "build_simulator", lambda self: walkers)  # for speed
+    path = tmp_path / "run.ckpt"
+    settings = ppl.SimpleSettings(beta=0.05, eta=0.2)
+    options = {**OPTIONS, "planner": "paper", "settings": settings}
+    ppl.infer(EVENT, **{**options, "iterations": 2}, checkpoint=path)
+    longer = ppl.resume(path, iterations=4, workers=1, progress=False)
+    assert_same_draws(ppl.infer(EVENT, **options).tree, longer.tree)
+    assert longer.event_id == "walk"
+    assert longer.settings["simple"]["eta"] == 0.2
+
+
+SCRIPT = """
+    import os, signal, sys
+    from pathlib import Path
+    import phase_ppl as ppl
+    from tests.inference.toy import walkers, walking_event
+
+    folder = Path(sys.argv[1])
+    path = folder / "run.ckpt"
+
+    def fragile(scene, hypothesis, rng):
+        number = len(list(folder.glob("begun-*")))
+        (folder / f"begun-{number}").touch()
+        if number == 14:
+            os.kill(os.getpid(), signal.SIGKILL)
+        yield from walkers(scene, hypothesis, rng)
+
+    event, model = walking_event(), ppl.Model(simulator=fragile)
+    if path.exists():
+        post = ppl.resume(path, event, model, workers=2, progress=False)
+    else:
+        post = ppl.infer(event, model, kernel="prior_mh", chains=4, iterations=4, seed=3,
+                         workers=1, progress=False, checkpoint=path)
+    post.save(folder / "run.nc")
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="a process kills itself")
+def test_a_killed_run_goes_on_in_a_fresh_process(tmp_path: Path, whole: ppl.Posterior) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(textwrap.dedent(SCRIPT))
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, str(script), str(tmp_path)]
+    killed = subprocess.run(command, env=environment, capture_output=True, timeout=300)
+    assert killed.returncode == -signal.SIGKILL
+    assert not (tmp_path / "run.nc").exists()
+    again = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
+    assert again.returncode == 0, again.stderr
+    # 12 before the iteration that was cut off, 3 of it, then the rest
+    assert len(list(tmp_path.glob("begun-*"))) == 12 + 3 + 8
+    assert_same_draws(whole.tree, ppl.Posterior.load(tmp_path / "run.nc").tree)
+
+
+def test_records_keep_their_trajectories_in_single_precision(path: Path) -> None:
+    arrays = read_archive(path)[1]
+    saved = Checkpoint(path)
+    assert arrays["records/trajectory"].dtype == np.float32
+    assert len(arrays["records/trajectory"]) == sum(
+        r.result.frames_simulated for r in saved.records
+    )
+    for record in saved.records:
+        n = record.result.frames_simulated
+        assert np.isfinite(record.result.trajectory[:n]).all()
+        assert np.isnan(record.result.trajectory[n:]).all()
+        assert np.isinf(record.result.errors[n:]).all()
+
+
+@pytest.mark.parametrize(
+    "leaf",
+    [random.key(3), random.split(random.key(1, impl="rbg"), (2, 3)), np.int32(4), np.zeros((2, 0))],
+    ids=["key", "keys of another kind", "scalar", "empty"],
+)
+def test_any_leaf_of_a_state_survives(leaf: Any, tmp_path: Path) -> None:
+    array = jax.numpy.asarray(leaf)
+    values, kind = packed_leaf(array)
+    write_archive(tmp_path / "x.ckpt", {}, {"leaf": values})
+    again = unpacked_leaf(read_archive(tmp_path / "x.ckpt")[1]["leaf"], kind)
+    assert (again.dtype, again.shape) == (array.dtype, array.shape)
+    np.testing.assert_array_equal(packed_leaf(again)[0], values)
+
+
+# --- another run -----------------------------------------------------------------------------
+
+
+def strange(scene: Any, hypothesis: Any, rng: Any) -> Any:
+    yield from walkers(scene, hypothesis, rng)
+
+
+OTHERS: dict[str, tuple[dict[str, Any], str]] = {
+    "event": ({"event": walking_event(13)}, "another event"),
+    "simulator": ({"model": ppl.Model(simulator=strange)}, "model.simulator is .*strange"),
+    "noise": ({"model": ppl.Model(simulator=walkers, noise="fixed")}, "model.noise is 'fixed'"),
+    "likelihood": (
+        {"model": ppl.Model(simulator=walkers, likelihood=ppl.RadialLikelihood(0.1))},
+        r"model.likelihood is 'RadialLikelihood\(beta=0.1\)'",
+    ),
+    "kernel": ({"kernel": "local_mh"}, "kernel.name is 'local_mh', was 'prior_mh'"),
+    "option": ({"early_reject": False}, "kernel.options.early_reject is False"),
+    "no model": ({"model": None}, r"simulator tests.inference.toy.walkers.*give it again"),
+    "fewer iterations": ({"iterations": 1}, "has 2 already"),
+    "both": ({"iterations": 3, "budget": ppl.simulations(90)}, "not both"),
+}
+
+
+@pytest.mark.parametrize(("given", "message"), OTHERS.values(), ids=OTHERS)
+def test_what_is_another_run_is_refused_and_the_file_left_alone(
+    given: dict[str, Any], message: str, path: Path
+) -> None:
+    before = path.read_bytes()
+    with pytest.raises(InvalidSettingError, match=message):
+        resume(path, **given)
+    assert path.read_bytes() == before
+
+
+def test_a_kernel_of_ones_own_must_be_given_again(tmp_path: Path) -> None:
+    from phase_ppl.inference.kernels.prior_mh import PriorMH
+
+    path = tmp_path / "run.ckpt"
+    infer(kernel=PriorMH(), iterations=1, checkpoint=path)
+    with pytest.raises(InvalidSettingError, match=r"PriorMH was given as an object"):
+        resume(path)
+    with pytest.raises(InvalidSettingError, match=r"_early_reject is False, was True"):
+        resume(path, kernel=PriorMH(early_reject=False))
+    assert resume(path, kernel=PriorMH()).tree["posterior"].sizes["draw"] == 1
+
+
+@pytest.mark.parametrize("name", ["run.ckpt", "nowhere/run.ckpt", "run.npz"])
+def test_a_file_that_exists_or_cannot_be_written_is_refused_at_once(
+    name: str, path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(session, "Runner", stops_at(0))
+    before = path.read_bytes()
+    with pytest.raises(OutputError, match="run"):
+        infer(checkpoint=path.parent / name)
+    assert path.read_bytes() == before
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_a_full_disk_ends_the_run_but_loses_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written = []
+    write = session.write_checkpoint
+
+    def full(*given: Any) -> None:
+        if len(written) == 2:
+            raise OutputError("no space left")
+        written.append(1)
+        write(*given)
+
+    monkeypatch.setattr(session, "write_checkpoint", full)
+    with pytest.raises(OutputError, match="no space left") as caught:
+        infer(checkpoint=tmp_path / "run.ckpt")
+    kept = caught.value.posterior  # type: ignore[attr-defined]
+    assert kept.tree["posterior"].sizes["draw"] == 2
+    assert kept.cost["interrupted"]
+    assert len(Checkpoint(tmp_path / "run.ckpt").steps) == 1
+
+
+# --- files of other people -------------------------------------------------------------------
+
+
+def rewritten(change: Callable[[dict[str, Any], dict[str, Any]], None]) -> Callable[[bytes], bytes]:
+    """Return what makes a whole, formally sound file of other content."""
+
+    def make(content: bytes) -> bytes:
+        with tempfile.TemporaryDirectory() as folder:
+            target = Path(folder) / "run.ckpt"
+            target.write_bytes(content)
+            document, arrays = read_archive(target)
+            change(document, arrays)
+            write_archive(target, document, arrays)
+            return target.read_bytes()
+
+    return make
+
+
+def compressed(content: bytes) -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("run.json", json.dumps({"schema": "x"}))
+        archive.writestr("state/0.npy", bytes(10_000_000))
+    return buffer.getvalue()
+
+
+def huge(content: bytes) -> bytes:
+    buffer, array = io.BytesIO(), io.BytesIO()
+    np.lib.format.write_array_header_1_0(
+        array, {"descr": "<f8", "fortran_order": False, "shape": (10**12,)}
+    )
+    with zipfile.ZipFile(buffer, "w") as archive:
+        archive.writestr("run.json", "{}")
+        archive.writestr("state/0.npy", array.getvalue())
+    return buffer.getvalue()
+
+
+def objects(content: bytes) -> bytes:
+    buffer = io.BytesIO()
+    np.savez(buffer, trap=np.array([Path("x")], object))
+    return buffer.getvalue()
+
+
+HOSTILE: dict[str, Callable[[bytes], bytes]] = {
+    "empty": lambda content: b"",
+    "text": lambda content: b"a run",
+    "pickle": lambda content: pickle.dumps({"schema": "phase-ppl-checkpoint-1"}),
+    "objects": objects,
+    "compressed": compressed,
+    "huge": huge,
+    "schema": rewritten(lambda document, arrays: document.update(schema="x-2")),
+    "no state": rewritten(lambda document, arrays: document.pop("state")),
+    "no steps": rewritten(lambda document, arrays: arrays.pop("steps/sim_seed")),
+    "more steps": rewritten(lambda document, arrays: document.update(iterations=3)),
+    "other event": rewritten(lambda document, arrays: document["identity"].update(event="0")),
+    "lists": rewritten(lambda document, arrays: document.update(identity=[], spent=[])),
+    "odd frames": rewritten(
+        lambda document, arrays: arrays.update({"records/frames": arrays["records/frames"] * 1000})
+    ),
+    "odd kind": rewritten(lambda document, arrays: document["state"][-1].__setitem__(1, "magic")),
+}
+
+
+@pytest.mark.parametrize("make", HOSTILE.values(), ids=HOSTILE)
+def test_a_foreign_or_hostile_file_is_one_clear_error(
+    make: Callable[[bytes], bytes], path: Path
+) -> None:
+    content = make(path.read_bytes())
+    path.write_bytes(content)
+    with pytest.raises(InvalidEventError, match=r"run.ckpt is no checkpoint, or a damaged one"):
+        resume(path)
+    assert path.read_bytes() == content
+
+
+def test_unpickling_never_happens(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*given: Any) -> Any:
+        raise AssertionError("a file was unpickled")
+
+    for name in ("load", "loads", "Unpickler"):
+        monkeypatch.setattr(pickle, name, refuse)
+    assert len(Checkpoint(path).steps) == 2
+    path.write_bytes(objects(b""))
+    with pytest.raises(InvalidEventError):
+        Checkpoint(path)
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InvalidEventError, match=r"nothing.ckpt: no such file"):
+        resume(tmp_path / "nothing.ckpt")
+
+
+def test_a_truncated_file_is_noticed_wherever_it_was_cut(path: Path) -> None:
+    content = path.read_bytes()
+    for length in np.linspace(0, len(content) - 1, 60).astype(int):
+        path.write_bytes(content[:length])
+        with pytest.raises(InvalidEventError, match="damaged"):
+            Checkpoint(path)
+
+
+def test_a_damaged_file_is_noticed_or_means_the_same(path: Path) -> None:
+    content = path.read_bytes()
+    document, arrays = read_archive(path)
+    noticed = 0
+    for position in np.random.default_rng(0).integers(len(content), size=150):
+        changed = bytearray(content)
+        changed[position] ^= 0x55
+        path.write_bytes(changed)
+        try:
+            again, other = read_archive(path)
+        except InvalidEventError:
+            noticed += 1
+            continue
+        # a date, or another number of the container that nobody reads
+        assert again == document
+        assert {k: v.tobytes() for k, v in other.items()} == {
+            k: v.tobytes() for k, v in arrays.items()
+        }
+    assert noticed > 100

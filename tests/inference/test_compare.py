@@ -1,0 +1,363 @@
+"""Kernels side by side on a toy: equal budgets, repeats, reference, checkpoint, Ctrl-C."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import phase_ppl as ppl
+from phase_ppl.inference import contenders as contenders_module
+from phase_ppl.inference.enumeration import enumerate_goals, plan_enumeration
+from phase_ppl.models.likelihood import RadialLikelihood
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
+from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
+from phase_ppl.world.scene import Scene
+from tests.inference.toy import (
+    ALPHA_CODES,
+    GREEN_GOALS,
+    RED_GOALS,
+    few_goals,
+    never_called,
+    walkers,
+    walking_event,
+)
+
+EVENT = walking_event()
+MODEL = ppl.Model(simulator=walkers)
+KERNELS = {"early": "prior_mh", "whole": ("prior_mh", {"early_reject": False})}
+SETTINGS: dict[str, Any] = {
+    "kernels": KERNELS,
+    "budget": ppl.simulations(24),
+    "repeats": 2,
+    "chains": 4,
+    "seed": 5,
+    "workers": 1,
+    "progress": False,
+}
+
+
+@pytest.fixture(scope="module")
+def reference() -> ppl.Posterior:
+    return ppl.infer(
+        EVENT, MODEL, kernel="prior_mh", chains=4, iterations=5, workers=1, progress=False
+    )
+
+
+def compare(reference: Any, **options: Any) -> ppl.Comparison:
+    return ppl.compare(EVENT, MODEL, **{**SETTINGS, "reference": reference, **options})
+
+
+@pytest.fixture(scope="module")
+def found(reference: ppl.Posterior) -> ppl.Comparison:
+    return compare(reference)
+
+
+def test_every_kernel_runs_every_repeat_within_the_budget(found: ppl.Comparison) -> None:
+    assert found.kernels == list(KERNELS)
+    expected = list(itertools.product(KERNELS, range(2)))
+    assert list(zip(found.runs["kernel"], found.runs["repeat"], strict=True)) == expected
+    assert (found.runs["simulations"] == 24).all()
+    assert (found.runs["validity"] == "exact").all()
+
+
+def test_repeats_have_seeds_of_their_own_that_the_kernels_share(found: ppl.Comparison) -> None:
+    seeds = found.runs.pivot(index="repeat", columns="kernel", values="seed")
+    assert (seeds["early"] == seeds["whole"]).all()
+    assert seeds["early"].nunique() == 2
+
+
+def test_kernels_that_make_the_same_draws_measure_the_same(found: ppl.Comparison) -> None:
+    same = found.runs.drop(columns=["kernel", "seconds"])
+    one, other = (same[found.runs["kernel"] == name].reset_index(drop=True) for name in KERNELS)
+    assert one.equals(other)
+    assert one["tv_goals"].between(0, 1).all()
+
+
+def test_a_run_can_be_made_again_by_infer(found: ppl.Comparison, reference: ppl.Posterior) -> None:
+    run = found.runs.iloc[1]
+    post = ppl.infer(
+        EVENT, MODEL, kernel="prior_mh", chains=4, budget=ppl.simulations(24),
+        seed=int(run["seed"]), workers=1, progress=False,
+    )  # fmt: skip
+    post = ppl.Posterior(post.tree, "count")
+    truth = EVENT.truth
+    assert truth is not None
+    assert run["p_relation"] == post.probability(relation=truth.relation)
+    apart = [
+        0.5 * np.abs(post.marginal(name).values - reference.marginal(name).values).sum()
+        for name in ("goal_red", "goal_green")
+    ]
+    assert run["tv_goals"] == pytest.approx(np.mean(apart))
+
+
+def test_curve_ends_where_the_runs_do(found: ppl.Comparison) -> None:
+    ends = found.curve.groupby(["kernel", "repeat"]).tail(1).reset_index(drop=True)
+    for name in ("tv_goals", "p_goals", "map_relation", "simulations"):
+        np.testing.assert_allclose(ends[name], found.runs[name])
+    counts = found.curve.groupby(["kernel", "repeat"])["simulations"].apply(list)
+    assert counts.iloc[0] == [8, 12, 16, 20, 24]
+
+
+def test_table_and_settings_name_everything(found: ppl.Comparison) -> None:
+    assert "early" in str(found)
+    assert "TV goals" in str(found)
+    assert found.settings["budget"] == "24 simulations"
+    assert found.settings["kernels"]["whole"]["options"] == {"early_reject": False}
+    assert "given posterior" in found.settings["reference"]["description"]
+
+
+def test_other_weights_can_be_asked_for(reference: ppl.Posterior, found: ppl.Comparison) -> None:
+    other = compare(reference, weights="visited", repeats=1, kernels=["prior_mh"])
+    assert other.settings["weights"] == "visited"
+    assert other.runs["tv_goals"][0] != found.runs["tv_goals"][0]
+
+
+def test_kernel_may_be_a_reference(found: ppl.Comparison) -> None:
+    spec = ("prior_mh", {"iterations": 7})
+    other = compare(spec, repeats=1, kernels=["prior_mh"])
+    assert "prior_mh, 7" in other.settings["reference"]["description"]
+    assert other.settings["reference"]["simulations"] == 4 * 8
+    assert 0 < other.settings["reference"]["halves_apart"] <= 1
+    long = compare("prior_mh", repeats=1, kernels=["prior_mh"])
+    assert long.settings["reference"]["simulations"] == 240
+
+
+def test_event_without_truth_is_compared_with_the_reference_alone(
+    reference: ppl.Posterior,
+) -> None:
+    event = dataclasses.replace(EVENT, truth=None)
+    other = ppl.compare(event, MODEL, **{**SETTINGS, "reference": reference, "repeats": 1})
+    assert other.runs["p_goals"].isna().all()
+    assert other.runs["tv_goals"].notna().all()
+    assert "P(goals)" not in str(other)
+
+
+def test_progress_counts_runs(reference: ppl.Posterior, capsys: pytest.CaptureFixture[str]) -> None:
+    compare(reference, progress=True)
+    written = capsys.readouterr()
+    assert "5/5" in written.err
+    assert written.out == ""
+
+
+# --- checkpoint and Ctrl-C ---------------------------------------------------------------------
+
+
+def counted(monkeypatch: pytest.MonkeyPatch, stop_at: int | None = None) -> list[str]:
+    """Return a list to which every run adds its kernel; the user interrupts one of them."""
+    calls: list[str] = []
+
+    def infer(*args: Any, **options: Any) -> ppl.Posterior:
+        if len(calls) == stop_at:
+            raise ppl.Interrupted(None)
+        calls.append(options["kernel"])
+        return ppl.infer(*args, **options)
+
+    monkeypatch.setattr(contenders_module, "infer", infer)
+    return calls
+
+
+def test_interrupt_keeps_finished_runs_and_a_checkpoint_goes_on_from_them(
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    reference: ppl.Posterior,
+    found: ppl.Comparison,
+) -> None:
+    path = tmp_path / "runs.json"
+    counted(monkeypatch, stop_at=3)
+    with pytest.raises(ppl.ComparisonInterrupted) as caught:
+        compare(reference, checkpoint=path)
+    kept = caught.value.comparison
+    assert kept is not None
+    # repeat by repeat, so that what is kept is balanced
+    assert list(zip(kept.runs["kernel"], kept.runs["repeat"], strict=True)) == [
+        ("early", 0), ("early", 1), ("whole", 0)
+    ]  # fmt: skip
+    assert len(ppl.Comparison.load(path).runs) == 3
+    calls = counted(monkeypatch)
+    again = compare(reference, checkpoint=path)
+    assert len(calls) == 1
+    assert again.runs.drop(columns="seconds").equals(found.runs.drop(columns="seconds"))
+    assert again.curve.equals(found.curve)
+    assert ppl.Comparison.load(path).runs.equals(again.runs)
+
+
+def test_checkpoint_takes_more_repeats_and_kernels(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, reference: ppl.Posterior
+) -> None:
+    path = tmp_path / "runs.json"
+    compare(reference, checkpoint=path, repeats=1, kernels={"early": "prior_mh"})
+    calls = counted(monkeypatch)
+    compare(reference, checkpoint=path)
+    assert len(calls) == 3
+    compare(reference, checkpoint=path)
+    assert len(calls) == 3
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"seed": 6}, "another seed"),
+        ({"budget": ppl.simulations(28)}, "another budget"),
+        ({"kernels": {"early": ("prior_mh", {"early_reject": False})}}, "kernel 'early'"),
+        ({"reference": "prior_mh"}, "another reference"),
+    ],
+)
+def test_checkpoint_of_other_settings_is_refused(
+    change: dict[str, Any], message: str, tmp_path: Path, found: ppl.Comparison, reference: Any
+) -> None:
+    path = found.save(tmp_path / "runs.json")
+    with pytest.raises(InvalidSettingError, match=message):
+        compare(**{"reference": reference, "checkpoint": path, **change})
+
+
+def test_damaged_checkpoint_is_refused(tmp_path: Path, reference: ppl.Posterior) -> None:
+    (tmp_path / "runs.json").write_text('{"schema": "phase-ppl-comparison-1", "runs"')
+    with pytest.raises(InvalidEventError, match="no comparison"):
+        compare(reference, checkpoint=tmp_path / "runs.json")
+
+
+def test_interrupt_before_a_run_is_finished_keeps_nothing(
+    monkeypatch: pytest.MonkeyPatch, reference: ppl.Posterior
+) -> None:
+    counted(monkeypatch, stop_at=0)
+    with pytest.raises(ppl.ComparisonInterrupted) as caught:
+        compare(reference)
+    assert caught.value.comparison is None
+
+
+# --- what is refused ---------------------------------------------------------------------------
+
+
+def even_only(program: Any) -> Any:
+    """A kernel that stumbles over an odd number of chains."""
+    from phase_ppl.inference.kernels.prior_mh import PriorMH
+
+    class EvenOnly(PriorMH):
+        def init(self, rng_key: Any, *args: Any, **options: Any) -> Any:
+            if len(rng_key) % 2:
+                raise AssertionError("Number of chains must be even.")
+            return super().init(rng_key, *args, **options)
+
+    return EvenOnly(program)
+
+
+WRONG: dict[str, tuple[dict[str, Any], type[Exception], str]] = {
+    "unknown": ({"kernels": ["prior_hm"]}, UnknownNameError, "prior_mh"),
+    "none": ({"kernels": []}, InvalidSettingError, "empty"),
+    "twice": ({"kernels": ["prior_mh", "prior_mh"]}, InvalidSettingError, "called 'prior_mh'"),
+    "option": (
+        {"kernels": ["prior_mh", ("prior_mh", {"speed": 3})]},
+        InvalidSettingError,
+        "called|speed",
+    ),
+    "later": (
+        {"kernels": {"a": "prior_mh", "b": ("prior_mh", {"speed": 3})}},
+        InvalidSettingError,
+        "b: .*speed",
+    ),
+    "odd chains": (
+        {"kernels": {"pairs": even_only}, "chains": 5},
+        InvalidSettingError,
+        "pairs: .*5 chains.*must be even",
+    ),
+    "budget": ({"budget": ppl.simulations(7)}, InvalidSettingError, "early: .*too small"),
+    "no budget": ({"budget": 24}, Exception, "24|budget"),
+    "repeats": ({"repeats": 0}, InvalidSettingError, "repeats=0"),
+    "seed": ({"seed": -1}, InvalidSettingError, "seed=-1"),
+    "weights": ({"weights": "counts"}, UnknownNameError, "count"),
+    "seed as an option": (
+        {"kernels": {"a": ("prior_mh", {"seed": 3})}},
+        InvalidSettingError,
+        "same for all",
+    ),
+    "options": ({"kernels": [("prior_mh", 3)]}, InvalidSettingError, "is no kernel"),
+    "reference": ({"reference": "prior"}, UnknownNameError, "prior_mh"),
+    "reference's options": (
+        {"reference": ("prior_mh", {"speed": 3})},
+        InvalidSettingError,
+        "reference: .*speed",
+    ),
+    "checkpoint": ({"checkpoint": "runs.nc"}, OSError, r"\.json"),
+    "beta": ({"settings": ppl.SimpleSettings(beta=0.1)}, InvalidSettingError, "likelihood"),
+}
+
+
+@pytest.mark.parametrize(("wrong", "error", "message"), WRONG.values(), ids=WRONG)
+def test_what_cannot_run_is_refused_before_anything_is_simulated(
+    wrong: dict[str, Any], error: type[Exception], message: str
+) -> None:
+    model = ppl.Model(simulator=never_called)
+    with pytest.raises(error, match=message):
+        ppl.compare(EVENT, model, **{**SETTINGS, "reference": "prior_mh", **wrong})
+
+
+def test_reference_of_another_event_is_refused(reference: ppl.Posterior) -> None:
+    with pytest.raises(InvalidEventError, match="another event"):
+        ppl.compare(walking_event(9), MODEL, **{**SETTINGS, "reference": reference})
+
+
+def test_even_chains_of_ones_own_are_an_option(reference: ppl.Posterior) -> None:
+    kernels = {"pairs": (even_only, {"chains": 6}), "prior_mh": "prior_mh"}
+    found = compare(reference, kernels=kernels, repeats=1, chains=5)
+    assert found.settings["kernels"]["pairs"]["chains"] == 6
+    assert json.dumps(found.settings)
+
+
+# --- enumeration -------------------------------------------------------------------------------
+
+
+def straight(scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator) -> Iterator[Any]:
+    """``walkers`` without chance, all agents alike."""
+    alike = dataclasses.replace(hypothesis, strength_red=400.0, strength_green=400.0)
+    return walkers(scene, alike, np.random.default_rng(0))
+
+
+def exact_pairs() -> np.ndarray:
+    """The posterior of the effective goals under ``few_goals`` and ``straight``."""
+    mass = np.zeros((36, 36))
+    probs = zip(RED_GOALS, (0.5, 0.3, 0.2), strict=True)
+    observed = EVENT.observation.positions
+    for (red, p), (green, q), (alpha, s) in itertools.product(
+        probs,
+        zip(GREEN_GOALS, (0.6, 0.4), strict=True),
+        list(zip(ALPHA_CODES, (0.5, 0.3, 0.2), strict=True)),
+    ):
+        h = Hypothesis(red, green, ALPHAS[alpha])
+        frames = itertools.islice(straight(EVENT.scene, h, np.random.default_rng(0)), len(observed))
+        errors = np.linalg.norm(
+            (np.array(list(frames))[..., :2] - observed).reshape(14, -1), axis=1
+        )
+        mass[h.effective_goals] += p * q * s * np.exp(-RadialLikelihood().beta * errors.sum())
+    return mass / mass.sum()
+
+
+@pytest.mark.parametrize("noise", ["fresh", "fixed"])
+def test_enumeration_is_the_exact_posterior_of_the_goals(noise: Any) -> None:
+    model = ppl.Model(prior=few_goals, simulator=straight, noise=noise)
+    plan = plan_enumeration(model)
+    assert len(plan.pairs) == np.count_nonzero(exact_pairs())
+    found = enumerate_goals(EVENT, model, plan, workers=1)
+    np.testing.assert_allclose(found.probability, exact_pairs(), atol=1e-4)
+    np.testing.assert_allclose(found.halves[0], found.halves[1], atol=1e-6)
+    assert found.simulations == 4 * len(plan.pairs)
+
+
+def test_affordable_enumeration_is_the_default_reference() -> None:
+    model = ppl.Model(prior=few_goals, simulator=straight)
+    found = ppl.compare(EVENT, model, **{**SETTINGS, "kernels": ["prior_mh"], "repeats": 1})
+    exact = exact_pairs()
+    stored = found.settings["reference"]
+    assert stored["description"].startswith("enumeration of")
+    np.testing.assert_allclose(stored["marginals"]["goal_red"], exact.sum(axis=1), atol=1e-4)
+    np.testing.assert_allclose(stored["marginals"]["goal_green"], exact.sum(axis=0), atol=1e-4)
+    assert stored["truth"]["p_goals"] == pytest.approx(
+        (stored["marginals"]["goal_red"][ppl.GOALS.index("Get blue item to red lm")]
+         + stored["marginals"]["goal_green"][ppl.GOALS.index("get to red agent")]) / 2
+    )  # fmt: skip

@@ -1,0 +1,119 @@
+"""Runs with a simulator that fails under some hypotheses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import phase_ppl as ppl
+from phase_ppl.simulator.contract import random_generator
+from phase_ppl.world.errors import InvalidSettingError
+from tests.inference.runs import EVENT, OPTIONS, assert_same_draws
+from tests.inference.toy import walkers
+
+
+def fragile(scene: Any, hypothesis: Any, rng: np.random.Generator) -> Iterator[Any]:
+    """Fail always for a weak red agent, for every other seed for a weak green one."""
+    if hypothesis.strength_red < 220:
+        raise ValueError("too weak")
+    if hypothesis.strength_green < 350 and rng.integers(2):
+        raise ValueError("slipped")
+    yield from walkers(scene, hypothesis, rng)
+
+
+MODEL = ppl.Model(simulator=fragile)
+
+
+def infer(**options: Any) -> ppl.Posterior:
+    return ppl.infer(EVENT, MODEL, **{**OPTIONS, **options})
+
+
+def failed(post: ppl.Posterior) -> Any:
+    return post.tree["simulations"]["failed"].values
+
+
+@pytest.fixture(scope="module")
+def rejecting() -> ppl.Posterior:
+    return infer()
+
+
+@pytest.fixture(scope="module")
+def retrying() -> ppl.Posterior:
+    return infer(on_failure="retry", retries=2)
+
+
+def test_rejected_simulations_have_no_likelihood_and_are_counted(rejecting: ppl.Posterior) -> None:
+    n = int(failed(rejecting).sum())
+    assert rejecting.cost["failures"] == n > 0
+    assert rejecting.cost["retries"] == 0
+    log_likelihood = rejecting.tree["simulations"]["log_likelihood"].values
+    assert np.isneginf(log_likelihood[failed(rejecting)]).all()
+    assert np.isfinite(rejecting.tree["sample_stats"]["log_joint"]).all()
+    assert rejecting.settings["on_failure"] == "reject"
+    assert f"{n} failed" in str(rejecting).replace("\n             ", " ")
+
+
+def test_retried_simulations_are_counted_and_told(retrying: ppl.Posterior) -> None:
+    cost, simulations = retrying.cost, retrying.tree["simulations"].dataset
+    assert cost["retries"] > 0
+    assert cost["simulations"] == len(simulations["seed"]) + cost["retries"]
+    weak = simulations["strength_red"].values < 220
+    assert failed(retrying)[weak].all()
+    assert cost["failures"] == cost["retries"] + failed(retrying).sum()
+    assert retrying.settings["retries"] == 2
+    words = str(retrying).replace("\n             ", " ")
+    assert f"{cost['failures']} failed, {cost['retries']} run again" in words
+
+
+def test_retrying_saves_what_only_slipped(retrying: ppl.Posterior) -> None:
+    simulations = retrying.tree["simulations"].dataset
+    weak = simulations["strength_green"].values < 350
+    slips = [random_generator(seed).integers(2) == 1 for seed in simulations["seed"].values]
+    assert (weak & slips & simulations["completed"].values).any()
+
+
+def test_retries_give_the_same_draws_after_a_rest(retrying: ppl.Posterior, tmp_path: Path) -> None:
+    path = tmp_path / "run.ckpt"
+    infer(on_failure="retry", retries=2, iterations=1, checkpoint=path)
+    longer = ppl.resume(path, EVENT, MODEL, iterations=4, workers=1, progress=False)
+    assert_same_draws(retrying.tree, longer.tree)
+    assert longer.settings == retrying.settings
+    assert longer.cost["retries"] == retrying.cost["retries"]
+    with pytest.raises(InvalidSettingError, match="has failed simulations"):
+        ppl.resume(path, EVENT, MODEL, on_failure="reject")
+
+
+class FailsOnce:
+    """Walks, but for the n-th simulation, which fails."""
+
+    def __init__(self, at: int) -> None:
+        self.at, self.calls = at, 0
+
+    def __call__(self, scene: Any, hypothesis: Any, rng: Any) -> Iterator[Any]:
+        self.calls += 1
+        if self.calls == self.at:
+            raise ValueError("not today")
+        yield from walkers(scene, hypothesis, rng)
+
+
+def test_raise_keeps_what_was_done_and_can_go_on(tmp_path: Path) -> None:
+    path = tmp_path / "run.ckpt"
+    model = ppl.Model(simulator=FailsOnce(at=10))  # in the second iteration of four particles
+    with pytest.raises(ppl.SimulationError, match=r"with seed \d+ failed.*not today") as caught:
+        ppl.infer(EVENT, model, **OPTIONS, on_failure="raise", checkpoint=path)
+    kept = caught.value.posterior
+    assert kept.tree["posterior"].sizes["draw"] == 1
+    assert kept.cost["interrupted"]
+    resumed = ppl.resume(path, EVENT, model, on_failure="reject", workers=1, progress=False)
+    assert_same_draws(ppl.infer(EVENT, model, **OPTIONS).tree, resumed.tree)
+
+
+def test_raise_in_the_initial_particles_keeps_nothing() -> None:
+    model = ppl.Model(simulator=FailsOnce(at=3))
+    with pytest.raises(ppl.SimulationError, match="not today") as caught:
+        ppl.infer(EVENT, model, **OPTIONS, on_failure="raise")
+    assert caught.value.posterior is None

@@ -1,0 +1,252 @@
+"""Priors that cannot work are refused before the first simulation, by site and expectation."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import numpyro
+import numpyro.distributions as dist
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpyro import handlers
+
+from phase_ppl.models import priors, sites
+from phase_ppl.models.checks import checked_sites
+from phase_ppl.world.errors import InvalidSettingError
+
+Statement = Callable[[str], Any]
+
+CODES = {"goal_red": 36, "goal_green": 36, "alpha": 5}
+
+
+def sampled(distribution: Any) -> Statement:
+    return lambda name: numpyro.sample(name, distribution)
+
+
+def usual(name: str) -> Any:
+    if name in CODES:
+        return numpyro.sample(name, dist.Categorical(logits=jnp.zeros(CODES[name])))
+    return numpyro.sample(name, dist.Uniform(150.0, 600.0))
+
+
+def prior_with(site: str, statement: Statement) -> Callable[[], None]:
+    """The usual statements, with that of one site replaced; or with one more."""
+
+    def changed() -> None:
+        for name in sites.HYPOTHESIS_SITES:
+            (statement if name == site else usual)(name)
+        if site not in sites.HYPOTHESIS_SITES:
+            statement(site)
+
+    return changed
+
+
+def in_plate(name: str) -> None:
+    with numpyro.plate("agents", 1):
+        usual(name)
+
+
+def masked(name: str) -> None:
+    with handlers.mask(mask=False):
+        usual(name)
+
+
+def scaled(name: str) -> None:
+    with handlers.scale(scale=0.5):
+        usual(name)
+
+
+def hidden(name: str) -> None:
+    with handlers.block():
+        usual(name)
+
+
+def conditioned(name: str) -> None:
+    handlers.condition(usual, {name: jnp.array(1)})(name)
+
+
+class NoDensity(dist.Distribution):
+    support = dist.constraints.positive
+
+    def sample(self, key: Any, sample_shape: tuple[int, ...] = ()) -> Any:
+        return jnp.ones(sample_shape)
+
+
+class Nan(NoDensity):
+    def log_prob(self, value: Any) -> Any:
+        return jnp.full(jnp.shape(value), jnp.nan)
+
+
+ANY_SITE: dict[str, tuple[Statement, str]] = {
+    "missing": (lambda name: None, "does not sample"),
+    "deterministic": (lambda name: numpyro.deterministic(name, jnp.array(1)), "does not sample"),
+    "a parameter": (lambda name: numpyro.param(name, jnp.array(1.0)), "does not sample"),
+    "hidden": (hidden, "does not sample"),
+    "in a plate of one": (in_plate, "plate 'agents'"),
+    "masked": (masked, "mask"),
+    "scaled": (scaled, "scale"),
+    "conditioned": (conditioned, "conditions on"),
+    "a vector": (sampled(dist.Uniform(1.0, 2.0).expand([3])), r"shape \(3,\)"),
+    "any real number": (sampled(dist.Normal(300.0, 1.0)), "support"),
+    "fixed": (sampled(dist.Delta(3.0)), "support"),
+    "unbounded counts": (sampled(dist.Poisson(2.0)), "support"),
+    "negative": (sampled(dist.Uniform(-5.0, -2.0)), "support"),
+    "negative values": (sampled(sites.OneOf([-150, 300])), "support"),
+    "infinite values": (
+        lambda name: numpyro.sample(name, sites.OneOf([150.0, np.inf])),
+        "cannot be run: ValueError: OneOf",
+    ),
+    "improper": (
+        sampled(dist.ImproperUniform(dist.constraints.real, (), ())),
+        "cannot be run: NotImplementedError",
+    ),
+    "nothing at all": (lambda name: 1 / 0, "cannot be run: ZeroDivisionError"),
+}
+CASES = list(itertools.product(sites.HYPOTHESIS_SITES, ANY_SITE))
+
+
+@pytest.mark.parametrize(("site", "kind"), CASES, ids=[f"{s}-{k}" for s, k in CASES])
+def test_nasty_statement_of_any_hypothesis_site_is_refused_by_name(site: str, kind: str) -> None:
+    statement, message = ANY_SITE[kind]
+    with pytest.raises(InvalidSettingError, match=message) as caught:
+        checked_sites(prior_with(site, statement))
+    if not message.startswith("cannot be run"):
+        assert repr(site) in str(caught.value)
+    if message in ("does not sample", "support"):
+        assert f"sites.{'alpha' if site == 'alpha' else site.split('_')[0] + 's'}" in str(
+            caught.value
+        )
+
+
+def branching() -> None:
+    if numpyro.sample("mood", dist.Bernoulli(0.5)) == 1:
+        numpyro.sample("more", dist.Normal())
+    priors.uniform()
+
+
+def own_randomness() -> None:
+    numpyro.sample("mood", dist.Normal(np.random.normal(), 1.0))
+    priors.uniform()
+
+
+def changing_sites() -> Callable[[], None]:
+    count = itertools.count()
+
+    def changing() -> None:
+        numpyro.sample(f"own_{next(count)}", dist.Normal())
+        priors.uniform()
+
+    return changing
+
+
+def sometimes_negative() -> None:
+    low = numpyro.sample("low", dist.Normal(0.0, 100.0))
+    numpyro.sample("strength_red", dist.Uniform(low, low + 10.0))
+    numpyro.sample("strength_green", dist.Uniform(150.0, 600.0))
+    sites.goals()
+    sites.alpha()
+
+
+def real_codes() -> None:
+    numpyro.sample("alpha", sites.OneOf([0.0, 1.0]))
+    sites.goals()
+    sites.strengths()
+
+
+def also(statement: Callable[[], Any]) -> Callable[[], None]:
+    return prior_with("also", lambda name: statement())
+
+
+WHOLE: dict[str, tuple[Callable[[], Any], str]] = {
+    "python branches": (branching, "cannot be compiled.*jnp.where"),
+    "randomness of its own": (own_randomness, "numpyro.sample"),
+    "other sites each time": (changing_sites(), "'own_1' in some runs"),
+    "strength that may be negative": (sometimes_negative, "strength_red"),
+    "nan density": (also(lambda: numpyro.sample("also", Nan())), "'also'.*nan"),
+    "no density": (also(lambda: numpyro.sample("also", NoDensity())), "'also'.*no density"),
+    "nan parameter": (
+        also(lambda: numpyro.sample("also", dist.Normal(jnp.nan, 1.0))),
+        "cannot be run: ValueError: Normal",
+    ),
+    "slash in a name": (also(lambda: numpyro.sample("my/own", dist.Normal())), "'my/own'.*'/'"),
+    "codes that are no integers": (real_codes, "'alpha' of type float32"),
+    "no name": (also(lambda: numpyro.sample("", dist.Normal())), "expected a name"),
+    "reserved": (also(lambda: numpyro.sample("weight", dist.Normal())), "'weight', a reserved"),
+    "twice": (also(lambda: sites.alpha()), "cannot be run.*alpha"),
+    "factor": (also(lambda: numpyro.factor("also", 0.5)), "conditions on 'also'"),
+    "argument": (lambda event: priors.uniform(), "cannot be run: TypeError"),
+}
+
+
+@pytest.mark.parametrize(("prior", "message"), WHOLE.values(), ids=WHOLE)
+def test_nasty_program_is_refused(prior: Callable[[], Any], message: str) -> None:
+    with pytest.raises(InvalidSettingError, match=message):
+        checked_sites(prior)
+
+
+@given(st.sampled_from(sorted(CODES)), st.integers(-3, 40), st.integers(0, 40))
+@settings(max_examples=12, deadline=None)
+def test_codes_are_accepted_just_if_all_of_them_mean_something(
+    site: str, low: int, width: int
+) -> None:
+    prior = prior_with(site, sampled(dist.DiscreteUniform(low, low + width)))
+    if low >= 0 and low + width < CODES[site]:
+        assert checked_sites(prior)[site] == ()
+    else:
+        with pytest.raises(InvalidSettingError, match=f"'{site}' with support"):
+            checked_sites(prior)
+
+
+# --- what may be unusual and works -------------------------------------------------------------
+
+
+def alpha_after_beta() -> None:
+    social = numpyro.sample("social", dist.Beta(2.0, 5.0))
+    probs = jnp.stack([1 - social, *[social / 4] * 4])
+    numpyro.sample("alpha", dist.Categorical(probs=probs))
+    sites.goals()
+    sites.strengths()
+
+
+def plated_traits() -> None:
+    with numpyro.plate("traits", 3):
+        trait = numpyro.sample("trait", dist.Normal())
+    numpyro.sample("alpha", dist.Categorical(logits=jnp.append(trait, jnp.zeros(2))))
+    sites.goals()
+    sites.strengths()
+
+
+UNUSUAL: dict[str, tuple[Callable[[], Any], dict[str, tuple[int, ...]]]] = {
+    "hierarchy": (alpha_after_beta, {"social": ()}),
+    "plate around own sites": (plated_traits, {"trait": (3,)}),
+    "few goals": (prior_with("goal_red", sampled(dist.DiscreteUniform(2, 4))), {}),
+    "heavy tail": (prior_with("strength_red", sampled(dist.LogNormal(6.0, 0.5))), {}),
+    "levels": (prior_with("strength_green", sampled(sites.OneOf([200.0, 700.0]))), {}),
+    "whole newtons": (prior_with("strength_green", sampled(dist.DiscreteUniform(150, 600))), {}),
+    "derived values": (
+        also(lambda: numpyro.deterministic("also", jnp.array(1.0))),
+        {},
+    ),
+}
+
+
+@pytest.mark.parametrize(("prior", "own"), UNUSUAL.values(), ids=UNUSUAL)
+def test_unusual_prior_is_accepted(
+    prior: Callable[[], Any], own: dict[str, tuple[int, ...]]
+) -> None:
+    assert checked_sites(prior) == dict.fromkeys(sites.HYPOTHESIS_SITES, ()) | own
+
+
+def test_prior_that_cannot_be_hashed_is_checked_too() -> None:
+    class Unhashable:
+        __hash__ = None  # type: ignore[assignment]
+
+        def __call__(self) -> None:
+            priors.uniform()
+
+    assert set(checked_sites(Unhashable())) == set(sites.HYPOTHESIS_SITES)

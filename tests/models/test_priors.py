@@ -1,0 +1,193 @@
+"""The ready-made priors: proper densities, draws that follow them, the effective prior."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import random
+
+from phase_ppl.models import priors, sites
+from phase_ppl.models.density import draw, log_density
+from phase_ppl.models.effective import log_prior_of_effective
+from phase_ppl.models.model import Model
+from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
+from phase_ppl.world.goals import N_GOALS, effective_goals
+from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_LEVELS, STRENGTH_RANGE
+from phase_ppl.world.relations import RELATION_TABLE, RELATIONS
+from tests.inference.toy import compiled
+
+CODES = np.array(list(itertools.product(range(N_GOALS), range(N_GOALS), range(len(ALPHAS)))))
+EFFECTIVE = np.array([effective_goals(r, g, ALPHAS[a]) for r, g, a in CODES])
+RELATION = RELATION_TABLE[EFFECTIVE[:, 0], EFFECTIVE[:, 1]].astype(int)
+LEVELS = np.array(list(itertools.product(STRENGTH_LEVELS, repeat=2)))
+ALL = pytest.mark.parametrize("name", priors.available())
+
+
+@functools.cache
+def compiled_density(name: str) -> Any:
+    return compiled(jax.vmap(lambda z: log_density(priors.named(name), z)))
+
+
+def density(name: str, codes: Any, strengths: Any) -> np.ndarray:
+    """Return the density at (n, 3) codes and (n, 2) strengths; either may be a single row."""
+    codes, strengths = np.atleast_2d(codes), np.atleast_2d(strengths)
+    n = max(len(codes), len(strengths))
+    codes, strengths = np.broadcast_to(codes, (n, 3)), np.broadcast_to(strengths, (n, 2))
+    z = {site: jnp.asarray(codes[:, i]) for i, site in enumerate((*sites.GOAL_SITES, "alpha"))}
+    z |= {site: jnp.asarray(strengths[:, i], jnp.float32)
+          for i, site in enumerate(sites.STRENGTH_SITES)}  # fmt: skip
+    return np.exp(np.asarray(compiled_density(name)(z), float))
+
+
+@functools.cache
+def draws(name: str, n: int = 20_000) -> dict[str, np.ndarray]:
+    many = compiled(jax.vmap(lambda key: draw(priors.named(name), key)))
+    return {site: np.asarray(v) for site, v in many(random.split(random.key(0), n)).items()}
+
+
+REFERENCE = CODES[np.flatnonzero((CODES == (0, 5, 1)).all(axis=1))[0]]
+STRENGTHS = (300.0, 450.0)
+
+
+def strength_mass(name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return points (n, 2) that cover the strengths, and the mass at them given REFERENCE."""
+    if name == "strength_levels":
+        return LEVELS, density(name, REFERENCE, LEVELS)
+    low, high = STRENGTH_RANGE
+    n = 450
+    middle = low + (np.arange(n) + 0.5) * (high - low) / n
+    grid = np.array(list(itertools.product(middle, repeat=2)))
+    return grid, density(name, REFERENCE, grid) * ((high - low) / n) ** 2
+
+
+@ALL
+def test_density_sums_to_one(name: str) -> None:
+    # goals and alpha are independent of the strengths in all of them, so the sum factorises
+    at = np.random.default_rng(0).choice(len(CODES), 50)
+    one, other = density(name, CODES[at], STRENGTHS), density(name, CODES[at], (600.0, 600.0))
+    ratio = density(name, REFERENCE, STRENGTHS) / density(name, REFERENCE, (600.0, 600.0))
+    np.testing.assert_allclose(one, other * ratio, rtol=1e-3)
+    over_codes = density(name, CODES, STRENGTHS).sum() / density(name, REFERENCE, STRENGTHS)[0]
+    assert over_codes * strength_mass(name)[1].sum() == pytest.approx(1, abs=0.01)
+
+
+@ALL
+def test_draws_follow_the_density(name: str) -> None:
+    z = draws(name)
+    n = len(z["alpha"])
+    mass = density(name, CODES, STRENGTHS)
+    mass /= mass.sum()
+    index = np.ravel_multi_index(
+        [z[site] for site in (*sites.GOAL_SITES, "alpha")], (N_GOALS, N_GOALS, len(ALPHAS))
+    )
+    for group, kinds in ((CODES[:, 2], 5), (RELATION, 3), (CODES[:, 0], 36), (CODES[:, 1], 36)):
+        expected = np.bincount(group, mass, kinds)
+        found = np.bincount(group[index], minlength=kinds) / n
+        np.testing.assert_allclose(found, expected, atol=5 * np.sqrt(0.25 / n))
+    points, weights = strength_mass(name)
+    bins = [[0, 250, 350, 500, 1000]] * 2
+    expected = np.histogram2d(*points.T, bins=bins, weights=weights / weights.sum())[0]
+    found = np.histogram2d(z["strength_red"], z["strength_green"], bins=bins)[0] / n
+    np.testing.assert_allclose(found, expected, atol=5 * np.sqrt(0.25 / n))
+
+
+@ALL
+def test_draws_have_mass_and_never_name_their_holder(name: str) -> None:
+    z = draws(name, 500)
+    for holder, site in enumerate(sites.GOAL_SITES):
+        assert not sites.SELF_REFERRING[holder][z[site]].any()
+    codes = np.stack([z[site] for site in (*sites.GOAL_SITES, "alpha")], axis=1)
+    strengths = np.stack([z[site] for site in sites.STRENGTH_SITES], axis=1)
+    assert (density(name, codes, strengths) > 0).all()
+
+
+@ALL
+def test_prior_of_effective_goals_is_the_sum_over_what_leads_to_them(name: str) -> None:
+    expected = np.zeros((N_GOALS, N_GOALS))
+    np.add.at(expected, tuple(EFFECTIVE.T), density(name, CODES, STRENGTHS))
+    pairs = np.array(list(itertools.product(range(N_GOALS), repeat=2)))
+    strengths = {site: np.full(len(pairs), s)
+                 for site, s in zip(sites.STRENGTH_SITES, STRENGTHS, strict=True)}  # fmt: skip
+    found = np.exp(log_prior_of_effective(priors.named(name), pairs, strengths))
+    np.testing.assert_allclose(found, expected.ravel(), rtol=1e-3, atol=1e-12)
+
+
+def relations(mass: np.ndarray) -> dict[str, float]:
+    total = np.bincount(RELATION, mass, len(RELATIONS)) / mass.sum()
+    return dict(zip(RELATIONS, total.tolist(), strict=True))
+
+
+def test_relation_first_gives_each_relation_a_third() -> None:
+    found = relations(density("relation_first", CODES, STRENGTHS))
+    assert list(found.values()) == pytest.approx([1 / 3] * 3, rel=1e-4)
+
+
+def test_relation_first_is_the_papers_prior_once_the_relation_is_known() -> None:
+    both = [density(name, CODES, STRENGTHS) for name in ("relation_first", "uniform")]
+    for relation in range(len(RELATIONS)):
+        one, other = (mass[relation == RELATION] for mass in both)
+        np.testing.assert_allclose(one / one.sum(), other / other.sum(), rtol=1e-3, atol=1e-12)
+
+
+def test_relations_can_have_other_probabilities() -> None:
+    def mostly_friends() -> None:
+        priors.relation_first(friendly=0.7, neutral=0.1, adversarial=0.2)
+
+    many = compiled(jax.vmap(lambda key: draw(mostly_friends, key)))
+    z = {site: np.asarray(v) for site, v in many(random.split(random.key(0), 4000)).items()}
+    stated = zip(z["goal_red"], z["goal_green"], z["alpha"], strict=True)
+    pairs = [effective_goals(int(r), int(g), ALPHAS[a]) for r, g, a in stated]
+    found = np.bincount(RELATION_TABLE[tuple(np.array(pairs).T)], minlength=3) / len(pairs)
+    expected = {"friendly": 0.7, "neutral": 0.1, "adversarial": 0.2}
+    np.testing.assert_allclose(found, [expected[r] for r in RELATIONS], atol=0.04)
+
+
+@pytest.mark.parametrize("given", [(0.5, 0.5, 0.5), (1.5, -0.5, 0.0)])
+def test_relations_need_probabilities(given: tuple[float, float, float]) -> None:
+    with pytest.raises(InvalidSettingError, match="sum 1"):
+        Model(prior=lambda: priors.relation_first(*given))
+
+
+def test_social_goals_are_rare_under_sparse_social() -> None:
+    assert (draws("sparse_social")["alpha"] != 0).mean() == pytest.approx(priors.SOCIAL, abs=0.01)
+
+
+def test_correlated_strengths_are_correlated_and_each_uniform() -> None:
+    z = draws("correlated_strengths")
+    red, green = (z[site] for site in sites.STRENGTH_SITES)
+    assert 0.7 < np.corrcoef(red, green)[0, 1] < 0.85
+    for strength in (red, green):
+        found = np.histogram(strength, bins=9, range=STRENGTH_RANGE)[0] / len(strength)
+        np.testing.assert_allclose(found, 1 / 9, atol=0.015)
+
+
+def test_correlated_strengths_have_a_density_in_the_corners() -> None:
+    corners = np.array(list(itertools.product(STRENGTH_RANGE, repeat=2)))
+    assert np.isfinite(density("correlated_strengths", REFERENCE, corners)).all()
+
+
+def test_strength_levels_allow_the_four_levels_only() -> None:
+    assert set(draws("strength_levels")["strength_red"].tolist()) == set(STRENGTH_LEVELS)
+    found = density("strength_levels", REFERENCE, [(300.0, 301.0), (151.0, 600.0)])
+    assert (found == 0).all()
+
+
+def test_priors_are_known_by_name() -> None:
+    assert Model(prior="sparse_social").prior is priors.sparse_social
+    assert Model(prior="uniform") == Model()
+    assert set(priors.available()) >= {"uniform", "relation_first", "strength_levels"}
+
+
+def test_unknown_prior_names_close_ones() -> None:
+    with pytest.raises(UnknownNameError, match="'sparse_social'"):
+        Model(prior="sparse_socal")
+
+
+def test_fingerprint_names_the_prior() -> None:
+    assert Model(prior="relation_first").fingerprint()["prior"].endswith("relation_first")

@@ -1,0 +1,56 @@
+"""The examples run from anywhere, and print and draw what they promise."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+PROMISED: dict[str, tuple[list[str], list[str]]] = {
+    "alternative_prior": (["sparse_social", "mostly_related", "friendliness 0."], []),
+    "own_simulator": (["15 particles", "verdict"], ["own_simulator.png"]),
+    "own_kernel": (["local_mh", "whole_video"], []),
+    "compare_kernels": (
+        ["SIMPLE", "prior", "TV goals"],
+        ["compare_kernels.json", "compare_kernels.png"],
+    ),
+    "diagnostics": (["between_chain_tv", "R-hat"], ["diagnostics.png"]),
+    "queries": (["P(friendly) = ", "Best single hypothesis: red: "], []),
+}
+
+
+@pytest.mark.parametrize("name", PROMISED)
+def test_example_prints_and_draws_what_it_promises(name: str, tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, EXAMPLES / f"{name}.py", "--quick"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr
+    printed, drawn = PROMISED[name]
+    for text in printed:
+        assert text in done.stdout
+    for file in drawn:
+        assert (tmp_path / file).stat().st_size > 1000
+
+
+def test_every_example_is_listed_and_says_how_to_run_it() -> None:
+    listed = (EXAMPLES / "README.md").read_text(encoding="utf-8")
+    scripts = sorted(EXAMPLES.glob("*.py"))
+    assert set(PROMISED) < {script.stem for script in scripts}
+    for script in scripts:
+        assert f"[{script.name}]({script.name})" in listed
+        assert f"python examples/{script.name}" in script.read_text(encoding="utf-8")
+
+
+def test_kernel_and_prior_are_as_short_as_they_say() -> None:
+    kernel = (EXAMPLES / "own_kernel.py").read_text(encoding="utf-8")
+    assert kernel[kernel.index("class State") : kernel.index("@ppl.register")].count("\n") <= 42
+    prior = (EXAMPLES / "alternative_prior.py").read_text(encoding="utf-8")
+    assert prior[prior.index("def mostly") : prior.index("def main")].count("\n") <= 13
