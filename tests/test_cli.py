@@ -69,6 +69,18 @@ def test_the_same_seed_gives_the_same_summary_with_one_and_with_two_workers(
     assert one == two
 
 
+def test_compare_writes_table_and_figure(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tiny = ["--budget", "4", "--repeats", "1", "--chains", "2", "--workers", "1", "--quiet"]
+    kernels = ["--kernels", "prior_mh", "--reference", "prior_mh"]
+    assert main(["compare", "collaborate", *kernels, *tiny, "--out", str(tmp_path)]) == 0
+    assert "TV goals" in capsys.readouterr().out
+    assert (tmp_path / "comparison.png").stat().st_size > 1000
+    record = json.loads((tmp_path / "comparison.json").read_text())
+    assert record["runs"]["kernel"] == ["prior_mh"]
+
+
 def test_simulate_and_render_write_files(tmp_path: Path) -> None:
     goals = ["--goal-red", "Get red agent to red lm", "--goal-green", "get to red agent"]
     event = tmp_path / "event.json"
@@ -78,7 +90,7 @@ def test_simulate_and_render_write_files(tmp_path: Path) -> None:
     assert film.stat().st_size > 1000
 
 
-@pytest.mark.parametrize("command", [[], ["infer"], ["simulate"], ["render"]])
+@pytest.mark.parametrize("command", [[], ["infer"], ["simulate"], ["render"], ["compare"]])
 def test_help_gives_an_example(command: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stop:
         main([*command, "--help"])
@@ -136,6 +148,23 @@ class TestBadInput:
         self, capsys: pytest.CaptureFixture[str], tmp_path: Path
     ) -> None:
         assert ".mp4" in fails(capsys, "render", "collaborate", "--out", str(tmp_path / "x.avi"))
+
+    def test_unknown_prior(self, capsys: pytest.CaptureFixture[str]) -> None:
+        assert "'uniform'" in fails(capsys, "infer", "collaborate", "--prior", "unifrom")
+
+    @pytest.mark.parametrize(
+        ("kernels", "message"),
+        [
+            ("local_mh,prior_hm", "'prior_mh'"),
+            ("local_mh,", "different names"),
+            ("local_mh:rule", "OPTION=VALUE"),
+            ("local_mh:rule=papr", "'paper'"),
+        ],
+    )
+    def test_kernels_that_cannot_be_compared(
+        self, kernels: str, message: str, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        assert message in fails(capsys, "compare", "collaborate", "--kernels", kernels)
 
     def test_no_command(self, capsys: pytest.CaptureFixture[str]) -> None:
         assert "COMMAND" in fails(capsys)
