@@ -360,5 +360,5 @@ def test_affordable_enumeration_is_the_default_reference() -> None:
     np.testing.assert_allclose(found["marginals"]["goal_red"], exact.sum(axis=1), atol=1e-4)
     np.testing.assert_allclose(found["marginals"]["goal_green"], exact.sum(axis=0), atol=1e-4)
     friendly = RELATIONS.index("friendly")
-    expected = exact[RELATION_TABLE == friendly].sum()
+    expected = exact[friendly == RELATION_TABLE].sum()
     assert found["marginals"]["relation"][friendly] == pytest.approx(expected, abs=1e-4)
