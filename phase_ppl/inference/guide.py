@@ -34,7 +34,7 @@ from phase_ppl.world.hypothesis import STRENGTH_RANGE
 
 Replace = Callable[[dist.Distribution], dist.Distribution]
 
-_NEVER = -80.0
+NEVER = -80.0
 """Log probability below which a goal is taken to have no prior mass; NumPyro's categorical
 distribution gives a probability of 0 a log of -87."""
 
@@ -84,7 +84,7 @@ def _local_program(prior: Program, tables: BottomUpTables, strength_sd: float) -
 def _goal_distribution(logits: jax.Array, prior: dist.Distribution) -> dist.Distribution:
     """Return the window's distribution of a goal, on goals that have prior mass."""
     codes = jnp.arange(N_GOALS)
-    possible = (prior.log_prob(codes) > _NEVER) & prior.support(codes)
+    possible = (prior.log_prob(codes) > NEVER) & prior.support(codes)
     return dist.Categorical(logits=jnp.where(possible, logits, IMPOSSIBLE))
 
 
@@ -97,7 +97,7 @@ def _strength_distribution(
     """
     if prior.support.is_discrete:
         values = prior.enumerate_support(expand=False)
-        possible = (prior.log_prob(values) > _NEVER) & prior.support(values)
+        possible = (prior.log_prob(values) > NEVER) & prior.support(values)
         logits = jnp.where(possible, estimate.log_prob(values), IMPOSSIBLE)
         estimate = OneOf(values, logits=logits)
     return Either(known, estimate, prior)
