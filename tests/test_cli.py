@@ -120,6 +120,18 @@ def test_a_failed_simulation_that_ends_the_run_leaves_results_and_a_file(
     assert main(["resume", str(out / "run.ckpt"), "--iterations", "1", *tiny]) == 0
 
 
+def test_compare_writes_table_and_figure(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tiny = ["--budget", "4", "--repeats", "1", "--chains", "2", "--workers", "1", "--quiet"]
+    kernels = ["--kernels", "prior_mh", "--reference", "prior_mh"]
+    assert main(["compare", "collaborate", *kernels, *tiny, "--out", str(tmp_path)]) == 0
+    assert "TV goals" in capsys.readouterr().out
+    assert (tmp_path / "comparison.png").stat().st_size > 1000
+    record = json.loads((tmp_path / "comparison.json").read_text())
+    assert record["runs"]["kernel"] == ["prior_mh"]
+
+
 def test_simulate_and_render_write_files(tmp_path: Path) -> None:
     goals = ["--goal-red", "Get red agent to red lm", "--goal-green", "get to red agent"]
     event = tmp_path / "event.json"
@@ -129,7 +141,9 @@ def test_simulate_and_render_write_files(tmp_path: Path) -> None:
     assert film.stat().st_size > 1000
 
 
-@pytest.mark.parametrize("command", [[], ["infer"], ["resume"], ["simulate"], ["render"]])
+@pytest.mark.parametrize(
+    "command", [[], ["infer"], ["resume"], ["simulate"], ["render"], ["compare"]]
+)
 def test_help_gives_an_example(command: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stop:
         main([*command, "--help"])
@@ -212,6 +226,23 @@ class TestBadInput:
         self, capsys: pytest.CaptureFixture[str], tmp_path: Path
     ) -> None:
         assert ".mp4" in fails(capsys, "render", "collaborate", "--out", str(tmp_path / "x.avi"))
+
+    def test_unknown_prior(self, capsys: pytest.CaptureFixture[str]) -> None:
+        assert "'uniform'" in fails(capsys, "infer", "collaborate", "--prior", "unifrom")
+
+    @pytest.mark.parametrize(
+        ("kernels", "message"),
+        [
+            ("local_mh,prior_hm", "'prior_mh'"),
+            ("local_mh,", "different names"),
+            ("local_mh:rule", "OPTION=VALUE"),
+            ("local_mh:rule=papr", "'paper'"),
+        ],
+    )
+    def test_kernels_that_cannot_be_compared(
+        self, kernels: str, message: str, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        assert message in fails(capsys, "compare", "collaborate", "--kernels", kernels)
 
     def test_no_command(self, capsys: pytest.CaptureFixture[str]) -> None:
         assert "COMMAND" in fails(capsys)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import re
@@ -108,6 +109,8 @@ def compare(
     whole_number("seed", seed, minimum=0)
     if weights not in WEIGHTINGS:
         raise unknown_name("weights", weights, WEIGHTINGS)
+    if not dataclasses.is_dataclass(budget):
+        raise InvalidSettingError(f"budget={shown(budget)}, expected phase_ppl.simulations(n)")
     chosen = contenders(kernels, chains, settings)
     wanted = Reference.asked_for(reference, event, budget, chains, settings, weights)
     for contender in (*chosen, *wanted.contenders):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,10 +13,13 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.inference import contenders as contenders_module
+from phase_ppl.inference.contenders import contenders
 from phase_ppl.inference.enumeration import enumerate_goals, plan_enumeration
+from phase_ppl.inference.reference import Reference, reference_of
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
+from phase_ppl.world.relations import RELATION_TABLE, RELATIONS
 from phase_ppl.world.scene import Scene
 from tests.inference.toy import (
     ALPHA_CODES,
@@ -268,7 +270,7 @@ WRONG: dict[str, tuple[dict[str, Any], type[Exception], str]] = {
         "pairs: .*5 chains.*must be even",
     ),
     "budget": ({"budget": ppl.simulations(7)}, InvalidSettingError, "early: .*too small"),
-    "no budget": ({"budget": 24}, Exception, "24|budget"),
+    "no budget": ({"budget": 24}, InvalidSettingError, "budget=24"),
     "repeats": ({"repeats": 0}, InvalidSettingError, "repeats=0"),
     "seed": ({"seed": -1}, InvalidSettingError, "seed=-1"),
     "weights": ({"weights": "counts"}, UnknownNameError, "count"),
@@ -303,11 +305,10 @@ def test_reference_of_another_event_is_refused(reference: ppl.Posterior) -> None
         ppl.compare(walking_event(9), MODEL, **{**SETTINGS, "reference": reference})
 
 
-def test_even_chains_of_ones_own_are_an_option(reference: ppl.Posterior) -> None:
-    kernels = {"pairs": (even_only, {"chains": 6}), "prior_mh": "prior_mh"}
-    found = compare(reference, kernels=kernels, repeats=1, chains=5)
-    assert found.settings["kernels"]["pairs"]["chains"] == 6
-    assert json.dumps(found.settings)
+def test_chains_of_ones_own_are_an_option() -> None:
+    (pairs,) = contenders({"pairs": (even_only, {"chains": 6})}, 5, ppl.SimpleSettings())
+    pairs.check(EVENT, MODEL, ppl.simulations(24))
+    assert pairs.record()["chains"] == 6
 
 
 # --- enumeration -------------------------------------------------------------------------------
@@ -351,13 +352,13 @@ def test_enumeration_is_the_exact_posterior_of_the_goals(noise: Any) -> None:
 
 def test_affordable_enumeration_is_the_default_reference() -> None:
     model = ppl.Model(prior=few_goals, simulator=straight)
-    found = ppl.compare(EVENT, model, **{**SETTINGS, "kernels": ["prior_mh"], "repeats": 1})
+    budget, settings = ppl.simulations(24), ppl.SimpleSettings()
+    asked = Reference.asked_for(None, EVENT, budget, 4, settings, "count")
+    found = reference_of(asked, EVENT, model, seed=0, workers=1)
     exact = exact_pairs()
-    stored = found.settings["reference"]
-    assert stored["description"].startswith("enumeration of")
-    np.testing.assert_allclose(stored["marginals"]["goal_red"], exact.sum(axis=1), atol=1e-4)
-    np.testing.assert_allclose(stored["marginals"]["goal_green"], exact.sum(axis=0), atol=1e-4)
-    assert stored["truth"]["p_goals"] == pytest.approx(
-        (stored["marginals"]["goal_red"][ppl.GOALS.index("Get blue item to red lm")]
-         + stored["marginals"]["goal_green"][ppl.GOALS.index("get to red agent")]) / 2
-    )  # fmt: skip
+    assert found["description"].startswith("enumeration of")
+    np.testing.assert_allclose(found["marginals"]["goal_red"], exact.sum(axis=1), atol=1e-4)
+    np.testing.assert_allclose(found["marginals"]["goal_green"], exact.sum(axis=0), atol=1e-4)
+    friendly = RELATIONS.index("friendly")
+    expected = exact[friendly == RELATION_TABLE].sum()
+    assert found["marginals"]["relation"][friendly] == pytest.approx(expected, abs=1e-4)

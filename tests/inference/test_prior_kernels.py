@@ -1,0 +1,176 @@
+"""Inference under priors other than the paper's, against enumeration and end to end."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import numpyro
+import numpyro.distributions as dist
+import pytest
+from jax import random
+
+import phase_ppl as ppl
+from phase_ppl.inference.guide import bottom_up_guide
+from phase_ppl.inference.kernels.local_mh import LocalMH
+from phase_ppl.inference.proposals import BottomUpTables, window_count
+from phase_ppl.models.density import log_density
+from phase_ppl.models.likelihood import RadialLikelihood
+from phase_ppl.models.model import Model
+from phase_ppl.simulator.contract import SimulationResult
+from phase_ppl.world.goals import N_GOALS, effective_goals
+from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_LEVELS, Hypothesis
+from phase_ppl.world.relations import RELATION_TABLE
+from tests.inference.toy import (
+    N_FRAMES,
+    SETTINGS,
+    TableRunner,
+    compiled,
+    run,
+    table_errors,
+    table_guide,
+    table_program,
+    total_variation,
+    walkers,
+    walking_event,
+)
+
+STEPS = 1000
+KEYS = random.split(random.key(0), 15)
+ERRORS = table_errors()
+
+
+class StrengthRunner(TableRunner):
+    """As ``TableRunner``, but the errors grow with the strengths, red's faster than green's."""
+
+    def run(
+        self,
+        hypotheses: Sequence[Hypothesis],
+        seeds: Sequence[int],
+        error_ceilings: Sequence[float],
+    ) -> list[SimulationResult]:
+        results = super().run(hypotheses, seeds, [np.inf] * len(seeds))
+        for result, h in zip(results, hypotheses, strict=True):
+            result.errors[:] *= strength_factor(*h.strengths)
+        return results
+
+
+def strength_factor(red: Any, green: Any) -> Any:
+    return 0.2 + red / 400 + green / 800
+
+
+VALUES, PROBS = (200.0, 300.0, 450.0, 700.0), (0.1, 0.4, 0.3, 0.2)
+
+
+def few_goals_and_levels() -> None:
+    """Unequal levels, one of them beyond those of the original worlds."""
+    numpyro.sample("strength_red", ppl.sites.OneOf(VALUES, PROBS))
+    numpyro.sample("strength_green", ppl.sites.OneOf(VALUES, PROBS))
+    numpyro.sample("goal_red", dist.Categorical(probs=jnp.zeros(N_GOALS).at[5].set(1.0)))
+    numpyro.sample("goal_green", dist.Categorical(probs=jnp.zeros(N_GOALS).at[3].set(1.0)))
+    numpyro.sample("alpha", dist.Categorical(probs=jnp.array([1.0, 0, 0, 0, 0])))
+
+
+def test_discrete_strengths_reach_the_enumerated_posterior() -> None:
+    program, _bridge = table_program(StrengthRunner(ERRORS), few_goals_and_levels)
+    kernel = LocalMH(program, table_guide(few_goals_and_levels), SETTINGS)
+    z = run(kernel, STEPS, KEYS).z
+    found = np.zeros((len(VALUES), len(VALUES)))
+    index = [np.searchsorted(VALUES, np.asarray(z[name]).ravel())
+             for name in ("strength_red", "strength_green")]  # fmt: skip
+    np.add.at(found, tuple(index), 1 / index[0].size)
+    exact = np.zeros_like(found)
+    for (i, red), (j, green) in itertools.product(enumerate(VALUES), repeat=2):
+        errors = ERRORS[5, 3] * strength_factor(red, green)
+        likelihood = np.exp(-RadialLikelihood().beta * errors.sum(axis=-1)).mean()
+        exact[i, j] = PROBS[i] * PROBS[j] * likelihood
+    exact /= exact.sum()
+    prior = np.outer(PROBS, PROBS)
+    assert total_variation(exact, prior) > 0.2
+    assert total_variation(found, exact) < 0.05
+
+
+def test_relation_first_reaches_the_enumerated_posterior() -> None:
+    prior = ppl.priors.relation_first
+    program, _bridge = table_program(TableRunner(ERRORS), prior)
+    z = run(LocalMH(program, table_guide(prior), SETTINGS), STEPS, KEYS).z
+    codes = np.array(list(itertools.product(range(N_GOALS), range(N_GOALS), range(len(ALPHAS)))))
+    pairs = np.array([effective_goals(r, g, ALPHAS[a]) for r, g, a in codes])
+    names = ("goal_red", "goal_green", "alpha")
+    sites = {name: jnp.asarray(codes[:, i]) for i, name in enumerate(names)}
+    sites |= {f"strength_{c}": jnp.full(len(codes), 300.0) for c in ("red", "green")}
+    log_prior = compiled(jax.vmap(lambda z: log_density(prior, z)))(sites)
+    likelihood = np.exp(-RadialLikelihood().beta * ERRORS.sum(axis=-1)).mean(axis=-1)
+    mass = np.exp(np.asarray(log_prior, float)) * likelihood[tuple(pairs.T)]
+    relation = RELATION_TABLE[tuple(pairs.T)].astype(int)
+    drawn = np.ravel_multi_index([np.asarray(z[n]).ravel() for n in names], (36, 36, 5))
+    for group, kinds, limit in ((relation, 3, 0.05), (codes[:, 2], 5, 0.06)):
+        exact = np.bincount(group, mass, kinds) / mass.sum()
+        found = np.bincount(group[drawn], minlength=kinds) / drawn.size
+        assert total_variation(found, exact) < limit
+
+
+def guide_density(prior: Any, window: int, strengths: Any) -> np.ndarray:
+    n_windows = window_count(N_FRAMES, SETTINGS.window)
+    strength = np.full((n_windows + 1, 2), np.nan)
+    strength[1] = 300.0, 450.0
+    tables = BottomUpTables(np.zeros((n_windows + 1, 2, N_GOALS)), strength)
+    guide = bottom_up_guide(prior, Model(prior=prior).sites, tables, prior_share=0.1)
+    fixed = {"goal_red": jnp.array(0), "goal_green": jnp.array(0), "alpha": jnp.array(0)}
+
+    def density(pair: jax.Array) -> jax.Array:
+        z = fixed | {"strength_red": pair[0], "strength_green": pair[1]}
+        return log_density(guide, z, jnp.array(window))
+
+    return np.exp(np.asarray(compiled(jax.vmap(density))(jnp.asarray(strengths)), float))
+
+
+def test_guide_proposes_just_the_values_that_the_prior_allows() -> None:
+    grid = np.array(list(itertools.product((*STRENGTH_LEVELS, 310.0), repeat=2)), np.float32)
+    for window in (0, 1):
+        density = guide_density(ppl.priors.strength_levels, window, grid).reshape(5, 5)
+        assert (density[:4, :4] > 0).all()
+        assert (density[4] == 0).all()
+        assert (density[:, 4] == 0).all()
+    # the estimates of window 1 are 300 N and 450 N
+    assert np.unravel_index(density.argmax(), density.shape) == (1, 2)
+
+
+@pytest.mark.parametrize(
+    ("name", "kernel"),
+    [
+        ("relation_first", "local_mh"),
+        ("strength_levels", "local_mh"),
+        ("correlated_strengths", "prior_mh"),
+        ("sparse_social", "prior_mh"),
+        ("symmetric_alphas", "prior_mh"),
+    ],
+)
+def test_infer_runs_with_each_ready_made_prior(name: str, kernel: str) -> None:
+    model = ppl.Model(prior=name, simulator=walkers)
+    post = ppl.infer(
+        walking_event(), model, kernel=kernel, chains=3, iterations=1, workers=1, progress=False
+    )
+    assert post.settings["model"]["prior"].endswith(name)
+    assert np.isfinite(post.tree["simulations"]["log_prior_effective"]).all()
+    if name == "strength_levels":
+        assert np.isin(post.tree["posterior"]["strength_red"], STRENGTH_LEVELS).all()
+
+
+def test_hierarchical_prior_is_inferred_with_its_own_site() -> None:
+    def social() -> None:
+        share = numpyro.sample("social", dist.Beta(1.0, 3.0))
+        probs = jnp.stack([1 - share, *[share / 4] * 4])
+        numpyro.sample("alpha", dist.Categorical(probs=probs))
+        ppl.sites.goals()
+        ppl.sites.strengths()
+
+    model = ppl.Model(prior=social, simulator=walkers)
+    post = ppl.infer(
+        walking_event(), model, kernel="prior_mh", chains=3, iterations=1, workers=1, progress=False
+    )
+    assert 0 < post.mean("social") < 1
