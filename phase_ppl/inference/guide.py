@@ -25,7 +25,6 @@ from numpyro.distributions import constraints
 from numpyro.primitives import Messenger
 
 from phase_ppl.inference.proposals import BottomUpTables
-from phase_ppl.inference.strength import VALIDATION_SD
 from phase_ppl.models.density import Program, draw, log_density
 from phase_ppl.models.sites import GOAL_SITES, IMPOSSIBLE, STRENGTH_SITES
 from phase_ppl.world.goals import N_GOALS
@@ -44,7 +43,6 @@ def bottom_up_guide(
     tables: BottomUpTables,
     *,
     prior_share: float,
-    strength_sd: float = VALIDATION_SD,
 ) -> Mixture:
     """Return the program ``guide(window)``: (1 - share) Q_local + share prior, one joint mixture.
 
@@ -53,17 +51,17 @@ def bottom_up_guide(
         sites: its latent sites and their shapes.
         tables: of the event; the index after the last window stands for the whole observation.
         prior_share: weight of the prior, in (0, 1).
-        strength_sd: error of the strengths' estimate, newtons.
     """
-    local = _local_program(prior, tables, strength_sd)
+    local = _local_program(prior, tables)
     return Mixture((local, lambda window: prior()), (1 - prior_share, prior_share), sites)
 
 
-def _local_program(prior: Program, tables: BottomUpTables, strength_sd: float) -> Program:
+def _local_program(prior: Program, tables: BottomUpTables) -> Program:
     logits = jnp.asarray(tables.goal_logits, jnp.float32)
     strength = jnp.asarray(tables.strength, jnp.float32)
     known = ~jnp.isnan(strength)
     estimate = jnp.where(known, strength, float(np.mean(STRENGTH_RANGE)))
+    sd = jnp.where(known, jnp.asarray(tables.strength_sd, jnp.float32), 1.0)
 
     def local(window: jax.Array) -> None:
         replace: dict[str, Replace] = {}
@@ -71,7 +69,10 @@ def _local_program(prior: Program, tables: BottomUpTables, strength_sd: float) -
             replace[name] = functools.partial(_goal_distribution, logits[window, agent])
         for agent, name in enumerate(STRENGTH_SITES):
             normal = dist.TruncatedNormal(
-                estimate[window, agent], strength_sd, low=STRENGTH_RANGE[0], high=STRENGTH_RANGE[1]
+                estimate[window, agent],
+                sd[window, agent],
+                low=STRENGTH_RANGE[0],
+                high=STRENGTH_RANGE[1],
             )
             replace[name] = functools.partial(Either, known[window, agent], normal)
         with Replaced(replace):

@@ -17,6 +17,7 @@ from phase_ppl.inference.progress import Progress
 from phase_ppl.inference.proposals import bottom_up_tables
 from phase_ppl.inference.registry import Factory, KernelInfo, described
 from phase_ppl.inference.settings import Budget, SimpleSettings, simulations, whole_number
+from phase_ppl.inference.strength.estimators import estimator_name
 from phase_ppl.models.bridge import SimulatorBridge
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.model import Model
@@ -119,6 +120,7 @@ def infer(
             window=settings.window,
             gamma=settings.gamma,
             sign=settings.sign,
+            strength=settings.strength,
         )
         data = EventData(tables, event_salt(scene, observation), bridge.handle)
         built = recipe.build(data)
@@ -191,7 +193,10 @@ def _model(
 
 def _plain(settings: SimpleSettings) -> dict[str, Any]:
     """Return the settings; beta is left to the model's likelihood, which has it."""
-    return {name: value for name, value in dataclasses.asdict(settings).items() if name != "beta"}
+    plain = {f.name: getattr(settings, f.name) for f in dataclasses.fields(settings)}
+    return {k: v for k, v in plain.items() if k != "beta"} | {
+        "strength": estimator_name(settings.strength)
+    }
 
 
 def _cost(runner: Runner, begin: float, interrupted: bool) -> dict[str, Any]:

@@ -21,7 +21,8 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.inference.strength import driving_hits, estimated_strength
+from phase_ppl.inference.strength.estimates import Estimator
+from phase_ppl.inference.strength.estimators import DEFAULT_ESTIMATOR, estimated_strengths
 from phase_ppl.models.sites import IMPOSSIBLE, SELF_REFERRING
 from phase_ppl.world.goals import N_GOALS, goal_literal
 from phase_ppl.world.literals import Predicate
@@ -50,11 +51,13 @@ class BottomUpTables(NamedTuple):
 
     Attributes:
         goal_logits: (window + 1, agent, goal) unnormalised log probabilities.
-        strength: (window + 1, agent) estimate, newtons; NaN where there is no free driving.
+        strength: (window + 1, agent) estimate, newtons; NaN where there is none.
+        strength_sd: (window + 1, agent) its standard deviation, newtons; NaN likewise.
     """
 
     goal_logits: FloatArray | jax.Array
     strength: FloatArray | jax.Array
+    strength_sd: FloatArray | jax.Array
 
 
 def bottom_up_tables(
@@ -64,6 +67,7 @@ def bottom_up_tables(
     window: int = 10,
     gamma: float = 10.0,
     sign: Sign = "intended",
+    strength: str | Estimator = DEFAULT_ESTIMATOR,
 ) -> BottomUpTables:
     """Return the tables of an event.
 
@@ -72,6 +76,7 @@ def bottom_up_tables(
         window: Delta T, steps; shorter where the observation is.
         gamma: weight of the distances.
         sign: "intended", or "printed" as in the paper.
+        strength: name of an estimator of strengths, or one.
     """
     n_frames = observation.n_frames
     length = window_length(n_frames, window)
@@ -82,11 +87,12 @@ def bottom_up_tables(
     unit = float(np.hypot(x1 - x0, y1 - y0))
     closeness = gamma * (2 * distance[last] - distance[first]) / unit
     logits = closeness if sign == "printed" else -closeness
-    hits = driving_hits(observation.trajectory, scene.radius)
-    strength = [estimated_strength(hits, a, b) for a, b in zip(first, last, strict=True)]
+    windows = np.column_stack([first, last])
+    estimates = estimated_strengths(strength, scene, observation, windows)
     return BottomUpTables(
         goal_logits=np.where(SELF_REFERRING, IMPOSSIBLE, logits),
-        strength=np.stack(strength),
+        strength=estimates.mean,
+        strength_sd=estimates.sd,
     )
 
 

@@ -6,6 +6,8 @@ import dataclasses
 import math
 
 from phase_ppl.inference.proposals import SIGNS, Sign
+from phase_ppl.inference.strength.estimates import Estimator
+from phase_ppl.inference.strength.estimators import DEFAULT_ESTIMATOR, strength_estimator
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 
 
@@ -21,10 +23,12 @@ class SimpleSettings:
             by default the paper's 0.05.
         prior_share: weight of the prior in the proposal.
         sign: "intended": goals that are close are proposed; "printed": as the paper's formula.
+        strength: what estimates the strengths of the proposal: a name of
+            :data:`~phase_ppl.inference.strength.estimators.ESTIMATORS`, or an estimator.
 
     Raises:
         InvalidSettingError: a value is out of range.
-        UnknownNameError: an unknown sign.
+        UnknownNameError: an unknown sign or estimator.
     """
 
     eta: float = 0.1
@@ -33,6 +37,7 @@ class SimpleSettings:
     beta: float | None = None
     prior_share: float = 0.1
     sign: Sign = "intended"
+    strength: str | Estimator = DEFAULT_ESTIMATOR
 
     def __post_init__(self) -> None:
         for name in ("eta", "gamma"):
@@ -46,6 +51,7 @@ class SimpleSettings:
         whole_number("window", self.window)
         if self.sign not in SIGNS:
             raise unknown_name("sign", self.sign, SIGNS)
+        strength_estimator(self.strength)
 
 
 def _is_number(value: object) -> bool:
