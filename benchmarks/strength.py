@@ -14,7 +14,7 @@ import common
 import numpy as np
 
 from phase_ppl.inference.proposals import window_count, window_length
-from phase_ppl.inference.strength.estimates import Estimator, StrengthEstimates, quality
+from phase_ppl.inference.strength.estimates import Estimator, Quality, StrengthEstimates, quality
 from phase_ppl.inference.strength.estimators import ESTIMATORS, estimated_strengths
 from phase_ppl.inference.strength.examples import blurred
 from phase_ppl.inference.strength.network import StrengthNetwork
@@ -23,7 +23,7 @@ from phase_ppl.world.observation import Observation
 
 JITTER = (0.0, 0.05, 0.1, 0.3)
 WINDOW = 10
-COLUMNS = ("share", "rmse", "log_density", "coverage")
+COLUMNS = Quality._fields
 
 
 def windows_of(n_frames: int, whole: bool) -> np.ndarray:
@@ -47,7 +47,7 @@ def observations(events: list[Event], jitter: float, draws: int) -> list[tuple[E
 
 def judged(
     estimator: str | Estimator, seen: list[tuple[Event, Observation]], whole: bool
-) -> dict[str, float]:
+) -> dict[str, float | None]:
     """Return the quality over all windows and agents."""
     means, sds, truths = [], [], []
     for event, observation in seen:
@@ -58,7 +58,8 @@ def judged(
         sds.append(sd)
         truths += [[event.truth.strength_red, event.truth.strength_green]] * len(windows)
     found = StrengthEstimates(np.concatenate(means), np.concatenate(sds))
-    return quality(found, np.array(truths, float))._asdict()
+    figures = quality(found, np.array(truths, float))._asdict()
+    return {name: None if np.isnan(value) else value for name, value in figures.items()}
 
 
 def main() -> None:
@@ -84,7 +85,10 @@ def main() -> None:
             for name, estimator in estimators.items():
                 figures = judged(estimator, seen, window == "all")
                 rows.append({"window": window, "jitter": jitter, "estimator": name} | figures)
-                shown = "".join(f"{figures[column]:13.3f}" for column in COLUMNS)
+                shown = "".join(
+                    f"{'-':>13}" if figures[column] is None else f"{figures[column]:13.3f}"
+                    for column in COLUMNS
+                )
                 print(f"{window:8}{jitter:<8g}{name:20}{shown}", flush=True)
     common.write(report | {"rows": rows}, options.json)
 

@@ -257,7 +257,8 @@ def test_quality_without_an_estimate_is_that_of_the_uniform_prior() -> None:
     assert found.share == 0
     assert found.log_density == pytest.approx(PRIOR_LOG_DENSITY, abs=1e-6)
     assert found.rmse == pytest.approx(450 / np.sqrt(12), rel=0.01)
-    assert found.coverage == pytest.approx(0.683, abs=0.01)
+    assert found.log_mixture == pytest.approx(PRIOR_LOG_DENSITY, abs=1e-6)
+    assert np.isnan(found.coverage)
 
 
 def test_quality_of_a_known_normal_distribution() -> None:
@@ -266,5 +267,6 @@ def test_quality_of_a_known_normal_distribution() -> None:
     found = quality(StrengthEstimates(np.full((4000, 1), 375.0), np.full((4000, 1), 30.0)), truth)
     assert found.share == 1
     assert found.log_density == pytest.approx(-0.5 - np.log(30 * np.sqrt(2 * np.pi)), abs=0.05)
+    assert found.log_density - 0.12 < found.log_mixture < found.log_density
     assert found.rmse == pytest.approx(30, rel=0.05)
     assert found.coverage == pytest.approx(0.683, abs=0.03)

@@ -15,7 +15,6 @@ from phase_ppl.world.scene import Scene
 FloatArray = NDArray[np.float64]
 
 _GRID = np.linspace(*STRENGTH_RANGE, 901)
-_ONE_SD = math.erf(1 / math.sqrt(2))
 
 
 class StrengthEstimates(NamedTuple):
@@ -49,12 +48,15 @@ class Quality(NamedTuple):
         rmse: of the proposals' mean, newtons; of the prior's mean where there is no estimate.
         log_density: mean log density of the true strength; without an estimate that of the
             uniform prior, -6.11.
-        coverage: share of true strengths in the proposals' central 68.3 %.
+        log_mixture: the same, of a mixture with a tenth of the prior, as in SIMPLE's proposal.
+        coverage: share of the estimates that are no farther off than their standard deviation;
+            nan without any.
     """
 
     share: float
     rmse: float
     log_density: float
+    log_mixture: float
     coverage: float
 
 
@@ -68,10 +70,13 @@ def quality(estimates: StrengthEstimates, strength: FloatArray) -> Quality:
     mass = np.trapezoid(density, _GRID, axis=1)
     middle = np.trapezoid(density * _GRID, _GRID, axis=1) / mass
     log_density = -0.5 * ((truth - mean) / sd)[:, 0] ** 2 - np.log(mass)
-    below = np.trapezoid(np.where(truth > _GRID, density, 0.0), _GRID, axis=1) / mass
+    log_prior = -math.log(STRENGTH_RANGE[1] - STRENGTH_RANGE[0])
+    mixture = np.logaddexp(log_density + math.log(0.9), log_prior + math.log(0.1))
+    inside = (np.abs(truth - mean) <= sd)[known]
     return Quality(
         share=float(known.mean()),
         rmse=float(np.sqrt(((middle - truth[:, 0]) ** 2).mean())),
         log_density=float(log_density.mean()),
-        coverage=float((np.abs(below - 0.5) <= _ONE_SD / 2).mean()),
+        log_mixture=float(mixture.mean()),
+        coverage=float(inside.mean()) if known.any() else math.nan,
     )

@@ -23,14 +23,15 @@ IntArray = NDArray[np.int64]
 REACHES: Final = (1, 2, 3)
 """Frames to either side that a parabola is fitted to."""
 
-BINS: Final = np.linspace(125.0, 650.0, 22)
-"""Centres of the histograms of forces, newtons; 25 apart."""
+BINS: Final = np.linspace(100.0, 650.0, 12)
+"""Centres of the histogram of forces, newtons; 50 apart."""
 
 FORCE_UNIT: Final = 300.0
 SPEED_UNIT: Final = 10.0
 
-N_FEATURES: Final = 8 + len(REACHES) * (6 * 3 + 2 * len(BINS))
-"""Eight of the whole window; for each reach three statistics of six channels, two histograms."""
+N_FEATURES: Final = 8 + len(REACHES) * (1 + 6 * 3) + 2 + len(BINS)
+"""Eight of the whole window; for each reach the noise and three statistics of six channels; the
+largest steady force; the histogram of steady forces."""
 
 _STILL: Final = 0.3
 """Below this the direction of the friction is uncertain, units per second."""
@@ -38,8 +39,9 @@ _NEAR: Final = 0.3
 """Gap between two bodies' circles below which they may touch, units."""
 _ROUNDING: Final = 0.002
 """Jitter that is not told from none, units and radians."""
-_LOWER_QUARTILE: Final = 0.3186 * np.sqrt(2)
-"""Lower quartile of the absolute difference of two standard normal numbers."""
+_QUARTILE: Final = 0.3186 * np.sqrt(2)
+_DECILE: Final = 0.1257 * np.sqrt(2)
+"""Lower quartile and decile of the absolute difference of two standard normal numbers."""
 
 
 class Jitter(NamedTuple):
@@ -52,14 +54,15 @@ class Jitter(NamedTuple):
 def observed_jitter(trajectory: FloatArray) -> Jitter:
     """Return the jitter of a trajectory (time, entity, coord), read off what rests.
 
-    At least a quarter of all differences between frames are those of something at rest; their
-    quartile is that of the jitter.
+    Mostly at least a quarter of all coordinates are those of something at rest, which makes their
+    lower quartile that of the jitter. Agents that push each other turn all the time, by a little;
+    hence the decile of the angles.
     """
     steps = np.abs(np.diff(trajectory, axis=0))
     positions, angles = steps[..., :2], steps[:, : len(AGENTS), 2]
     return Jitter(
-        float(np.quantile(positions, 0.25) / _LOWER_QUARTILE),
-        float(np.quantile(angles, 0.25) / _LOWER_QUARTILE),
+        float(np.quantile(positions, 0.25) / _QUARTILE),
+        float(np.quantile(angles, 0.1) / _DECILE),
     )
 
 
@@ -118,6 +121,8 @@ def window_features(
     """
     jitter = observed_jitter(trajectory)
     motions = [fitted_motion(trajectory[..., :2], reach, jitter.position) for reach in REACHES]
+    apart = np.linalg.norm(trajectory[:, 0, :2] - trajectory[:, 1, :2], axis=-1)
+    meets = apart < 1.5 * radius[: len(AGENTS)].sum() + _NEAR  # their broad sides included
     per_agent = []
     for agent in range(len(AGENTS)):
         grips = _grips(trajectory, radius, agent, jitter.position)
@@ -125,25 +130,27 @@ def window_features(
         size = float(radius[agent])
         rows = []
         for first, last in windows:
-            parts = [_scalars(size, int(last - first), jitter, motions[0].noise)]
+            parts = [_scalars(size, int(last - first), jitter)]
             parts.append(grips[:, first : last + 1].max(axis=0).mean(axis=0))
-            for motion, (pooled, counted) in zip(motions, seen, strict=True):
+            parts.append(meets[first : last + 1].mean(keepdims=True))
+            for motion, (pooled, driven) in zip(motions, seen, strict=True):
                 inside = slice(first, max(last + 1 - 2 * motion.reach, first))
-                parts += [_pooled(pooled[inside]), _histograms(counted[inside])]
+                noise = mass(agent, size) * motion.noise / FORCE_UNIT
+                parts += [np.array([min(noise, 2.0)]), _pooled(pooled[inside])]
+                if motion.reach == 1:
+                    parts += [_largest(driven[inside]), _histogram(driven[inside])]
             rows.append(np.concatenate(parts))
         per_agent.append(rows)
     return np.array(per_agent, np.float32).swapaxes(0, 1)
 
 
-def _scalars(size: float, length: int, jitter: Jitter, noise: float) -> FloatArray:
-    force_noise = mass(0, size) * noise / FORCE_UNIT
+def _scalars(size: float, length: int, jitter: Jitter) -> FloatArray:
     return np.array(
         [
             np.log(size),
             np.log(length) - 2.0,
             np.log(jitter.position + _ROUNDING) + 4.0,
             np.log(jitter.angle + _ROUNDING) + 4.0,
-            np.log(force_noise + 0.01),
         ]
     )
 
@@ -171,10 +178,10 @@ def _channels(
     grips: FloatArray,
     jitter: Jitter,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return what is pooled (time, channel) and what is counted (time, kind, [force, weight])."""
+    """Return what is pooled (time, channel), and forward forces with their steadiness (time, 2)."""
     n, reach = len(motion.velocity), motion.reach
     if n == 0:
-        return np.empty((0, 6)), np.empty((0, 2, 2))
+        return np.empty((0, 6)), np.empty((0, 2))
     own_mass = mass(agent, float(radius[agent]))
     force = own_mass * motion.acceleration[:, agent] + motion.friction[:, agent]
     angles = np.stack([trajectory[k : k + n, agent, 2] for k in range(2 * reach + 1)])
@@ -203,8 +210,7 @@ def _channels(
     pooled = [along, along * straight, along * steady, carried * alone]
     pooled = [channel / FORCE_UNIT for channel in pooled]
     pooled += [speed / SPEED_UNIT, item_speed * alone / SPEED_UNIT]
-    counted = [np.stack([along, steady], -1), np.stack([carried, alone], -1)]
-    return np.stack(pooled, axis=-1), np.stack(counted, axis=1)
+    return np.stack(pooled, axis=-1), np.stack([along, steady], axis=-1)
 
 
 def _closeness(deviation: FloatArray, tolerance: float) -> FloatArray:
@@ -220,8 +226,19 @@ def _pooled(channels: FloatArray) -> FloatArray:
     return np.concatenate([ordered[-1], ordered[-3:].mean(axis=0), ordered[n // 2]])
 
 
-def _histograms(counted: FloatArray) -> FloatArray:
+def _largest(driven: FloatArray) -> FloatArray:
+    """Return the largest force among the steady ones, 0 without any, and how often it was seen."""
+    moves = (driven[:, 0] > FLOOR_FRICTION) & (driven[:, 1] > 0.5)
+    force, weight = driven[moves].T
+    if len(force) == 0:
+        return np.zeros(2)
+    largest = force.max()
+    near = _closeness(force - largest, 0.05 * largest)
+    return np.array([largest / FORCE_UNIT, np.log1p((near * weight).sum())])
+
+
+def _histogram(driven: FloatArray) -> FloatArray:
     """Return how often each force was seen, on a logarithmic scale; shared by adjacent bins."""
-    force, weight = counted[..., 0], counted[..., 1]
-    shares = np.maximum(0.0, 1 - np.abs(force[..., None] - BINS) / (BINS[1] - BINS[0]))
-    return np.log1p((shares * weight[..., None]).sum(axis=0)).ravel()
+    force, weight = driven.T
+    shares = np.maximum(0.0, 1 - np.abs(force[:, None] - BINS) / (BINS[1] - BINS[0]))
+    return np.log1p((shares * weight[:, None]).sum(axis=0))

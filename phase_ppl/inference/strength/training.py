@@ -51,16 +51,18 @@ class TrainingSettings:
         batch: examples per step.
         learning_rate: at the start; it falls to zero along a cosine.
         weight_decay: of the weights.
+        dropout: share of hidden units left out in each step.
         seed: of everything random.
     """
 
-    events: int = 2400
+    events: int = 1500
     frames: int = 61
-    rounds: int = 8
-    epochs: int = 30
+    rounds: int = 6
+    epochs: int = 20
     batch: int = 512
     learning_rate: float = 2e-3
     weight_decay: float = 1e-2
+    dropout: float = 0.2
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -97,9 +99,14 @@ def train(events: Simulated, settings: TrainingSettings) -> tuple[StrengthNetwor
         x = np.clip((data.features - centre) / scale, -FARTHEST, FARTHEST)
         return torch.from_numpy(x), torch.from_numpy(data.strength)
 
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(settings.seed)
-        curves, layers = _fit(torch, tensors(examples), tensors(validation), settings)
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)  # sums, and so the weights, depend on the number
+    try:
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(settings.seed)
+            curves, layers = _fit(torch, tensors(examples), tensors(validation), settings)
+    finally:
+        torch.set_num_threads(threads)
     weights = {"centre": centre, "scale": scale}
     for number, layer in enumerate(layers, start=1):
         weights |= {f"weight_{number}": layer[0].T, f"bias_{number}": layer[1]}
@@ -121,7 +128,8 @@ def _fit(
     nn = torch.nn
     x, y = training
     net = nn.Sequential(
-        nn.Linear(x.shape[1], HIDDEN), nn.ReLU(), nn.Linear(HIDDEN, HIDDEN), nn.ReLU(),
+        nn.Linear(x.shape[1], HIDDEN), nn.ReLU(), nn.Dropout(settings.dropout),
+        nn.Linear(HIDDEN, HIDDEN), nn.ReLU(), nn.Dropout(settings.dropout),
         nn.Linear(HIDDEN, 2),
     )  # fmt: skip
     optimizer = torch.optim.AdamW(
@@ -133,6 +141,7 @@ def _fit(
     best, kept = np.inf, []
     for _ in tqdm(range(settings.epochs), desc="epochs", disable=None):
         losses = []
+        net.train()
         for batch in torch.randperm(len(x)).split(settings.batch):
             optimizer.zero_grad()
             loss = _negative_log_density(torch, net(x[batch]), y[batch])
@@ -140,6 +149,7 @@ def _fit(
             optimizer.step()
             schedule.step()
             losses.append(loss.item())
+        net.eval()
         with torch.no_grad():
             loss = _negative_log_density(torch, net(validation[0]), validation[1]).item()
         curves["training"].append(round(float(np.mean(losses)), 4))
