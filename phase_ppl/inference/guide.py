@@ -26,7 +26,6 @@ from numpyro.distributions import constraints
 from numpyro.primitives import Messenger
 
 from phase_ppl.inference.proposals import BottomUpTables
-from phase_ppl.inference.strength import VALIDATION_SD
 from phase_ppl.models.density import Program, draw, log_density
 from phase_ppl.models.one_of import OneOf
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, IMPOSSIBLE, STRENGTH_SITES
@@ -50,7 +49,6 @@ def bottom_up_guide(
     tables: BottomUpTables,
     *,
     prior_share: float,
-    strength_sd: float = VALIDATION_SD,
 ) -> Mixture:
     """Return the program ``guide(window)``: (1 - share) Q_local + share prior, one joint mixture.
 
@@ -59,22 +57,19 @@ def bottom_up_guide(
         sites: its latent sites and their shapes, in the order in which it samples them.
         tables: of the event; the index after the last window stands for the whole observation.
         prior_share: weight of the prior, in (0, 1).
-        strength_sd: error of the strengths' estimate, newtons.
     """
-    local = _local_program(prior, sites, tables, strength_sd)
+    local = _local_program(prior, sites, tables)
     return Mixture((local, lambda window: prior()), (1 - prior_share, prior_share), sites)
 
 
 def _local_program(
-    prior: Program,
-    sites: Mapping[str, tuple[int, ...]],
-    tables: BottomUpTables,
-    strength_sd: float,
+    prior: Program, sites: Mapping[str, tuple[int, ...]], tables: BottomUpTables
 ) -> Program:
     logits = jnp.asarray(tables.goal_logits, jnp.float32)
     strength = jnp.asarray(tables.strength, jnp.float32)
     known = ~jnp.isnan(strength)
     estimate = jnp.where(known, strength, float(np.mean(STRENGTH_RANGE)))
+    sd = jnp.where(known, jnp.asarray(tables.strength_sd, jnp.float32), 1.0)
 
     social = None if tables.alpha_logits is None else jnp.asarray(tables.alpha_logits, jnp.float32)
     order = list(sites)
@@ -93,7 +88,10 @@ def _local_program(
             replace[name] = functools.partial(_goal_distribution, logits[window, ..., agent, :])
         for agent, name in enumerate(STRENGTH_SITES):
             normal = dist.TruncatedNormal(
-                estimate[window, agent], strength_sd, low=STRENGTH_RANGE[0], high=STRENGTH_RANGE[1]
+                estimate[window, agent],
+                sd[window, agent],
+                low=STRENGTH_RANGE[0],
+                high=STRENGTH_RANGE[1],
             )
             replace[name] = functools.partial(_strength_distribution, known[window, agent], normal)
         with (

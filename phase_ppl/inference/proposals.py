@@ -29,7 +29,8 @@ from numpy.typing import NDArray
 
 from phase_ppl.inference.goal_features import GOAL_PARTS, goal_features
 from phase_ppl.inference.social import joint_logits
-from phase_ppl.inference.strength import driving_hits, estimated_strength
+from phase_ppl.inference.strength.estimates import Estimator
+from phase_ppl.inference.strength.estimators import DEFAULT_ESTIMATOR, estimated_strengths
 from phase_ppl.models.sites import IMPOSSIBLE, SELF_REFERRING
 from phase_ppl.world.goals import N_GOALS, goal_literal
 from phase_ppl.world.literals import Predicate
@@ -65,12 +66,14 @@ class BottomUpTables(NamedTuple):
     Attributes:
         goal_logits: (window + 1, agent, goal) unnormalised log probabilities of stated goals; or
             (window + 1, alpha, agent, goal), given alpha.
-        strength: (window + 1, agent) estimate, newtons; NaN where there is no free driving.
+        strength: (window + 1, agent) estimate, newtons; NaN where there is none.
+        strength_sd: (window + 1, agent) its standard deviation, newtons; NaN likewise.
         alpha_logits: (window + 1, alpha) beside the prior's; None: alpha as in the prior.
     """
 
     goal_logits: FloatArray | jax.Array
     strength: FloatArray | jax.Array
+    strength_sd: FloatArray | jax.Array
     alpha_logits: FloatArray | jax.Array | None = None
 
 
@@ -82,6 +85,7 @@ def bottom_up_tables(
     form: Form = "learned",
     gamma: float = 10.0,
     sign: Sign = "intended",
+    strength: str | Estimator = DEFAULT_ESTIMATOR,
 ) -> BottomUpTables:
     """Return the tables of an event.
 
@@ -91,22 +95,23 @@ def bottom_up_tables(
         form: of the proposal of goals, "learned" or "paper".
         gamma: weight of the distances in the paper's form.
         sign: "intended", or "printed" as in the paper.
+        strength: name of an estimator of strengths, or one.
     """
     n_frames = observation.n_frames
     length = window_length(n_frames, window)
     starts = np.arange(window_count(n_frames, window))
     first, last = np.append(starts, 0), np.append(starts + length, n_frames - 1)
-    hits = driving_hits(observation.trajectory, scene.radius)
-    strength = np.stack([estimated_strength(hits, a, b) for a, b in zip(first, last, strict=True)])
+    windows = np.column_stack([first, last])
+    estimates = estimated_strengths(strength, scene, observation, windows)
     if form == "learned":
         joint = joint_logits(_scores(scene, observation, first, last))
-        return BottomUpTables(joint.goal, strength, joint.alpha)
+        return BottomUpTables(joint.goal, *estimates, joint.alpha)
     distance = goal_distances(scene, observation)
     x0, x1, y0, y1 = scene.arena
     unit = float(np.hypot(x1 - x0, y1 - y0))
     closeness = gamma * (2 * distance[last] - distance[first]) / unit
     logits = closeness if sign == "printed" else -closeness
-    return BottomUpTables(np.where(SELF_REFERRING, IMPOSSIBLE, logits), strength)
+    return BottomUpTables(np.where(SELF_REFERRING, IMPOSSIBLE, logits), *estimates)
 
 
 def _scores(scene: Scene, observation: Observation, first: IntArray, last: IntArray) -> FloatArray:

@@ -20,6 +20,7 @@ from phase_ppl.inference.plan import Plan, fields_of
 from phase_ppl.inference.progress import Progress
 from phase_ppl.inference.proposals import bottom_up_tables
 from phase_ppl.inference.settings import Budget, SimpleSettings, TimeBudget
+from phase_ppl.inference.strength.estimators import estimator_name
 from phase_ppl.models.bridge import SimulatorBridge
 from phase_ppl.models.program import event_salt
 from phase_ppl.simulator.contract import Cancelled
@@ -123,6 +124,7 @@ class Session:
             form=plan.settings.proposal,
             gamma=plan.settings.gamma,
             sign=plan.settings.sign,
+            strength=plan.settings.strength,
         )
         data = EventData(tables, event_salt(scene, observation), self._bridge.handle)
         options = tuple(plan.options.items())
@@ -258,4 +260,5 @@ class Session:
 
 def _without_beta(settings: SimpleSettings) -> dict[str, Any]:
     """Return the settings; beta is left to the model's likelihood, which has it."""
-    return {name: value for name, value in fields_of(settings).items() if name != "beta"}
+    plain = fields_of(settings) | {"strength": estimator_name(settings.strength)}
+    return {name: value for name, value in plain.items() if name != "beta"}

@@ -6,6 +6,8 @@ import dataclasses
 import math
 
 from phase_ppl.inference.proposals import FORMS, SIGNS, Form, Sign
+from phase_ppl.inference.strength.estimates import Estimator
+from phase_ppl.inference.strength.estimators import DEFAULT_ESTIMATOR, strength_estimator
 from phase_ppl.world.checks import whole_number as whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 
@@ -24,10 +26,12 @@ class SimpleSettings:
             by default the paper's 0.05.
         prior_share: weight of the prior in the proposal.
         sign: "intended": goals that are close are proposed; "printed": as the paper's formula.
+        strength: what estimates the strengths of the proposal: a name of
+            :data:`~phase_ppl.inference.strength.estimators.ESTIMATORS`, or an estimator.
 
     Raises:
         InvalidSettingError: a value is out of range.
-        UnknownNameError: an unknown proposal or sign.
+        UnknownNameError: an unknown proposal, sign or estimator.
     """
 
     eta: float = 0.1
@@ -37,6 +41,7 @@ class SimpleSettings:
     beta: float | None = None
     prior_share: float = 0.1
     sign: Sign = "intended"
+    strength: str | Estimator = DEFAULT_ESTIMATOR
 
     def __post_init__(self) -> None:
         for name in ("eta", "gamma"):
@@ -51,6 +56,7 @@ class SimpleSettings:
         for name, allowed in (("sign", SIGNS), ("proposal", FORMS)):
             if getattr(self, name) not in allowed:
                 raise unknown_name(name, getattr(self, name), allowed)
+        strength_estimator(self.strength)
 
 
 def _is_number(value: object) -> bool:

@@ -22,6 +22,7 @@ from phase_ppl.inference.proposals import (
     window_count,
     window_length,
 )
+from phase_ppl.inference.strength.estimates import StrengthEstimates
 from phase_ppl.models import priors, sites
 from phase_ppl.models.density import draw, log_density
 from phase_ppl.models.model import Model
@@ -54,7 +55,7 @@ def test_windows_cover_all_frames(n_frames: int, length: int, count: int) -> Non
     assert (window_length(n_frames, 10), window_count(n_frames, 10)) == (length, count)
     tables = distances(SCENE, moving(2, (20.0, 6.0), n_frames))
     assert tables.goal_logits.shape == (count + 1, 2, 36)
-    assert tables.strength.shape == (count + 1, 2)
+    assert tables.strength.shape == tables.strength_sd.shape == (count + 1, 2)
 
 
 def test_goal_that_an_item_comes_to_is_the_likeliest_of_its_own() -> None:
@@ -118,13 +119,18 @@ def test_goals_that_name_their_holder_are_never_proposed() -> None:
 # --- the guide as a program --------------------------------------------------------------------
 
 
+def red_is_known(scene: Scene, observation: Observation, windows: np.ndarray) -> StrengthEstimates:
+    """An estimator of one's own: 300 N for the red agent, give or take 40, nothing for green."""
+    known = np.tile([True, False], (len(windows), 1))
+    return StrengthEstimates(np.where(known, 300.0, np.nan), np.where(known, 40.0, np.nan))
+
+
 def guide_of(prior: Callable[[], Any], form: Form = "learned") -> Mixture:
     """A guide with an estimate of the red strength, none of the green one."""
-    tables = bottom_up_tables(SCENE, moving(2, (23.5, 4.5)), form=form)
-    strength = np.full(tables.strength.shape, np.nan)
-    strength[:, RED] = 300.0
+    observation = moving(2, (23.5, 4.5))
+    tables = bottom_up_tables(SCENE, observation, form=form, strength=red_is_known)
     model = Model(prior=prior, simulator=never_called)
-    return bottom_up_guide(prior, model.sites, tables._replace(strength=strength), prior_share=0.1)
+    return bottom_up_guide(prior, model.sites, tables, prior_share=0.1)
 
 
 WINDOW = 3

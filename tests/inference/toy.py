@@ -144,7 +144,7 @@ def table_guide(prior: Any = few_goals, seed: int = 1) -> Mixture:
     logits = rng.normal(0.0, 2.0, (n_windows + 1, 2, N_GOALS))
     strength = np.full((n_windows + 1, 2), np.nan)
     strength[1] = 300.0, 450.0
-    tables = BottomUpTables(logits, strength)
+    tables = BottomUpTables(logits, strength, np.where(np.isnan(strength), np.nan, 40.0))
     return bottom_up_guide(prior, Model(prior=prior).sites, tables, prior_share=0.1)
 
 

@@ -16,9 +16,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from phase_ppl.inference.strength.estimates import StrengthEstimates
 from phase_ppl.physics.constants import FLOOR_FRICTION, STEP, mass
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS
 from phase_ppl.world.names import AGENTS
+from phase_ppl.world.observation import Observation
+from phase_ppl.world.scene import Scene
 
 FloatArray = NDArray[np.float64]
 
@@ -34,6 +37,18 @@ MIN_SPEED: Final = 0.3
 VALIDATION_SD: Final = 40.0
 """Root mean square error of the rule on the 50 development videos, newtons: 39 on whole videos
 (59 of 100 agents give one; 58 are right, one is two levels off), 35 on windows of 10 steps."""
+
+
+def analytic_strengths(
+    scene: Scene, observation: Observation, windows: NDArray[np.int64]
+) -> StrengthEstimates:
+    """Return the level that each window gives away; none without free driving.
+
+    Arguments as for :class:`~phase_ppl.inference.strength.estimates.Estimator`.
+    """
+    hits = driving_hits(observation.trajectory, scene.radius)
+    mean = np.array([estimated_strength(hits, first, last) for first, last in windows])
+    return StrengthEstimates(mean, np.where(np.isnan(mean), np.nan, VALIDATION_SD))
 
 
 def driving_hits(trajectory: FloatArray, radius: FloatArray) -> FloatArray:

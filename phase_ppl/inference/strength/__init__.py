@@ -1,0 +1,1 @@
+"""How strong the agents seem: the estimators that SIMPLE proposes strengths by."""

@@ -1,0 +1,272 @@
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from phase_ppl.dataset.bundled import bundled_events, load_bundled
+from phase_ppl.inference.proposals import bottom_up_tables
+from phase_ppl.inference.settings import SimpleSettings
+from phase_ppl.inference.strength.estimates import StrengthEstimates, quality
+from phase_ppl.inference.strength.estimators import (
+    ESTIMATORS,
+    estimated_strengths,
+    estimator_name,
+)
+from phase_ppl.inference.strength.examples import blurred
+from phase_ppl.inference.strength.features import N_FEATURES, observed_jitter, window_features
+from phase_ppl.inference.strength.network import SHAPES, StrengthNetwork, shipped_network
+from phase_ppl.inference.strength.scenes import simulate_events
+from phase_ppl.physics.actions import Action
+from phase_ppl.physics.pymunk_world import PymunkWorld
+from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
+from phase_ppl.world.observation import Observation
+from phase_ppl.world.scene import Scene
+
+EVENT = load_bundled("collaborate")
+TRAJECTORY = EVENT.observation.trajectory
+RADIUS = EVENT.scene.radius
+ALL = np.array([[0, len(TRAJECTORY) - 1]])
+PRIOR_LOG_DENSITY = -np.log(450.0)
+
+
+def no_weights() -> dict[str, np.ndarray]:
+    weights = {name: np.zeros(shape) for name, shape in SHAPES.items()}
+    return weights | {"scale": np.ones(SHAPES["scale"])}
+
+
+# --- features ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("n_frames", [2, 3, 4, 7])
+def test_features_are_finite_for_the_shortest_observations(n_frames: int) -> None:
+    windows = np.array([[0, n_frames - 1], [0, 1], [n_frames - 2, n_frames - 1]])
+    features = window_features(TRAJECTORY[:n_frames], RADIUS, windows)
+    assert features.shape == (3, 2, N_FEATURES)
+    assert np.isfinite(features).all()
+
+
+def test_features_do_not_depend_on_place_or_direction() -> None:
+    windows = np.array([[0, 12], [5, 40]])
+    turned = TRAJECTORY[..., [1, 0, 2]] * [-1, 1, 1] + [3.0, -7.0, np.pi / 2]
+    reflected = TRAJECTORY * [-1, 1, -1]
+    reference = window_features(TRAJECTORY, RADIUS, windows)
+    for moved in (turned, reflected):
+        np.testing.assert_allclose(
+            window_features(moved, RADIUS, windows), reference, rtol=1e-3, atol=1e-3
+        )
+
+
+def test_window_knows_only_its_own_frames_but_for_the_jitter() -> None:
+    changed = TRAJECTORY.copy()
+    changed[30:] = changed[:29:-1]  # as much rest and motion as before
+    windows = np.array([[4, 20]])
+    before, after = (window_features(t, RADIUS, windows)[0] for t in (TRAJECTORY, changed))
+    assert np.abs(before - after).max() < 0.1
+    assert np.abs(before - window_features(TRAJECTORY, RADIUS, windows + 8)[0]).max() > 0.5
+
+
+@pytest.mark.parametrize("jitter", [0.02, 0.1, 0.3])
+def test_jitter_is_read_off_what_rests(jitter: float) -> None:
+    seen = blurred(TRAJECTORY, jitter, np.random.default_rng(0))
+    assert jitter < observed_jitter(seen).position < 1.6 * jitter
+
+
+def test_jitter_blurs_positions_and_angles_by_the_stated_amounts() -> None:
+    noise = blurred(np.zeros((4000, 4, 3)), 0.2, np.random.default_rng(0), angle=0.5)
+    np.testing.assert_allclose(noise.std(axis=(0, 1)), [0.2, 0.2, 0.1], rtol=0.05)
+
+
+# --- the network -------------------------------------------------------------------------------
+
+
+def test_forward_pass_equals_one_worked_by_hand() -> None:
+    weights = no_weights()
+    weights["centre"][3], weights["scale"][3] = 1.0, 2.0
+    weights["weight_1"][3, 0], weights["bias_1"][0] = 3.0, -1.0
+    weights["weight_2"][0, 5], weights["bias_2"][5] = 0.5, 0.5
+    weights["weight_1"][3, 1], weights["weight_2"][1, 5] = -1.0, 100.0  # cut by the ReLU
+    weights["weight_3"][5], weights["bias_3"][:] = (1.0, -1.0), (np.log(3) - 3, 3.0)
+    features = np.zeros(N_FEATURES)
+    features[3] = 5.0  # 2 once scaled; 5 and 0 in the first layer; 3 in the second
+    mean, sd = StrengthNetwork(weights).outputs(features)
+    assert mean == pytest.approx(150 + 0.75 * 450)
+    assert sd == pytest.approx(np.sqrt(5 * 800))
+
+
+def test_shipped_network_beats_the_prior_on_new_events() -> None:
+    events = simulate_events(8, 40, seed=20_000)
+    for jitter, gain in ((0.0, 0.5), (0.1, 0.1)):
+        found, truth = [], []
+        rng = np.random.default_rng(0)
+        for trajectory, radius, strength in zip(*events, strict=True):
+            seen = blurred(trajectory, jitter, rng)
+            found.append(
+                shipped_network().outputs(window_features(seen, radius, np.array([[0, 39]])))
+            )
+            truth.append(strength)
+        mean, sd = (np.concatenate(part) for part in zip(*found, strict=True))
+        judged = quality(StrengthEstimates(mean, sd), np.array(truth))
+        assert judged.log_density > PRIOR_LOG_DENSITY + gain
+
+
+def test_shipped_network_knows_little_of_agents_at_rest() -> None:
+    resting = Observation(np.repeat(TRAJECTORY[:1], 30, axis=0))
+    estimates = estimated_strengths("network", EVENT.scene, resting, np.array([[0, 29], [0, 10]]))
+    assert (estimates.sd > 100).all()
+
+
+def test_jitter_makes_the_network_less_sure() -> None:
+    sds = []
+    for jitter in (0.0, 0.3):
+        seen = Observation(blurred(TRAJECTORY, jitter, np.random.default_rng(0)))
+        sds.append(estimated_strengths("network", EVENT.scene, seen, ALL).sd)
+    assert (sds[1] > 2 * sds[0]).all()
+
+
+def test_stronger_agents_seem_stronger() -> None:
+    start = np.array([[7.0, 12, -np.pi / 2], [20, 4, 0], [8, 20, 0], [24, 20, 0]])
+    scene = Scene(start, np.full(4, 0.8))
+    means = []
+    for strength in (200.0, 350.0, 500.0):
+        world = PymunkWorld(scene, (strength, 300.0))
+        rows = [world.step((int(Action.UP), int(Action.STOP))) for _ in range(6)]
+        seen = Observation(np.array([start, *rows]))
+        estimates = estimated_strengths("network", scene, seen, np.array([[0, 6]]))
+        means.append(estimates.mean[0, 0])
+        assert estimates.mean[0, 0] == pytest.approx(strength, abs=60)
+    assert means == sorted(means)
+
+
+def test_every_estimator_takes_the_shortest_observations() -> None:
+    for name in ESTIMATORS:
+        for n_frames in (2, 3):
+            seen = Observation(TRAJECTORY[:n_frames])
+            tables = bottom_up_tables(EVENT.scene, seen, strength=name)
+            assert np.isnan(tables.strength).all() or np.isfinite(tables.strength).all()
+            np.testing.assert_array_equal(np.isnan(tables.strength), np.isnan(tables.strength_sd))
+
+
+# --- files of weights --------------------------------------------------------------------------
+
+
+def test_weights_survive_saving(tmp_path: Path) -> None:
+    shipped_network().save(tmp_path / "w.npz")
+    features = window_features(TRAJECTORY, RADIUS, ALL)
+    again = StrengthNetwork.load(tmp_path / "w.npz")
+    np.testing.assert_array_equal(again.outputs(features), shipped_network().outputs(features))
+
+
+def test_damaged_files_are_refused_by_name(tmp_path: Path) -> None:
+    whole = tmp_path / "whole.npz"
+    shipped_network().save(whole)
+    content = whole.read_bytes()
+    damaged = bytearray(content)
+    damaged[len(content) // 2] ^= 0xFF
+    for name, data in {
+        "cut.npz": content[: len(content) // 2],
+        "flipped.npz": bytes(damaged),
+        "text.npz": b"no weights",
+        "empty.npz": b"",
+    }.items():
+        (tmp_path / name).write_bytes(data)
+        with pytest.raises(InvalidSettingError, match=name):
+            StrengthNetwork.load(tmp_path / name)
+    with pytest.raises(InvalidSettingError, match=r"absent\.npz"):
+        StrengthNetwork.load(tmp_path / "absent.npz")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"weight_2": np.zeros((3, 3))}, r"weight_2 has shape \(3, 3\), expected \(64, 64\)"),
+        ({"bias_3": np.array([0.0, np.nan])}, "bias_3 .* finite"),
+        ({"bias_3": np.array(["a", "b"])}, "bias_3 .* finite"),
+        ({"scale": np.zeros(N_FEATURES)}, "scale .* not positive"),
+    ],
+)
+def test_arrays_that_cannot_be_weights_are_refused(
+    change: dict[str, np.ndarray], message: str
+) -> None:
+    with pytest.raises(InvalidSettingError, match=message):
+        StrengthNetwork(no_weights() | change)
+
+
+def test_missing_array_is_named() -> None:
+    weights = no_weights()
+    del weights["bias_2"]
+    with pytest.raises(InvalidSettingError, match="bias_2 is missing"):
+        StrengthNetwork(weights)
+
+
+def test_inference_needs_no_torch(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "torch", None)
+    shipped_network.cache_clear()
+    for name in bundled_events():
+        event = load_bundled(name)
+        assert np.isfinite(bottom_up_tables(event.scene, event.observation).strength_sd).any()
+
+
+# --- the slot ----------------------------------------------------------------------------------
+
+
+def test_settings_take_names_functions_and_networks() -> None:
+    mine = StrengthNetwork(no_weights())
+    assert SimpleSettings(strength=mine).strength is mine
+    tables = bottom_up_tables(EVENT.scene, EVENT.observation, strength=mine)
+    np.testing.assert_allclose(tables.strength, 375.0)
+    assert estimator_name(mine).endswith("StrengthNetwork")
+    assert estimator_name("analytic") == "analytic"
+
+
+def test_unknown_estimators_are_named() -> None:
+    with pytest.raises(UnknownNameError, match="'networks'; did you mean 'network'"):
+        SimpleSettings(strength="networks")
+    with pytest.raises(InvalidSettingError, match="strength=3"):
+        SimpleSettings(strength=3)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("mean", "sd", "message"),
+    [
+        (np.zeros(2), np.ones((1, 2)), r"shapes \(2,\) and \(1, 2\), expected \(1, 2\)"),
+        (np.full((1, 2), 300.0), np.zeros((1, 2)), "standard deviation 0"),
+        (np.full((1, 2), 300.0), np.full((1, 2), np.nan), "standard deviation nan"),
+        (np.full((1, 2), np.inf), np.ones((1, 2)), "mean inf"),
+    ],
+)
+def test_answers_that_are_no_distributions_are_refused(
+    mean: np.ndarray, sd: np.ndarray, message: str
+) -> None:
+    def odd(scene: Scene, observation: Observation, windows: np.ndarray) -> StrengthEstimates:
+        return StrengthEstimates(mean, sd)
+
+    with pytest.raises(InvalidSettingError, match=message):
+        estimated_strengths(odd, EVENT.scene, EVENT.observation, ALL)
+
+
+# --- quality -----------------------------------------------------------------------------------
+
+
+def test_quality_without_an_estimate_is_that_of_the_uniform_prior() -> None:
+    truth = np.linspace(150, 600, 1000)[:, None]
+    nothing = np.full(truth.shape, np.nan)
+    found = quality(StrengthEstimates(nothing, nothing), truth)
+    assert found.share == 0
+    assert found.log_density == pytest.approx(PRIOR_LOG_DENSITY, abs=1e-6)
+    assert found.rmse == pytest.approx(450 / np.sqrt(12), rel=0.01)
+    assert found.log_mixture == pytest.approx(PRIOR_LOG_DENSITY, abs=1e-6)
+    assert np.isnan(found.coverage)
+
+
+def test_quality_of_a_known_normal_distribution() -> None:
+    rng = np.random.default_rng(0)
+    truth = rng.normal(375, 30, (4000, 1))
+    found = quality(StrengthEstimates(np.full((4000, 1), 375.0), np.full((4000, 1), 30.0)), truth)
+    assert found.share == 1
+    assert found.log_density == pytest.approx(-0.5 - np.log(30 * np.sqrt(2 * np.pi)), abs=0.05)
+    assert found.log_density - 0.12 < found.log_mixture < found.log_density
+    assert found.rmse == pytest.approx(30, rel=0.05)
+    assert found.coverage == pytest.approx(0.683, abs=0.03)
