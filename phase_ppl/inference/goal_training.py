@@ -1,0 +1,293 @@
+"""Learning which features of an agent's motion speak for which goal.
+
+    python -m phase_ppl.inference.goal_training FOLDER
+
+Simulates events in scenes like those of PHASE (or reads them from --events-file) and maximises
+the log probability that the joint proposal of :mod:`phase_ppl.inference.social` gives to their
+true effective goals: for whole events, and for the mean over windows of the paper's length.
+Writes FOLDER/goal_weights.npz and the report FOLDER/goal_weights.json.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import loky
+import numpy as np
+import scipy.optimize
+from jax.scipy.special import logsumexp
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from phase_ppl.inference.goal_features import FEATURES, GOAL_PARTS, KINDS, goal_features
+from phase_ppl.inference.proposals import WEIGHTS_FILE, window_length
+from phase_ppl.inference.strength.scenes import draw_scene
+from phase_ppl.models import priors
+from phase_ppl.models.effective import log_prior_of_effective
+from phase_ppl.simulator.joint import JointSimulator
+from phase_ppl.simulator.simulate import simulate
+from phase_ppl.world.goals import N_GOALS, goal_literal, literal_goal, opposed_goal
+from phase_ppl.world.hypothesis import STRENGTH_LEVELS, Hypothesis
+from phase_ppl.world.literals import Literal, Predicate
+from phase_ppl.world.names import AGENTS, BLUE_ITEM, LANDMARKS, PINK_ITEM
+from phase_ppl.world.observation import Observation
+from phase_ppl.world.scene import Scene
+
+FloatArray = NDArray[np.float64]
+Array = jax.Array | NDArray[Any]
+
+SHARES: Final = {"collaborative": 0.25, "independent": 0.25, "opposing": 0.3, "competing": 0.2}
+"""Of the events that are drawn."""
+
+FRAMES: Final = 101
+QUIET: Final = 0.02
+"""Units per frame below which nothing moves; events are cut soon after the last motion, as
+PHASE's recordings are."""
+
+AFTER_MOTION: Final = 8
+SHORTEST: Final = 30
+WINDOW: Final = 10
+WINDOWS: Final = 20
+"""Windows drawn per event for training."""
+
+EVERY_WINDOW: Final = 0.3
+"""Weight of the mean log probability over windows, beside the log of the mean."""
+
+DECAY: Final = 1e-3
+ITERATIONS: Final = 150
+
+
+class Drawn(NamedTuple):
+    """A simulated event with its effective goals."""
+
+    scene: Scene
+    observation: Observation
+    goals: tuple[int, int]
+
+
+# --- events ----------------------------------------------------------------------------------
+
+
+def draw_goals(rng: np.random.Generator) -> tuple[str, tuple[int, int]]:
+    """Return a scenario and a pair of effective goals of it."""
+    scenario = str(rng.choice(list(SHARES), p=list(SHARES.values())))
+    first = int(rng.integers(len(AGENTS)))
+    if scenario == "collaborative":
+        goal = _item_goal(rng) if rng.random() < 0.7 else _self_goal(rng, first)
+        return scenario, (goal, goal)
+    if scenario == "independent":
+        red, green = (
+            _item_goal(rng) if rng.random() < 0.6 else _self_goal(rng, agent)
+            for agent in range(len(AGENTS))
+        )
+        return scenario, (red, green)
+    if scenario == "opposing":
+        about = rng.choice(3)
+        goal = (
+            _item_goal(rng)
+            if about == 0
+            else _self_goal(rng, first)
+            if about == 1
+            else literal_goal(Literal(Predicate.TOUCH, first, 1 - first, True))
+        )
+        against = opposed_goal(goal, first)
+        return scenario, (goal, against) if first == 0 else (against, goal)
+    item = int(rng.choice((BLUE_ITEM, PINK_ITEM)))
+    red, green = (
+        literal_goal(Literal(Predicate.ON, item, int(landmark), True))
+        for landmark in rng.permutation(len(LANDMARKS))[:2]
+    )
+    return scenario, (red, green)
+
+
+def _item_goal(rng: np.random.Generator) -> int:
+    item = int(rng.choice((BLUE_ITEM, PINK_ITEM)))
+    return literal_goal(Literal(Predicate.ON, item, int(rng.integers(len(LANDMARKS))), True))
+
+
+def _self_goal(rng: np.random.Generator, agent: int) -> int:
+    return literal_goal(Literal(Predicate.ON, agent, int(rng.integers(len(LANDMARKS))), True))
+
+
+def draw_event(seed: int, index: int) -> Drawn | None:
+    """Return one simulated event; None where it does not show what its goals say."""
+    rng = np.random.default_rng([seed, index])
+    scene = draw_scene(rng)
+    scenario, goals = draw_goals(rng)
+    strengths = map(float, rng.choice(STRENGTH_LEVELS, len(AGENTS)))
+    if scenario != "opposing" and _achieved(scene, goals, scene.start[None]).any():
+        return None
+    event = simulate(
+        scene, Hypothesis(*goals, (0, 0), *strengths), frames=FRAMES, seed=int(rng.integers(2**31))
+    )
+    track = event.observation.trajectory
+    if scenario in ("collaborative", "independent") and not _achieved(scene, goals, track).all():
+        return None
+    moving = np.flatnonzero(np.abs(np.diff(track[..., :2], axis=0)).max(axis=(1, 2)) > QUIET)
+    length = max(SHORTEST, int(moving.max(initial=0)) + 1 + AFTER_MOTION)
+    return Drawn(scene, Observation(track[:length]), goals)
+
+
+def _achieved(scene: Scene, goals: tuple[int, int], track: FloatArray) -> NDArray[np.bool_]:
+    """Return (agent,) whether its goal about a landmark was true in some frame."""
+    found = []
+    for agent, goal in enumerate(goals):
+        literal = goal_literal(goal, agent)
+        away = np.abs(track[:, literal.subject, :2] - scene.landmark_centres[literal.target])
+        found.append((away < scene.landmark_half_width).all(axis=1).any())
+    return np.array(found)
+
+
+def draw_events(n: int, seed: int, workers: int) -> list[Drawn]:
+    """Return the events among ``n`` draws that show what their goals say."""
+    JointSimulator().warm_up()
+    with loky.ProcessPoolExecutor(workers) as pool:
+        drawn = pool.map(functools.partial(draw_event, seed), range(n))
+        found = list(tqdm(drawn, total=n, desc="events", disable=None))
+    return [event for event in found if event is not None]
+
+
+# --- learning --------------------------------------------------------------------------------
+
+
+class Examples(NamedTuple):
+    """Features (event, window + 1, agent, goal, feature), the whole event last; true goals."""
+
+    features: NDArray[np.float32]
+    goals: NDArray[np.int64]
+
+
+def examples(events: list[Drawn], seed: int) -> Examples:
+    """Return the features of drawn windows and of whole events."""
+    rng = np.random.default_rng(seed)
+    rows = []
+    for event in tqdm(events, desc="features", disable=None):
+        n_frames = event.observation.n_frames
+        length = window_length(n_frames, WINDOW)
+        starts = rng.choice(n_frames - length, WINDOWS, replace=n_frames - length < WINDOWS)
+        first, last = np.append(starts, 0), np.append(starts + length, n_frames - 1)
+        rows.append(goal_features(event.scene, event.observation, first, last))
+    return Examples(np.array(rows, np.float32), np.array([event.goals for event in events]))
+
+
+@functools.cache
+def _log_prior() -> NDArray[np.float32]:
+    """Return (goal red, goal green) the paper's prior of effective goals, up to a constant."""
+    pairs = np.array(list(np.ndindex(N_GOALS, N_GOALS)))
+    strengths = {f"strength_{name}": np.full(len(pairs), 300.0) for name in ("red", "green")}
+    log_prior = log_prior_of_effective(priors.uniform, pairs, strengths)
+    return np.maximum(log_prior, -1e30).reshape(N_GOALS, N_GOALS).astype(np.float32)
+
+
+def log_proposal(weights: jax.Array, features: Array, goals: Array) -> jax.Array:
+    """Return (event, ...) log probabilities of the true pairs of effective goals.
+
+    Args:
+        weights: (kind, feature).
+        features: (event, ..., agent, goal, feature).
+        goals: (event, agent).
+    """
+    scores = (jnp.asarray(features) * weights[jnp.asarray(GOAL_PARTS.kind)]).sum(axis=-1)
+    joint = jnp.asarray(_log_prior()) + scores[..., 0, :, None] + scores[..., 1, None, :]
+    total = logsumexp(joint, axis=(-2, -1))
+    true = jax.vmap(lambda table, pair: table[..., pair[0], pair[1]])(joint, jnp.asarray(goals))
+    return true - total
+
+
+def loss_of_whole(weights: jax.Array, features: Array, goals: Array) -> jax.Array:
+    """Return the mean negative log probability from whole events."""
+    return -log_proposal(weights, features[:, -1], goals).mean()
+
+
+def loss_of_windows(weights: jax.Array, features: Array, goals: Array) -> jax.Array:
+    """Return the negative log of the mean probability over windows, and a share of each one's."""
+    found = log_proposal(weights, features[:, :-1], goals)
+    together = logsumexp(found, axis=1) - np.log(found.shape[1])
+    return -together.mean() - EVERY_WINDOW * found.mean()
+
+
+def learned(loss: Callable[..., jax.Array], data: Examples, batch: int = 64) -> FloatArray:
+    """Return the (kind, feature) weights of least loss, with a quadratic penalty."""
+    shape = len(KINDS), len(FEATURES)
+    gradient = jax.jit(jax.value_and_grad(loss))
+    parts = np.array_split(np.arange(len(data.goals)), max(1, len(data.goals) // batch))
+
+    def objective(flat: FloatArray) -> tuple[float, FloatArray]:
+        value, slope = DECAY * float(flat @ flat), 2 * DECAY * flat
+        for part in parts:
+            weights = jnp.asarray(flat.reshape(shape), jnp.float32)
+            one, other = gradient(weights, data.features[part], data.goals[part])
+            share = len(part) / len(data.goals)
+            value += share * float(one)
+            slope = slope + share * np.asarray(other, np.float64).ravel()
+        return value, slope
+
+    with tqdm(total=ITERATIONS, desc=loss.__name__.replace("_", " "), disable=None) as bar:
+        found = scipy.optimize.minimize(
+            objective,
+            np.zeros(np.prod(shape)),
+            jac=True,
+            method="L-BFGS-B",
+            options={"maxiter": ITERATIONS},
+            callback=lambda _: bar.update(1),
+        )
+    return np.asarray(found.x, np.float64).reshape(shape)
+
+
+def main(arguments: list[str] | None = None) -> dict[str, Any]:
+    """Draw events, learn, write the weights and a report, and return the report."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--draws", type=int, default=1200, help="events drawn, before the filter")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
+    options = parser.parse_args(arguments)
+    events = draw_events(options.draws, options.seed, options.workers)
+    data = examples(events, options.seed)
+    kept_back = np.arange(len(events)) % 10 == 0  # for validation
+    training = Examples(data.features[~kept_back], data.goals[~kept_back])
+    validation = Examples(data.features[kept_back], data.goals[kept_back])
+    weights = {
+        "window": learned(loss_of_windows, training),
+        "whole": learned(loss_of_whole, training),
+    }
+    losses = {"window": loss_of_windows, "whole": loss_of_whole}
+    report = {
+        "command": "python -m phase_ppl.inference.goal_training",
+        "draws": options.draws,
+        "seed": options.seed,
+        "events": len(events),
+        "shares": SHARES,
+        "loss": {
+            name: {
+                part: float(
+                    losses[name](jnp.asarray(weights[name], jnp.float32), some.features, some.goals)
+                )
+                for part, some in (("training", training), ("validation", validation))
+            }
+            for name in weights
+        },
+        "features": FEATURES,
+        "kinds": KINDS,
+    }
+    options.folder.mkdir(parents=True, exist_ok=True)
+    stored = {name: values.astype(np.float32) for name, values in weights.items()}
+    np.savez(options.folder / WEIGHTS_FILE, allow_pickle=False, **stored)
+    report_file = (options.folder / WEIGHTS_FILE).with_suffix(".json")
+    report_file.write_text(json.dumps(report, indent=1) + "\n")
+    print(json.dumps(report["loss"], indent=1))
+    return report
+
+
+if __name__ == "__main__":
+    main()
