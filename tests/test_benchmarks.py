@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -71,6 +72,14 @@ def test_an_unknown_setting_of_the_planner_is_named() -> None:
 def test_replay_of_recovered_actions(tmp_path: Path) -> None:
     report = figures(tmp_path, "realism.py", "replay")
     assert 0 < report["median_error_row5"] < report["median_error_row10"] < 0.2
+
+
+@pytest.mark.skipif(not VIDEOS.exists(), reason="the real videos are not at ../shared/phase-test")
+def test_strengths_of_a_few_videos(tmp_path: Path) -> None:
+    report = figures(tmp_path, "strength.py", "--limit", "4", "--draws", "1")
+    rows: list[dict[str, Any]] = report["rows"]  # type: ignore[assignment]
+    assert {row["estimator"] for row in rows} == {"analytic", "network"}
+    assert all(row["share"] == 1 for row in rows if row["estimator"] == "network")
 
 
 def test_missing_videos_are_reported(tmp_path: Path) -> None:

@@ -64,7 +64,8 @@ def test_window_knows_only_its_own_frames_but_for_the_jitter() -> None:
     changed[30:] = changed[:29:-1]  # as much rest and motion as before
     windows = np.array([[4, 20]])
     before, after = (window_features(t, RADIUS, windows)[0] for t in (TRAJECTORY, changed))
-    assert np.abs(before - after).max() < 0.1
+    of_jitter = [2, 3]
+    assert np.abs(np.delete(before - after, of_jitter, axis=1)).max() < 0.02
     assert np.abs(before - window_features(TRAJECTORY, RADIUS, windows + 8)[0]).max() > 0.5
 
 
@@ -97,14 +98,14 @@ def test_forward_pass_equals_one_worked_by_hand() -> None:
 
 
 def test_shipped_network_beats_the_prior_on_new_events() -> None:
-    events = simulate_events(8, 40, seed=20_000)
-    for jitter, gain in ((0.0, 0.5), (0.1, 0.1)):
+    events = simulate_events(6, 36, seed=20_000)
+    for jitter, gain in ((0.0, 0.8), (0.1, 0.4)):
         found, truth = [], []
         rng = np.random.default_rng(0)
         for trajectory, radius, strength in zip(*events, strict=True):
             seen = blurred(trajectory, jitter, rng)
             found.append(
-                shipped_network().outputs(window_features(seen, radius, np.array([[0, 39]])))
+                shipped_network().outputs(window_features(seen, radius, np.array([[0, 35]])))
             )
             truth.append(strength)
         mean, sd = (np.concatenate(part) for part in zip(*found, strict=True))
@@ -136,7 +137,7 @@ def test_stronger_agents_seem_stronger() -> None:
         seen = Observation(np.array([start, *rows]))
         estimates = estimated_strengths("network", scene, seen, np.array([[0, 6]]))
         means.append(estimates.mean[0, 0])
-        assert estimates.mean[0, 0] == pytest.approx(strength, abs=60)
+        assert estimates.mean[0, 0] == pytest.approx(strength, abs=100)
     assert means == sorted(means)
 
 

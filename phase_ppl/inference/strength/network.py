@@ -9,6 +9,7 @@ close to uniform.
 from __future__ import annotations
 
 import functools
+import io
 import zipfile
 from importlib import resources
 from pathlib import Path
@@ -69,7 +70,8 @@ class StrengthNetwork:
             InvalidSettingError: there is no such file, or it is damaged.
         """
         try:
-            with np.load(file, allow_pickle=False) as kept:
+            # from memory: NumPy leaves a damaged file open
+            with np.load(io.BytesIO(Path(file).read_bytes()), allow_pickle=False) as kept:
                 return cls({name: kept[name] for name in kept.files})
         except (OSError, EOFError, ValueError, AttributeError, zipfile.BadZipFile) as error:
             raise InvalidSettingError(
