@@ -183,7 +183,8 @@ def _log_prior() -> NDArray[np.float32]:
     """Return (goal red, goal green) the paper's prior of effective goals, up to a constant."""
     pairs = np.array(list(np.ndindex(N_GOALS, N_GOALS)))
     strengths = {f"strength_{name}": np.full(len(pairs), 300.0) for name in ("red", "green")}
-    log_prior = log_prior_of_effective(priors.uniform, pairs, strengths)
+    with jax.ensure_compile_time_eval():
+        log_prior = log_prior_of_effective(priors.uniform, pairs, strengths)
     return np.maximum(log_prior, -1e30).reshape(N_GOALS, N_GOALS).astype(np.float32)
 
 

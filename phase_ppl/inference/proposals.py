@@ -4,7 +4,8 @@ Computed once per event, in NumPy, in one of two forms.
 
 "learned". Goals are scored by :mod:`phase_ppl.inference.goal_features`, which also see what the
 agent itself did, and proposed together with alpha (:mod:`phase_ppl.inference.social`). The
-weights of the features were learned from simulated events.
+weights of the features were learned from simulated events. Strengths are estimated from the whole
+observation.
 
 "paper". A goal is proposed for a window from t1 to t2 in proportion to
 exp(-gamma (2 d(t2) - d(t1)) / 28.28): it is likely if it is nearly achieved at the end (d(t2)
@@ -105,7 +106,9 @@ def bottom_up_tables(
     estimates = estimated_strengths(strength, scene, observation, windows)
     if form == "learned":
         joint = joint_logits(_scores(scene, observation, first, last))
-        return BottomUpTables(joint.goal, *estimates, joint.alpha)
+        # an agent is as strong in one window as in another: the whole observation says it best
+        whole = (np.broadcast_to(part[-1], part.shape) for part in estimates)
+        return BottomUpTables(joint.goal, *whole, joint.alpha)
     distance = goal_distances(scene, observation)
     x0, x1, y0, y1 = scene.arena
     unit = float(np.hypot(x1 - x0, y1 - y0))
