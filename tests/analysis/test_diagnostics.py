@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from phase_ppl.analysis import Posterior
 from phase_ppl.world.hypothesis import Hypothesis
@@ -70,7 +71,8 @@ def test_effective_rows_fall_with_uneven_weights() -> None:
 def test_weighted_draws_are_judged_by_their_weights() -> None:
     simulations = [proposed(A, 0), proposed(B, 1)]
     tree = make_tree(simulations, [[0], [1], [1], [0]])
-    tree["sample_stats"]["log_weight"] = (("chain", "draw"), np.log([[3.0], [1.0], [1.0], [1.0]]))
+    log_weight = np.log([[3.0], [1.0], [1.0], [1.0]])
+    tree["sample_stats"]["log_weight"] = xr.DataArray(log_weight, dims=("chain", "draw"))
     found = Posterior(tree, "count").diagnostics()
     assert found["weighted_draws_ess"] == pytest.approx(36 / 12 / 4)
     # a ratio estimate: sqrt(4/3 * sum of (share * (indicator - 2/3))^2)

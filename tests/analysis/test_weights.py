@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from phase_ppl.analysis import Posterior
 from phase_ppl.analysis.tree import array
@@ -34,10 +35,11 @@ def test_count_gives_every_draw_the_same_weight() -> None:
 def test_count_heeds_the_weights_that_a_kernel_gave_its_draws() -> None:
     tree = make_tree([Simulation(A), Simulation(B)], [[0, 0, 1], [1, 1, 1]])
     log_weight = np.log(np.array([[2.0, 0, 1], [1, 0, 0]]) + 1e-300) - 500
-    tree["sample_stats"]["log_weight"] = (("chain", "draw"), log_weight)
+    stats = tree["sample_stats"]
+    stats["log_weight"] = xr.DataArray(log_weight, dims=("chain", "draw"))
     post = Posterior(tree, "count")
     assert goal_probabilities(post)[BLUE_TO_RED] == pytest.approx(0.5)
-    tree["sample_stats"]["log_weight"] = (("chain", "draw"), np.full((2, 3), -np.inf))
+    stats["log_weight"] = xr.full_like(stats["log_weight"], -np.inf)
     with pytest.raises(InvalidSettingError, match="cannot be weighted"):
         Posterior(tree, "count")
     assert Posterior(tree, "visited").diagnostics()["weighted_draws_ess"] is None

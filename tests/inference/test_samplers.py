@@ -168,7 +168,6 @@ def test_enumeration_visits_every_hypothesis_once_and_weighs_it() -> None:
         goals = [codes[i] for codes, i in zip((RED_GOALS, GREEN_GOALS), place, strict=False)]
         h = Hypothesis(*goals, ALPHAS[ALPHA_CODES[place[2]]])
         mass[h.effective_goals] = mass.get(h.effective_goals, 0.0) + share
-    # the states of the first iteration are those of the toy's second batch, so ask the records
     found: dict[tuple[int, int], float] = {}
     log_prior = dict(zip(seen, [0.0] * 44, strict=True))
     grid = kernel._grid
