@@ -76,27 +76,21 @@ def explain(task: Task) -> dict[str, Any]:
 def judge(task: Task, posterior: ppl.Posterior) -> dict[str, Any]:
     event, tree = task.event, posterior.tree
     truth = true_pair(event)
-    tried = set(
+    pairs = list(
         zip(
-            array(tree, "simulations", "goal_red").tolist(),
-            array(tree, "simulations", "goal_green").tolist(),
+            *(array(tree, "simulations", f"goal_{name}").tolist() for name in ("red", "green")),
             strict=True,
         )
     )
-    initial = array(tree, "simulations", "iteration") == 0
-    first = set(
-        zip(
-            array(tree, "simulations", "goal_red")[initial].tolist(),
-            array(tree, "simulations", "goal_green")[initial].tolist(),
-            strict=True,
-        )
-    )
+    first = array(tree, "simulations", "iteration") == 0
+    tried = set(pairs)
     answers = {weights: answer(ppl.Posterior(tree, weights), truth) for weights in WEIGHTINGS}
     result = {
         "scenario": event.truth.scenario if event.truth else None,
         "answers": answers,
         "tried": truth in tried,
-        "tried_at_first": truth in first,
+        "tried_at_first": truth
+        in {pair for pair, at_first in zip(pairs, first, strict=True) if at_first},
         "pairs": len(tried),
         "cost": posterior.cost,
         "log_joint": {},

@@ -34,6 +34,7 @@ _WHERE = {
     "bundled_events": "phase_ppl.dataset.bundled",
     "compare": "phase_ppl.inference.compare",
     "infer": "phase_ppl.inference.infer",
+    "kernel_info": "phase_ppl.inference.registry",
     "load_event": "phase_ppl.dataset.load",
     "load_events": "phase_ppl.dataset.load",
     "register_kernel": "phase_ppl.inference.registry",
@@ -74,6 +75,7 @@ if TYPE_CHECKING:
     from phase_ppl.inference.infer import seconds as seconds
     from phase_ppl.inference.infer import simulations as simulations
     from phase_ppl.inference.registry import available_kernels as available_kernels
+    from phase_ppl.inference.registry import kernel_info as kernel_info
     from phase_ppl.inference.registry import register_kernel as register_kernel
     from phase_ppl.models import priors as priors
     from phase_ppl.models import sites as sites

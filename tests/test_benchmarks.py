@@ -82,6 +82,23 @@ def test_strengths_of_a_few_videos(tmp_path: Path) -> None:
     assert all(row["share"] == 1 for row in rows if row["estimator"] == "network")
 
 
+@pytest.mark.skipif(not VIDEOS.exists(), reason="the real videos are not at ../shared/phase-test")
+def test_learned_proposals_find_the_truth_more_often_than_distances(tmp_path: Path) -> None:
+    report = figures(tmp_path, "proposals.py", "--limit", "8")
+    learned, paper = (report[form]["all"] for form in ("learned", "paper"))  # type: ignore[index]
+    assert learned["log_proposal"]["value"] > paper["log_proposal"]["value"] + 1
+
+
+@pytest.mark.skipif(not VIDEOS.exists(), reason="the real videos are not at ../shared/phase-test")
+def test_accuracy_is_kept_and_weighed_anew(tmp_path: Path) -> None:
+    tiny = ["--limit", "1", "--chains", "2", "--budget", "4", "--judging-seeds", "1"]
+    options = [*tiny, "--keep", str(tmp_path / "kept"), "--set", "simulations=20"]
+    report = figures(tmp_path, "accuracy.py", *options)
+    assert report["weights"]["count"]["n_videos"] == 4  # type: ignore[index]
+    assert len(list((tmp_path / "kept").glob("*.nc"))) == 4
+    assert figures(tmp_path, "accuracy.py", *options) == report
+
+
 def test_missing_videos_are_reported(tmp_path: Path) -> None:
     result = subprocess.run(
         [sys.executable, str(ROOT / "benchmarks" / "realism.py"), "replay"],

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import phase_ppl
-from phase_ppl.cli.shared import INTERRUPTED, command, load, whole, writable_folder
+from phase_ppl.cli.shared import INTERRUPTED, budget, command, load, whole, writable_folder
 from phase_ppl.world.errors import InvalidSettingError
 
 
@@ -30,7 +30,11 @@ def add_to(commands: Any) -> None:
         help="names, with options as NAME:OPTION=VALUE:OPTION=VALUE",
     )
     parser.add_argument(
-        "--budget", metavar="N", type=whole(1), default=500, help="simulations; default 500"
+        "--budget",
+        metavar="B",
+        type=budget,
+        default=phase_ppl.simulations(500),
+        help="simulations, as in 500 (the default), or seconds, as in 60s",
     )
     parser.add_argument("--repeats", metavar="R", type=whole(1), default=8, help="default 8")
     parser.add_argument("--chains", metavar="M", type=whole(1), default=15, help="default 15")
@@ -61,7 +65,7 @@ def _compare(options: argparse.Namespace) -> int:
             event,
             phase_ppl.Model(prior=options.prior, planner=options.planner),
             kernels=_kernels(options.kernels),
-            budget=phase_ppl.simulations(options.budget),
+            budget=options.budget,
             repeats=options.repeats,
             chains=options.chains,
             seed=options.seed,

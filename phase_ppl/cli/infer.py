@@ -15,6 +15,7 @@ import phase_ppl
 from phase_ppl.cli.shared import (
     BAD_INPUT,
     INTERRUPTED,
+    budget,
     command,
     load,
     one_line,
@@ -73,7 +74,7 @@ def _add_means(command: argparse.ArgumentParser) -> None:
     length = command.add_mutually_exclusive_group()
     length.add_argument("--iterations", metavar="L", type=whole(1), help="default 6, or as before")
     length.add_argument(
-        "--budget", metavar="B", type=_budget, help="simulations, as in 500, or seconds, as in 60s"
+        "--budget", metavar="B", type=budget, help="simulations, as in 500, or seconds, as in 60s"
     )
     command.add_argument(
         "--workers", metavar="N", type=whole(1), help="processes; default one per usable core"
@@ -192,17 +193,6 @@ def _write_results(post: Posterior, event: Event, out: Path) -> None:
 
 
 # --- options ---------------------------------------------------------------------------------
-
-
-def _budget(text: str) -> Any:
-    try:
-        if text.endswith("s"):
-            return phase_ppl.seconds(float(text[:-1]))
-        return phase_ppl.simulations(int(text))
-    except ValueError:  # of ours too
-        raise argparse.ArgumentTypeError(
-            f"{text!r} is no budget; expected simulations, as in 500, or seconds, as in 60s"
-        ) from None
 
 
 def _option(text: str) -> tuple[str, Any]:

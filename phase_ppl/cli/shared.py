@@ -86,3 +86,15 @@ def command(
         help="which way agents can turn; default: as observed",
     )
     return command
+
+
+def budget(text: str) -> Any:
+    """Return the budget that an option gives: simulations, as in 500, or seconds, as in 60s."""
+    try:
+        if text.endswith("s"):
+            return phase_ppl.seconds(float(text[:-1]))
+        return phase_ppl.simulations(int(text))
+    except ValueError:  # of ours too
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is no budget; expected simulations, as in 500, or seconds, as in 60s"
+        ) from None

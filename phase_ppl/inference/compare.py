@@ -77,7 +77,8 @@ def compare(
             class, or a function that makes a kernel. Options are the kernel's own, and
             ``chains`` and ``settings``, as in
             ``{"as printed": ("local_mh", {"rule": "paper"})}``.
-        budget: of every single run; ``phase_ppl.simulations(n)``, the initial ones included.
+        budget: of every single run; ``phase_ppl.simulations(n)``, the initial ones included, or
+            ``phase_ppl.seconds(t)``, compiling included.
         repeats: runs of every kernel.
         chains: particles M.
         seed: a whole number >= 0.
@@ -110,7 +111,9 @@ def compare(
     if weights not in WEIGHTINGS:
         raise unknown_name("weights", weights, WEIGHTINGS)
     if not dataclasses.is_dataclass(budget):
-        raise InvalidSettingError(f"budget={shown(budget)}, expected phase_ppl.simulations(n)")
+        raise InvalidSettingError(
+            f"budget={shown(budget)}, expected phase_ppl.simulations(n) or phase_ppl.seconds(t)"
+        )
     chosen = contenders(kernels, chains, settings)
     wanted = Reference.asked_for(reference, event, budget, chains, settings, weights)
     for contender in (*chosen, *wanted.contenders):

@@ -107,8 +107,8 @@ def bottom_up_tables(
     if form == "learned":
         joint = joint_logits(_scores(scene, observation, first, last))
         # an agent is as strong in one window as in another: the whole observation says it best
-        whole = (np.broadcast_to(part[-1], part.shape) for part in estimates)
-        return BottomUpTables(joint.goal, *whole, joint.alpha)
+        strength_of_all, sd_of_all = (np.broadcast_to(part[-1], part.shape) for part in estimates)
+        return BottomUpTables(joint.goal, strength_of_all, sd_of_all, joint.alpha)
     distance = goal_distances(scene, observation)
     x0, x1, y0, y1 = scene.arena
     unit = float(np.hypot(x1 - x0, y1 - y0))

@@ -145,12 +145,12 @@ class GibbsKernel(ParticleKernel[WrappedState]):
                 law = trace[name]["fn"]
                 if not law.support.is_discrete:
                     continue
-                values = law.enumerate_support(False) if law.has_enumerate_support else []
-                in_order = np.array_equal(np.ravel(values), np.arange(len(values)))
-                if not len(values) or not in_order or law.event_shape:
+                listed = law.has_enumerate_support and not law.event_shape
+                values = np.ravel(law.enumerate_support(False)) if listed else np.empty(0)
+                if not len(values) or not np.array_equal(values, np.arange(len(values))):
                     raise InvalidSettingError(
-                        f"kernel 'gibbs' cannot update site {name!r} ({type(law).__name__}): the "
-                        "values of a discrete site must be 0, 1, ..., n"
+                        f"kernel 'gibbs' cannot update site {name!r} ({type(law).__name__}): a "
+                        "discrete site must be without event dimensions, with values 0, 1, ..., n"
                     )
                 found.append(name)
         return found

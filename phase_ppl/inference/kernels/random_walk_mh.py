@@ -37,7 +37,8 @@ class RandomWalkMH(ProposalKernel):
       have prior mass; with probability :data:`LEAP`, or where there is none, to a goal from its
       prior given the sites above it;
     * alpha: to any other;
-    * a strength: by a normal step, reflected at the ends of its support;
+    * a strength: by a normal step, reflected at the ends of its support; one that the prior makes
+      one of a few values, drawn from it given the sites above;
     * a site of a user's own: drawn from its prior given the sites above it.
 
     Args:
@@ -104,9 +105,13 @@ def _another_alpha(key: jax.Array, site: Mapping[str, Any]) -> tuple[jax.Array, 
 
 def _reflected_step(
     scale: float, key: jax.Array, site: Mapping[str, Any]
-) -> tuple[jax.Array, float]:
+) -> tuple[jax.Array, jax.Array | float]:
+    law = site["fn"]
+    if law.support.is_discrete:
+        new = law.sample(key)
+        return new, law.log_prob(site["value"]) - law.log_prob(new)
     # symmetric: the support depends on the sites above only, which stay
-    support = site["fn"].support
+    support = law.support
     low, high = (getattr(support, f"{end}_bound", None) for end in ("lower", "upper"))
     new = site["value"] + scale * random.normal(key)
     if low is not None and high is not None:

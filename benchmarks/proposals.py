@@ -1,0 +1,95 @@
+"""How often the proposals find the truth of the real videos, before anything is simulated.
+
+python benchmarks/proposals.py [--half first|second|all] [--json FILE]
+
+The probability that the true pair of effective goals is among 15 initial particles, and among
+those and 90 more proposals from windows chosen evenly (a run chooses those that it explains
+badly), by form of the proposal and scenario.
+"""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+import common
+import numpy as np
+
+from phase_ppl.inference.proposals import FORMS, bottom_up_tables
+from phase_ppl.inference.settings import SimpleSettings
+from phase_ppl.models.sites import ALPHA_PROBABILITIES, SELF_REFERRING
+from phase_ppl.world.event import Event
+from phase_ppl.world.goals import GOALS, effective_goals
+from phase_ppl.world.hypothesis import ALPHAS
+
+INITIAL, LATER = 15, 90
+MEASURES = ("initial", "ever", "log_proposal")
+
+
+def probabilities(event: Event, form: str) -> np.ndarray:
+    """Return (window + 1,) probabilities that the true effective goals are proposed."""
+    assert event.truth is not None
+    truth = GOALS.index(event.truth.goal_red), GOALS.index(event.truth.goal_green)
+    tables = bottom_up_tables(event.scene, event.observation, form=form)
+    logits = np.asarray(tables.goal_logits)
+    if tables.alpha_logits is None:
+        logits = np.repeat(logits[:, None], len(ALPHAS), axis=1)
+        alpha = np.tile(ALPHA_PROBABILITIES, (len(logits), 1))
+    else:
+        alpha = np.array(ALPHA_PROBABILITIES) * np.exp(np.asarray(tables.alpha_logits))
+    alpha /= alpha.sum(axis=1, keepdims=True)
+    goal = np.exp(logits - logits.max(axis=-1, keepdims=True))
+    goal /= goal.sum(axis=-1, keepdims=True)
+    even = ~SELF_REFERRING / (~SELF_REFERRING).sum(axis=1, keepdims=True)
+    share = SimpleSettings().prior_share
+    found = np.zeros(len(goal))
+    for red, green, index in np.ndindex(len(GOALS), len(GOALS), len(ALPHAS)):
+        if effective_goals(red, green, ALPHAS[index]) == truth:
+            local = alpha[:, index] * goal[:, index, 0, red] * goal[:, index, 1, green]
+            prior = ALPHA_PROBABILITIES[index] * even[0, red] * even[1, green]
+            found += (1 - share) * local + share * prior
+    return found
+
+
+def judge(task: tuple[Event, str]) -> dict[str, Any]:
+    event, form = task
+    found = probabilities(event, form)
+    first = (1 - found[-1]) ** INITIAL
+    return {
+        "scenario": event.truth.scenario if event.truth else None,
+        "form": form,
+        "initial": 1 - first,
+        "ever": 1 - first * (1 - found[:-1].mean()) ** LATER,
+        "log_proposal": float(np.log(found[-1])),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--half", choices=common.HALVES, default="all")
+    parser.add_argument("--limit", type=int, help="a stratified subset of about so many videos")
+    parser.add_argument("--json", metavar="FILE", help="write the figures as JSON")
+    options = parser.parse_args()
+    events = common.dev_events(options.half, options.limit)
+    tasks = [(event, form) for form in FORMS for event in events]
+    rows = [result for _, result in common.parallel(judge, tasks, "videos")]
+    figures: dict[str, Any] = {}
+    for form in FORMS:
+        figures[form] = {}
+        for scenario in (*common.SCENARIOS, "all"):
+            group = [
+                row for row in rows if row["form"] == form and scenario in (row["scenario"], "all")
+            ]
+            if not group:
+                continue
+            found = {name: common.interval([row[name] for row in group]) for name in MEASURES}
+            figures[form][scenario] = found | {"n": len(group)}
+            shown = "  ".join(f"{name} {found[name]['value']:6.2f}" for name in MEASURES)
+            print(f"{form:8} {scenario:14} {len(group):3} videos  {shown}")
+    common.write(figures, options.json)
+
+
+if __name__ == "__main__":
+    main()
