@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from phase_ppl.inference.length import check_chains, run_length
+from phase_ppl.inference.length import Length, check_chains, run_length
 from phase_ppl.inference.registry import KernelInfo
 from phase_ppl.inference.settings import Budget
 from phase_ppl.world.errors import InvalidSettingError
@@ -18,10 +18,10 @@ def info(**options: Any) -> KernelInfo:
 def test_a_kernel_knows_better_than_its_registration_what_it_costs() -> None:
     kernel = SimpleNamespace(sims_at_start=3, sims_per_step=5)
     length = run_length(kernel, info(), 10, 4, None)
-    assert length == (4, 3, 5)
+    assert length == Length(4, 3, 5)
     assert length.simulations(10) == 10 * (3 + 4 * 5)
     assert length.simulations(10, 1) == 10 * 8
-    assert run_length(SimpleNamespace(), info(), 10, None, None) == (6, 1, 2)
+    assert run_length(SimpleNamespace(), info(), 10, None, None) == Length(6, 1, 2)
 
 
 def test_budget_pays_for_the_start_first() -> None:

@@ -118,7 +118,8 @@ def guide_density(prior: Any, window: int, strengths: Any) -> np.ndarray:
     n_windows = window_count(N_FRAMES, SETTINGS.window)
     strength = np.full((n_windows + 1, 2), np.nan)
     strength[1] = 300.0, 450.0
-    tables = BottomUpTables(np.zeros((n_windows + 1, 2, N_GOALS)), strength)
+    sd = np.where(np.isnan(strength), np.nan, 40.0)
+    tables = BottomUpTables(np.zeros((n_windows + 1, 2, N_GOALS)), strength, sd)
     guide = bottom_up_guide(prior, Model(prior=prior).sites, tables, prior_share=0.1)
     fixed = {"goal_red": jnp.array(0), "goal_green": jnp.array(0), "alpha": jnp.array(0)}
 
