@@ -10,8 +10,9 @@ EVENT = collaborate
 PLANNER = fast
 SEED = 0
 OUT = demo-out
-# More arguments for pytest, such as ARGS="-m 'not slow' tests/world".
+# More arguments for pytest, such as ARGS="-m 'not slow' tests/world", and its processes.
 ARGS =
+JOBS = auto
 
 VENV = .venv
 BIN = $(VENV)/bin
@@ -33,7 +34,7 @@ demo: $(VENV)/.installed
 	$(BIN)/phase-ppl infer $(EVENT) --planner $(PLANNER) --seed $(SEED) --out $(OUT)
 
 test: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest $(ARGS)
+	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal $(ARGS)
 
 check: lint types imports
 

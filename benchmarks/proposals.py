@@ -15,7 +15,7 @@ from typing import Any
 import common
 import numpy as np
 
-from phase_ppl.inference.proposals import FORMS, bottom_up_tables
+from phase_ppl.inference.proposals.tables import FORMS, bottom_up_tables
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.sites import ALPHA_PROBABILITIES, SELF_REFERRING
 from phase_ppl.world.event import Event

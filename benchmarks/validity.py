@@ -21,8 +21,8 @@ from jax import random
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # the small world is the tests'
 
-from phase_ppl.inference.length import Length
 from phase_ppl.inference.registry import KernelInfo, available_kernels, kernel_info
+from phase_ppl.inference.runs.length import Length
 from tests.inference.toy import (
     ALPHA_CODES,
     GREEN_GOALS,

@@ -26,7 +26,7 @@ from numpyro.infer.mcmc import MCMCKernel
 from own_simulator import glide
 
 import phase_ppl as ppl
-from phase_ppl.inference.proposals import window_count
+from phase_ppl.inference.proposals.tables import window_count
 from phase_ppl.models.density import draw, log_density
 
 

@@ -118,7 +118,7 @@ def _infer(options: argparse.Namespace) -> int:
 
 
 def _resume(options: argparse.Namespace) -> int:
-    from phase_ppl.inference.checkpoint import Checkpoint
+    from phase_ppl.inference.runs.checkpoint import Checkpoint
 
     out = writable_folder(options.file.parent if options.out is None else options.out)
     event = Checkpoint(options.file).event

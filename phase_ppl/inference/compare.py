@@ -19,10 +19,10 @@ from phase_ppl.analysis.measures import accuracy, curve, efficiency, of_truth
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.summary import plain
 from phase_ppl.analysis.weights import WEIGHTINGS
-from phase_ppl.inference.contenders import Contender, Spec, contenders, described_budget
+from phase_ppl.inference.comparison.contenders import Contender, Spec, contenders, described_budget
+from phase_ppl.inference.comparison.reference import Reference, reference_of
 from phase_ppl.inference.infer import CHAINS
-from phase_ppl.inference.progress import is_shown
-from phase_ppl.inference.reference import Reference, reference_of
+from phase_ppl.inference.runs.progress import is_shown
 from phase_ppl.inference.settings import Budget, SimpleSettings, whole_number
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import event_salt
@@ -83,7 +83,7 @@ def compare(
         chains: particles M.
         seed: a whole number >= 0.
         reference: what the results are compared with: a posterior of the same event and model,
-            "enumeration" (:mod:`phase_ppl.inference.enumeration`), or a kernel as in
+            "enumeration" (:mod:`phase_ppl.inference.comparison.enumeration`), or a kernel as in
             ``kernels``, whose options may have a ``budget`` or ``iterations``; without, it has
             ten times the budget. By default enumeration, if ten times the budget suffices for
             it, else ``local_mh``.

@@ -10,19 +10,19 @@ from typing import TYPE_CHECKING, Any, Final
 from numpyro.infer.mcmc import MCMCKernel
 
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.inference import pace
-from phase_ppl.inference.archive import SUFFIXES
-from phase_ppl.inference.checkpoint import Checkpoint
-from phase_ppl.inference.length import check_chains
-from phase_ppl.inference.plan import (
+from phase_ppl.inference.registry import Factory
+from phase_ppl.inference.runs import pace
+from phase_ppl.inference.runs.archive import SUFFIXES
+from phase_ppl.inference.runs.checkpoint import Checkpoint
+from phase_ppl.inference.runs.length import check_chains
+from phase_ppl.inference.runs.plan import (
     Plan,
     complete_model,
     differences,
     event_digest,
     model_again,
 )
-from phase_ppl.inference.registry import Factory
-from phase_ppl.inference.session import Interrupted, Means, carry_out
+from phase_ppl.inference.runs.session import Interrupted, Means, carry_out
 from phase_ppl.inference.settings import (
     Budget,
     SimpleSettings,

@@ -5,9 +5,9 @@ from __future__ import annotations
 import dataclasses
 import math
 
-from phase_ppl.inference.proposals import FORMS, SIGNS, Form, Sign
-from phase_ppl.inference.strength.estimates import Estimator
-from phase_ppl.inference.strength.estimators import DEFAULT_ESTIMATOR, strength_estimator
+from phase_ppl.inference.proposals.strength.estimates import Estimator
+from phase_ppl.inference.proposals.strength.estimators import DEFAULT_ESTIMATOR, strength_estimator
+from phase_ppl.inference.proposals.tables import FORMS, SIGNS, Form, Sign
 from phase_ppl.world.checks import whole_number as whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 
@@ -27,7 +27,7 @@ class SimpleSettings:
         prior_share: weight of the prior in the proposal.
         sign: "intended": goals that are close are proposed; "printed": as the paper's formula.
         strength: what estimates the strengths of the proposal: a name of
-            :data:`~phase_ppl.inference.strength.estimators.ESTIMATORS`, or an estimator.
+            :data:`~phase_ppl.inference.proposals.strength.estimators.ESTIMATORS`, or an estimator.
 
     Raises:
         InvalidSettingError: a value is out of range.

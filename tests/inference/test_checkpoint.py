@@ -22,10 +22,10 @@ import pytest
 from jax import random
 
 import phase_ppl as ppl
-from phase_ppl.inference import session
-from phase_ppl.inference.archive import read_archive, write_archive
-from phase_ppl.inference.checkpoint import Checkpoint
-from phase_ppl.inference.packing import packed_leaf, unpacked_leaf
+from phase_ppl.inference.runs import session
+from phase_ppl.inference.runs.archive import read_archive, write_archive
+from phase_ppl.inference.runs.checkpoint import Checkpoint
+from phase_ppl.inference.runs.packing import packed_leaf, unpacked_leaf
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, OutputError
 from tests.inference.runs import EVENT, MODEL, OPTIONS, assert_same_draws, infer, stops_at
 from tests.inference.toy import walkers, walking_event

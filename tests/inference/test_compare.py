@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.inference import contenders as contenders_module
-from phase_ppl.inference.contenders import contenders
-from phase_ppl.inference.enumeration import enumerate_goals, plan_enumeration
-from phase_ppl.inference.reference import Reference, reference_of
+from phase_ppl.inference.comparison import contenders as contenders_module
+from phase_ppl.inference.comparison.contenders import contenders
+from phase_ppl.inference.comparison.enumeration import enumerate_goals, plan_enumeration
+from phase_ppl.inference.comparison.reference import Reference, reference_of
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from phase_ppl.world.hypothesis import ALPHAS, Hypothesis

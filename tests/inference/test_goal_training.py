@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from phase_ppl.inference import goal_training
-from phase_ppl.inference.goal_features import FEATURES, KINDS
-from phase_ppl.inference.goal_training import Examples, draw_goals, learned, loss_of_whole
-from phase_ppl.inference.proposals import WEIGHTS_FILE
+from phase_ppl.inference.proposals import goal_training
+from phase_ppl.inference.proposals.goal_features import FEATURES, KINDS
+from phase_ppl.inference.proposals.goal_training import Examples, draw_goals, learned, loss_of_whole
+from phase_ppl.inference.proposals.tables import WEIGHTS_FILE
 from phase_ppl.models.sites import SELF_REFERRING
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.relations import scenario

@@ -14,8 +14,8 @@ import xarray as xr
 
 import phase_ppl as ppl
 from phase_ppl.analysis.tree import simulation_of_draw
-from phase_ppl.inference import chains, session
 from phase_ppl.inference.kernels.prior_mh import PriorMH
+from phase_ppl.inference.runs import chains, session
 from phase_ppl.simulator.contract import Cancelled, SimulationResult
 from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError

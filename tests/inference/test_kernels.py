@@ -27,7 +27,7 @@ from phase_ppl.inference.kernels.local_mh import (
 from phase_ppl.inference.kernels.mixture import MixtureMH
 from phase_ppl.inference.kernels.prior_mh import PriorMH
 from phase_ppl.inference.kernels.random_walk_mh import RandomWalkMH
-from phase_ppl.inference.metropolis import log_ratio
+from phase_ppl.inference.sampling.metropolis import log_ratio
 from phase_ppl.models import priors
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError

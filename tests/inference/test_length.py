@@ -5,8 +5,8 @@ from typing import Any
 
 import pytest
 
-from phase_ppl.inference.length import Length, check_chains, run_length
 from phase_ppl.inference.registry import KernelInfo
+from phase_ppl.inference.runs.length import Length, check_chains, run_length
 from phase_ppl.inference.settings import Budget
 from phase_ppl.world.errors import InvalidSettingError
 

@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.inference import pace, session
-from phase_ppl.inference.checkpoint import Checkpoint
-from phase_ppl.inference.length import Length
-from phase_ppl.inference.pace import Pace
+from phase_ppl.inference.runs import pace, session
+from phase_ppl.inference.runs.checkpoint import Checkpoint
+from phase_ppl.inference.runs.length import Length
+from phase_ppl.inference.runs.pace import Pace
 from phase_ppl.world.errors import InvalidSettingError
 from tests.inference.runs import EVENT, MODEL, Watched, infer
 

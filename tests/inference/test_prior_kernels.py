@@ -15,9 +15,9 @@ import pytest
 from jax import random
 
 import phase_ppl as ppl
-from phase_ppl.inference.guide import bottom_up_guide
 from phase_ppl.inference.kernels.local_mh import LocalMH
-from phase_ppl.inference.proposals import BottomUpTables, window_count
+from phase_ppl.inference.proposals.guide import bottom_up_guide
+from phase_ppl.inference.proposals.tables import BottomUpTables, window_count
 from phase_ppl.models.density import log_density
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.model import Model

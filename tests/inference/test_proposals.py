@@ -14,15 +14,15 @@ import pytest
 from jax import random
 from numpyro.infer.util import log_density as numpyro_log_density
 
-from phase_ppl.inference.guide import Mixture, bottom_up_guide
-from phase_ppl.inference.proposals import (
+from phase_ppl.inference.proposals.guide import Mixture, bottom_up_guide
+from phase_ppl.inference.proposals.strength.estimates import StrengthEstimates
+from phase_ppl.inference.proposals.tables import (
     BottomUpTables,
     Form,
     bottom_up_tables,
     window_count,
     window_length,
 )
-from phase_ppl.inference.strength.estimates import StrengthEstimates
 from phase_ppl.models import priors, sites
 from phase_ppl.models.density import draw, log_density
 from phase_ppl.models.model import Model

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from phase_ppl.dataset.load import load_events
-from phase_ppl.inference.strength.analytic import (
+from phase_ppl.inference.proposals.strength.analytic import (
     VALIDATION_SD,
     driving_hits,
     estimated_strength,

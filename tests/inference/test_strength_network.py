@@ -7,18 +7,22 @@ import numpy as np
 import pytest
 
 from phase_ppl.dataset.bundled import bundled_events, load_bundled
-from phase_ppl.inference.proposals import bottom_up_tables
-from phase_ppl.inference.settings import SimpleSettings
-from phase_ppl.inference.strength.estimates import StrengthEstimates, quality
-from phase_ppl.inference.strength.estimators import (
+from phase_ppl.inference.proposals.strength.estimates import StrengthEstimates, quality
+from phase_ppl.inference.proposals.strength.estimators import (
     ESTIMATORS,
     estimated_strengths,
     estimator_name,
 )
-from phase_ppl.inference.strength.examples import blurred
-from phase_ppl.inference.strength.features import N_FEATURES, observed_jitter, window_features
-from phase_ppl.inference.strength.network import SHAPES, StrengthNetwork, shipped_network
-from phase_ppl.inference.strength.scenes import simulate_events
+from phase_ppl.inference.proposals.strength.examples import blurred
+from phase_ppl.inference.proposals.strength.features import (
+    N_FEATURES,
+    observed_jitter,
+    window_features,
+)
+from phase_ppl.inference.proposals.strength.network import SHAPES, StrengthNetwork, shipped_network
+from phase_ppl.inference.proposals.strength.scenes import simulate_events
+from phase_ppl.inference.proposals.tables import bottom_up_tables
+from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.physics.actions import Action
 from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError

@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from phase_ppl.inference.strength.examples import (
+from phase_ppl.inference.proposals.strength.examples import (
     VALIDATION_JITTER,
     VALIDATION_LENGTHS,
     training_examples,
     validation_examples,
 )
-from phase_ppl.inference.strength.features import N_FEATURES
-from phase_ppl.inference.strength.network import SHAPES, StrengthNetwork
-from phase_ppl.inference.strength.scenes import (
+from phase_ppl.inference.proposals.strength.features import N_FEATURES
+from phase_ppl.inference.proposals.strength.network import SHAPES, StrengthNetwork
+from phase_ppl.inference.proposals.strength.scenes import (
     LAYOUTS,
     SIZES,
     Simulated,
@@ -26,7 +26,12 @@ from phase_ppl.inference.strength.scenes import (
     draw_scene,
     simulate_events,
 )
-from phase_ppl.inference.strength.training import TrainingSettings, main, needs_torch, train
+from phase_ppl.inference.proposals.strength.training import (
+    TrainingSettings,
+    main,
+    needs_torch,
+    train,
+)
 from phase_ppl.world.errors import InvalidSettingError
 
 SETTINGS = TrainingSettings(events=20, frames=16, rounds=1, epochs=3, batch=16)

@@ -10,7 +10,7 @@ from numpyro.infer import AIES
 from numpyro.infer.ensemble import AIESState, EnsembleSamplerState
 
 from phase_ppl.inference.registry import register_kernel
-from phase_ppl.inference.wrapped import UniformKernel
+from phase_ppl.inference.sampling.wrapped import UniformKernel
 from phase_ppl.models.program import EventProgram
 from phase_ppl.world.errors import InvalidSettingError
 

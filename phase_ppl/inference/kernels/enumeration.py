@@ -10,9 +10,9 @@ import jax.numpy as jnp
 from jax import random
 from numpyro.util import is_prng_key
 
-from phase_ppl.inference.grid import Grid, hypothesis_grid
-from phase_ppl.inference.particle import ParticleKernel, chosen
 from phase_ppl.inference.registry import register_kernel
+from phase_ppl.inference.sampling.grid import Grid, hypothesis_grid
+from phase_ppl.inference.sampling.particle import ParticleKernel, chosen
 from phase_ppl.inference.settings import whole_number
 from phase_ppl.models.program import EventProgram
 from phase_ppl.world.errors import InvalidSettingError

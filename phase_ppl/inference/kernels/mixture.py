@@ -13,11 +13,11 @@ import jax.numpy as jnp
 from jax import random
 
 from phase_ppl.inference.kernels.local_mh import LocalMH
-from phase_ppl.inference.metropolis import MHState
-from phase_ppl.inference.particle import chosen
 from phase_ppl.inference.registry import register_kernel
+from phase_ppl.inference.sampling.metropolis import MHState
+from phase_ppl.inference.sampling.particle import chosen
+from phase_ppl.inference.sampling.site_moves import moved_site
 from phase_ppl.inference.settings import SimpleSettings, probability
-from phase_ppl.inference.site_moves import moved_site
 from phase_ppl.models.density import Program
 from phase_ppl.models.program import EventProgram
 

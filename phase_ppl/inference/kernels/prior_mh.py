@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import jax
 
-from phase_ppl.inference.metropolis import MHState, ProposalKernel
 from phase_ppl.inference.registry import register_kernel
+from phase_ppl.inference.sampling.metropolis import MHState, ProposalKernel
 from phase_ppl.models.program import EventProgram
 
 

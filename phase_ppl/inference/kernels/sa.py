@@ -9,9 +9,9 @@ import jax.numpy as jnp
 from numpyro.infer import SA
 
 from phase_ppl.inference.registry import register_kernel
+from phase_ppl.inference.sampling.uniform import IMPOSSIBLE
+from phase_ppl.inference.sampling.wrapped import UniformKernel
 from phase_ppl.inference.settings import whole_number
-from phase_ppl.inference.uniform import IMPOSSIBLE
-from phase_ppl.inference.wrapped import UniformKernel
 from phase_ppl.models.program import EventProgram
 
 _POINTS_PER_SITE: Final = 8

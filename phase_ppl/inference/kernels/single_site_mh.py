@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import jax
 
-from phase_ppl.inference.metropolis import MHState, ProposalKernel
 from phase_ppl.inference.registry import register_kernel
-from phase_ppl.inference.site_moves import moved_site
+from phase_ppl.inference.sampling.metropolis import MHState, ProposalKernel
+from phase_ppl.inference.sampling.site_moves import moved_site
 from phase_ppl.models.program import EventProgram
 
 

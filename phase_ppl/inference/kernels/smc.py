@@ -26,11 +26,11 @@ from numpyro.util import is_prng_key
 
 from phase_ppl.inference.kernels.local_mh import LocalMH
 from phase_ppl.inference.kernels.prior_mh import PriorMH
-from phase_ppl.inference.particle import ParticleKernel
-from phase_ppl.inference.proposals import window_count
+from phase_ppl.inference.proposals.tables import window_count
 from phase_ppl.inference.registry import register_kernel
+from phase_ppl.inference.sampling.particle import ParticleKernel
+from phase_ppl.inference.sampling.tempering import next_temperature, powered, systematic, tempered
 from phase_ppl.inference.settings import SimpleSettings
-from phase_ppl.inference.tempering import next_temperature, powered, systematic, tempered
 from phase_ppl.models.density import Program, log_density
 from phase_ppl.models.program import EventProgram
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name

@@ -25,7 +25,7 @@ from numpyro import handlers
 from numpyro.distributions import constraints
 from numpyro.primitives import Messenger
 
-from phase_ppl.inference.proposals import BottomUpTables
+from phase_ppl.inference.proposals.tables import BottomUpTables
 from phase_ppl.models.density import Program, draw, log_density
 from phase_ppl.models.one_of import OneOf
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, IMPOSSIBLE, STRENGTH_SITES

@@ -1,11 +1,11 @@
 """Learning which features of an agent's motion speak for which goal.
 
-    python -m phase_ppl.inference.goal_training FOLDER
+    python -m phase_ppl.inference.proposals.goal_training FOLDER
 
-Simulates events in scenes like those of PHASE (or reads them from --events-file) and maximises
-the log probability that the joint proposal of :mod:`phase_ppl.inference.social` gives to their
-true effective goals: for whole events, and for the mean over windows of the paper's length.
-Writes FOLDER/goal_weights.npz and the report FOLDER/goal_weights.json.
+Simulates events in scenes like those of PHASE and maximises the log probability that the joint
+proposal of :mod:`~phase_ppl.inference.proposals.social` gives to their true effective goals: for
+whole events, and for the mean over windows of the paper's length. Writes FOLDER/goal_weights.npz
+and the report FOLDER/goal_weights.json.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from jax.scipy.special import logsumexp
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from phase_ppl.inference.goal_features import FEATURES, GOAL_PARTS, KINDS, goal_features
-from phase_ppl.inference.proposals import WEIGHTS_FILE, window_length
-from phase_ppl.inference.strength.scenes import draw_scene
+from phase_ppl.inference.proposals.goal_features import FEATURES, GOAL_PARTS, KINDS, goal_features
+from phase_ppl.inference.proposals.strength.scenes import draw_scene
+from phase_ppl.inference.proposals.tables import WEIGHTS_FILE, window_length
 from phase_ppl.models import priors
 from phase_ppl.models.effective import log_prior_of_effective
 from phase_ppl.simulator.joint import JointSimulator
@@ -264,7 +264,7 @@ def main(arguments: list[str] | None = None) -> dict[str, Any]:
     }
     losses = {"window": loss_of_windows, "whole": loss_of_whole}
     report = {
-        "command": "python -m phase_ppl.inference.goal_training",
+        "command": "python -m phase_ppl.inference.proposals.goal_training",
         "draws": options.draws,
         "seed": options.seed,
         "events": len(events),

@@ -24,8 +24,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import random
 
-from phase_ppl.inference.particle import ParticleKernel, chosen, log_uniform
 from phase_ppl.inference.registry import Validity
+from phase_ppl.inference.sampling.particle import ParticleKernel, chosen, log_uniform
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.density import NO_DENSITY, Program
 from phase_ppl.models.program import EventProgram

@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Iterable
 from typing import Final
 
-from phase_ppl.inference.length import Length
+from phase_ppl.inference.runs.length import Length
 
 clock = time.perf_counter
 """Seconds of wall time."""

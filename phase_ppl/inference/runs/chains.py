@@ -15,8 +15,8 @@ from jax import random
 from numpy.typing import NDArray
 from numpyro.infer.mcmc import MCMCKernel
 
-from phase_ppl.inference.guide import bottom_up_guide
-from phase_ppl.inference.proposals import BottomUpTables
+from phase_ppl.inference.proposals.guide import bottom_up_guide
+from phase_ppl.inference.proposals.tables import BottomUpTables
 from phase_ppl.inference.registry import KernelInfo
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.bridge import SimulatorBridge

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.inference.strength.estimates import StrengthEstimates
+from phase_ppl.inference.proposals.strength.estimates import StrengthEstimates
 from phase_ppl.physics.constants import FLOOR_FRICTION, STEP, mass
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS
 from phase_ppl.world.names import AGENTS
@@ -44,7 +44,7 @@ def analytic_strengths(
 ) -> StrengthEstimates:
     """Return the level that each window gives away; none without free driving.
 
-    Arguments as for :class:`~phase_ppl.inference.strength.estimates.Estimator`.
+    Arguments as for :class:`~phase_ppl.inference.proposals.strength.estimates.Estimator`.
     """
     hits = driving_hits(observation.trajectory, scene.radius)
     mean = np.array([estimated_strength(hits, first, last) for first, last in windows])

@@ -18,8 +18,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.inference.strength.estimates import StrengthEstimates
-from phase_ppl.inference.strength.features import N_FEATURES, window_features
+from phase_ppl.inference.proposals.strength.estimates import StrengthEstimates
+from phase_ppl.inference.proposals.strength.features import N_FEATURES, window_features
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.hypothesis import STRENGTH_RANGE
 from phase_ppl.world.observation import Observation
@@ -106,7 +106,7 @@ class StrengthNetwork:
 @functools.cache
 def shipped_network() -> StrengthNetwork:
     """Return the network that comes with the package; ``weights.json`` says how it was made."""
-    file = resources.files("phase_ppl.inference.strength") / "weights.npz"
+    file = resources.files("phase_ppl.inference.proposals.strength") / "weights.npz"
     with resources.as_file(file) as path:
         return StrengthNetwork.load(path)
 

@@ -11,16 +11,16 @@ from concurrent.futures import Executor
 from typing import Any
 
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.inference.chains import Chains, EventData, Recipe
-from phase_ppl.inference.checkpoint import Checkpoint, Progressed, Spent, write_checkpoint
-from phase_ppl.inference.draws import Drawn, build_tree
-from phase_ppl.inference.length import run_length
-from phase_ppl.inference.pace import Pace
-from phase_ppl.inference.plan import Plan, fields_of
-from phase_ppl.inference.progress import Progress
-from phase_ppl.inference.proposals import bottom_up_tables
+from phase_ppl.inference.proposals.strength.estimators import estimator_name
+from phase_ppl.inference.proposals.tables import bottom_up_tables
+from phase_ppl.inference.runs.chains import Chains, EventData, Recipe
+from phase_ppl.inference.runs.checkpoint import Checkpoint, Progressed, Spent, write_checkpoint
+from phase_ppl.inference.runs.draws import Drawn, build_tree
+from phase_ppl.inference.runs.length import run_length
+from phase_ppl.inference.runs.pace import Pace
+from phase_ppl.inference.runs.plan import Plan, fields_of
+from phase_ppl.inference.runs.progress import Progress
 from phase_ppl.inference.settings import Budget, SimpleSettings, TimeBudget
-from phase_ppl.inference.strength.estimators import estimator_name
 from phase_ppl.models.bridge import SimulatorBridge
 from phase_ppl.models.program import event_salt
 from phase_ppl.simulator.contract import Cancelled
@@ -54,7 +54,7 @@ class Means:
         workers, executor: where simulations run.
         progress: whether to show a bar.
         path: of the checkpoint; None: none is written.
-        began: when the call began, by :func:`phase_ppl.inference.pace.clock`.
+        began: when the call began, by :func:`phase_ppl.inference.runs.pace.clock`.
     """
 
     iterations: int | None

@@ -1,7 +1,7 @@
 """A run on file: all that is needed to go on with it, bit for bit.
 
-Nothing in the file can run (:mod:`phase_ppl.inference.archive`). A prior, a simulator or a kernel
-of a user's own is therefore not in it, but what tells it from others.
+Nothing in the file can run (:mod:`~phase_ppl.inference.runs.archive`). A prior, a simulator or a
+kernel of a user's own is therefore not in it, but what tells it from others.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from typing import Any, Final
 import jax
 
 from phase_ppl.dataset.events_json import event_from_record, event_record
-from phase_ppl.inference.archive import damaged, read_archive, write_archive
-from phase_ppl.inference.chains import Step, on_cpu
-from phase_ppl.inference.packing import (
+from phase_ppl.inference.runs.archive import damaged, read_archive, write_archive
+from phase_ppl.inference.runs.chains import Step, on_cpu
+from phase_ppl.inference.runs.packing import (
     packed_leaf,
     packed_records,
     packed_steps,
@@ -25,7 +25,7 @@ from phase_ppl.inference.packing import (
     unpacked_records,
     unpacked_steps,
 )
-from phase_ppl.inference.plan import (
+from phase_ppl.inference.runs.plan import (
     Plan,
     event_digest,
     fields_of,
@@ -84,7 +84,7 @@ class Checkpoint:
 
     Attributes:
         path: of the file.
-        identity: what the run is (:meth:`phase_ppl.inference.plan.Plan.identity`).
+        identity: what the run is (:meth:`phase_ppl.inference.runs.plan.Plan.identity`).
         event: that it explains.
         target: ``iterations`` or ``seconds``, when it was to be complete.
         failures: ``on_failure`` and ``retries``.

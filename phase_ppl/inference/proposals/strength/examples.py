@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from phase_ppl.inference.strength.features import window_features
-from phase_ppl.inference.strength.scenes import Simulated
+from phase_ppl.inference.proposals.strength.features import window_features
+from phase_ppl.inference.proposals.strength.scenes import Simulated
 from phase_ppl.world.names import AGENTS
 
 FloatArray = NDArray[np.float64]

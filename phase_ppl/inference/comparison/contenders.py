@@ -11,11 +11,11 @@ from jax import random
 from numpyro.infer.mcmc import MCMCKernel
 
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.inference.chains import EventData, Recipe
 from phase_ppl.inference.infer import infer
-from phase_ppl.inference.length import check_chains, run_length
-from phase_ppl.inference.proposals import bottom_up_tables
+from phase_ppl.inference.proposals.tables import bottom_up_tables
 from phase_ppl.inference.registry import Factory, KernelInfo, described
+from phase_ppl.inference.runs.chains import EventData, Recipe
+from phase_ppl.inference.runs.length import check_chains, run_length
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import event_salt

@@ -2,10 +2,10 @@
 
 Computed once per event, in NumPy, in one of two forms.
 
-"learned". Goals are scored by :mod:`phase_ppl.inference.goal_features`, which also see what the
-agent itself did, and proposed together with alpha (:mod:`phase_ppl.inference.social`). The
-weights of the features were learned from simulated events. Strengths are estimated from the whole
-observation.
+"learned". Goals are scored by :mod:`~phase_ppl.inference.proposals.goal_features`, which also see
+what the agent itself did, and proposed together with alpha
+(:mod:`~phase_ppl.inference.proposals.social`). The weights of the features were learned from
+simulated events. Strengths are estimated from the whole observation.
 
 "paper". A goal is proposed for a window from t1 to t2 in proportion to
 exp(-gamma (2 d(t2) - d(t1)) / 28.28): it is likely if it is nearly achieved at the end (d(t2)
@@ -28,10 +28,10 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.inference.goal_features import GOAL_PARTS, goal_features
-from phase_ppl.inference.social import joint_logits
-from phase_ppl.inference.strength.estimates import Estimator
-from phase_ppl.inference.strength.estimators import DEFAULT_ESTIMATOR, estimated_strengths
+from phase_ppl.inference.proposals.goal_features import GOAL_PARTS, goal_features
+from phase_ppl.inference.proposals.social import joint_logits
+from phase_ppl.inference.proposals.strength.estimates import Estimator
+from phase_ppl.inference.proposals.strength.estimators import DEFAULT_ESTIMATOR, estimated_strengths
 from phase_ppl.models.sites import IMPOSSIBLE, SELF_REFERRING
 from phase_ppl.world.goals import N_GOALS, goal_literal
 from phase_ppl.world.literals import Predicate

@@ -12,8 +12,8 @@ from jax import random
 from numpyro.infer.mcmc import MCMCKernel
 from numpyro.util import is_prng_key
 
-from phase_ppl.inference.particle import chosen
-from phase_ppl.inference.uniform import At, Uniformised
+from phase_ppl.inference.sampling.particle import chosen
+from phase_ppl.inference.sampling.uniform import At, Uniformised
 from phase_ppl.models.program import EventProgram
 from phase_ppl.world.errors import InvalidSettingError
 

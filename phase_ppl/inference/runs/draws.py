@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from phase_ppl import __version__
 from phase_ppl.analysis.tree import SCHEMA
-from phase_ppl.inference.chains import Step
 from phase_ppl.inference.registry import KernelInfo
+from phase_ppl.inference.runs.chains import Step
 from phase_ppl.models.bridge import Record
 from phase_ppl.models.effective import log_prior_of_effective
 from phase_ppl.models.model import Model

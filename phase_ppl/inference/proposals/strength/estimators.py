@@ -9,9 +9,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.inference.strength.analytic import analytic_strengths
-from phase_ppl.inference.strength.estimates import Estimator, StrengthEstimates
-from phase_ppl.inference.strength.network import shipped_network
+from phase_ppl.inference.proposals.strength.analytic import analytic_strengths
+from phase_ppl.inference.proposals.strength.estimates import Estimator, StrengthEstimates
+from phase_ppl.inference.proposals.strength.network import shipped_network
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.names import AGENTS
 from phase_ppl.world.observation import Observation

@@ -11,8 +11,8 @@ import numpy as np
 from jax import random
 from numpy.typing import NDArray
 
-from phase_ppl.inference.archive import Arrays
-from phase_ppl.inference.chains import Step
+from phase_ppl.inference.runs.archive import Arrays
+from phase_ppl.inference.runs.chains import Step
 from phase_ppl.models.bridge import Record, hypothesis_of_row
 from phase_ppl.simulator.contract import FRAME_SHAPE, SimulationResult
 

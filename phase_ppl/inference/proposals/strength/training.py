@@ -1,6 +1,6 @@
 """Training the network of strengths.
 
-    python -m phase_ppl.inference.strength.training FOLDER
+    python -m phase_ppl.inference.proposals.strength.training FOLDER
 
 Simulates events (or reads them from --events-file), blurs them with jitter, cuts windows of all
 lengths, trains, and writes FOLDER/weights.npz and the report FOLDER/weights.json. Needs the extra
@@ -20,16 +20,21 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from phase_ppl.inference.strength.estimates import StrengthEstimates, quality
-from phase_ppl.inference.strength.examples import (
+from phase_ppl.inference.proposals.strength.estimates import StrengthEstimates, quality
+from phase_ppl.inference.proposals.strength.examples import (
     VALIDATION_JITTER,
     VALIDATION_LENGTHS,
     Examples,
     training_examples,
     validation_examples,
 )
-from phase_ppl.inference.strength.network import FARTHEST, HIDDEN, SD_RANGE, StrengthNetwork
-from phase_ppl.inference.strength.scenes import Simulated, cached_events, simulate_events
+from phase_ppl.inference.proposals.strength.network import (
+    FARTHEST,
+    HIDDEN,
+    SD_RANGE,
+    StrengthNetwork,
+)
+from phase_ppl.inference.proposals.strength.scenes import Simulated, cached_events, simulate_events
 from phase_ppl.world.errors import InvalidSettingError, PhasePPLError
 from phase_ppl.world.hypothesis import STRENGTH_RANGE
 

@@ -1,0 +1,1 @@
+"""What the observation suggests: bottom-up proposals of goals, alpha and strengths."""

@@ -1,0 +1,1 @@
+"""Carrying out a run: chains, budgets, checkpoints, and the tree of draws it leaves."""
