@@ -19,7 +19,7 @@ def test_a_kernel_knows_better_than_its_registration_what_it_costs() -> None:
     kernel = SimpleNamespace(sims_at_start=3, sims_per_step=5)
     length = run_length(kernel, info(), 10, 4, None)
     assert length == Length(4, 3, 5)
-    assert length.simulations(10) == 10 * (3 + 4 * 5)
+    assert length.simulations(10, 4) == 10 * (3 + 4 * 5)
     assert length.simulations(10, 1) == 10 * 8
     assert run_length(SimpleNamespace(), info(), 10, None, None) == Length(6, 1, 2)
 
