@@ -10,7 +10,7 @@ EVENT = collaborate
 PLANNER = fast
 SEED = 0
 OUT = demo-out
-# More arguments for pytest, such as ARGS="-m 'not slow' tests/world", and its processes.
+# More arguments for pytest, such as ARGS="tests/world -k goal", and its processes.
 ARGS =
 JOBS = auto
 
@@ -18,11 +18,11 @@ VENV = .venv
 BIN = $(VENV)/bin
 INSTALL = $(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt
 
-.PHONY: help demo test check lint types imports format clean
+.PHONY: help demo test test-all check lint types imports format clean
 
 help:
 	@echo "make demo     infer who wants what in a bundled event; results in $(OUT)/"
-	@echo "make test     run the tests"
+	@echo "make test     run the tests; make test-all those too that take long"
 	@echo "make check    lint, types and imports together:"
 	@echo "make lint       style and format of the code (ruff)"
 	@echo "make types      type hints (mypy)"
@@ -35,6 +35,9 @@ demo: $(VENV)/.installed
 
 test: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal $(ARGS)
+
+test-all: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal -m 'slow or not slow' $(ARGS)
 
 check: lint types imports
 

@@ -52,6 +52,7 @@ def test_validity_of_one_kernel(tmp_path: Path) -> None:
     assert 2000 < found["simulations"] <= 3000
 
 
+@pytest.mark.slow
 def test_calibration_of_a_few_events(tmp_path: Path) -> None:
     options = ["--events", "2", "--iterations", "8", "--kernel", "prior_mh"]
     image = tmp_path / "ranks.png"
@@ -89,6 +90,7 @@ def test_learned_proposals_find_the_truth_more_often_than_distances(tmp_path: Pa
     assert learned["log_proposal"]["value"] > paper["log_proposal"]["value"] + 1
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not VIDEOS.exists(), reason="the real videos are not at ../shared/phase-test")
 def test_accuracy_is_kept_and_weighed_anew(tmp_path: Path) -> None:
     tiny = ["--limit", "1", "--chains", "2", "--budget", "4", "--judging-seeds", "1"]

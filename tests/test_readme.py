@@ -40,6 +40,7 @@ def test_a_prior_and_a_simulator_defined_in_a_script_work(tmp_path: Path) -> Non
     assert "15 particles x 6 iterations" in printed
 
 
+@pytest.mark.slow
 def test_a_run_on_a_cluster_is_kept_and_extended(tmp_path: Path) -> None:
     printed = run(EXAMPLES[2] + "\n    print(post)\n", tmp_path)
     assert "4 particles x 2 iterations" in printed

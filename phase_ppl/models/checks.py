@@ -243,7 +243,8 @@ def _check_values(prior: str, columns: Mapping[str, NDArray[Any]]) -> None:
             wrong = ~((values > 0) & np.isfinite(values))
         if wrong.any():
             raise InvalidSettingError(
-                f"the prior {prior} draws {name!r} as {values[wrong][0]}: expected {_EXPECTED[name]}"
+                f"the prior {prior} draws {name!r} as {values[wrong][0]}: "
+                f"expected {_EXPECTED[name]}"
             )
 
 

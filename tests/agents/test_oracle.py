@@ -78,6 +78,7 @@ def distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
     return float(np.abs(a - b).sum() / 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
 def test_actions_of_both_searches_differ_no_more_than_those_of_two_sets_of_seeds(
     name: str,

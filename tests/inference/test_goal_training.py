@@ -51,6 +51,7 @@ def test_drawn_goals_make_the_scenario_that_they_are_drawn_for() -> None:
         assert scenario(red, green) == name or name == "independent"
 
 
+@pytest.mark.slow
 def test_training_writes_weights_and_a_report(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

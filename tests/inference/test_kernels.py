@@ -143,6 +143,7 @@ def test_no_simulation_adds_more_to_the_ratio_than_early_rejection_allows(rule: 
 # --- options and what NumPyro asks for ------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_draws_are_the_same_under_numpyros_chain_methods() -> None:
     program, _bridge = table_program(TableRunner(ERRORS))
     draws = []

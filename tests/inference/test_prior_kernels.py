@@ -75,6 +75,7 @@ def few_goals_and_levels() -> None:
     numpyro.sample("alpha", dist.Categorical(probs=jnp.array([1.0, 0, 0, 0, 0])))
 
 
+@pytest.mark.slow
 def test_discrete_strengths_reach_the_enumerated_posterior() -> None:
     program, _bridge = table_program(StrengthRunner(ERRORS), few_goals_and_levels)
     kernel = LocalMH(program, table_guide(few_goals_and_levels), SETTINGS)
@@ -94,6 +95,7 @@ def test_discrete_strengths_reach_the_enumerated_posterior() -> None:
     assert total_variation(found, exact) < 0.05
 
 
+@pytest.mark.slow
 def test_relation_first_reaches_the_enumerated_posterior() -> None:
     prior = ppl.priors.relation_first
     program, _bridge = table_program(TableRunner(ERRORS), prior)
@@ -141,6 +143,7 @@ def test_guide_proposes_just_the_values_that_the_prior_allows() -> None:
     assert np.unravel_index(density.argmax(), density.shape) == (1, 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "kernel"),
     [

@@ -80,6 +80,7 @@ def weighted_share(z: dict[str, Any], log_weight: Any) -> FloatArray:
     return share / share.sum()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", REACHES)
 def test_numpyros_samplers_reach_the_enumerated_posterior(name: str) -> None:
     kernel_class, chains, steps, allowed = REACHES[name]
@@ -207,6 +208,7 @@ def infer(kernel: str, **options: Any) -> ppl.Posterior:
     return ppl.infer(EVENT, model, kernel=kernel, **given)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kernel", SAMPLERS)
 def test_whole_run_keeps_its_promise_and_survives_a_file(kernel: str, tmp_path: Any) -> None:
     post = infer(kernel)
