@@ -2,8 +2,8 @@
 
 python benchmarks/accuracy.py --keep FOLDER [--kernel NAME] [--option KEY=VALUE ...] [--json FILE]
 
-The posteriors are kept in the folder; a second run goes on from there, and with another
---weights only weighs them anew. A miss is laid at the door of
+The posteriors are kept in the folder; a second run goes on from there. All weightings of the
+draws are reported. A miss is laid at the door of
 
 simulator  the answer explains the video better than the truth does, over many seeds
 proposal   the truth explains it better, but was never tried

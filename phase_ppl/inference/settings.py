@@ -7,9 +7,18 @@ import math
 
 from phase_ppl.inference.proposals.strength.estimates import Estimator
 from phase_ppl.inference.proposals.strength.estimators import DEFAULT_ESTIMATOR, strength_estimator
-from phase_ppl.inference.proposals.tables import FORMS, SIGNS, Form, Sign
+from phase_ppl.inference.proposals.tables import (
+    FORMS,
+    SIGNS,
+    BottomUpTables,
+    Form,
+    Sign,
+    bottom_up_tables,
+)
 from phase_ppl.world.checks import whole_number as whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
+from phase_ppl.world.observation import Observation
+from phase_ppl.world.scene import Scene
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,7 +65,25 @@ class SimpleSettings:
         for name, allowed in (("sign", SIGNS), ("proposal", FORMS)):
             if getattr(self, name) not in allowed:
                 raise unknown_name(name, getattr(self, name), allowed)
+        learned = self.proposal != "paper"
+        if learned and (self.gamma, self.sign) != (SimpleSettings.gamma, SimpleSettings.sign):
+            raise InvalidSettingError(
+                f"gamma={self.gamma:g} and sign={self.sign!r} are settings of proposal='paper'; "
+                f"it is {self.proposal!r}"
+            )
         strength_estimator(self.strength)
+
+    def tables(self, scene: Scene, observation: Observation) -> BottomUpTables:
+        """Return what the windows of an observation suggest under these settings."""
+        return bottom_up_tables(
+            scene,
+            observation,
+            window=self.window,
+            form=self.proposal,
+            gamma=self.gamma,
+            sign=self.sign,
+            strength=self.strength,
+        )
 
 
 def _is_number(value: object) -> bool:

@@ -167,3 +167,12 @@ def test_budget_counts_the_initial_particles() -> None:
         simulations(29).iterations(15, 1)
     with pytest.raises(InvalidSettingError, match="simulations"):
         simulations(0)
+
+
+@pytest.mark.parametrize("given", [{"gamma": 5.0}, {"sign": "printed"}])
+def test_settings_of_the_papers_proposal_are_refused_for_the_learned_one(
+    given: dict[str, Any],
+) -> None:
+    with pytest.raises(InvalidSettingError, match="settings of proposal='paper'"):
+        SimpleSettings(**given)
+    assert SimpleSettings(proposal="paper", **given).proposal == "paper"

@@ -12,7 +12,6 @@ from numpyro.infer.mcmc import MCMCKernel
 
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.inference.infer import infer
-from phase_ppl.inference.proposals.tables import bottom_up_tables
 from phase_ppl.inference.registry import Factory, KernelInfo, described
 from phase_ppl.inference.runs.chains import EventData, Recipe
 from phase_ppl.inference.runs.length import check_chains, run_length
@@ -76,9 +75,7 @@ class Contender:
             check_chains(self.info, self.chains)
             scene, observation = event.scene, event.observation
             settings = self.settings
-            tables = bottom_up_tables(
-                scene, observation, window=settings.window, gamma=settings.gamma, sign=settings.sign
-            )
+            tables = settings.tables(scene, observation)
             options = tuple(self.options.items())
             recipe = Recipe(self.info, options, model, settings, observation.n_frames)
             kernel = recipe.build(EventData(tables, event_salt(scene, observation), 0))

@@ -12,7 +12,6 @@ from typing import Any
 
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.inference.proposals.strength.estimators import estimator_name
-from phase_ppl.inference.proposals.tables import bottom_up_tables
 from phase_ppl.inference.runs.chains import Chains, EventData, Recipe
 from phase_ppl.inference.runs.checkpoint import Checkpoint, Progressed, Spent, write_checkpoint
 from phase_ppl.inference.runs.draws import Drawn, build_tree
@@ -117,15 +116,7 @@ class Session:
         self._plan, self._means, self._runner = plan, means, runner
         scene, observation = plan.event.scene, plan.event.observation
         self._bridge = SimulatorBridge(runner, observation.n_frames)
-        tables = bottom_up_tables(
-            scene,
-            observation,
-            window=plan.settings.window,
-            form=plan.settings.proposal,
-            gamma=plan.settings.gamma,
-            sign=plan.settings.sign,
-            strength=plan.settings.strength,
-        )
+        tables = plan.settings.tables(scene, observation)
         data = EventData(tables, event_salt(scene, observation), self._bridge.handle)
         options = tuple(plan.options.items())
         recipe = Recipe(plan.info, options, plan.model, plan.settings, observation.n_frames)
