@@ -14,7 +14,7 @@ import pandas as pd
 
 from phase_ppl.analysis.summary import plain
 from phase_ppl.world.errors import InvalidEventError
-from phase_ppl.world.files import atomic_output
+from phase_ppl.world.files import atomic_output, existing_file
 
 SCHEMA: Final = "phase-ppl-comparison-1"
 
@@ -104,9 +104,7 @@ class Comparison:
         Raises:
             InvalidEventError: there is no such file, or it is damaged or of another kind.
         """
-        source = Path(path)
-        if not source.is_file():
-            raise InvalidEventError(f"{source}: no such file")
+        source = existing_file(path)
         try:
             record = json.loads(source.read_text(encoding="utf-8"))
             if not isinstance(record, dict) or record.get("schema") != SCHEMA:

@@ -16,7 +16,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from phase_ppl.world.errors import InvalidEventError
-from phase_ppl.world.files import atomic_output
+from phase_ppl.world.files import atomic_output, existing_file
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS
 
@@ -193,9 +193,7 @@ def read_tree(path: str | os.PathLike[str]) -> xr.DataTree:
     Raises:
         InvalidEventError: there is no such file, or it is damaged or of another kind.
     """
-    source = Path(path)
-    if not source.is_file():
-        raise InvalidEventError(f"{source}: no such file")
+    source = existing_file(path)
     try:
         # times stay plain numbers: "seconds" must not turn into a time type
         with xr.open_datatree(source, engine="h5netcdf", decode_times=False) as stored:

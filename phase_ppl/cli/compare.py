@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from pathlib import Path
 from typing import Any
 
 import phase_ppl
-from phase_ppl.cli.shared import INTERRUPTED, budget, command, load, whole, writable_folder
+from phase_ppl.cli.shared import (
+    INTERRUPTED,
+    budget,
+    command,
+    load,
+    option_value,
+    whole,
+    writable_folder,
+)
 from phase_ppl.world.errors import InvalidSettingError
 
 
@@ -107,17 +114,9 @@ def _kernels(text: str) -> dict[str, Any]:
             key, equals, value = option.partition("=")
             if not (key and equals and value):
                 raise InvalidSettingError(f"--kernels: {option!r} in {label!r} is no OPTION=VALUE")
-            options[key] = _value(value)
+            options[key] = option_value(value)
         found[label] = (name, options)
     return found
-
-
-def _value(text: str) -> Any:
-    """Return numbers, true and false as such, anything else as text."""
-    try:
-        return json.loads(text)
-    except ValueError:
-        return text
 
 
 def _reference(text: str | None) -> Any:

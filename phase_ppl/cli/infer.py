@@ -19,6 +19,7 @@ from phase_ppl.cli.shared import (
     command,
     load,
     one_line,
+    option_value,
     whole,
     writable_folder,
     write_text,
@@ -199,7 +200,4 @@ def _option(text: str) -> tuple[str, Any]:
     name, equals, value = text.partition("=")
     if not (equals and name.isidentifier()):
         raise argparse.ArgumentTypeError(f"{text!r} is not of the form NAME=VALUE")
-    try:
-        return name, json.loads(value)
-    except json.JSONDecodeError:
-        return name, value
+    return name, option_value(value)

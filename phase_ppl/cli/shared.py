@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import tempfile
 from pathlib import Path
@@ -98,3 +99,11 @@ def budget(text: str) -> Any:
         raise argparse.ArgumentTypeError(
             f"{text!r} is no budget; expected simulations, as in 500, or seconds, as in 60s"
         ) from None
+
+
+def option_value(text: str) -> Any:
+    """Return numbers, true and false as such, anything else as text."""
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError:
+        return text

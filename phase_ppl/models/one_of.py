@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Final
 
 import jax
 import jax.numpy as jnp
@@ -12,8 +12,8 @@ from jax import random
 from jax.scipy.special import logsumexp
 from numpyro.distributions import constraints
 
-_NOTHING = -1e30
-"""Logit of a probability of 0; finite, so that NumPyro's argument checks let it pass."""
+IMPOSSIBLE: Final = -1e30
+"""Logit of what has no mass; finite, so that NumPyro's argument checks let it pass."""
 
 _MASSLESS = -1e15
 """Values with logits below this are outside the support."""
@@ -59,7 +59,7 @@ class OneOf(dist.Distribution):
             raise ValueError("OneOf takes probs or logits, not both")
         if probs is not None:
             logits = jnp.log(jnp.asarray(probs, jnp.float32))
-            logits = jnp.where(jnp.isneginf(logits), _NOTHING, logits)
+            logits = jnp.where(jnp.isneginf(logits), IMPOSSIBLE, logits)
         elif logits is None:
             logits = jnp.zeros(len(self.values))
         self.logits = jnp.asarray(logits, jnp.float32)

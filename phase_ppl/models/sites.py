@@ -20,6 +20,7 @@ import numpy as np
 import numpyro
 import numpyro.distributions as dist
 
+from phase_ppl.models.one_of import IMPOSSIBLE as IMPOSSIBLE
 from phase_ppl.models.one_of import OneOf as OneOf
 from phase_ppl.world.goals import N_GOALS, is_self_referring
 from phase_ppl.world.hypothesis import STRENGTH_RANGE
@@ -43,9 +44,6 @@ SELF_REFERRING: Final = np.array(
     [[is_self_referring(g, holder) for g in range(N_GOALS)] for holder in range(len(AGENTS))]
 )
 """(holder, goal): goals that name their own holder and have no prior mass."""
-
-IMPOSSIBLE: Final = -1e30
-"""Logit of what has no mass; finite, so that NumPyro's argument checks let it pass."""
 
 
 def goals() -> tuple[jax.Array, jax.Array]:

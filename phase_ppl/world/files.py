@@ -8,7 +8,7 @@ import secrets
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from phase_ppl.world.errors import OutputError
+from phase_ppl.world.errors import InvalidEventError, OutputError
 
 
 @contextlib.contextmanager
@@ -29,6 +29,18 @@ def atomic_output(path: str | os.PathLike[str], suffixes: Sequence[str]) -> Iter
     with _part_of(target, suffixes) as part:
         yield part
         os.replace(part, target)
+
+
+def existing_file(path: str | os.PathLike[str]) -> Path:
+    """Return ``path``.
+
+    Raises:
+        InvalidEventError: there is no such file.
+    """
+    source = Path(path)
+    if not source.is_file():
+        raise InvalidEventError(f"{source}: no such file")
+    return source
 
 
 def check_output(path: str | os.PathLike[str], suffixes: Sequence[str]) -> None:

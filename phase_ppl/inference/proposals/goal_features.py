@@ -50,6 +50,8 @@ TOUCHING: Final = 0.4
 """Gap below which two bodies count as touching, units; frames are means over a step."""
 
 _TOUCHED: Final = 0.6
+"""Gap of the agents below which "get to" counts as achieved at that moment, units."""
+
 _FAR: Final = 10.0
 _LENGTH, _WAY = 10.0, 3.0
 

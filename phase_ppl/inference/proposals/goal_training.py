@@ -32,6 +32,7 @@ from phase_ppl.inference.proposals.strength.scenes import draw_scene
 from phase_ppl.inference.proposals.tables import WEIGHTS_FILE, window_length
 from phase_ppl.models import priors
 from phase_ppl.models.effective import log_prior_of_effective
+from phase_ppl.models.sites import IMPOSSIBLE
 from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.simulator.simulate import simulate
 from phase_ppl.world.goals import N_GOALS, goal_literal, literal_goal, opposed_goal
@@ -185,7 +186,7 @@ def _log_prior() -> NDArray[np.float32]:
     strengths = {f"strength_{name}": np.full(len(pairs), 300.0) for name in ("red", "green")}
     with jax.ensure_compile_time_eval():
         log_prior = log_prior_of_effective(priors.uniform, pairs, strengths)
-    return np.maximum(log_prior, -1e30).reshape(N_GOALS, N_GOALS).astype(np.float32)
+    return np.maximum(log_prior, IMPOSSIBLE).reshape(N_GOALS, N_GOALS).astype(np.float32)
 
 
 def log_proposal(weights: jax.Array, features: Array, goals: Array) -> jax.Array:

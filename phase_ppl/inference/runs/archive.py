@@ -12,14 +12,13 @@ import math
 import os
 import zipfile
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.world.errors import InvalidEventError
-from phase_ppl.world.files import atomic_output
+from phase_ppl.world.files import atomic_output, existing_file
 
 SUFFIXES: Final = (".ckpt",)
 
@@ -58,9 +57,7 @@ def read_archive(path: str | os.PathLike[str]) -> tuple[dict[str, Any], Arrays]:
     Raises:
         InvalidEventError: there is no such file, or it is damaged or of another kind.
     """
-    source = Path(path)
-    if not source.is_file():
-        raise InvalidEventError(f"{source}: no such file")
+    source = existing_file(path)
     try:
         with zipfile.ZipFile(source) as archive:
             members = {info.filename: _member(archive, info) for info in archive.infolist()}
