@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 
 import common
 import numpy as np
+from videos.hypotheses import log_mean_exp
 
 import phase_ppl as ppl
 from phase_ppl.agents.config import PlannerConfig
@@ -33,7 +34,6 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import Hypothesis
 
-BETA = ppl.RadialLikelihood().beta
 CAUSES = ("simulator", "proposal", "chain")
 JUDGING_SEED = 5000
 """Apart from the seeds that a run is likely to have met."""
@@ -126,15 +126,13 @@ def log_joint(task: Task, pair: Pair) -> float:
     strengths = float(truth.strength_red or 0), float(truth.strength_green or 0)
     hypothesis = Hypothesis(*pair, (0, 0), *strengths)
     simulator = JointSimulator(task.planner)
-    errors = np.array(
-        [
-            simulate_one(
-                simulator, event.scene, hypothesis, seed, event.observation.positions
-            ).total_error
-            for seed in range(JUDGING_SEED, JUDGING_SEED + task.judging_seeds)
-        ]
-    )
-    log_likelihood = np.logaddexp.reduce(-BETA * errors) - np.log(len(errors))
+    errors = [
+        simulate_one(
+            simulator, event.scene, hypothesis, seed, event.observation.positions
+        ).total_error
+        for seed in range(JUDGING_SEED, JUDGING_SEED + task.judging_seeds)
+    ]
+    log_likelihood = log_mean_exp(errors)
     given = {
         "strength_red": np.array([strengths[0]]),
         "strength_green": np.array([strengths[1]]),
