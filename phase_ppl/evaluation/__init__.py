@@ -1,0 +1,1 @@
+"""Models of social perception over many events: predictions, the paper's metrics, figures."""

@@ -1,0 +1,181 @@
+"""The folder that an evaluation writes, and from which everything about it is read again.
+
+::
+
+    DIR/
+      settings.json          what determines the result: model, options, seed, events, versions
+      events.json            the events, in the package's own format
+      events/0007-ID/        one folder per finished event, made whole or not at all
+        prediction.json      what the model answered
+        posterior.nc         where the model has one
+        page.png             the page of the event
+      failures.json          event id -> what went wrong, of the events without a prediction
+      metrics.json           written last
+      figures/*.png
+
+A folder of an event is there only when its prediction is complete, so an interrupted evaluation
+goes on with the events that are missing.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import secrets
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from phase_ppl.dataset.documents import read_document
+from phase_ppl.dataset.load import load_events, save_events
+from phase_ppl.evaluation.prediction import Prediction
+from phase_ppl.world.errors import InvalidEventError, OutputError, PhasePPLError
+from phase_ppl.world.event import Event
+from phase_ppl.world.files import atomic_output
+
+SCHEMA: Final = "phase-ppl-evaluation-1"
+"""Value of ``schema`` in settings.json."""
+
+PREDICTION: Final = "prediction.json"
+POSTERIOR: Final = "posterior.nc"
+PAGE: Final = "page.png"
+
+
+class ResultsFolder:
+    """A folder of results.
+
+    Args:
+        path: of the folder; see :meth:`create` and :meth:`open`.
+        settings: content of settings.json.
+        events: all events of the evaluation, in order.
+    """
+
+    def __init__(self, path: Path, settings: Mapping[str, Any], events: Sequence[Event]) -> None:
+        self.path = path
+        self.settings = dict(settings)
+        self.events = list(events)
+        self._place = {event.id: index for index, event in enumerate(self.events)}
+
+    @classmethod
+    def create(
+        cls, path: str | os.PathLike[str], settings: Mapping[str, Any], events: Sequence[Event]
+    ) -> ResultsFolder:
+        """Make a folder for a new evaluation.
+
+        Raises:
+            OutputError: it cannot be written, or already holds an evaluation.
+        """
+        folder = Path(path)
+        if (folder / "settings.json").exists():
+            raise OutputError(f"{folder} already holds an evaluation; resume it or name another")
+        try:
+            (folder / "events").mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise OutputError(f"cannot write into {folder}: {error.strerror or error}") from None
+        save_events(events, folder / "events.json")
+        record = {"schema": SCHEMA, **settings}
+        write_json(folder / "settings.json", record)
+        return cls(folder, record, events)
+
+    @classmethod
+    def open(cls, path: str | os.PathLike[str]) -> ResultsFolder:
+        """Open the folder of an evaluation, finished or not.
+
+        Raises:
+            InvalidEventError: it is no such folder, or a file in it is damaged.
+        """
+        folder = Path(path)
+        if not (folder / "settings.json").is_file():
+            raise InvalidEventError(f"{folder} holds no evaluation: it has no settings.json")
+        settings = read_json(folder / "settings.json")
+        if settings.get("schema") != SCHEMA:
+            raise InvalidEventError(
+                f"{folder / 'settings.json'}: its schema is {settings.get('schema')!r}, "
+                f"not {SCHEMA!r}"
+            )
+        return cls(folder, settings, load_events(folder / "events.json"))
+
+    def folder_of(self, event_id: str) -> Path:
+        """Return the folder of an event, whether it is there or not."""
+        name = re.sub(r"[^A-Za-z0-9._-]+", "_", event_id)[:80]
+        return self.path / "events" / f"{self._place[event_id]:04d}-{name}"
+
+    def is_finished(self, event_id: str) -> bool:
+        """Whether the event has a prediction."""
+        return (self.folder_of(event_id) / PREDICTION).is_file()
+
+    def add(self, prediction: Prediction, artefacts: Callable[[Path], None] | None = None) -> None:
+        """Keep the prediction of an event; ``artefacts(folder)`` writes what else belongs to it.
+
+        Raises:
+            OutputError: it cannot be written.
+        """
+        target = self.folder_of(prediction.event_id)
+        part = target.with_name(f".part-{secrets.token_hex(4)}")
+        try:
+            part.mkdir()
+            if artefacts is not None:
+                artefacts(part)
+            write_json(part / PREDICTION, prediction.to_dict())
+            if target.exists():
+                shutil.rmtree(target)
+            os.replace(part, target)
+        except OSError as error:
+            if isinstance(error, OutputError):
+                raise
+            raise OutputError(f"cannot write {target}: {error.strerror or error}") from None
+        finally:
+            shutil.rmtree(part, ignore_errors=True)
+
+    def predictions(self) -> dict[str, Prediction]:
+        """Return event id -> prediction of the finished events, in the order of the events.
+
+        Raises:
+            InvalidEventError: a prediction is damaged, or of another event; the message names
+                the file.
+        """
+        found = {}
+        for event in self.events:
+            if self.is_finished(event.id):
+                source = self.folder_of(event.id) / PREDICTION
+                try:
+                    prediction = Prediction.from_dict(read_json(source))
+                except PhasePPLError as error:
+                    where = "" if str(source) in str(error) else f"{source}: "
+                    raise InvalidEventError(f"{where}{error}") from None
+                if prediction.event_id != event.id:
+                    raise InvalidEventError(
+                        f"{source}: is of the event {prediction.event_id!r}, not {event.id!r}"
+                    )
+                found[event.id] = prediction
+        return found
+
+    def metrics(self) -> dict[str, Any] | None:
+        """Return the content of metrics.json; None where the evaluation is not finished."""
+        source = self.path / "metrics.json"
+        return read_json(source) if source.is_file() else None
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Read a JSON object.
+
+    Raises:
+        InvalidEventError: there is none; the message names the file.
+    """
+    try:
+        return read_document(path)
+    except InvalidEventError as error:
+        raise InvalidEventError(f"{path}: {error}") from None
+
+
+def write_json(path: Path, record: Mapping[str, Any]) -> None:
+    """Write a JSON object, whole or not at all.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    with atomic_output(path, (".json",)) as part:
+        text = json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False)
+        part.write_text(text + "\n", encoding="utf-8")

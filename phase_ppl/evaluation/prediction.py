@@ -1,0 +1,176 @@
+"""What somebody who watched an event says about it: a model, a file of predictions, or people."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from phase_ppl.world.errors import InvalidEventError, shown, unknown_name
+from phase_ppl.world.goals import GOALS, goal_index
+from phase_ppl.world.names import AGENTS
+from phase_ppl.world.relations import RELATIONS, scenario
+
+FloatArray = NDArray[np.float64]
+
+QUESTIONS: Final[Mapping[str, tuple[str, ...]]] = {
+    "goal_red": GOALS,
+    "goal_green": GOALS,
+    "relation": RELATIONS,
+}
+"""What is asked about an event -> the possible answers, in label order. Goals are effective."""
+
+GOAL_QUESTIONS: Final = dict(zip(AGENTS, ("goal_red", "goal_green"), strict=True))
+"""Agent -> the question about its goal."""
+
+_SUM_TOLERANCE: Final = 1e-3
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Prediction:
+    """Answers to the questions about one event. What is not given is absent, never guessed.
+
+    Attributes:
+        event_id: of the event.
+        probabilities: question -> probabilities of its answers, in label order, sum 1.
+        answers: question -> the answer given (top 1). Where only probabilities are given it is
+            the most probable one, of equals the first in label order.
+        cost: seconds, simulations and whatever else the model counts.
+
+    Raises:
+        UnknownNameError: there is no such question or answer; the message names close matches.
+        InvalidEventError: probabilities of another number, negative, not finite, or whose sum
+            is not 1 (within 0.001; they are normalised exactly).
+    """
+
+    event_id: str
+    probabilities: Mapping[str, FloatArray] = dataclasses.field(default_factory=dict)
+    answers: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    cost: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        given = {**self.probabilities, **self.answers}
+        for question in given:
+            if question not in QUESTIONS:
+                raise unknown_name("question", question, QUESTIONS)
+        probabilities = {
+            question: _distribution(question, self.probabilities[question])
+            for question in QUESTIONS
+            if question in self.probabilities
+        }
+        answers = {
+            question: _answer(question, self.answers[question])
+            if question in self.answers
+            else QUESTIONS[question][int(probabilities[question].argmax())]
+            for question in QUESTIONS
+            if question in given
+        }
+        object.__setattr__(self, "probabilities", probabilities)
+        object.__setattr__(self, "answers", answers)
+
+    @property
+    def scenario(self) -> str | None:
+        """Scenario of the two goals answered; None where one is missing."""
+        red, green = (self.answers.get(question) for question in GOAL_QUESTIONS.values())
+        return None if red is None or green is None else scenario(red, green)
+
+    def top(self, question: str, n: int) -> tuple[str, ...] | None:
+        """Return the ``n`` most probable answers, ties in label order; None where not given."""
+        if question not in self.probabilities:
+            return None
+        order = np.argsort(-self.probabilities[question], kind="stable")[:n]
+        return tuple(QUESTIONS[question][index] for index in order)
+
+    def ties(self, question: str) -> int:
+        """Return how many answers share the highest probability: 1 where it is clear, 0 unknown."""
+        if question not in self.probabilities:
+            return 0
+        values = self.probabilities[question]
+        return int(np.isclose(values, values.max(), rtol=0, atol=1e-12).sum())
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain data, fit for JSON; :meth:`from_dict` gives it back."""
+        return {
+            "event": self.event_id,
+            "probabilities": {
+                question: dict(zip(QUESTIONS[question], values.tolist(), strict=True))
+                for question, values in self.probabilities.items()
+            },
+            "answers": dict(self.answers),
+            "cost": dict(self.cost),
+        }
+
+    @classmethod
+    def from_dict(cls, record: Mapping[str, Any]) -> Prediction:
+        """Read what :meth:`to_dict` wrote; answers of probability 0 may be left out.
+
+        Raises:
+            InvalidEventError, UnknownNameError: as for the class; or a field is missing or of
+                another type.
+        """
+        for name, kind in (("event", str), ("probabilities", dict), ("answers", dict)):
+            if not isinstance(record.get(name), kind):
+                raise InvalidEventError(
+                    f"{name} of a prediction is {shown(record.get(name))}, "
+                    f"expected {'text' if kind is str else 'an object'}"
+                )
+        return cls(
+            event_id=record["event"],
+            probabilities={
+                question: probabilities_of(question, shares)
+                for question, shares in record["probabilities"].items()
+            },
+            answers=record["answers"],
+            cost=record.get("cost") or {},
+        )
+
+
+def probabilities_of(question: str, shares: Mapping[str, Any]) -> FloatArray:
+    """Return probabilities in label order from answer -> probability; those left out are 0.
+
+    Raises:
+        UnknownNameError: there is no such question or answer.
+        InvalidEventError: a value is no number, or ``shares`` is no mapping.
+    """
+    if question not in QUESTIONS:
+        raise unknown_name("question", question, QUESTIONS)
+    if not isinstance(shares, Mapping):
+        raise InvalidEventError(f"{question} is {shown(shares)}, expected answers with numbers")
+    values = np.zeros(len(QUESTIONS[question]))
+    for answer, share in shares.items():
+        if isinstance(share, bool) or not isinstance(share, int | float):
+            raise InvalidEventError(f"{question}: {answer!r} has {shown(share)}, expected a number")
+        values[QUESTIONS[question].index(_answer(question, answer))] = share
+    return values
+
+
+def _answer(question: str, answer: object) -> str:
+    if question == "relation":
+        if answer not in RELATIONS:
+            raise unknown_name("relation", answer, RELATIONS)
+        return str(answer)
+    return GOALS[goal_index(str(answer))]
+
+
+def _distribution(question: str, given: ArrayLike) -> FloatArray:
+    labels = QUESTIONS[question]
+    try:
+        values = np.array(given, np.float64)
+    except (TypeError, ValueError):
+        raise InvalidEventError(f"{question} is {shown(given)}, expected numbers") from None
+    if values.shape != (len(labels),):
+        raise InvalidEventError(
+            f"{question} has probabilities of shape {values.shape}, expected ({len(labels)},)"
+        )
+    if not np.isfinite(values).all() or (values < 0).any():
+        bad = values[~np.isfinite(values) | (values < 0)][0]
+        raise InvalidEventError(f"{question} has the probability {bad}, expected 0 to 1")
+    total = values.sum()
+    if abs(total - 1) > _SUM_TOLERANCE:
+        raise InvalidEventError(f"{question} has probabilities of sum {total:.4g}, expected 1")
+    values /= total
+    values.flags.writeable = False
+    return values
