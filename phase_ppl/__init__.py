@@ -15,6 +15,7 @@ _WHERE = {
     "ALPHAS": "phase_ppl.world.hypothesis",
     "Comparison": "phase_ppl.analysis.comparison",
     "ComparisonInterrupted": "phase_ppl.inference.compare",
+    "Estimate": "phase_ppl.analysis.estimate",
     "Event": "phase_ppl.world.event",
     "GOALS": "phase_ppl.world.goals",
     "Hypothesis": "phase_ppl.world.hypothesis",
@@ -25,6 +26,7 @@ _WHERE = {
     "PhasePPLError": "phase_ppl.world.errors",
     "PlannerConfig": "phase_ppl.agents.config",
     "Posterior": "phase_ppl.analysis.posterior",
+    "QueryError": "phase_ppl.world.errors",
     "RadialLikelihood": "phase_ppl.models.likelihood",
     "Scene": "phase_ppl.world.scene",
     "SimpleSettings": "phase_ppl.inference.infer",
@@ -60,6 +62,7 @@ if TYPE_CHECKING:
     from phase_ppl.agents.config import PlannerConfig as PlannerConfig
     from phase_ppl.analysis import plots as plot
     from phase_ppl.analysis.comparison import Comparison as Comparison
+    from phase_ppl.analysis.estimate import Estimate as Estimate
     from phase_ppl.analysis.posterior import Posterior as Posterior
     from phase_ppl.dataset.bundled import bundled_events as bundled_events
     from phase_ppl.dataset.load import load_event as load_event
@@ -84,6 +87,7 @@ if TYPE_CHECKING:
     from phase_ppl.simulator.joint import JointSimulator as JointSimulator
     from phase_ppl.simulator.simulate import simulate as simulate
     from phase_ppl.world.errors import PhasePPLError as PhasePPLError
+    from phase_ppl.world.errors import QueryError as QueryError
     from phase_ppl.world.errors import SimulationError as SimulationError
     from phase_ppl.world.event import Event as Event
     from phase_ppl.world.event import Truth as Truth

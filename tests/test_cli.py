@@ -18,6 +18,7 @@ import pytest
 import phase_ppl
 from phase_ppl.cli import main
 from phase_ppl.world.goals import GOALS
+from tests.analysis.factory import Simulation, hypothesis, make_tree
 from tests.inference.toy import walkers, walking_event
 
 TINY = ["--chains", "2", "--iterations", "1", "--workers", "1", "--quiet"]
@@ -246,6 +247,97 @@ class TestBadInput:
 
     def test_no_command(self, capsys: pytest.CaptureFixture[str]) -> None:
         assert "COMMAND" in fails(capsys)
+
+
+class TestQuery:
+    """The command ``query``, on a posterior made by hand."""
+
+    @pytest.fixture
+    def folder(self, tmp_path: Path) -> Path:
+        folder = tmp_path / "my results"
+        folder.mkdir()
+        simulations = [
+            Simulation(hypothesis("Get blue item to red lm", "Get blue item to red lm"), 0),
+            Simulation(hypothesis("get to green agent", "Get pink item to blue lm"), 1),
+        ]
+        post = phase_ppl.Posterior(make_tree(simulations, [[0], [0], [0], [1]]))
+        post.save(folder / "posterior.nc")
+        return folder
+
+    def test_answers_are_printed_with_their_errors(
+        self, folder: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        questions = [
+            *("P(relation = friendly)", "P(goal_red)", "mode relation", "H(goal_red, goal_green)"),
+            *("hdi strength_red", "top 1 relation|goal_red=get to green agent"),
+        ]
+        assert main(["query", str(folder), *questions]) == 0
+        assert capsys.readouterr().out.splitlines() == [
+            "P(relation = friendly) = 0.75 ± 0.25",
+            "P(goal_red):",
+            "  0.75 ± 0.25  Get blue item to red lm",
+            "  0.25 ± 0.25  get to green agent",
+            "mode relation = friendly (another leads with probability 0.16)",
+            "H(goal_red, goal_green) = 0.6 ± 0.5",
+            "hdi strength_red = 300 ± 0 to 300 ± 0",
+            "top 1 relation|goal_red=get to green agent:",
+            "  1 ± ?  neutral",
+        ]
+
+    def test_json_is_the_same_as_plain_data(
+        self, folder: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        questions = ["E strength_red", "P(relation, sign_red)", "mode relation", "hdi strength_red"]
+        file = str(folder / "posterior.nc")
+        assert main(["query", file, *questions, "--json", "--weights", "likelihood"]) == 0
+        mean, joint, mode, interval = json.loads(capsys.readouterr().out)
+        assert mean == {"question": "E strength_red", "value": 300.0, "error": 0.0}
+        assert joint["values"] == [
+            {"relation": a, "sign_red": "to", "probability": p, "error": pytest.approx(0.25)}
+            for a, p in (("friendly", 0.75), ("neutral", 0.25))
+        ]
+        assert (mode["value"], mode["error"]) == ("friendly", pytest.approx(0.159, abs=1e-3))
+        assert interval["bounds"] == [{"value": 300.0, "error": 0.0}] * 2
+        alone = [
+            "P(sign_red=to | relation=neutral)",
+            "top 1 (relation | goal_red=get to green agent)",
+        ]
+        assert main(["query", file, *alone, "--json"]) == 0
+        one, top = json.loads(capsys.readouterr().out)
+        assert one["error"] is None
+        assert top["values"] == [{"value": "neutral", "probability": 1.0, "error": None}]
+
+    def test_a_wrong_question_is_shown_with_its_place(
+        self, folder: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        assert main(["query", str(folder), "P(goal_red)", "P(relation=freindly)"]) == 2
+        written = capsys.readouterr()
+        assert written.out == ""
+        assert written.err.splitlines() == [
+            "phase-ppl: error: unknown relation 'freindly'; did you mean 'friendly'?",
+            "  P(relation=freindly)",
+            "             ^",
+        ]
+
+    def test_files_and_weights_that_do_not_exist(
+        self, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        assert "no such file" in fails(capsys, "query", str(tmp_path / "x.nc"), "P(goal_red)")
+        assert "posterior.nc: no such file" in fails(capsys, "query", str(tmp_path), "P(goal_red)")
+        assert "QUESTION" in fails(capsys, "query", str(folder))
+        wrong = ["--weights", "visitde"]
+        assert "'visited'" in fails(capsys, "query", str(folder), "P(goal_red)", *wrong)
+
+    @pytest.mark.skipif(os.name != "posix", reason="closes a pipe")
+    def test_a_reader_that_stops_early_is_no_error(self, folder: Path) -> None:
+        command = [sys.executable, "-m", "phase_ppl.cli", "query", str(folder)]
+        read, write = os.pipe()
+        os.close(read)
+        done = subprocess.run(
+            [*command, "P(goal_red)"], stdout=write, stderr=subprocess.PIPE, text=True, timeout=60
+        )
+        os.close(write)
+        assert done.stderr == ""
 
 
 def _is_gone_within(group: int, seconds: float) -> bool:

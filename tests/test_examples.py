@@ -19,7 +19,7 @@ PROMISED: dict[str, tuple[list[str], list[str]]] = {
         ["compare_kernels.json", "compare_kernels.png"],
     ),
     "diagnostics": (["between_chain_tv", "R-hat"], ["diagnostics.png"]),
-    "queries": (["P(friendly) = ", "Best single hypothesis: red: "], []),
+    "queries": (["P(friendly) = ", "E[strength_red | ", "Best single hypothesis: red: "], []),
 }
 
 

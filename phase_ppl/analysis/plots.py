@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -175,7 +176,10 @@ def strength_histogram(axes: Axes, post: Posterior, name: str, agent: int) -> No
 
 
 def _bars(
-    axes: Axes, entries: list[tuple[str, float]], colour: Colour | str, gap_after: int | None = None
+    axes: Axes,
+    entries: Sequence[tuple[str, float]],
+    colour: Colour | str,
+    gap_after: int | None = None,
 ) -> None:
     """Draw labelled horizontal bars from the top down, with their values at their ends."""
     places = np.arange(len(entries), dtype=float)

@@ -15,6 +15,7 @@ import phase_ppl
 from phase_ppl.cli.shared import (
     BAD_INPUT,
     INTERRUPTED,
+    POSTERIOR,
     budget,
     command,
     load,
@@ -185,12 +186,12 @@ def _kernel_options(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
 
 def _write_results(post: Posterior, event: Event, out: Path) -> None:
     """Write posterior.nc, summary.json, posterior.png and replay.mp4 into ``out``."""
-    post.save(out / "posterior.nc")
+    post.save(out / POSTERIOR)
     text = json.dumps(post.summary(), indent=2, ensure_ascii=False, allow_nan=False)
     write_text(out / "summary.json", text + "\n")
     phase_ppl.plot.posterior(post, path=out / "posterior.png")
     phase_ppl.render.video(event, out / "replay.mp4", compare=post.replay())
-    print(f"\nWritten to {out}: posterior.nc, summary.json, posterior.png, replay.mp4")
+    print(f"\nWritten to {out}: {POSTERIOR}, summary.json, posterior.png, replay.mp4")
 
 
 # --- options ---------------------------------------------------------------------------------

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 import phase_ppl
-from phase_ppl.cli import compare, infer
+from phase_ppl.cli import compare, infer, query
 from phase_ppl.cli.shared import (
     BAD_INPUT,
+    BROKEN_PIPE,
     INTERRUPTED,
     Parser,
     command,
@@ -23,11 +25,18 @@ from phase_ppl.world.errors import OutputError, PhasePPLError
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; return the exit code (0 fine, 2 bad input, 130 interrupted)."""
+    """Run the command line; return the exit code.
+
+    It is 0, or 2 for bad input, 130 where interrupted, 141 where output was not read to its end.
+    """
     options = _parser().parse_args(arguments)
     try:
         code: int = options.run(options)
+        sys.stdout.flush()
         return code
+    except BrokenPipeError:  # of "| head"; Python must not try to write the rest at its end
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return BROKEN_PIPE
     except PhasePPLError as error:
         print(f"phase-ppl: error: {one_line(error)}", file=sys.stderr)
         return BAD_INPUT
@@ -130,4 +139,5 @@ def _parser() -> argparse.ArgumentParser:
     )
     render.add_argument("--out", metavar="FILE", type=Path, required=True, help=".mp4")
     compare.add_to(commands)
+    query.add_to(commands)
     return parser

@@ -7,14 +7,21 @@ import json
 import os
 import tempfile
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import phase_ppl
 from phase_ppl.world.errors import OutputError
 from phase_ppl.world.event import Event
 
+if TYPE_CHECKING:
+    from phase_ppl.analysis.posterior import Posterior
+
 BAD_INPUT: Final = 2
 INTERRUPTED: Final = 130
+BROKEN_PIPE: Final = 141
+
+POSTERIOR: Final = "posterior.nc"
+"""The file in the folder of results that holds the posterior."""
 
 
 def one_line(error: BaseException) -> str:
@@ -25,6 +32,11 @@ def one_line(error: BaseException) -> str:
 def load(options: argparse.Namespace) -> Event:
     """Return the event that the options name."""
     return phase_ppl.load_event(options.event, video=options.video, turning=options.turning)
+
+
+def posterior(path: Path, weights: str | None = None) -> Posterior:
+    """Return the posterior of a file, or of the folder of results that holds posterior.nc."""
+    return phase_ppl.Posterior.load(path / POSTERIOR if path.is_dir() else path, weights)
 
 
 def writable_folder(folder: Path) -> Path:
