@@ -6,11 +6,17 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
+import numpy as np
+
+from phase_ppl.evaluation.bootstrap import figure, resampled
 from phase_ppl.evaluation.folder import ResultsFolder
+from phase_ppl.evaluation.metrics import accuracy_curves, evaluate_predictions
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
 from phase_ppl.evaluation.references import reference_predictions
+from phase_ppl.evaluation.tables import facts
 from phase_ppl.evaluation.votes import event_judgments
 from phase_ppl.world.event import Event
+from phase_ppl.world.relations import SCENARIOS
 
 PEOPLE: Final = "people"
 
@@ -41,7 +47,7 @@ class Observer:
         label: as in figures.
         colour: in figures.
         predictions: event id -> answers; people's probabilities are shares of their votes.
-        metrics: of the metrics, where they are known.
+        metrics: see :func:`measured`.
     """
 
     name: str
@@ -51,9 +57,9 @@ class Observer:
     predictions: Mapping[str, Prediction]
     metrics: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
-    def answered(self, question: str) -> list[str]:
-        """Return the events about which the question was answered."""
-        return [id for id, given in self.predictions.items() if question in given.answers]
+    def answered(self, question: str) -> bool:
+        """Whether the question was answered about any event."""
+        return any(question in given.answers for given in self.predictions.values())
 
 
 def observers(folder: ResultsFolder, events: Sequence[Event] | None = None) -> list[Observer]:
@@ -67,7 +73,6 @@ def observers(folder: ResultsFolder, events: Sequence[Event] | None = None) -> l
         InvalidEventError, UnknownNameError: a stored prediction or judgment is damaged.
     """
     chosen = folder.events if events is None else events
-    metrics = folder.metrics() or {}
     own = {event.id: folder.prediction(event.id) for event in chosen}
     name = str(folder.settings.get("model", "model"))
     found = [
@@ -78,11 +83,9 @@ def observers(folder: ResultsFolder, events: Sequence[Event] | None = None) -> l
             label_of(name),
             MODEL_COLOUR,
             {id: given for id, given in own.items() if given is not None},
-            metrics,
         ),
     ]
     references = reference_predictions(chosen)
-    of_references = metrics.get("reference_models") or {}
     # the order, and so the colour, is the same whichever events are asked for
     names = dict.fromkeys(name for event in folder.events for name in event.predictions or {})
     for place, reference in enumerate(names):
@@ -94,10 +97,35 @@ def observers(folder: ResultsFolder, events: Sequence[Event] | None = None) -> l
                 f"{label} (in the file)" if label == found[1].label else label,
                 REFERENCE_COLOURS[place % len(REFERENCE_COLOURS)],
                 references.get(reference, {}),
-                of_references.get(reference) or {},
             )
         )
     return [observer for observer in found if observer.predictions]
+
+
+def measured(folder: ResultsFolder) -> list[Observer]:
+    """Return :func:`observers` with their metrics.
+
+    They are those of metrics.json; where an evaluation is not finished, and has none, they are
+    computed from the events that are. Those of people have accuracies only: the mean share of
+    people who are right.
+
+    Raises:
+        InvalidEventError, UnknownNameError: as :func:`observers`; or metrics.json is damaged.
+    """
+    stored = folder.metrics() or {}
+    of_references = stored.get("reference_models") or {}
+    found = []
+    for observer in observers(folder):
+        if observer.kind == "people":
+            metrics = people_accuracy(folder.events)
+        elif observer.kind == "model":
+            metrics = stored
+        else:
+            metrics = of_references.get(observer.name) or {}
+        if not metrics:
+            metrics = evaluate_predictions(folder.events, observer.predictions)
+        found.append(dataclasses.replace(observer, metrics=metrics))
+    return found
 
 
 def people(events: Sequence[Event]) -> dict[str, Prediction]:
@@ -109,6 +137,27 @@ def people(events: Sequence[Event]) -> dict[str, Prediction]:
             shares = {question: judgments.distribution(question) for question in QUESTIONS}
             given = {question: share for question, share in shares.items() if share is not None}
             found[event.id] = Prediction(event.id, given)
+    return found
+
+
+def people_accuracy(events: Sequence[Event], seed: int = 0) -> dict[str, Any]:
+    """Return the accuracies of people, in the form of the metrics of a model.
+
+    Of an event it is the share of the people who answered that are right.
+
+    Raises:
+        InvalidEventError, UnknownNameError: the judgments of an event cannot be read.
+    """
+    known = facts(events)
+    right = {}
+    for kind, shares in known.people.items():
+        truth = known.truth[kind]
+        of_truth = np.take_along_axis(shares, np.maximum(truth, 0)[..., None], axis=-1)[..., 0]
+        right[kind] = np.where(truth < 0, np.nan, of_truth)
+    found: dict[str, Any] = {"by_scenario": {name: {} for name in SCENARIOS}}
+    for path, curve in accuracy_curves(right, known.scenario, resampled(len(events), seed)).items():
+        place = found if len(path) == 1 else found["by_scenario"][path[1]]
+        place[path[-1]] = figure(*curve)
     return found
 
 
