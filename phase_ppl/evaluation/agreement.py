@@ -81,6 +81,10 @@ def split_half(
     Returns:
         (row,) values, NaN where they cannot be computed, and the number of events that count.
     """
+    if not any(
+        question in one.counts for one in judged if one is not None for question in questions
+    ):
+        return np.full(len(weights), np.nan), 0
     rng = np.random.default_rng([seed, 1])
     halves = _Participants(judged, rng, splits) if by_participant else _Votes(rng, splits)
     sums = np.zeros((6, splits, len(judged)))

@@ -48,32 +48,26 @@ without "goal" are about the relation:
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import dataclasses
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-import numpy as np
-
 from phase_ppl.evaluation import agreement, tables
-from phase_ppl.evaluation.bootstrap import (
-    Figure,
-    FloatArray,
-    correlation,
-    difference,
-    figure,
-    resampled,
-    weighted_mean,
+from phase_ppl.evaluation.bootstrap import Figure, FloatArray, difference, figure, resampled
+from phase_ppl.evaluation.curves import (
+    PREFIX,
+    Path,
+    confusion,
+    count_scenarios,
+    events_with,
+    model_curves,
+    people_curves,
+    put,
 )
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
 from phase_ppl.evaluation.references import reference_predictions
-from phase_ppl.evaluation.tables import KINDS, Facts, Said
+from phase_ppl.evaluation.tables import KINDS, Facts
 from phase_ppl.world.event import Event
-from phase_ppl.world.relations import RELATIONS, SCENARIOS
-
-Path = tuple[str, ...]
-Curve = tuple[FloatArray, int]
-"""The values (1 + resamples,) of a figure, and the number of events that count in it."""
-
-_PREFIX: Final = {"goal": "goal_", "relation": ""}
 
 
 def evaluate_predictions(
@@ -100,29 +94,7 @@ def evaluate_predictions(
             ``seed`` or ``resamples`` is out of range.
     """
     chosen = tables.predicted(events, predictions)
-    known, model = tables.facts(chosen), tables.said(chosen, predictions)
-    weights = resampled(len(chosen), seed, resamples)
-    result: dict[str, Any] = {
-        "n_events": len(chosen),
-        "n": {
-            "events": len(events),
-            "truth": int((known.scenario >= 0).sum()),
-            **{
-                f"{kind}_judgments": _events_with(known.people[kind].sum(axis=-1)) for kind in KINDS
-            },
-        },
-    }
-    _put(result, {path: figure(*curve) for path, curve in _curves(known, model, weights).items()})
-    _put(result, _people(known, model, weights, seed))
-    for place, name in enumerate(SCENARIOS):
-        result["by_scenario"][name]["n"] = int((known.scenario == place).sum())
-    result["confusion"] = confusion(zip(known.scenario, model.scenario, strict=True))
-    result["ties"] = {
-        question: sum(n > 1 for n in found) if any(found) else None
-        for question in QUESTIONS
-        for found in [[predictions[event.id].ties(question) for event in chosen]]
-    }
-    return {name: result[name] for name in _ORDER}
+    return _metrics(_given(chosen, seed, resamples), chosen, predictions, len(events))
 
 
 _ORDER: Final = (
@@ -138,6 +110,20 @@ _ORDER: Final = (
     "human",
     "ties",
 )
+_HUMAN_ORDER: Final = (
+    "relation_r",
+    "relation_r_given_truth",
+    "goal_r",
+    "log_score",
+    "log_score_people",
+    "goal_log_score",
+    "goal_log_score_people",
+    "js",
+    "goal_js",
+    "split_half_r",
+    "goal_split_half_r",
+    "split_half_by",
+)
 
 
 def reference_models(
@@ -148,10 +134,15 @@ def reference_models(
     Arguments and errors as for :func:`evaluate_predictions` and
     :func:`~phase_ppl.evaluation.references.reference_predictions`.
     """
-    return {
-        name: evaluate_predictions(events, predictions, seed=seed, resamples=resamples)
-        for name, predictions in reference_predictions(events).items()
-    }
+    given: dict[tuple[str, ...], _Given] = {}
+    found = {}
+    for name, predictions in reference_predictions(events).items():
+        chosen = tables.predicted(events, predictions)
+        ids = tuple(event.id for event in chosen)
+        if ids not in given:
+            given[ids] = _given(chosen, seed, resamples)
+        found[name] = _metrics(given[ids], chosen, predictions, len(events))
+    return found
 
 
 def paired_difference(
@@ -179,102 +170,37 @@ def paired_difference(
     known = tables.facts(chosen)
     first, second = tables.said(chosen, one), tables.said(chosen, other)
     weights = resampled(len(chosen), seed, resamples)
-    of_one = _curves(known, first.where_known(second), weights)
-    of_other = _curves(known, second.where_known(first), weights)
+    of_one = model_curves(known, first.where_known(second), weights)
+    of_other = model_curves(known, second.where_known(first), weights)
     result: dict[str, Any] = {"n_events": len(chosen)}
-    _put(
+    put(
         result,
         {path: difference(values, of_other[path][0], n) for path, (values, n) in of_one.items()},
     )
-    for place, name in enumerate(SCENARIOS):
-        result["by_scenario"][name]["n"] = int((known.scenario == place).sum())
+    count_scenarios(result, known.scenario)
     return result
 
 
-def accuracy_curves(
-    right: Mapping[str, FloatArray], scenario: Any, weights: FloatArray
-) -> dict[Path, Curve]:
-    """Return the accuracies, overall and by true scenario.
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Given:
+    """What is the same for all models that predict the same events.
 
-    Args:
-        right: kind -> (event, question) how far the answer is right, 0 to 1, NaN unknown.
-        scenario: (event,) index of the true scenario.
-        weights: see :func:`~phase_ppl.evaluation.bootstrap.resampled`.
+    Attributes:
+        known: about the events.
+        weights: of their resamples.
+        halves: the figures of people's agreement with each other.
     """
-    curves: dict[Path, Curve] = {}
-    for kind, values in right.items():
-        curves[f"{kind}_accuracy",] = weighted_mean(weights, values), _events_with(values)
-        for place, name in enumerate(SCENARIOS):
-            part = np.where((scenario == place)[:, None], values, np.nan)
-            path = ("by_scenario", name, f"{kind}_accuracy")
-            curves[path] = weighted_mean(weights, part), _events_with(part)
-    return curves
+
+    known: Facts
+    weights: FloatArray
+    halves: Mapping[Path, Figure | str | None]
 
 
-def confusion(pairs: Iterable[tuple[int, int]]) -> dict[str, dict[str, int]] | None:
-    """Return true scenario -> other scenario -> number of pairs (true, other) of indices.
-
-    Pairs with an unknown scenario (-1) do not count; None where all are unknown.
-    """
-    counts = np.zeros((len(SCENARIOS), len(SCENARIOS)), np.int64)
-    for true, other in pairs:
-        if true >= 0 and other >= 0:
-            counts[true, other] += 1
-    if not counts.any():
-        return None
-    return {
-        name: dict(zip(SCENARIOS, row, strict=True))
-        for name, row in zip(SCENARIOS, counts.tolist(), strict=True)
-    }
-
-
-def _curves(known: Facts, model: Said, weights: FloatArray) -> dict[Path, Curve]:
-    """Return all figures that are about the model."""
-    curves = accuracy_curves(model.right, known.scenario, weights)
-
-    def mean(values: FloatArray) -> Curve:
-        return weighted_mean(weights, values), _events_with(values)
-
-    curves["goal_top3_accuracy",] = mean(model.in_top["goal"])
-    for kind, prefix in _PREFIX.items():
-        probabilities, people, truth = (
-            model.probabilities[kind],
-            known.people[kind],
-            known.truth[kind],
-        )
-        logs = agreement.log_probabilities(probabilities)
-        of_truth = np.take_along_axis(logs, np.maximum(truth, 0)[..., None], axis=-1)[..., 0]
-        curves[f"{kind}_log_score_truth",] = mean(np.where(truth < 0, np.nan, of_truth))
-        curves["human", f"{kind}_r"] = _r(weights, probabilities, people)
-        curves["human", f"{prefix}log_score"] = mean(agreement.log_score(probabilities, people))
-        curves["human", f"{prefix}js"] = mean(agreement.jensen_shannon(probabilities, people))
-    true, n = known.truth["relation"], len(RELATIONS)
-    groups = np.where(true < 0, -1, true * n + np.arange(n))
-    curves["human", "relation_r_given_truth"] = _r(
-        weights, model.probabilities["relation"], known.people["relation"], groups
-    )
-    return curves
-
-
-def _r(weights: FloatArray, x: FloatArray, y: FloatArray, groups: Any = None) -> Curve:
-    flat = (x.shape[0], int(np.prod(x.shape[1:])))
-    left, right = x.reshape(flat), y.reshape(flat)
-    return correlation(weights, left, right, groups), _events_with(left * right)
-
-
-def _people(
-    known: Facts, model: Said, weights: FloatArray, seed: int
-) -> dict[Path, Figure | str | None]:
-    """Return what is about people alone, and stands beside the model's figures."""
-    found: dict[Path, Figure | str | None] = {}
-    for kind, prefix in _PREFIX.items():
-        people = known.people[kind]
-        compared = np.where(np.isnan(model.probabilities[kind]), np.nan, people)
-        bound = agreement.negative_entropy(compared)
-        found["human", f"{prefix}log_score_people"] = figure(
-            weighted_mean(weights, bound), _events_with(bound)
-        )
-        found["human", f"{prefix}split_half_r"] = figure(
+def _given(chosen: Sequence[Event], seed: int, resamples: int) -> _Given:
+    known, weights = tables.facts(chosen), resampled(len(chosen), seed, resamples)
+    halves: dict[Path, Figure | str | None] = {}
+    for kind, prefix in PREFIX.items():
+        halves["human", f"{prefix}split_half_r"] = figure(
             *agreement.split_half(
                 known.judgments,
                 KINDS[kind],
@@ -285,18 +211,34 @@ def _people(
         )
     judged = any(one is not None for one in known.judgments)
     by = "participants" if known.by_participant else "votes"
-    found["human", "split_half_by"] = by if judged else None
-    return found
+    halves["human", "split_half_by"] = by if judged else None
+    return _Given(known, weights, halves)
 
 
-def _events_with(values: FloatArray) -> int:
-    """Return the number of events (first axis) with any value that is not NaN."""
-    return int((~np.isnan(values)).any(axis=tuple(range(1, values.ndim))).sum())
-
-
-def _put(result: dict[str, Any], entries: Mapping[Path, Any]) -> None:
-    for path, value in entries.items():
-        place = result
-        for name in path[:-1]:
-            place = place.setdefault(name, {})
-        place[path[-1]] = value
+def _metrics(
+    given: _Given,
+    chosen: Sequence[Event],
+    predictions: Mapping[str, Prediction],
+    n_events: int,
+) -> dict[str, Any]:
+    known, weights = given.known, given.weights
+    model = tables.said(chosen, predictions)
+    result: dict[str, Any] = {
+        "n_events": len(chosen),
+        "n": {
+            "events": n_events,
+            "truth": int((known.scenario >= 0).sum()),
+            **{f"{kind}_judgments": events_with(known.people[kind].sum(axis=-1)) for kind in KINDS},
+        },
+    }
+    curves = model_curves(known, model, weights) | people_curves(known, model, weights)
+    put(result, {path: figure(*curve) for path, curve in curves.items()})
+    put(result, given.halves)
+    count_scenarios(result, known.scenario)
+    result["confusion"] = confusion(zip(known.scenario, model.scenario, strict=True))
+    result["ties"] = {}
+    for question in QUESTIONS:
+        ties = [predictions[event.id].ties(question) for event in chosen]
+        result["ties"][question] = sum(n > 1 for n in ties) if any(ties) else None
+    result["human"] = {name: result["human"][name] for name in _HUMAN_ORDER}
+    return {name: result[name] for name in _ORDER}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -56,13 +56,14 @@ class Said:
 
     Attributes:
         right: kind -> (event, question) 1 where the answer is true, 0 where not, NaN unknown.
-        in_top: likewise for the three most probable answers that have a probability above 0.
+        in_top: (event, agent) likewise whether the true goal is among the three most probable
+            answers and has a probability above 0.
         probabilities: kind -> (event, question, answer), NaN where none are given.
         scenario: (event,) index of the scenario of both goals answered, -1 where unknown.
     """
 
     right: Mapping[str, FloatArray]
-    in_top: Mapping[str, FloatArray]
+    in_top: FloatArray
     probabilities: Mapping[str, FloatArray]
     scenario: IntArray
 
@@ -77,7 +78,7 @@ class Said:
         return dataclasses.replace(
             self,
             right=common(self.right, other.right),
-            in_top=common(self.in_top, other.in_top),
+            in_top=np.where(np.isnan(other.in_top), np.nan, self.in_top),
             probabilities=common(self.probabilities, other.probabilities),
         )
 
@@ -133,15 +134,15 @@ def facts(events: Sequence[Event]) -> Facts:
 def said(events: Sequence[Event], predictions: Mapping[str, Prediction]) -> Said:
     """Collect what the predictions say about the events, each of which has one."""
     made = [predictions[event.id] for event in events]
-    right, in_top = {}, {}
-    for kind, questions in KINDS.items():
-        shape = (len(events), len(questions))
-        pairs = list(zip(events, made, strict=True))
-        right[kind] = _array([[_is_right(*pair, q) for q in questions] for pair in pairs], shape)
-        in_top[kind] = _array([[_is_in_top(*pair, q) for q in questions] for pair in pairs], shape)
+
+    def asked(kind: str, check: Callable[[Event, Prediction, str], float]) -> FloatArray:
+        pairs = zip(events, made, strict=True)
+        rows = [[check(*pair, question) for question in KINDS[kind]] for pair in pairs]
+        return _array(rows, (len(events), len(KINDS[kind])))
+
     return Said(
-        right=right,
-        in_top=in_top,
+        right={kind: asked(kind, _is_right) for kind in KINDS},
+        in_top=asked("goal", _is_in_top),
         probabilities=_distributions([one.probabilities for one in made]),
         scenario=np.array(
             [-1 if one.scenario is None else SCENARIOS.index(one.scenario) for one in made],
