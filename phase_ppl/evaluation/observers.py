@@ -6,17 +6,13 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-import numpy as np
-
-from phase_ppl.evaluation.bootstrap import figure, resampled
 from phase_ppl.evaluation.folder import ResultsFolder
-from phase_ppl.evaluation.metrics import accuracy_curves, evaluate_predictions
+from phase_ppl.evaluation.metrics import evaluate_predictions
+from phase_ppl.evaluation.people import human_accuracy
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
 from phase_ppl.evaluation.references import reference_predictions
-from phase_ppl.evaluation.tables import facts
 from phase_ppl.evaluation.votes import event_judgments
 from phase_ppl.world.event import Event
-from phase_ppl.world.relations import SCENARIOS
 
 PEOPLE: Final = "people"
 
@@ -106,8 +102,8 @@ def measured(folder: ResultsFolder) -> list[Observer]:
     """Return :func:`observers` with their metrics.
 
     They are those of metrics.json; where an evaluation is not finished, and has none, they are
-    computed from the events that are. Those of people have accuracies only: the mean share of
-    people who are right.
+    computed from the events that are. Those of people are
+    :func:`~phase_ppl.evaluation.people.human_accuracy`.
 
     Raises:
         InvalidEventError, UnknownNameError: as :func:`observers`; or metrics.json is damaged.
@@ -117,7 +113,7 @@ def measured(folder: ResultsFolder) -> list[Observer]:
     found = []
     for observer in observers(folder):
         if observer.kind == "people":
-            metrics = people_accuracy(folder.events)
+            metrics = human_accuracy(folder.events)
         elif observer.kind == "model":
             metrics = stored
         else:
@@ -137,27 +133,6 @@ def people(events: Sequence[Event]) -> dict[str, Prediction]:
             shares = {question: judgments.distribution(question) for question in QUESTIONS}
             given = {question: share for question, share in shares.items() if share is not None}
             found[event.id] = Prediction(event.id, given)
-    return found
-
-
-def people_accuracy(events: Sequence[Event], seed: int = 0) -> dict[str, Any]:
-    """Return the accuracies of people, in the form of the metrics of a model.
-
-    Of an event it is the share of the people who answered that are right.
-
-    Raises:
-        InvalidEventError, UnknownNameError: the judgments of an event cannot be read.
-    """
-    known = facts(events)
-    right = {}
-    for kind, shares in known.people.items():
-        truth = known.truth[kind]
-        of_truth = np.take_along_axis(shares, np.maximum(truth, 0)[..., None], axis=-1)[..., 0]
-        right[kind] = np.where(truth < 0, np.nan, of_truth)
-    found: dict[str, Any] = {"by_scenario": {name: {} for name in SCENARIOS}}
-    for path, curve in accuracy_curves(right, known.scenario, resampled(len(events), seed)).items():
-        place = found if len(path) == 1 else found["by_scenario"][path[1]]
-        place[path[-1]] = figure(*curve)
     return found
 
 

@@ -47,7 +47,7 @@ def confusion(results: Results) -> Figure:
     for place, (observer, counts) in enumerate(shown):
         row, column = divmod(place, _PER_ROW)
         left, top = _LEFT + column * (_SIDE + _GAP), row * height
-        label = observer.label
+        label = observer.label if observer.kind != "people" else f"{observer.label}, majority"
         sheet.write(
             left, top + 0.27, label, size=fitting(label, _SIDE, NORMAL + 0.5),
             colour=observer.colour, weight="bold",
