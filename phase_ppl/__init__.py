@@ -47,6 +47,7 @@ _WHERE = {
     "reference_models": "phase_ppl.evaluation.metrics",
     "reference_predictions": "phase_ppl.evaluation.references",
     "register_kernel": "phase_ppl.inference.registry",
+    "report": "phase_ppl.evaluation.report",
     "resume": "phase_ppl.inference.infer",
     "save_event": "phase_ppl.dataset.load",
     "save_events": "phase_ppl.dataset.load",
@@ -57,6 +58,7 @@ _WHERE = {
 }
 
 _MODULES = {
+    "figures": "phase_ppl.evaluation.figures",
     "plot": "phase_ppl.analysis.plots",
     "priors": "phase_ppl.models.priors",
     "render": "phase_ppl.render",
@@ -76,6 +78,7 @@ if TYPE_CHECKING:
     from phase_ppl.dataset.load import load_events as load_events
     from phase_ppl.dataset.load import save_event as save_event
     from phase_ppl.dataset.load import save_events as save_events
+    from phase_ppl.evaluation import figures as figures
     from phase_ppl.evaluation.judgments import Study as Study
     from phase_ppl.evaluation.judgments import load_judgments as load_judgments
     from phase_ppl.evaluation.judgments import with_judgments as with_judgments
@@ -85,6 +88,7 @@ if TYPE_CHECKING:
     from phase_ppl.evaluation.people import human_accuracy as human_accuracy
     from phase_ppl.evaluation.prediction import Prediction as Prediction
     from phase_ppl.evaluation.references import reference_predictions as reference_predictions
+    from phase_ppl.evaluation.report import report as report
     from phase_ppl.evaluation.votes import Judgments as Judgments
     from phase_ppl.inference.compare import ComparisonInterrupted as ComparisonInterrupted
     from phase_ppl.inference.compare import compare as compare

@@ -10,13 +10,13 @@ import numpy as np
 from phase_ppl.analysis.style import INK, NORMAL, SMALL, bare
 from phase_ppl.evaluation.figures.accuracies import bar, finish
 from phase_ppl.evaluation.figures.results import (
-    KINDS,
     SCENARIO_COLOURS,
     NothingToDrawError,
     Results,
 )
 from phase_ppl.evaluation.observers import Observer
 from phase_ppl.evaluation.sheet import GREY, Sheet, fitting
+from phase_ppl.evaluation.tables import KINDS
 from phase_ppl.world.relations import SCENARIOS
 
 if TYPE_CHECKING:
