@@ -41,7 +41,7 @@ class Results:
 
     @functools.cached_property
     def observers(self) -> list[Observer]:
-        """Everybody who answered, without metrics."""
+        """Everybody who answered, about all events, without metrics."""
         return observers(self.folder)
 
     @functools.cached_property

@@ -22,6 +22,9 @@ VOID: Final = ("meta", "img", "input", "br")
 COLOURS: Final = 64
 """Colours of pictures of events: flat areas and a few thin lines."""
 
+_SCREEN: Final = 104
+"""Pixels on the screen for an inch of a figure: its small print can just be read."""
+
 
 class Html(str):
     """Text that is HTML already."""
@@ -135,11 +138,17 @@ def png_of(picture: Image.Image, alt: str, width: int) -> Html:
 
 
 def figure_of(figure: Figure, alt: str, dpi: int = 160) -> Html:
-    """Return a matplotlib figure as part of the page, as large as it is on paper, or smaller."""
+    """Return a matplotlib figure as part of the page, a little larger than on paper."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=dpi)
     width, height = figure.get_size_inches()
-    return _image(buffer.getvalue(), alt, round(width * 110), round(height * 110))
+    return _image(buffer.getvalue(), alt, round(width * _SCREEN), round(height * _SCREEN))
+
+
+def rolled(picture: Html, label: str, class_: str = "") -> Html:
+    """Return a picture that scrolls sideways where it is too wide."""
+    class_ = f"roll {class_}".strip()
+    return tag("div", picture, class_=class_, role="region", aria_label=label, tabindex=0)
 
 
 def film(content: bytes, label: str) -> Html:

@@ -8,13 +8,28 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.evaluation.report.html import Child, Html, facts, more, number, png_of, table, tag
+from phase_ppl.evaluation.observers import Observer
+from phase_ppl.evaluation.report.html import (
+    Child,
+    Html,
+    facts,
+    join,
+    more,
+    number,
+    png_of,
+    rolled,
+    table,
+    tag,
+)
 from phase_ppl.render.stills import draw_strip
 from phase_ppl.world.scene import Scene
 
 PANELS: Final = 6
 STRIP_WIDTH: Final = 1200
 """Pixels."""
+
+LEAST: Final = 0.005
+"""Probability below which it is 0 to a reader."""
 
 _BAR: Final = 62
 """Width of the bar of probability 1, in percent of its column; the number stands beside it."""
@@ -40,15 +55,16 @@ DIAGNOSTICS: Final = {
 
 def bar(value: float, colour: str) -> Html:
     """Return a bar with its probability."""
-    if value < 0.005:
+    if value < LEAST:
         return tag("span", "0", class_="soft")
     style = f"width:{_BAR * value:.1f}%;background:{colour}"
-    return join_bar(style, number(value))
+    return join(tag("span", class_="bar", style=style), number(value))
 
 
-def join_bar(style: str, text: str) -> Html:
-    """Return a bar of a style, with a text."""
-    return tag("span", tag("span", class_="bar", style=style), text)
+def named(observer: Observer) -> Html:
+    """Return an observer's name with its colour."""
+    swatch = tag("span", class_="swatch", style=f"background:{observer.colour}")
+    return tag("span", swatch, observer.label)
 
 
 def bars(title: str, entries: Sequence[tuple[str, float]], colour: str) -> Html:
@@ -57,7 +73,7 @@ def bars(title: str, entries: Sequence[tuple[str, float]], colour: str) -> Html:
     return tag(
         "div",
         tag("h3", title),
-        table(["answer", "probability"], rows, f"{title}: probabilities", class_="answers"),
+        table(["answer", "probability"], rows, f"{title}: probabilities", class_="answers one"),
     )
 
 
@@ -67,8 +83,7 @@ def film_strip(
     """Return a film strip of a trajectory (time, entity, coord)."""
     picture = draw_strip(trajectory, min(panels, len(trajectory)), scene)
     image = png_of(picture, alt, STRIP_WIDTH * picture.width // (300 * panels))
-    box = tag("div", image, class_="roll", role="region", aria_label=caption, tabindex=0)
-    return tag("figure", box, tag("figcaption", caption))
+    return tag("figure", rolled(image, caption, "strip"), tag("figcaption", caption))
 
 
 def diagnostics(found: Mapping[str, Any]) -> Html:

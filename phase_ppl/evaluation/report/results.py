@@ -19,6 +19,7 @@ from phase_ppl.evaluation.report.html import (
     more,
     number,
     page,
+    rolled,
     section,
     table,
     tag,
@@ -87,8 +88,8 @@ def results_report(folder: ResultsFolder, *, videos: bool = False, progress: boo
 def _state(folder: ResultsFolder, finished: int) -> str:
     n = len(folder.events)
     words = f"{finished} of {n} events predicted"
-    if folder.metrics() is None:
-        words += "; not finished: what follows is about these"
+    if finished < n and folder.metrics() is None:
+        words += "; not finished: tables and figures are about these"
     return f"{words}."
 
 
@@ -106,19 +107,13 @@ def _summary(observers: Iterable[Observer]) -> Html:
     rows: list[list[Child]] = []
     for observer in shown:
         cells: list[Child] = [_with_interval(_at(observer.metrics, place)) for place in used]
-        rows.append([named(observer), *cells])
+        rows.append([parts.named(observer), *cells])
     people = _between_people(shown)
     return tag(
         "div",
         table(heads, rows, "Metrics"),
         tag("p", "In small: 95 % intervals over resampled events. ", people, class_="soft"),
     )
-
-
-def named(observer: Observer) -> Html:
-    """Return an observer's name with its colour."""
-    swatch = tag("span", class_="swatch", style=f"background:{observer.colour}")
-    return tag("span", swatch, observer.label)
 
 
 def _between_people(observers: list[Observer]) -> str:
@@ -143,7 +138,7 @@ def _by_scenario(observers: Iterable[Observer]) -> Html | None:
                 for name in SCENARIOS
             ]
             if any(found):
-                rows.append([named(observer), word, *(_with_interval(one) for one in found)])
+                rows.append([parts.named(observer), word, *(_with_interval(one) for one in found)])
     if not rows:
         return None
     heads: list[Child] = ["", "right", *SCENARIOS]
@@ -159,8 +154,7 @@ def _figures(results: Results) -> list[Html]:
         except NothingToDrawError as reason:
             left_out.append(f"{TITLES[name]}: {reason}.")
             continue
-        box = tag("div", picture, class_="roll", role="region", aria_label=TITLES[name], tabindex=0)
-        drawn += [tag("h3", TITLES[name]), tag("figure", box)]
+        drawn += [tag("h3", TITLES[name]), tag("figure", rolled(picture, TITLES[name]))]
     if left_out:
         words = " ".join(left_out)
         drawn.append(tag("p", f"Not drawn. {words}", class_="soft"))

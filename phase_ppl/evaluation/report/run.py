@@ -19,6 +19,7 @@ from phase_ppl.evaluation.report.html import (
     film,
     more,
     page,
+    rolled,
     section,
     tag,
 )
@@ -90,7 +91,7 @@ def _pictures(post: Posterior, replay: Path) -> list[Html]:
 def _answers(post: Posterior) -> Html:
     blocks = []
     for name, agent in _GOALS.items():
-        entries = [(goal, value) for goal, value in post.top(name, _N_GOALS) if value > 0]
+        entries = [entry for entry in post.top(name, _N_GOALS) if entry[1] >= parts.LEAST]
         blocks.append(parts.bars(f"Goal of the {agent}", entries, _COLOURS[name]))
     for name in ("relation", "scenario"):
         entries = post.top(name, len(post.marginal(name)))
@@ -104,7 +105,7 @@ def _answers(post: Posterior) -> Html:
     best = post.map_record()
     return tag(
         "div",
-        blocks,
+        tag("div", blocks, class_="side"),
         tag("h3", "Strengths"),
         facts(strengths, "Strengths"),
         tag("h3", "Best hypothesis"),
@@ -114,4 +115,4 @@ def _answers(post: Posterior) -> Html:
 
 def _figure(post: Posterior) -> Html:
     alt = "Goals, relation, scenario, tracks and strengths, as listed above."
-    return tag("figure", figure_of(plots.posterior(post), alt))
+    return tag("figure", rolled(figure_of(plots.posterior(post), alt), "Figure of the posterior"))

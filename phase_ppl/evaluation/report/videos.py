@@ -14,7 +14,17 @@ from phase_ppl.evaluation.observers import Observer
 from phase_ppl.evaluation.pages import TITLES, rows_of
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
 from phase_ppl.evaluation.report import parts
-from phase_ppl.evaluation.report.html import Child, Html, film, join, more, section, table, tag
+from phase_ppl.evaluation.report.html import (
+    Child,
+    Html,
+    film,
+    join,
+    more,
+    number,
+    section,
+    table,
+    tag,
+)
 from phase_ppl.evaluation.tables import true_answer
 from phase_ppl.render.video import video
 from phase_ppl.world.event import Event
@@ -149,17 +159,13 @@ def _content(
 
 
 def _answers(event: Event, question: str, title: str, shown: Sequence[Observer]) -> Html:
-    """Return a table: a row per answer, a column per observer who was asked."""
-    asked = [o for o in shown if question in o.predictions[event.id].answers]
+    """Return a table: a row per answer, a column per observer."""
     truth = true_answer(event, question)
-    heads: list[Child] = [title]
-    for o in asked:
-        swatch = tag("span", class_="swatch", style=f"background:{o.colour}")
-        heads.append([swatch, o.label])
+    heads: list[Child] = [title, *map(parts.named, shown)]
     rows: list[list[Child]] = []
     for answer in rows_of(question, shown, event):
         mark = tag("span", "true", class_="true") if answer == truth else None
-        cells: list[Child] = [_cell(o, question, answer, event.id) for o in asked]
+        cells: list[Child] = [_cell(o, question, answer, event.id) for o in shown]
         rows.append([[answer, mark], *cells])
     return table(heads, rows, f"{title}: answers about {event.id}", class_="answers")
 
@@ -169,6 +175,8 @@ def _cell(observer: Observer, question: str, answer: str, event_id: str) -> Chil
     if question in prediction.probabilities:
         value = float(prediction.probabilities[question][QUESTIONS[question].index(answer)])
         return parts.bar(value, observer.colour)
+    if question not in prediction.answers:
+        return tag("span", number(None), class_="soft")
     if prediction.answers[question] != answer:
         return None
     # an answer without probabilities: where it is, not how sure
