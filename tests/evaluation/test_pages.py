@@ -14,16 +14,14 @@ from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.world.errors import InvalidEventError, UnknownNameError
 from phase_ppl.world.goals import GOALS
 
-from .small import GREEN, HOSTILE, RED, events, make_folder, prediction
+from .small import GREEN, HOSTILE, RED, events, make_folder, prediction, with_posterior
 from .test_figures import check_texts, words
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> ResultsFolder:
     folder = make_folder(tmp_path_factory.mktemp("pages") / "results")
-    folder.add(
-        prediction("one"), lambda part: make_posterior("one").save(part / POSTERIOR) and None
-    )
+    folder.add(prediction("one"), with_posterior)
     return folder
 
 

@@ -53,9 +53,7 @@ class Page(html.parser.HTMLParser):
 @pytest.fixture(scope="module")
 def evaluation(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = make_folder(tmp_path_factory.mktemp("report") / "a folder")
-    folder.add(
-        prediction("one"), lambda part: make_posterior("one").save(part / POSTERIOR) and None
-    )
+    folder.add(prediction("one"), with_posterior)
     write_json(folder.path / "failures.json", {"four": "<b>SimulationError</b>: no"})
     assert ppl.report(folder.path) == folder.path / "report.html"
     return folder.path / "report.html"
@@ -79,8 +77,8 @@ def test_the_report_of_an_evaluation_has_all_its_parts(evaluation: Path) -> None
     assert [d["data-name"] for d in videos] == ["one", HOSTILE, "three"]
     assert [d["data-outcome"] for d in videos] == ["wrong", "right", "unknown"]
     assert [d["data-scenario"] for d in videos] == ["competing", "collaborative", ""]
-    # 0.9 x 0.4 x 0.25 is what the model gives to the true answers of the first
-    assert [d.get("data-belief") for d in videos] == ["0.090000", "0.135000", None]
+    # what the model gives to the true answers: 0.9 x 0.4 x 0.25, and 0.9 x 0.6 x 0.5
+    assert [d.get("data-belief") for d in videos] == ["0.090000", "0.270000", None]
     assert page.text.count("Best hypothesis, simulated") == 1
     assert page.all("video") == []
 
