@@ -17,7 +17,7 @@ from phase_ppl.evaluation.folder import POSTERIOR, write_json
 from phase_ppl.evaluation.report.html import tag
 from phase_ppl.world.errors import InvalidEventError, OutputError
 
-from .small import HOSTILE, events, make_folder, make_posterior, prediction
+from .small import HOSTILE, events, make_folder, make_posterior, prediction, with_posterior
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
 needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="there is no chromium here")
