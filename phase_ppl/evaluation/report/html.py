@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from PIL import Image
 
 VOID: Final = ("meta", "img", "input", "br")
-COLOURS: Final = 64
-"""Colours of pictures of events: flat areas and a few thin lines."""
+COLOURS: Final = 256
+"""Colours of pictures of events, flat areas and a few thin lines; fewer change those of items."""
 
 _SCREEN: Final = 104
 """Pixels on the screen for an inch of a figure: its small print can just be read."""
