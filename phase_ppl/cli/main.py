@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import phase_ppl
-from phase_ppl.cli import compare, infer, query
+from phase_ppl.cli import compare, infer, query, report
 from phase_ppl.cli.shared import (
     BAD_INPUT,
     BROKEN_PIPE,
@@ -140,4 +140,5 @@ def _parser() -> argparse.ArgumentParser:
     render.add_argument("--out", metavar="FILE", type=Path, required=True, help=".mp4")
     compare.add_to(commands)
     query.add_to(commands)
+    report.add_to(commands)
     return parser
