@@ -6,6 +6,7 @@ import argparse
 import json
 import os
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,6 +26,18 @@ def one_line(error: BaseException) -> str:
 def load(options: argparse.Namespace) -> Event:
     """Return the event that the options name."""
     return phase_ppl.load_event(options.event, video=options.video, turning=options.turning)
+
+
+def check_suffix(out: Path, suffixes: Sequence[str]) -> str:
+    """Return the ending of ``out``, in lower case.
+
+    Raises:
+        OutputError: it is none of ``suffixes``.
+    """
+    suffix = out.suffix.lower()
+    if suffix not in suffixes:
+        raise OutputError(f"--out {out}: expected a file ending in {' or '.join(suffixes)}")
+    return suffix
 
 
 def writable_folder(folder: Path) -> Path:

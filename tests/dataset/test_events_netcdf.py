@@ -394,6 +394,23 @@ def test_a_file_of_another_kind_is_refused(tmp_path: Path, case: str) -> None:
     assert message in refused(tmp_path / "event.nc")
 
 
+ODD_IDS: list[Any] = ["a\nb", " ", 7, ["a", "b"]]
+
+
+@pytest.mark.parametrize("name", ODD_IDS)
+def test_an_id_that_is_none_is_refused_in_one_line(tmp_path: Path, name: Any) -> None:
+    dims = ("id",) if isinstance(name, list) else ()
+    dataset = event_dataset(make_event()).drop_vars("event").assign(event=(dims, name))
+    dataset.to_netcdf(tmp_path / "one.nc", engine="h5netcdf")
+    assert "id is " in refused(tmp_path / "one.nc")
+
+
+def test_a_format_that_is_no_text_is_refused(tmp_path: Path) -> None:
+    dataset = event_dataset(make_event()).assign_attrs(format=[1, 2])
+    dataset.to_netcdf(tmp_path / "one.nc", engine="h5netcdf")
+    assert "has no format" in refused(tmp_path / "one.nc")
+
+
 def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
     assert "no such file" in refused(tmp_path / "none.nc")
     (tmp_path / "folder.nc").mkdir()
@@ -405,3 +422,14 @@ def test_bodies_keep_their_order(tmp_path: Path) -> None:
     event = Event(make_scene(walls=wall), Observation(make_trajectory()))
     save_event(event, tmp_path / "one.nc")
     assert np.array_equal(load_event(tmp_path / "one.nc").scene.walls, wall)
+
+
+def test_a_file_that_may_not_be_read_is_refused_with_the_reason(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def forbidden(*_: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    save_event(make_event(), tmp_path / "one.nc")
+    monkeypatch.setattr("builtins.open", forbidden)
+    assert "cannot be read: Permission denied" in refused(tmp_path / "one.nc")
