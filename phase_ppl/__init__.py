@@ -39,6 +39,8 @@ _WHERE = {
     "bundled_events": "phase_ppl.dataset.bundled",
     "compare": "phase_ppl.inference.compare",
     "evaluate_predictions": "phase_ppl.evaluation.metrics",
+    "event_dataset": "phase_ppl.dataset.xarrays",
+    "event_from_dataset": "phase_ppl.dataset.xarrays",
     "human_accuracy": "phase_ppl.evaluation.people",
     "infer": "phase_ppl.inference.infer",
     "kernel_info": "phase_ppl.inference.registry",
@@ -81,6 +83,8 @@ if TYPE_CHECKING:
     from phase_ppl.dataset.load import load_events as load_events
     from phase_ppl.dataset.load import save_event as save_event
     from phase_ppl.dataset.load import save_events as save_events
+    from phase_ppl.dataset.xarrays import event_dataset as event_dataset
+    from phase_ppl.dataset.xarrays import event_from_dataset as event_from_dataset
     from phase_ppl.evaluation import figures as figures
     from phase_ppl.evaluation.judgments import Study as Study
     from phase_ppl.evaluation.judgments import load_judgments as load_judgments

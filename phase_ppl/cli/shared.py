@@ -6,6 +6,7 @@ import argparse
 import json
 import os
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -37,6 +38,18 @@ def load(options: argparse.Namespace) -> Event:
 def posterior(path: Path, weights: str | None = None) -> Posterior:
     """Return the posterior of a file, or of the folder of results that holds posterior.nc."""
     return phase_ppl.Posterior.load(path / POSTERIOR if path.is_dir() else path, weights)
+
+
+def check_suffix(out: Path, suffixes: Sequence[str]) -> str:
+    """Return the ending of ``out``, in lower case.
+
+    Raises:
+        OutputError: it is none of ``suffixes``.
+    """
+    suffix = out.suffix.lower()
+    if suffix not in suffixes:
+        raise OutputError(f"--out {out}: expected a file ending in {' or '.join(suffixes)}")
+    return suffix
 
 
 def writable_folder(folder: Path) -> Path:

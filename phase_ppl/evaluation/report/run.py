@@ -7,7 +7,8 @@ from typing import Final
 
 import phase_ppl
 from phase_ppl.analysis import plots
-from phase_ppl.analysis.posterior import HDI_PROBABILITY, Posterior
+from phase_ppl.analysis.hypotheses import HDI_PROBABILITY
+from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.tree import array
 from phase_ppl.evaluation.folder import POSTERIOR
 from phase_ppl.evaluation.observers import MODEL_COLOUR
