@@ -122,7 +122,7 @@ def visited(tree: xr.DataTree) -> Rows:
     Raises:
         InvalidSettingError: no simulation was completed.
     """
-    table = _evaluations(tree)
+    table = evaluations(tree)
     weighed = table[table["completed"]]
     if weighed.empty:
         raise InvalidSettingError("weights 'visited' need at least one completed simulation")
@@ -139,7 +139,7 @@ def aborted_mass_bound(tree: xr.DataTree) -> float:
     Finishing them would change no probability under weights ``"visited"`` by more than this
     (total variation); 1 where nothing was completed.
     """
-    table = _evaluations(tree)
+    table = evaluations(tree)
     completed = table["completed"].to_numpy()
     log_mass = table["log_mass"].to_numpy()
     if completed.all():
@@ -149,12 +149,12 @@ def aborted_mass_bound(tree: xr.DataTree) -> float:
     return float(np.exp(hidden - everything)) if np.isfinite(everything) else 1.0
 
 
-def _evaluations(tree: xr.DataTree) -> pd.DataFrame:
+def evaluations(tree: xr.DataTree) -> pd.DataFrame:
     """Return one row per distinct (hypothesis, seed) that did not fail.
 
-    Columns: simulation (first row in the tree), completed, and log_mass = log P(h) + log
-    likelihood (a bound where not completed) - log(number of simulations of the goal pair), with
-    P(h) the prior of effective goals and strengths.
+    Columns: simulation (first row in the tree), completed, log_share = log P(h) - log(number of
+    simulations of the goal pair), with P(h) the prior of effective goals and strengths, and
+    log_mass = log_share + log likelihood (a bound where not completed).
     """
     simulations = tree["simulations"].dataset
     key = [name for name in _sites(tree) if name in HYPOTHESIS or name not in SITES]
@@ -165,13 +165,14 @@ def _evaluations(tree: xr.DataTree) -> pd.DataFrame:
     # a completed run of a hypothesis and seed says more than a stopped one of the same
     table = table.sort_values("completed", ascending=False, kind="stable")
     table = table.drop_duplicates([*key, "seed"]).sort_values("simulation")
-    log_joint = table["log_prior_effective"].astype(float) + table["log_likelihood"].astype(float)
     runs = table.groupby(list(_PAIR))["seed"].transform("size")
+    log_share = table["log_prior_effective"].astype(float) - np.log(runs)
     return pd.DataFrame(
         {
             "simulation": table["simulation"],
             "completed": table["completed"].astype(bool),
-            "log_mass": log_joint - np.log(runs),
+            "log_share": log_share,
+            "log_mass": log_share + table["log_likelihood"].astype(float),
         }
     )
 

@@ -41,6 +41,7 @@ RESERVED: Final = frozenset(
         *("chain", "draw", "simulation", "time", "entity", "coord", "seed", "iteration"),
         *("log_prior", "log_prior_effective", "log_likelihood", "total_error", "completed"),
         *("frames_simulated", "failed", "mixture", "step_error", "trajectory"),
+        *("log_joint", "step_log_likelihood"),
     )
 )
 """Names that a prior's own sites cannot have."""
