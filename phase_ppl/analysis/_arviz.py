@@ -64,7 +64,8 @@ def arviz_data(tree: xr.DataTree, scenario: ScenarioFunction | None = None) -> A
         warnings.simplefilter("ignore", FutureWarning)
         import arviz
 
-        return arviz.InferenceData(attrs=dict(tree.attrs), **groups)
+        make: Any = arviz.InferenceData
+        return make(attrs=dict(tree.attrs), **groups)
 
 
 def _posterior(tree: xr.DataTree, scenario: ScenarioFunction | None) -> xr.Dataset:

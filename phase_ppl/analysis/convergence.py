@@ -102,8 +102,8 @@ def _ratio(chains: FloatArray) -> float:
     """Return R-hat; infinite where all spread is between chains, NaN where there is none."""
     n = chains.shape[1]
     between = chains.mean(axis=1).var(ddof=1)
-    within = chains.var(axis=1, ddof=1).mean()
-    if within > 0:
+    if np.ptp(chains, axis=1).any():  # of equal numbers the variance may be rounded to above 0
+        within = chains.var(axis=1, ddof=1).mean()
         return float(np.sqrt(between / within + (n - 1) / n))
     return math.inf if between > 0 else math.nan
 

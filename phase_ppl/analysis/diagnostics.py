@@ -142,16 +142,10 @@ def categorical_draws(
 ) -> dict[str, NDArray[np.int64]]:
     """Return the codes (chain, draw) of :data:`CATEGORICAL` quantities of the draws."""
     posterior = tree["posterior"].dataset
-    goals = [posterior[name].values.astype(np.int64) for name in CATEGORICAL[:2]]
-    derived = relation_codes(*(codes.ravel() for codes in goals), scenario)
-    shape = goals[0].shape
-    return dict(
-        zip(
-            CATEGORICAL,
-            (*goals, *(derived[name].reshape(shape) for name in CATEGORICAL[2:])),
-            strict=True,
-        )
-    )
+    red, green = (posterior[name].values.astype(np.int64) for name in CATEGORICAL[:2])
+    derived = relation_codes(red.ravel(), green.ravel(), scenario)
+    shaped = {name: codes.reshape(red.shape) for name, codes in derived.items()}
+    return {"goal_red": red, "goal_green": green, **shaped}
 
 
 def _convergence_of_scalar(values: FloatArray, weighted: bool) -> dict[str, float | None]:

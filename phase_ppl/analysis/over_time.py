@@ -39,7 +39,8 @@ def over_time(tree: xr.DataTree, scenario: ScenarioFunction | None = None) -> xr
         scenario: as in :class:`~phase_ppl.analysis.posterior.Posterior`.
 
     Returns:
-        ``goal_red``, ``goal_green``, ``relation``, ``scenario``: probabilities (time, label);
+        ``goal_red``, ``goal_green``, ``relation``, ``scenario``: probabilities (time, label),
+        with the labels of ``goal_red`` in ``goal_red_is`` and so on;
         ``aborted_mass_bound`` (time): the largest share of the mass that simulations stopped
         before can hide, as :func:`phase_ppl.analysis.weights.aborted_mass_bound`. ``time`` in
         seconds. The attribute ``hindsight`` says what it is.
@@ -77,8 +78,8 @@ def over_time(tree: xr.DataTree, scenario: ScenarioFunction | None = None) -> xr
     for name in FOLLOWED:
         labels = list(known_quantities[name].categories())
         indicators = codes[name][:, None] == np.arange(len(labels))
-        result[name] = (("time", name), weights.T @ indicators)
-        result = result.assign_coords({name: labels})
+        result[name] = (("time", f"{name}_is"), weights.T @ indicators)
+        result = result.assign_coords({f"{name}_is": labels})
     result["aborted_mass_bound"] = ("time", np.where(known, 0.0, bounds).sum(axis=0))
     return result
 

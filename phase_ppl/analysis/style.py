@@ -27,8 +27,14 @@ NORMAL: Final = 8.5
 COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#9a4c8f", "#8a6d00", "#56a0d3", "#444444")
 """Colours of lines, to be told apart without seeing red and green apart."""
 
-_LABEL_GAP: Final = 0.065
-"""Least distance of two labels, as a share of the axis."""
+MANY_COLOURS: Final = (
+    *("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#d55e00", "#56b4e9"),
+    *("#7a5195", "#8a6d00", "#444444", "#b5bd00", "#a50f15", "#7fcdbb"),
+)
+"""Colours of areas that stand for categories."""
+
+OTHER: Final = "#d0d0d0"
+"""Colour of what has none of its own."""
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -67,8 +73,7 @@ def direct_labels(
     axes: Axes,
     ends: Sequence[tuple[float, float, str, str]],
     *,
-    gap: float = _LABEL_GAP,
-    size: float = NORMAL,
+    gap: float = 0.065,
 ) -> None:
     """Write each line's name beside its end, moved apart where they would touch.
 
@@ -76,7 +81,6 @@ def direct_labels(
         axes: with final limits.
         ends: x and y of the end, name, colour.
         gap: least distance of two names, as a share of the axis.
-        size: of the font, points.
     """
     low, high = axes.get_ylim()
     wanted = np.array([(end[1] - low) / (high - low) for end in ends])
@@ -99,7 +103,7 @@ def direct_labels(
             xytext=(1.035, place),
             textcoords="axes fraction",
             va="center",
-            fontsize=size,
+            fontsize=NORMAL,
             color=colour,
             annotation_clip=False,
             arrowprops={"arrowstyle": "-", "color": colour, "lw": 0.7, "shrinkA": 0, "shrinkB": 0},
