@@ -86,9 +86,9 @@ def diagnostics(post: Posterior, path: str | os.PathLike[str] | None = None) -> 
 
     goals = grid(1, 2, 7.65, 10.05, right=0.715, wspace=0.16)
     _goal_panels(figure, [figure.add_subplot(goals[i]) for i in range(2)], post, 0.735)
-    figure.text(0.06, 7.13 / height, _chains_note(post), fontsize=SMALL, color="#666666")
+    figure.text(0.06, 7.1 / height, _chains_note(post), fontsize=SMALL, color="#666666")
     middle = grid(
-        2, 4, 3.62, 7.0, right=0.985, hspace=0.5, wspace=0.28, width_ratios=(2.1, 1, 2.1, 1)
+        2, 4, 3.55, 6.88, right=0.985, hspace=0.5, wspace=0.28, width_ratios=(2.1, 1, 2.1, 1)
     )
     values = scalars(post.tree)
     for place, name in enumerate(NAMES):

@@ -9,7 +9,6 @@ import numpy as np
 import xarray as xr
 
 from phase_ppl.analysis.style import (
-    COLOURS,
     INK,
     MANY_COLOURS,
     NORMAL,
@@ -20,6 +19,7 @@ from phase_ppl.analysis.style import (
     new_figure,
     written,
 )
+from phase_ppl.world.relations import RELATIONS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,6 +40,7 @@ _LINES: Final = 5
 _SEEN: Final = 0.1
 """Probability that a goal must reach at some time to have a line."""
 
+_RELATION_COLOURS: Final = dict(zip(RELATIONS, ("#009e73", "#666666", "#d55e00"), strict=True))
 _LINE_HEIGHT: Final = 0.095
 """Of a label, as a share of a panel's height."""
 
@@ -76,8 +77,8 @@ def over_time(post: Posterior, path: str | os.PathLike[str] | None = None) -> Fi
     shown = {name: _leading(found[name]) for name in ("goal_red", "goal_green")}
     goals = list(dict.fromkeys(goal for goals in shown.values() for goal in goals))
     colours = dict(zip(goals, MANY_COLOURS, strict=False))
-    colours |= dict(zip(found["relation"]["relation_is"].values.tolist(), COLOURS, strict=False))
-    shown["relation"] = found["relation"]["relation_is"].values.tolist()
+    colours |= _RELATION_COLOURS
+    shown["relation"] = list(_RELATION_COLOURS)
     for place, (name, title) in enumerate(PANELS.items()):
         axes = figure.add_subplot(grid[place])
         _panel(axes, found[name], shown[name], colours)

@@ -106,5 +106,8 @@ def direct_labels(
             fontsize=NORMAL,
             color=colour,
             annotation_clip=False,
-            arrowprops={"arrowstyle": "-", "color": colour, "lw": 0.7, "shrinkA": 0, "shrinkB": 0},
+            arrowprops={
+                **{"arrowstyle": "-", "color": colour, "lw": 0.7},
+                **{"shrinkA": 0, "shrinkB": 0, "relpos": (0, 0.5)},
+            },
         )
