@@ -10,6 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.analysis.comparison_plot import comparison as comparison
+from phase_ppl.analysis.diagnostic_plots import chains as chains
+from phase_ppl.analysis.diagnostic_plots import diagnostics as diagnostics
+from phase_ppl.analysis.diagnostic_plots import errors as errors
+from phase_ppl.analysis.diagnostic_plots import goal_map as goal_map
+from phase_ppl.analysis.over_time_plot import over_time as over_time
 from phase_ppl.analysis.style import INK, NORMAL, SMALL, bare, new_figure, written
 from phase_ppl.analysis.tree import array
 from phase_ppl.world.geometry import agent_outline, is_agent

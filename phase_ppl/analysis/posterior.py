@@ -13,9 +13,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from phase_ppl.analysis._arviz import arviz_data
 from phase_ppl.analysis.best import best_simulation, hypothesis_of, log_joint, replay
 from phase_ppl.analysis.diagnostics import diagnostics
 from phase_ppl.analysis.hypotheses import Hypotheses
+from phase_ppl.analysis.over_time import over_time
 from phase_ppl.analysis.quantities import (
     ScenarioFunction,
     own_quantity,
@@ -153,7 +155,20 @@ class Posterior(Hypotheses):
 
     def diagnostics(self) -> dict[str, Any]:
         """Return how the chains went and a verdict; see :mod:`phase_ppl.analysis.diagnostics`."""
-        return diagnostics(self._tree, self._weights, self._rows.weights)
+        return diagnostics(self._tree, self._weights, self._rows, self._scenario)
+
+    def over_time(self) -> xr.Dataset:
+        """Return the marginals on ever more of the video, in hindsight.
+
+        See :func:`phase_ppl.analysis.over_time.over_time`; at the last frame they are those of
+        weights ``"visited"``, whatever the weighting in use.
+        """
+        return over_time(self._tree, self._scenario)
+
+    @property
+    def arviz(self) -> Any:
+        """The draws for ArviZ; see :func:`phase_ppl.analysis._arviz.arviz_data`."""
+        return arviz_data(self._tree, self._scenario)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write draws and simulations to ``path`` as NetCDF, whole or not at all.

@@ -156,7 +156,7 @@ def visited(tree: xr.DataTree) -> Rows:
     Raises:
         InvalidSettingError: no simulation was completed.
     """
-    table = _evaluations(_runs(tree))
+    table = evaluations(tree)
     weighed = table[table["completed"]]
     if weighed.empty:
         raise InvalidSettingError("weights 'visited' need at least one completed simulation")
@@ -173,7 +173,7 @@ def aborted_mass_bound(tree: xr.DataTree) -> float:
     Finishing them would change no probability under weights ``"visited"`` by more than this
     (total variation); 1 where nothing was completed.
     """
-    table = _evaluations(_runs(tree))
+    table = evaluations(tree)
     completed = table["completed"].to_numpy()
     log_mass = table["log_mass"].to_numpy()
     if completed.all():
@@ -186,9 +186,10 @@ def aborted_mass_bound(tree: xr.DataTree) -> float:
 def _runs(tree: xr.DataTree) -> pd.DataFrame:
     """Return one row per simulation that did not fail.
 
-    Columns: simulation (row in the tree), chain, completed, log_joint = log P(h) + log likelihood
-    (a bound where not completed), with P(h) the prior of effective goals and strengths, key
-    (number of the hypothesis and seed, from 0) and pair (number of the pair of effective goals).
+    Columns: simulation (row in the tree), chain, completed, log_prior = log P(h), the prior of
+    effective goals and strengths, log_joint = log P(h) + log likelihood (a bound where not
+    completed), key (number of the hypothesis and seed, from 0) and pair (number of the pair of
+    effective goals).
     """
     simulations = tree["simulations"].dataset
     names = [name for name in _sites(tree) if name in HYPOTHESIS or name not in SITES]
@@ -197,29 +198,39 @@ def _runs(tree: xr.DataTree) -> pd.DataFrame:
     table.insert(0, "simulation", np.arange(len(table)))
     table = table[~simulations["failed"].values]
     by = {"sort": False, "dropna": False}
+    log_prior = table["log_prior_effective"].astype(float)
     return pd.DataFrame(
         {
             "simulation": table["simulation"],
             "chain": table["chain"],
             "completed": table["completed"].astype(bool),
-            "log_joint": table["log_prior_effective"].astype(float)
-            + table["log_likelihood"].astype(float),
+            "log_prior": log_prior,
+            "log_joint": log_prior + table["log_likelihood"].astype(float),
             "key": table.groupby([*names, "seed"], **by).ngroup(),
             "pair": table.groupby(list(_PAIR), **by).ngroup(),
         }
     )
 
 
-def _evaluations(runs: pd.DataFrame) -> pd.DataFrame:
-    """Return one row per distinct hypothesis and seed: the columns of :func:`_runs`, and log_mass.
+def evaluations(tree: xr.DataTree) -> pd.DataFrame:
+    """Return one row per distinct (hypothesis, seed) that did not fail.
 
-    log_mass = log_joint - log(number of simulations of the goal pair).
+    Columns: simulation (first row in the tree), completed, log_share = log P(h) - log(number of
+    simulations of the goal pair), with P(h) the prior of effective goals and strengths, and
+    log_mass = log_share + log likelihood (a bound where not completed).
     """
     # a completed run of a hypothesis and seed says more than a stopped one of the same
-    table = runs.sort_values("completed", ascending=False, kind="stable")
+    table = _runs(tree).sort_values("completed", ascending=False, kind="stable")
     table = table.drop_duplicates("key").sort_values("simulation")
-    n_of_pair = table.groupby("pair")["key"].transform("size")
-    return table.assign(log_mass=table["log_joint"] - np.log(n_of_pair))
+    log_n_of_pair = np.log(table.groupby("pair")["key"].transform("size"))
+    return pd.DataFrame(
+        {
+            "simulation": table["simulation"],
+            "completed": table["completed"],
+            "log_share": table["log_prior"] - log_n_of_pair,
+            "log_mass": table["log_joint"] - log_n_of_pair,
+        }
+    )
 
 
 def _visited_without(

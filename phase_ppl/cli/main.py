@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import phase_ppl
-from phase_ppl.cli import compare, infer, query, render, report
+from phase_ppl.cli import compare, diagnose, infer, query, render, report
 from phase_ppl.cli.shared import (
     BAD_INPUT,
     BROKEN_PIPE,
@@ -126,4 +126,5 @@ def _parser() -> argparse.ArgumentParser:
     compare.add_to(commands)
     query.add_to(commands)
     report.add_to(commands)
+    diagnose.add_to(commands)
     return parser

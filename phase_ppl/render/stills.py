@@ -76,12 +76,14 @@ def strip(
         InvalidSettingError: ``n`` is not in 1..T, or no scene.
         InvalidEventError: a trajectory of another shape, or not finite.
     """
-    picture = draw_strip(what, n, scene)
+    picture = draw_strip(what, n, scene, fields_of_view)
     with atomic_output(path, (".png",)) as part:
         picture.save(part, "PNG")
 
 
-def draw_strip(what: Drawable, n: int = 6, scene: Scene | None = None) -> Image.Image:
+def draw_strip(
+    what: Drawable, n: int = 6, scene: Scene | None = None, fields_of_view: bool = False
+) -> Image.Image:
     """Return the picture that :func:`strip` writes: panels 300 pixels wide, 36 rows below.
 
     Raises:

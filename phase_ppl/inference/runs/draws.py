@@ -38,6 +38,7 @@ _STORED: Final = {
     **dict.fromkeys(STRENGTH_SITES, np.float64),
 }
 _PAIR: Final = ("chain", "draw")
+_SIMULATION: Final = ("simulation",)
 _FRAME: Final = ("time", "entity", "coord")
 
 Columns = dict[str, NDArray[Any]]
@@ -105,7 +106,15 @@ def build_tree(
             {"trajectory": (_FRAME, event.observation.trajectory)}, frame_coords
         ),
         "simulations": xr.Dataset(
-            {name: _variable(name, ("simulation",), values) for name, values in table.items()}
+            {
+                **{name: _variable(name, _SIMULATION, values) for name, values in table.items()},
+                "step_log_likelihood": (
+                    (*_SIMULATION, "time"),
+                    _step_log_likelihood(records, model),
+                    {"long_name": "log likelihood of each frame; NaN where not simulated"},
+                ),
+            },
+            {"time": time},
         ),
         "constant_data": _scene_dataset(event),
     }
@@ -152,6 +161,14 @@ def _simulation_table(records: Sequence[Record], model: Model) -> Columns:
         "frames_simulated": np.array([r.frames_simulated for r in results], np.int64),
         "failed": failed,
     }
+
+
+def _step_log_likelihood(records: Sequence[Record], model: Model) -> NDArray[np.float64]:
+    """Return (simulation, time) the log likelihood of the frames that were simulated."""
+    errors = np.array([record.result.errors for record in records])
+    simulated = np.isfinite(errors)
+    by_frame = model.likelihood.log_prob(np.where(simulated, errors, 0.0))
+    return np.where(simulated, by_frame, np.nan).astype(np.float64)
 
 
 def _hypothesis_columns(raw: Columns) -> Columns:
