@@ -20,23 +20,32 @@ _WHERE = {
     "Hypothesis": "phase_ppl.world.hypothesis",
     "Interrupted": "phase_ppl.inference.infer",
     "JointSimulator": "phase_ppl.simulator.joint",
+    "Judgments": "phase_ppl.evaluation.votes",
     "Model": "phase_ppl.models.model",
     "Observation": "phase_ppl.world.observation",
     "PhasePPLError": "phase_ppl.world.errors",
     "PlannerConfig": "phase_ppl.agents.config",
     "Posterior": "phase_ppl.analysis.posterior",
+    "Prediction": "phase_ppl.evaluation.prediction",
     "RadialLikelihood": "phase_ppl.models.likelihood",
     "Scene": "phase_ppl.world.scene",
     "SimpleSettings": "phase_ppl.inference.infer",
     "SimulationError": "phase_ppl.world.errors",
+    "Study": "phase_ppl.evaluation.judgments",
     "Truth": "phase_ppl.world.event",
     "available_kernels": "phase_ppl.inference.registry",
     "bundled_events": "phase_ppl.dataset.bundled",
     "compare": "phase_ppl.inference.compare",
+    "evaluate_predictions": "phase_ppl.evaluation.metrics",
+    "human_accuracy": "phase_ppl.evaluation.people",
     "infer": "phase_ppl.inference.infer",
     "kernel_info": "phase_ppl.inference.registry",
     "load_event": "phase_ppl.dataset.load",
     "load_events": "phase_ppl.dataset.load",
+    "load_judgments": "phase_ppl.evaluation.judgments",
+    "paired_difference": "phase_ppl.evaluation.metrics",
+    "reference_models": "phase_ppl.evaluation.metrics",
+    "reference_predictions": "phase_ppl.evaluation.references",
     "register_kernel": "phase_ppl.inference.registry",
     "resume": "phase_ppl.inference.infer",
     "save_event": "phase_ppl.dataset.load",
@@ -44,6 +53,7 @@ _WHERE = {
     "seconds": "phase_ppl.inference.infer",
     "simulate": "phase_ppl.simulator.simulate",
     "simulations": "phase_ppl.inference.infer",
+    "with_judgments": "phase_ppl.evaluation.judgments",
 }
 
 _MODULES = {
@@ -66,6 +76,16 @@ if TYPE_CHECKING:
     from phase_ppl.dataset.load import load_events as load_events
     from phase_ppl.dataset.load import save_event as save_event
     from phase_ppl.dataset.load import save_events as save_events
+    from phase_ppl.evaluation.judgments import Study as Study
+    from phase_ppl.evaluation.judgments import load_judgments as load_judgments
+    from phase_ppl.evaluation.judgments import with_judgments as with_judgments
+    from phase_ppl.evaluation.metrics import evaluate_predictions as evaluate_predictions
+    from phase_ppl.evaluation.metrics import paired_difference as paired_difference
+    from phase_ppl.evaluation.metrics import reference_models as reference_models
+    from phase_ppl.evaluation.people import human_accuracy as human_accuracy
+    from phase_ppl.evaluation.prediction import Prediction as Prediction
+    from phase_ppl.evaluation.references import reference_predictions as reference_predictions
+    from phase_ppl.evaluation.votes import Judgments as Judgments
     from phase_ppl.inference.compare import ComparisonInterrupted as ComparisonInterrupted
     from phase_ppl.inference.compare import compare as compare
     from phase_ppl.inference.infer import Interrupted as Interrupted
