@@ -136,21 +136,28 @@ class ResultsFolder:
             InvalidEventError: a prediction is damaged, or of another event; the message names
                 the file.
         """
-        found = {}
-        for event in self.events:
-            if self.is_finished(event.id):
-                source = self.folder_of(event.id) / PREDICTION
-                try:
-                    prediction = Prediction.from_dict(read_json(source))
-                except PhasePPLError as error:
-                    where = "" if str(source) in str(error) else f"{source}: "
-                    raise InvalidEventError(f"{where}{error}") from None
-                if prediction.event_id != event.id:
-                    raise InvalidEventError(
-                        f"{source}: is of the event {prediction.event_id!r}, not {event.id!r}"
-                    )
-                found[event.id] = prediction
-        return found
+        found = {event.id: self.prediction(event.id) for event in self.events}
+        return {name: given for name, given in found.items() if given is not None}
+
+    def prediction(self, event_id: str) -> Prediction | None:
+        """Return the prediction of an event; None where it is not finished.
+
+        Raises:
+            InvalidEventError: as for :meth:`predictions`.
+        """
+        if not self.is_finished(event_id):
+            return None
+        source = self.folder_of(event_id) / PREDICTION
+        try:
+            prediction = Prediction.from_dict(read_json(source))
+        except PhasePPLError as error:
+            where = "" if str(source) in str(error) else f"{source}: "
+            raise InvalidEventError(f"{where}{error}") from None
+        if prediction.event_id != event_id:
+            raise InvalidEventError(
+                f"{source}: is of the event {prediction.event_id!r}, not {event_id!r}"
+            )
+        return prediction
 
     def metrics(self) -> dict[str, Any] | None:
         """Return the content of metrics.json; None where the evaluation is not finished."""

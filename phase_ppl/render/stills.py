@@ -64,6 +64,17 @@ def strip(
         InvalidSettingError: ``n`` is not in 1..T, or no scene.
         InvalidEventError: a trajectory of another shape, or not finite.
     """
+    picture = draw_strip(what, n, scene)
+    with atomic_output(path, (".png",)) as part:
+        picture.save(part, "PNG")
+
+
+def draw_strip(what: Drawable, n: int = 6, scene: Scene | None = None) -> Image.Image:
+    """Return the picture that :func:`strip` writes: panels 300 pixels wide, 36 rows below.
+
+    Raises:
+        InvalidSettingError, InvalidEventError: as :func:`strip`.
+    """
     scene, trajectory = scene_and_trajectory(what, scene)
     if not 1 <= n <= len(trajectory):
         raise InvalidSettingError(f"n={n}, expected one of 1..{len(trajectory)}")
@@ -78,5 +89,4 @@ def strip(
     for index, frame in enumerate(chosen):
         x, y = (index + 0.5) * _STRIP_PANEL, _STRIP_PANEL + _STRIP_CAPTION / 3
         write_centred(picture, f"{frame / FRAMES_PER_SECOND:.1f} s", x, y, _STRIP_TEXT_SIZE)
-    with atomic_output(path, (".png",)) as part:
-        picture.save(part, "PNG")
+    return picture
