@@ -13,8 +13,11 @@ __version__ = "0.1.0"
 _WHERE = {
     "AGENTS": "phase_ppl.world.names",
     "ALPHAS": "phase_ppl.world.hypothesis",
+    "Answer": "phase_ppl.evaluation.answer",
     "Comparison": "phase_ppl.analysis.comparison",
     "ComparisonInterrupted": "phase_ppl.inference.compare",
+    "Evaluation": "phase_ppl.evaluation.evaluation",
+    "EvaluationInterrupted": "phase_ppl.evaluation.evaluate",
     "Event": "phase_ppl.world.event",
     "GOALS": "phase_ppl.world.goals",
     "Hypothesis": "phase_ppl.world.hypothesis",
@@ -34,8 +37,10 @@ _WHERE = {
     "Study": "phase_ppl.evaluation.judgments",
     "Truth": "phase_ppl.world.event",
     "available_kernels": "phase_ppl.inference.registry",
+    "available_models": "phase_ppl.evaluation.registry",
     "bundled_events": "phase_ppl.dataset.bundled",
     "compare": "phase_ppl.inference.compare",
+    "evaluate": "phase_ppl.evaluation.evaluate",
     "evaluate_predictions": "phase_ppl.evaluation.metrics",
     "human_accuracy": "phase_ppl.evaluation.people",
     "infer": "phase_ppl.inference.infer",
@@ -43,10 +48,12 @@ _WHERE = {
     "load_event": "phase_ppl.dataset.load",
     "load_events": "phase_ppl.dataset.load",
     "load_judgments": "phase_ppl.evaluation.judgments",
+    "model_info": "phase_ppl.evaluation.registry",
     "paired_difference": "phase_ppl.evaluation.metrics",
     "reference_models": "phase_ppl.evaluation.metrics",
     "reference_predictions": "phase_ppl.evaluation.references",
     "register_kernel": "phase_ppl.inference.registry",
+    "register_model": "phase_ppl.evaluation.registry",
     "resume": "phase_ppl.inference.infer",
     "save_event": "phase_ppl.dataset.load",
     "save_events": "phase_ppl.dataset.load",
@@ -76,6 +83,10 @@ if TYPE_CHECKING:
     from phase_ppl.dataset.load import load_events as load_events
     from phase_ppl.dataset.load import save_event as save_event
     from phase_ppl.dataset.load import save_events as save_events
+    from phase_ppl.evaluation.answer import Answer as Answer
+    from phase_ppl.evaluation.evaluate import EvaluationInterrupted as EvaluationInterrupted
+    from phase_ppl.evaluation.evaluate import evaluate as evaluate
+    from phase_ppl.evaluation.evaluation import Evaluation as Evaluation
     from phase_ppl.evaluation.judgments import Study as Study
     from phase_ppl.evaluation.judgments import load_judgments as load_judgments
     from phase_ppl.evaluation.judgments import with_judgments as with_judgments
@@ -85,6 +96,9 @@ if TYPE_CHECKING:
     from phase_ppl.evaluation.people import human_accuracy as human_accuracy
     from phase_ppl.evaluation.prediction import Prediction as Prediction
     from phase_ppl.evaluation.references import reference_predictions as reference_predictions
+    from phase_ppl.evaluation.registry import available_models as available_models
+    from phase_ppl.evaluation.registry import model_info as model_info
+    from phase_ppl.evaluation.registry import register_model as register_model
     from phase_ppl.evaluation.votes import Judgments as Judgments
     from phase_ppl.inference.compare import ComparisonInterrupted as ComparisonInterrupted
     from phase_ppl.inference.compare import compare as compare

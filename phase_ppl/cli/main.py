@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import phase_ppl
-from phase_ppl.cli import compare, infer
+from phase_ppl.cli import compare, evaluate, infer
 from phase_ppl.cli.shared import (
     BAD_INPUT,
     INTERRUPTED,
@@ -23,7 +23,10 @@ from phase_ppl.world.errors import OutputError, PhasePPLError
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; return the exit code (0 fine, 2 bad input, 130 interrupted)."""
+    """Run the command line; return the exit code.
+
+    0 fine, 1 something failed that did not stop the rest, 2 bad input, 130 interrupted.
+    """
     options = _parser().parse_args(arguments)
     try:
         code: int = options.run(options)
@@ -130,4 +133,5 @@ def _parser() -> argparse.ArgumentParser:
     )
     render.add_argument("--out", metavar="FILE", type=Path, required=True, help=".mp4")
     compare.add_to(commands)
+    evaluate.add_to(commands)
     return parser

@@ -29,7 +29,7 @@ class Answer(NamedTuple):
     """
 
     given: Given
-    artefacts: Mapping[str, Callable[[Path], object]] = {}  # noqa: RUF012  (never written to)
+    artefacts: Mapping[str, Callable[[Path], object]] = {}
 
 
 Predict: TypeAlias = Callable[[Scene, Observation, int], Given | Answer]

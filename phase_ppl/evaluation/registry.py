@@ -22,11 +22,14 @@ import inspect
 import pkgutil
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from phase_ppl.evaluation.answer import Predict
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.identity import qualified_name, source_hash, stable
+
+if TYPE_CHECKING:
+    from phase_ppl.models.model import Model
 
 ENTRY_POINTS: Final = "phase_ppl.models"
 
@@ -162,21 +165,22 @@ class ReadyModel:
     record: Mapping[str, Any]
 
 
-def ready(model: str | Predict, options: Mapping[str, Any]) -> ReadyModel:
+def ready(model: str | Model | Predict, options: Mapping[str, Any]) -> ReadyModel:
     """Return a model given by name with its options, or as a callable, ready to be asked.
+
+    A :class:`phase_ppl.Model` is explained by SIMPLE.
 
     Raises:
         UnknownNameError: there is no model of that name.
         InvalidSettingError: it is neither; a callable that does not take (scene, observation,
             seed), or comes with options; or the model cannot be made with these.
     """
+    if not isinstance(model, str) and not callable(model):
+        model, options = "simple", {"program": _program(model), **options}
+    source: Callable[..., Any]
     if isinstance(model, str):
         info = model_info(model)
         predict, name, parallel, source = info.make(**options), model, info.parallel, info.factory
-    elif not callable(model):
-        raise InvalidSettingError(
-            f"model={shown(model)} is neither a name nor a function (scene, observation, seed)"
-        )
     else:
         if options:
             raise InvalidSettingError(
@@ -187,13 +191,24 @@ def ready(model: str | Predict, options: Mapping[str, Any]) -> ReadyModel:
         predict, parallel, source = model, True, model
     details = getattr(predict, "settings", dict)
     record = {
-        "name": name,
-        "function": qualified_name(source),
-        "source": source_hash(source),
+        "model": name,
         "options": dict(options),
-        "settings": details(),
+        "model_settings": details(),
+        "function": qualified_name(source),
+        "function_source": source_hash(source),
     }
     return ReadyModel(name, predict, parallel, isinstance(model, str), stable(record))
+
+
+def _program(model: object) -> Model:
+    from phase_ppl.models.model import Model
+
+    if not isinstance(model, Model):
+        raise InvalidSettingError(
+            f"model={shown(model)} is neither a name, a phase_ppl.Model nor a function "
+            "(scene, observation, seed)"
+        )
+    return model
 
 
 def _check_signature(model: Predict) -> None:

@@ -9,7 +9,7 @@ from phase_ppl.evaluation.answer import Answer
 from phase_ppl.evaluation.folder import POSTERIOR
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
 from phase_ppl.evaluation.registry import register_model
-from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.errors import InvalidSettingError, unknown_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
@@ -71,7 +71,7 @@ def simple(
     planner: Any = None,
     simulator: Any = None,
     noise: str = "fresh",
-    model: Model | None = None,
+    program: Model | None = None,
     weights: str | None = None,
     **options: Any,
 ) -> Simple:
@@ -79,10 +79,11 @@ def simple(
 
     Args:
         prior, planner, simulator, noise: of the :class:`phase_ppl.Model`.
-        model: instead of these.
+        program: a model instead of these.
         weights: of the draws; by default the run's.
         **options: for :func:`phase_ppl.infer`: ``kernel`` and its options, ``chains``,
-            ``iterations`` or ``budget``, ``on_failure``, ``settings``.
+            ``iterations`` or ``budget``, ``on_failure``, ``settings``; or fields of the settings
+            by name, such as ``proposal="paper"``.
 
     Raises:
         InvalidSettingError, UnknownNameError: one of them cannot be used.
@@ -90,7 +91,6 @@ def simple(
     from phase_ppl.analysis.weights import WEIGHTINGS
     from phase_ppl.inference.registry import described
     from phase_ppl.models.model import Model
-    from phase_ppl.world.errors import unknown_name
 
     for name in options:
         if name in _NOT_OPTIONS:
@@ -99,8 +99,22 @@ def simple(
         raise unknown_name("weights", weights, WEIGHTINGS)
     described(options.get("kernel", "local_mh"))
     parts = {"prior": prior, "planner": planner, "simulator": simulator, "noise": noise}
-    if model is None:
-        model = Model(**parts)
+    if program is None:
+        program = Model(**parts)
     elif parts != {"prior": "uniform", "planner": None, "simulator": None, "noise": "fresh"}:
-        raise InvalidSettingError("give either a model or its prior, planner, simulator or noise")
-    return Simple(model, weights, options)
+        raise InvalidSettingError("give either a program or its prior, planner, simulator, noise")
+    return Simple(program, weights, _with_settings(options))
+
+
+def _with_settings(options: dict[str, Any]) -> dict[str, Any]:
+    """Return the options with those that are SIMPLE's settings as one."""
+    from phase_ppl.inference.settings import SimpleSettings
+
+    names = {field.name for field in dataclasses.fields(SimpleSettings)}
+    given = {name: value for name, value in options.items() if name in names}
+    if not given:
+        return options
+    if options.get("settings") is not None:
+        raise InvalidSettingError(f"give either settings or {', '.join(given)}")
+    rest = {name: value for name, value in options.items() if name not in names}
+    return {**rest, "settings": SimpleSettings(**given)}

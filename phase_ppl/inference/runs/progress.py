@@ -23,7 +23,7 @@ def is_shown(shown: bool | None) -> bool:
     return (sys.stderr.isatty() or "ipykernel" in sys.modules) if shown is None else shown
 
 
-class _Bar(tqdm):
+class SteadyBar(tqdm):
     """A bar whose rate is set from outside."""
 
     steady_rate: float | None = None
@@ -54,7 +54,7 @@ class Progress:
         self._times = deque([(clock(), done)], maxlen=_ROUNDS * batch + 1)
         self._batch = batch
         self._began = False
-        self._bar = _Bar(
+        self._bar = SteadyBar(
             total=total,
             initial=done,
             disable=not is_shown(shown),
