@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from phase_ppl.evaluation.folder import ResultsFolder
+from phase_ppl.evaluation.metrics import evaluate_predictions
+from phase_ppl.evaluation.people import human_accuracy
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
 from phase_ppl.evaluation.references import reference_predictions
 from phase_ppl.evaluation.votes import event_judgments
@@ -41,7 +43,7 @@ class Observer:
         label: as in figures.
         colour: in figures.
         predictions: event id -> answers; people's probabilities are shares of their votes.
-        metrics: of the metrics, where they are known.
+        metrics: see :func:`measured`.
     """
 
     name: str
@@ -51,9 +53,9 @@ class Observer:
     predictions: Mapping[str, Prediction]
     metrics: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
-    def answered(self, question: str) -> list[str]:
-        """Return the events about which the question was answered."""
-        return [id for id, given in self.predictions.items() if question in given.answers]
+    def answered(self, question: str) -> bool:
+        """Whether the question was answered about any event."""
+        return any(question in given.answers for given in self.predictions.values())
 
 
 def observers(folder: ResultsFolder, events: Sequence[Event] | None = None) -> list[Observer]:
@@ -67,7 +69,6 @@ def observers(folder: ResultsFolder, events: Sequence[Event] | None = None) -> l
         InvalidEventError, UnknownNameError: a stored prediction or judgment is damaged.
     """
     chosen = folder.events if events is None else events
-    metrics = folder.metrics() or {}
     own = {event.id: folder.prediction(event.id) for event in chosen}
     name = str(folder.settings.get("model", "model"))
     found = [
@@ -78,11 +79,9 @@ def observers(folder: ResultsFolder, events: Sequence[Event] | None = None) -> l
             label_of(name),
             MODEL_COLOUR,
             {id: given for id, given in own.items() if given is not None},
-            metrics,
         ),
     ]
     references = reference_predictions(chosen)
-    of_references = metrics.get("reference_models") or {}
     # the order, and so the colour, is the same whichever events are asked for
     names = dict.fromkeys(name for event in folder.events for name in event.predictions or {})
     for place, reference in enumerate(names):
@@ -94,10 +93,35 @@ def observers(folder: ResultsFolder, events: Sequence[Event] | None = None) -> l
                 f"{label} (in the file)" if label == found[1].label else label,
                 REFERENCE_COLOURS[place % len(REFERENCE_COLOURS)],
                 references.get(reference, {}),
-                of_references.get(reference) or {},
             )
         )
     return [observer for observer in found if observer.predictions]
+
+
+def measured(folder: ResultsFolder) -> list[Observer]:
+    """Return :func:`observers` with their metrics.
+
+    They are those of metrics.json; where an evaluation is not finished, and has none, they are
+    computed from the events that are. Those of people are
+    :func:`~phase_ppl.evaluation.people.human_accuracy`.
+
+    Raises:
+        InvalidEventError, UnknownNameError: as :func:`observers`; or metrics.json is damaged.
+    """
+    stored = folder.metrics() or {}
+    of_references = stored.get("reference_models") or {}
+    found = []
+    for observer in observers(folder):
+        if observer.kind == "people":
+            metrics = human_accuracy(folder.events)
+        elif observer.kind == "model":
+            metrics = stored
+        else:
+            metrics = of_references.get(observer.name) or {}
+        if not metrics:
+            metrics = evaluate_predictions(folder.events, observer.predictions)
+        found.append(dataclasses.replace(observer, metrics=metrics))
+    return found
 
 
 def people(events: Sequence[Event]) -> dict[str, Prediction]:

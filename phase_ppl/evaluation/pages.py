@@ -121,8 +121,8 @@ def _page(event: Event, shown: Sequence[Observer], replay: FloatArray | None) ->
     n = min(_STRIP_PANELS, event.observation.n_frames)
     strips = [("observed", np.asarray(draw_strip(event, n)))]
     if replay is not None:
-        picture = draw_strip(replay, min(n, len(replay)), event.scene)
-        strips.append(("best hypothesis, simulated", np.asarray(picture)))
+        simulated = draw_strip(replay, min(n, len(replay)), event.scene)
+        strips.append(("best hypothesis, simulated", np.asarray(simulated)))
     inches = WIDTH / strips[0][1].shape[1]  # per pixel, the same for both
     height = _HEAD + sum(picture.shape[0] * inches + _OVER_STRIP for _, picture in strips) + 0.12
     if questions:
