@@ -3,9 +3,9 @@
 ::
 
     participant,video,goal_red,goal_green,relation,response_time
-    p01,collaborate,Get blue item to red lm,Get blue item to red lm,friendly,12.4
+    p01,collaborate,Get pink item to red lm,Get pink item to red lm,friendly,12.4
     p01,oppose,get to green agent,get away from red agent,adversarial,8.1
-    p02,collaborate,Get blue item to red lm,,friendly,
+    p02,collaborate,Get pink item to red lm,,friendly,
 
 ``participant`` and ``video`` (the id of the event) must be there, and at least one of the questions
 ``goal_red``, ``goal_green`` (effective goals, the paper's strings) and ``relation`` (friendly,
@@ -62,8 +62,8 @@ class Study:
         """Video -> judgments of the participants who answered a question about it."""
         responses: dict[str, dict[str, dict[str, str]]] = {}
         for row in self.table[["participant", "video", *QUESTIONS]].to_dict("records"):
-            answers = {question: row[question] for question in QUESTIONS if row[question]}
-            responses.setdefault(row["video"], {})[row["participant"]] = answers
+            given = {q: row[q] for q in QUESTIONS if isinstance(row[q], str)}
+            responses.setdefault(row["video"], {})[row["participant"]] = given
         found = {video: Judgments.of_responses(rows) for video, rows in responses.items()}
         return {video: judgments for video, judgments in found.items() if judgments.n_raters}
 
@@ -111,7 +111,9 @@ def load_judgments(path: str | os.PathLike[str], events: Sequence[Event] | None 
         rows = _rows(_text(source), videos)
     except PhasePPLError as error:
         raise type(error)(f"{source}{error}") from None
-    return Study(pd.DataFrame(rows, columns=list(COLUMNS)))
+    # plain objects: pandas' own text would make NaN of None
+    table = pd.DataFrame(rows, columns=list(COLUMNS), dtype=object)
+    return Study(table.astype({"response_time": float}))
 
 
 def with_judgments(events: Sequence[Event], study: Study) -> list[Event]:

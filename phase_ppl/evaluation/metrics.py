@@ -69,34 +69,6 @@ from phase_ppl.evaluation.references import reference_predictions
 from phase_ppl.evaluation.tables import KINDS, Facts
 from phase_ppl.world.event import Event
 
-
-def evaluate_predictions(
-    events: Sequence[Event],
-    predictions: Mapping[str, Prediction],
-    *,
-    seed: int = 0,
-    resamples: int = 1000,
-) -> dict[str, Any]:
-    """Return the metrics of a model's predictions, as the module describes them.
-
-    Args:
-        events: with their truth and judgments, where they have them.
-        predictions: event id -> prediction. Events without one do not count; predictions of other
-            events are not used.
-        seed: of the resamples, and of the halves of the raters. The same seed resamples the same
-            events for all models that predict them all.
-        resamples: number of resamples of the events.
-
-    Raises:
-        InvalidEventError: two events have the same id, or judgments cannot be read.
-        UnknownNameError: judgments name an unknown goal or relation.
-        InvalidSettingError: a prediction is of another event than it is filed under, or
-            ``seed`` or ``resamples`` is out of range.
-    """
-    chosen = tables.predicted(events, predictions)
-    return _metrics(_given(chosen, seed, resamples), chosen, predictions, len(events))
-
-
 _ORDER: Final = (
     "n_events",
     "n",
@@ -124,6 +96,33 @@ _HUMAN_ORDER: Final = (
     "goal_split_half_r",
     "split_half_by",
 )
+
+
+def evaluate_predictions(
+    events: Sequence[Event],
+    predictions: Mapping[str, Prediction],
+    *,
+    seed: int = 0,
+    resamples: int = 1000,
+) -> dict[str, Any]:
+    """Return the metrics of a model's predictions, as the module describes them.
+
+    Args:
+        events: with their truth and judgments, where they have them.
+        predictions: event id -> prediction. Events without one do not count; predictions of other
+            events are not used.
+        seed: of the resamples, and of the halves of the raters. The same seed resamples the same
+            events for all models that predict them all.
+        resamples: number of resamples of the events.
+
+    Raises:
+        InvalidEventError: two events have the same id, or judgments cannot be read.
+        UnknownNameError: judgments name an unknown goal or relation.
+        InvalidSettingError: a prediction is of another event than it is filed under, or
+            ``seed`` or ``resamples`` is out of range.
+    """
+    chosen = tables.predicted(events, predictions)
+    return _metrics(_given(chosen, seed, resamples), chosen, predictions, len(events))
 
 
 def reference_models(
@@ -178,7 +177,7 @@ def paired_difference(
         {path: difference(values, of_other[path][0], n) for path, (values, n) in of_one.items()},
     )
     count_scenarios(result, known.scenario)
-    return result
+    return _ordered(result)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -240,5 +239,9 @@ def _metrics(
     for question in QUESTIONS:
         ties = [predictions[event.id].ties(question) for event in chosen]
         result["ties"][question] = sum(n > 1 for n in ties) if any(ties) else None
-    result["human"] = {name: result["human"][name] for name in _HUMAN_ORDER}
-    return {name: result[name] for name in _ORDER}
+    return _ordered(result)
+
+
+def _ordered(result: Mapping[str, Any]) -> dict[str, Any]:
+    human = {name: result["human"][name] for name in _HUMAN_ORDER if name in result["human"]}
+    return {name: {**result, "human": human}[name] for name in _ORDER if name in result}
