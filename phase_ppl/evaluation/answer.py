@@ -16,8 +16,8 @@ from phase_ppl.world.scene import Scene
 
 Given: TypeAlias = Prediction | Mapping[str, Any]
 """An answer: a prediction, whose event id does not matter; or a mapping from questions
-("goal_red", "goal_green", "relation"; those that the model can answer) to a label, to label ->
-probability, or to probabilities in label order."""
+("goal_red", "goal_green", "relation") to a label, to label -> probability, or to probabilities in
+label order. What the model does not answer is absent, or None."""
 
 
 class Answer(NamedTuple):
@@ -52,6 +52,8 @@ def as_prediction(given: object, event_id: str = "") -> Prediction:
     elif isinstance(given, Mapping):
         probabilities, labels = {}, {}
         for question, answer in given.items():
+            if answer is None:
+                continue
             if isinstance(answer, str):
                 labels[question] = answer
             elif isinstance(answer, Mapping):

@@ -9,33 +9,26 @@ import os
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import loky
 
-from phase_ppl.dataset.load import load_events
 from phase_ppl.evaluation.answer import Predict
 from phase_ppl.evaluation.evaluation import Evaluation, cost_of
 from phase_ppl.evaluation.folder import METRICS, ResultsFolder, write_json
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.progress import Progress
-from phase_ppl.evaluation.references import reference_predictions
 from phase_ppl.evaluation.registry import ReadyModel, ready
-from phase_ppl.evaluation.votes import event_judgments
+from phase_ppl.evaluation.resuming import open_folder, settings_of
+from phase_ppl.evaluation.sources import all_events, judged
 from phase_ppl.evaluation.work import Job, Outcome, outcomes
 from phase_ppl.world.checks import whole_number
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
+from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import Event
-from phase_ppl.world.identity import differences, event_digest, stable, versions
 
 if TYPE_CHECKING:
     from phase_ppl.evaluation.judgments import Study
     from phase_ppl.models.model import Model
-
-EVENT_FILES: Final = (".json",)
-"""Endings of the files that are read from a folder of events."""
-
-_DETERMINE: Final = ("model", "options", "model_settings", "function", "function_source", "seed")
 
 
 class EvaluationInterrupted(KeyboardInterrupt):
@@ -110,16 +103,16 @@ def evaluate(
     clock = time.monotonic()
     whole_number("seed", seed, minimum=0)
     slots = loky.cpu_count() if workers is None else whole_number("workers", workers)
-    chosen = _judged(_all_events(events), judgments)
+    chosen = judged(all_events(events), judgments)
     if limit is not None:
         chosen = chosen[: whole_number("limit", limit)]
     asked = ready(model, options)
-    settings = _settings(asked, seed, chosen)
+    settings = settings_of(asked, seed, chosen)
     folder: ResultsFolder | None = None
     done: dict[str, Prediction] = {}
     notes: list[str] = []
     if out is not None:
-        folder, done, notes = _open(out, settings, chosen, resume)
+        folder, done, notes = open_folder(out, settings, chosen, resume)
         settings = folder.settings
     digests: Mapping[str, str] = settings["events"]
     jobs = [
@@ -216,139 +209,3 @@ class _Session:
 def _write(folder: Path, artefacts: Mapping[str, bytes]) -> None:
     for name, content in artefacts.items():
         (folder / name).write_bytes(content)
-
-
-# --- events ------------------------------------------------------------------------------------
-
-
-def _all_events(events: str | os.PathLike[str] | Event | Sequence[Event]) -> list[Event]:
-    """Return the events of a file or folder, or those given.
-
-    Raises:
-        InvalidEventError: there are none, or two with the same id.
-    """
-    if isinstance(events, Event):
-        sources = [("", [events])]
-    elif isinstance(events, str | os.PathLike):
-        sources = [(f" in {file}", load_events(file)) for file in _files(events)]
-    else:
-        sources = [("", list(events))]
-    seen: dict[str, str] = {}
-    for where, found in sources:
-        for event in found:
-            if not isinstance(event, Event):
-                raise InvalidEventError(f"{shown(event)} is no event; phase_ppl.load_events reads")
-            if event.id in seen:
-                both = f"{seen[event.id]} and{where}" if where else ""
-                raise InvalidEventError(f"there are two events with the id {event.id!r}{both}")
-            seen[event.id] = where
-    if not seen:
-        raise InvalidEventError("there are no events to evaluate")
-    return [event for _, found in sources for event in found]
-
-
-def _files(path: str | os.PathLike[str]) -> list[Path]:
-    source = Path(path)
-    if not source.is_dir():
-        return [source]
-    files = sorted(file for file in source.iterdir() if file.suffix.lower() in EVENT_FILES)
-    if not files:
-        raise InvalidEventError(f"{source}: the folder holds no event files (.json)")
-    return files
-
-
-def _judged(
-    events: list[Event], judgments: str | os.PathLike[str] | Study | None
-) -> Sequence[Event]:
-    """Return the events with people's judgments; what cannot be scored is found out now.
-
-    Raises:
-        InvalidEventError, UnknownNameError: judgments or stored predictions cannot be read.
-    """
-    if judgments is not None:
-        from phase_ppl.evaluation.judgments import Study, load_judgments, with_judgments
-
-        study = judgments if isinstance(judgments, Study) else load_judgments(judgments, events)
-        events = with_judgments(events, study)
-    reference_predictions(events)
-    for event in events:
-        event_judgments(event)
-    return events
-
-
-# --- what was done before ----------------------------------------------------------------------
-
-
-def _settings(model: ReadyModel, seed: int, events: Sequence[Event]) -> dict[str, Any]:
-    """Return what determines the predictions, in JSON's types."""
-    digests = {event.id: event_digest(event) for event in events}
-    return {
-        **model.record,
-        "seed": seed,
-        "versions": stable(versions()),
-        "events": digests,
-    }
-
-
-def _open(
-    path: str | os.PathLike[str],
-    settings: Mapping[str, Any],
-    events: Sequence[Event],
-    resume: bool,
-) -> tuple[ResultsFolder, dict[str, Prediction], list[str]]:
-    """Return the folder of results, the predictions that are in it, and notes.
-
-    Raises:
-        OutputError: it holds an evaluation that is not to be resumed, or cannot be written.
-        InvalidSettingError: the evaluation has other settings or events.
-        InvalidEventError: it is damaged.
-    """
-    if not resume or not (Path(path) / "settings.json").exists():
-        return ResultsFolder.create(path, settings, events), {}, []
-    folder = ResultsFolder.open(path)
-    _check_same(folder, settings)
-    done: dict[str, Prediction] = {}
-    notes = []
-    for event in folder.events:
-        try:
-            prediction = folder.prediction(event.id)
-        except InvalidEventError as error:
-            notes.append(f"{error}; the event is predicted again")
-            continue
-        if prediction is not None:
-            done[event.id] = prediction
-    before = folder.settings.get("versions") or {}
-    other = differences(before, settings["versions"])
-    if other and len(done) < len(events):
-        raise InvalidSettingError(f"{path} was made with other versions: {'; '.join(other)}")
-    folder.update({**settings, "versions": before}, events)
-    return folder, done, notes
-
-
-def _check_same(folder: ResultsFolder, settings: Mapping[str, Any]) -> None:
-    before, now = (
-        {name: given.get(name) for name in _DETERMINE} for given in (folder.settings, settings)
-    )
-    found = differences(before, now)
-    if found:
-        raise InvalidSettingError(
-            f"{folder.path} holds an evaluation with other settings: {'; '.join(found)}"
-        )
-    old, new = folder.settings.get("events"), settings["events"]
-    if not isinstance(old, dict) or list(old) != [event.id for event in folder.events][: len(old)]:
-        raise InvalidEventError(f"{folder.path}: settings.json and events.json do not fit together")
-    if len(old) > len(new):
-        raise InvalidSettingError(
-            f"{folder.path} holds an evaluation of {len(old)} events, but {len(new)} are given"
-        )
-    for place, (was, given) in enumerate(zip(old, new, strict=False), start=1):
-        if was != given:
-            raise InvalidSettingError(
-                f"{folder.path} holds an evaluation of other events: number {place} is "
-                f"{given!r}, was {was!r}"
-            )
-        if old[was] != new[given]:
-            raise InvalidSettingError(
-                f"{folder.path} holds an evaluation of another event {was!r}: its scene or "
-                "observation differ"
-            )

@@ -19,7 +19,7 @@ import cloudpickle
 from phase_ppl.evaluation.answer import Answer, Predict, as_prediction
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.simulator.processes import Processes, loaded
-from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
+from phase_ppl.world.errors import InvalidSettingError, PhasePPLError, UnknownNameError
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 
@@ -77,11 +77,11 @@ def ask(
 
 
 def described(error: BaseException) -> str:
-    """Return in one line what was raised, and where."""
+    """Return in one line what was raised, and where, unless the message was made to explain."""
     message = " ".join(str(error).split())
     words = f"{type(error).__name__}: {message}" if message else type(error).__name__
     frames = traceback.extract_tb(error.__traceback__)
-    if not frames:
+    if not frames or isinstance(error, PhasePPLError):
         return words
     last = frames[-1]
     return f"{words} ({Path(last.filename).name}, line {last.lineno}, in {last.name})"
