@@ -37,7 +37,7 @@ def add_to(commands: Any) -> None:
         "evaluate",
         help="ask a model about many events, and score what it answers",
         description="Ask a model about many events, longest first, and score what it answers. "
-        "Without EVENTS, the evaluation in --out is read again.",
+        "Without EVENTS, the evaluation in --out is read and shown again.",
         epilog="example: phase-ppl evaluate videos.json --model simple --planner fast --out out",
     )
     parser.set_defaults(run=_evaluate)
@@ -47,7 +47,12 @@ def add_to(commands: Any) -> None:
         nargs="?",
         help="an event file, a folder of event files, or a bundled event's name",
     )
-    parser.add_argument("--model", metavar="NAME", default="simple", help="default simple")
+    parser.add_argument(
+        "--model",
+        metavar="NAME",
+        default="simple",
+        help="simple (the default), last_frame or another",
+    )
     parser.add_argument("--out", metavar="DIR", type=Path)
     parser.add_argument(
         "--resume",
@@ -135,8 +140,8 @@ def _anew(options: argparse.Namespace) -> Evaluation | None:
 
 def _again(options: argparse.Namespace) -> Evaluation:
     """Read an evaluation that is there."""
-    if options.out is None:
-        raise InvalidSettingError("EVENTS is missing; or name by --out an evaluation to be read")
+    if options.out is None or options.resume:
+        raise InvalidSettingError("EVENTS is missing; only an evaluation that is there needs none")
     return phase_ppl.Evaluation.load(options.out)
 
 

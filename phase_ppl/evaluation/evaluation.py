@@ -139,7 +139,8 @@ def cost_of(
 ) -> dict[str, Any]:
     """Return what predictions cost, together and each."""
     each = {name: dict(prediction.cost) for name, prediction in predictions.items()}
-    counts = [cost["simulations"] for cost in each.values() if "simulations" in cost]
+    given = [cost.get("simulations") for cost in each.values()]
+    counts = [count for count in given if isinstance(count, int | float)]
     return {
         "seconds": sum(cost.get("seconds", 0.0) for cost in each.values()),
         "simulations": sum(counts) if counts else None,

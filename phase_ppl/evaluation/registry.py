@@ -24,6 +24,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
+from phase_ppl.analysis.summary import plain
 from phase_ppl.evaluation.answer import Predict
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.identity import qualified_name, source_hash, stable
@@ -197,7 +198,7 @@ def ready(model: str | Model | Predict, options: Mapping[str, Any]) -> ReadyMode
         "function": qualified_name(source),
         "function_source": source_hash(source),
     }
-    return ReadyModel(name, predict, parallel, isinstance(model, str), stable(record))
+    return ReadyModel(name, predict, parallel, isinstance(model, str), stable(plain(record)))
 
 
 def _program(model: object) -> Model:

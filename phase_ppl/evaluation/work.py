@@ -16,10 +16,12 @@ from typing import Any, Final, NamedTuple
 
 import cloudpickle
 
+from phase_ppl.analysis.summary import plain
 from phase_ppl.evaluation.answer import Answer, Predict, as_prediction
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.simulator.processes import Processes, loaded
 from phase_ppl.world.errors import InvalidSettingError, PhasePPLError, UnknownNameError
+from phase_ppl.world.identity import stable
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 
@@ -50,7 +52,7 @@ class Outcome:
         prediction: the answer, its ``cost`` with the ``seconds`` that it took; None: there is none.
         artefacts: file name -> content, of files that belong to the answer.
         failure: what went wrong, where there is no prediction.
-        of_settings: whether it was a setting that cannot be used.
+        of_settings: whether the model said that a setting cannot be used.
     """
 
     prediction: Prediction | None = None
@@ -66,14 +68,18 @@ def ask(
     clock = time.perf_counter()
     try:
         given = predict(scene, observation, seed)
-        answer = given if isinstance(given, Answer) else Answer(given)
-        prediction = as_prediction(answer.given)
-        seconds = time.perf_counter() - clock
-        prediction = dataclasses.replace(prediction, cost={**prediction.cost, "seconds": seconds})
-        return Outcome(prediction, _written(answer) if with_artefacts else {})
     except (Exception, SystemExit) as error:
         of_settings = isinstance(error, InvalidSettingError | UnknownNameError)
         return Outcome(failure=described(error), of_settings=of_settings)
+    seconds = time.perf_counter() - clock
+    try:
+        answer = given if isinstance(given, Answer) else Answer(given)
+        prediction = as_prediction(answer.given)
+        cost = {**stable(plain(prediction.cost)), "seconds": seconds}
+        prediction = dataclasses.replace(prediction, cost=cost)
+        return Outcome(prediction, _written(answer) if with_artefacts else {})
+    except Exception as error:
+        return Outcome(failure=described(error))
 
 
 def described(error: BaseException) -> str:

@@ -63,6 +63,17 @@ def test_an_answer_may_have_several_forms(given: Any) -> None:
     assert found.answers == {"relation": "neutral"}
 
 
+def test_what_an_answer_cost_is_kept_as_plain_data(tmp_path: Path) -> None:
+    cost = {"simulations": np.int64(7), "loss": np.nan, "device": Path("x"), "seconds": -1}
+    given = ppl.Prediction("", answers={"relation": "friendly"}, cost=cost)
+    found = evaluate(model=lambda scene, observation, seed: given, out=tmp_path)
+    kept = json.loads((tmp_path / "metrics.json").read_text())["cost"]
+    assert kept["simulations"] == 28
+    assert kept["events"]["a"]["loss"] is None
+    assert kept["seconds"] == sum(entry["seconds"] for entry in kept["events"].values()) > 0
+    assert "28 simulations" in str(found)
+
+
 def raises() -> Any:
     raise ValueError("not\ntoday")
 
@@ -117,6 +128,25 @@ def test_a_setting_of_a_named_model_that_nothing_can_use_stops_at_once(
     with pytest.raises(InvalidSettingError, match=r"model 'fussy', event 'd': .*too small"):
         evaluate(model="fussy", out=tmp_path)
     evaluate(out=tmp_path)  # nothing was done, so nothing is in the way
+
+
+def test_an_odd_answer_of_a_named_model_stops_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    registry.available_models()
+    monkeypatch.setattr(registry, "_MODELS", dict(registry._MODELS))
+    ppl.register_model("odd")(lambda: FailsAt(6, lambda: {"relation": "hostile"}))
+    assert list(evaluate(model="odd").failures) == ["d"]
+
+
+def test_options_that_are_no_plain_data_are_kept_as_text(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    registry.available_models()
+    monkeypatch.setattr(registry, "_MODELS", dict(registry._MODELS))
+    ppl.register_model("any")(lambda **options: right)
+    options = {"a": np.nan, "b": raises, "c": (1, np.float32(2))}
+    evaluate(model="any", out=tmp_path, **options)
+    found = evaluate(model="any", out=tmp_path, resume=True, **options)
+    assert found.settings["options"] == {"a": None, "b": "<function raises>", "c": [1, 2.0]}
 
 
 # --- what a model gets to know -----------------------------------------------------------------
@@ -397,7 +427,7 @@ def test_a_damaged_prediction_is_made_again_with_a_note(content: str, tmp_path: 
     assert first.folder is not None
     damaged = first.folder.folder_of("b") / "prediction.json"
     damaged.write_text(content)
-    with pytest.raises(InvalidEventError, match="prediction.json"):
+    with pytest.raises(InvalidEventError, match=r"prediction\.json"):
         ppl.Evaluation.load(out)
     second = evaluate(model=model, out=out, resume=True)
     assert model.calls() == {3: 1, 4: 2, 5: 1, 6: 1}

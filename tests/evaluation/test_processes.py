@@ -154,6 +154,31 @@ def test_models_warm_up_once_before_the_first_event(tmp_path: Path) -> None:
     assert not evaluate(Warm(), workers=1).failures
 
 
+def test_a_script_without_a_guard_works_and_leaves_nothing_behind(tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(
+        textwrap.dedent("""
+        import phase_ppl as ppl
+        from phase_ppl.inference.runs.progress import Progress
+        from tests.evaluation.toys import several
+
+        def has_a_bar(scene, observation, seed):
+            with Progress(1, shown=False):
+                return {"relation": "friendly"}
+
+        print(len(ppl.evaluate(several(4), has_a_bar, workers=2, progress=False).predictions))
+        """)
+    )
+    done = subprocess.run(
+        [sys.executable, str(script)],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+    )
+    assert (done.stdout, done.stderr) == ("4\n", "")
+
+
 # --- -9 and Ctrl-C -----------------------------------------------------------------------------
 
 SCRIPT = """
@@ -188,7 +213,7 @@ def started(folder: Path, workers: int) -> subprocess.Popen[str]:
         text=True,
         start_new_session=True,
     )
-    wait_until(lambda: run.poll() is not None or finished(folder) == 2 and begun(folder) > 2)
+    wait_until(lambda: run.poll() is not None or (finished(folder) == 2 and begun(folder) > 2))
     assert run.poll() is None, run.communicate()[1]
     return run
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import sys
+import threading
 import time
 from collections import deque
 from types import TracebackType
-from typing import Any, Final, Self
+from typing import Any, ClassVar, Final, Self
 
 from tqdm import tqdm
 
@@ -25,6 +26,10 @@ def is_shown(shown: bool | None) -> bool:
 
 class SteadyBar(tqdm):
     """A bar whose rate is set from outside."""
+
+    # of threads alone: tqdm's own is also a semaphore of the system, which is reported as leaked
+    # where a worker process is killed
+    _lock: ClassVar = threading.RLock()
 
     steady_rate: float | None = None
 
