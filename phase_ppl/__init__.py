@@ -54,6 +54,7 @@ _WHERE = {
     "reference_predictions": "phase_ppl.evaluation.references",
     "register_kernel": "phase_ppl.inference.registry",
     "register_model": "phase_ppl.evaluation.registry",
+    "report": "phase_ppl.evaluation.report",
     "resume": "phase_ppl.inference.infer",
     "save_event": "phase_ppl.dataset.load",
     "save_events": "phase_ppl.dataset.load",
@@ -64,6 +65,7 @@ _WHERE = {
 }
 
 _MODULES = {
+    "figures": "phase_ppl.evaluation.figures",
     "plot": "phase_ppl.analysis.plots",
     "priors": "phase_ppl.models.priors",
     "render": "phase_ppl.render",
@@ -83,6 +85,7 @@ if TYPE_CHECKING:
     from phase_ppl.dataset.load import load_events as load_events
     from phase_ppl.dataset.load import save_event as save_event
     from phase_ppl.dataset.load import save_events as save_events
+    from phase_ppl.evaluation import figures as figures
     from phase_ppl.evaluation.answer import Answer as Answer
     from phase_ppl.evaluation.evaluate import EvaluationInterrupted as EvaluationInterrupted
     from phase_ppl.evaluation.evaluate import evaluate as evaluate
@@ -99,6 +102,7 @@ if TYPE_CHECKING:
     from phase_ppl.evaluation.registry import available_models as available_models
     from phase_ppl.evaluation.registry import model_info as model_info
     from phase_ppl.evaluation.registry import register_model as register_model
+    from phase_ppl.evaluation.report import report as report
     from phase_ppl.evaluation.votes import Judgments as Judgments
     from phase_ppl.inference.compare import ComparisonInterrupted as ComparisonInterrupted
     from phase_ppl.inference.compare import compare as compare

@@ -101,25 +101,28 @@ def observers(folder: ResultsFolder, events: Sequence[Event] | None = None) -> l
 def measured(folder: ResultsFolder) -> list[Observer]:
     """Return :func:`observers` with their metrics.
 
-    They are those of metrics.json; where an evaluation is not finished, and has none, they are
-    computed from the events that are. Those of people are
+    They are those of metrics.json. Where an evaluation is not finished, and has none, they are
+    computed, and everybody's answers are about the events that are finished. Those of people are
     :func:`~phase_ppl.evaluation.people.human_accuracy`.
 
     Raises:
         InvalidEventError, UnknownNameError: as :func:`observers`; or metrics.json is damaged.
     """
     stored = folder.metrics() or {}
+    events = folder.events
+    if not stored:
+        events = [event for event in events if folder.is_finished(event.id)]
     of_references = stored.get("reference_models") or {}
     found = []
-    for observer in observers(folder):
+    for observer in observers(folder, events):
         if observer.kind == "people":
-            metrics = human_accuracy(folder.events)
+            metrics = human_accuracy(events)
         elif observer.kind == "model":
             metrics = stored
         else:
             metrics = of_references.get(observer.name) or {}
         if not metrics:
-            metrics = evaluate_predictions(folder.events, observer.predictions)
+            metrics = evaluate_predictions(events, observer.predictions)
         found.append(dataclasses.replace(observer, metrics=metrics))
     return found
 

@@ -10,13 +10,13 @@ import numpy as np
 from phase_ppl.analysis.style import INK, NORMAL, SMALL, bare
 from phase_ppl.evaluation.figures.accuracies import bar, finish
 from phase_ppl.evaluation.figures.results import (
-    KINDS,
     SCENARIO_COLOURS,
     NothingToDrawError,
     Results,
 )
 from phase_ppl.evaluation.observers import Observer
 from phase_ppl.evaluation.sheet import GREY, Sheet, fitting
+from phase_ppl.evaluation.tables import KINDS
 from phase_ppl.world.relations import SCENARIOS
 
 if TYPE_CHECKING:
@@ -91,7 +91,7 @@ def scatter(results: Results, kind: str) -> Figure:
     Raises:
         NothingToDrawError: nobody judged what a model gives probabilities for.
     """
-    people = next((o for o in results.observers if o.kind == "people"), None)
+    people = next((o for o in results.measured if o.kind == "people"), None)
     models = [o for o in results.measured if o.kind != "people"]
     rows = []
     if people is not None:
@@ -100,7 +100,7 @@ def scatter(results: Results, kind: str) -> Figure:
         raise NothingToDrawError(f"people judged no {kind} that a model gives probabilities for")
     columns = [name for name in (*SCENARIOS, "") if any(name in points for _, points in rows)]
     step = _SIDE + 0.13
-    head, below = 0.42, 0.62
+    head, below = 0.42, 0.74
     sheet = Sheet(
         _LEFT + 0.42 + step * max(len(columns), 2) + 0.05, head + step * len(rows) - 0.13 + below
     )
@@ -129,10 +129,15 @@ def scatter(results: Results, kind: str) -> Figure:
         colour = SCENARIO_COLOURS.get(name, GREY)
         sheet.write(x, 0.2, name or "scenario not known", colour=colour, weight="bold")
         n = sum(1 for event in people.predictions if results.scenarios.get(event, "") == name)
-        sheet.write(x, 0.36, f"n = {n} events", size=SMALL, colour=GREY)
+        sheet.write(x, 0.36, f"n = {n}", size=SMALL, colour=GREY)
     what = "goals of both agents" if kind == "goal" else "relations"
-    note = f"Probabilities of the {what}; the area of a point grows with how many it stands for."
-    sheet.write(0.08, sheet.height - 0.07, note, size=SMALL - 0.5, colour=GREY)
+    notes = (
+        f"Probabilities of the {what}; n: events.",
+        "The area of a point grows with how many it stands for.",
+    )
+    for line, note in enumerate(notes):
+        y = sheet.height - 0.19 + 0.12 * line
+        sheet.write(0.08, y, note, size=SMALL - 0.5, colour=GREY)
     return sheet.figure
 
 

@@ -9,13 +9,10 @@ from typing import Final
 
 from phase_ppl.evaluation.folder import ResultsFolder
 from phase_ppl.evaluation.observers import Observer, measured, observers
-from phase_ppl.evaluation.prediction import GOAL_QUESTIONS
+from phase_ppl.evaluation.tables import KINDS
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import Event
 from phase_ppl.world.relations import SCENARIOS
-
-KINDS: Final = {"goal": tuple(GOAL_QUESTIONS.values()), "relation": ("relation",)}
-"""What is measured together -> its questions."""
 
 SCENARIO_COLOURS: Final = dict(
     zip(SCENARIOS, ("#009e73", "#4d6fb3", "#c98a00", "#b8336a"), strict=True)
@@ -44,7 +41,7 @@ class Results:
 
     @functools.cached_property
     def observers(self) -> list[Observer]:
-        """Everybody who answered, without metrics."""
+        """Everybody who answered, about all events, without metrics."""
         return observers(self.folder)
 
     @functools.cached_property
