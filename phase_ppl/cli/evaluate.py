@@ -94,21 +94,23 @@ def add_to(commands: Any) -> None:
 
 
 def _evaluate(options: argparse.Namespace) -> int:
+    if options.against is not None and Path(options.against).is_dir():
+        phase_ppl.Evaluation.load(options.against)  # what is wrong with it is said now
     found = _again(options) if options.events is None else _anew(options)
     if found is None:
         return INTERRUPTED
     print(found)
     code = FAILED if found.failures else 0
-    if options.against is not None:
-        _write_difference(found, options)
-    if found.folder is None:
-        print("\nNothing was saved; --out DIR keeps predictions, metrics and figures.")
-        return code
-    if options.events is not None and not options.no_figures:
+    if found.folder is not None and options.events is not None and not options.no_figures:
         for problem in _draw(found.folder, options.quiet):
             print(f"phase-ppl: error: {problem}", file=sys.stderr)
             code = FAILED
-    print(f"\nKept in {found.folder.path}")
+    if found.folder is None:
+        print("\nNothing was saved; --out DIR keeps predictions, metrics and figures.")
+    else:
+        print(f"\nKept in {found.folder.path}")
+    if options.against is not None:
+        _write_difference(found, options)
     return code
 
 

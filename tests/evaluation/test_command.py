@@ -150,6 +150,15 @@ def test_against_compares_with_another_folder_also_later(
     assert second["relation_accuracy"]["value"] == -1
 
 
+def test_a_folder_to_compare_with_that_is_none_is_refused_before_the_work(
+    events: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = tmp_path / "other"
+    other.mkdir()
+    error = fails(capsys, events, "--model", "stops", "--against", other)
+    assert "holds no evaluation" in error
+
+
 def test_options_reach_the_model(events: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert evaluate(events, "--model", "right", "--option", "size=3", "--out", out) == 0
