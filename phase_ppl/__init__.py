@@ -13,9 +13,12 @@ __version__ = "0.1.0"
 _WHERE = {
     "AGENTS": "phase_ppl.world.names",
     "ALPHAS": "phase_ppl.world.hypothesis",
+    "Answer": "phase_ppl.evaluation.answer",
     "Comparison": "phase_ppl.analysis.comparison",
     "ComparisonInterrupted": "phase_ppl.inference.compare",
     "Estimate": "phase_ppl.analysis.estimate",
+    "Evaluation": "phase_ppl.evaluation.evaluation",
+    "EvaluationInterrupted": "phase_ppl.evaluation.evaluate",
     "Event": "phase_ppl.world.event",
     "GOALS": "phase_ppl.world.goals",
     "Hypothesis": "phase_ppl.world.hypothesis",
@@ -36,8 +39,10 @@ _WHERE = {
     "Study": "phase_ppl.evaluation.judgments",
     "Truth": "phase_ppl.world.event",
     "available_kernels": "phase_ppl.inference.registry",
+    "available_models": "phase_ppl.evaluation.registry",
     "bundled_events": "phase_ppl.dataset.bundled",
     "compare": "phase_ppl.inference.compare",
+    "evaluate": "phase_ppl.evaluation.evaluate",
     "evaluate_predictions": "phase_ppl.evaluation.metrics",
     "event_dataset": "phase_ppl.dataset.xarrays",
     "event_from_dataset": "phase_ppl.dataset.xarrays",
@@ -47,10 +52,12 @@ _WHERE = {
     "load_event": "phase_ppl.dataset.load",
     "load_events": "phase_ppl.dataset.load",
     "load_judgments": "phase_ppl.evaluation.judgments",
+    "model_info": "phase_ppl.evaluation.registry",
     "paired_difference": "phase_ppl.evaluation.metrics",
     "reference_models": "phase_ppl.evaluation.metrics",
     "reference_predictions": "phase_ppl.evaluation.references",
     "register_kernel": "phase_ppl.inference.registry",
+    "register_model": "phase_ppl.evaluation.registry",
     "report": "phase_ppl.evaluation.report",
     "resume": "phase_ppl.inference.infer",
     "save_event": "phase_ppl.dataset.load",
@@ -86,6 +93,10 @@ if TYPE_CHECKING:
     from phase_ppl.dataset.xarrays import event_dataset as event_dataset
     from phase_ppl.dataset.xarrays import event_from_dataset as event_from_dataset
     from phase_ppl.evaluation import figures as figures
+    from phase_ppl.evaluation.answer import Answer as Answer
+    from phase_ppl.evaluation.evaluate import EvaluationInterrupted as EvaluationInterrupted
+    from phase_ppl.evaluation.evaluate import evaluate as evaluate
+    from phase_ppl.evaluation.evaluation import Evaluation as Evaluation
     from phase_ppl.evaluation.judgments import Study as Study
     from phase_ppl.evaluation.judgments import load_judgments as load_judgments
     from phase_ppl.evaluation.judgments import with_judgments as with_judgments
@@ -95,6 +106,9 @@ if TYPE_CHECKING:
     from phase_ppl.evaluation.people import human_accuracy as human_accuracy
     from phase_ppl.evaluation.prediction import Prediction as Prediction
     from phase_ppl.evaluation.references import reference_predictions as reference_predictions
+    from phase_ppl.evaluation.registry import available_models as available_models
+    from phase_ppl.evaluation.registry import model_info as model_info
+    from phase_ppl.evaluation.registry import register_model as register_model
     from phase_ppl.evaluation.report import report as report
     from phase_ppl.evaluation.votes import Judgments as Judgments
     from phase_ppl.inference.compare import ComparisonInterrupted as ComparisonInterrupted

@@ -185,7 +185,18 @@ def test_a_strip_of_a_short_event_has_all_its_frames(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "command",
-    [[], ["infer"], ["resume"], ["simulate"], ["render"], ["compare"], ["diagnose"]],
+    [
+        [],
+        ["infer"],
+        ["resume"],
+        ["simulate"],
+        ["render"],
+        ["compare"],
+        ["diagnose"],
+        ["evaluate"],
+        ["report"],
+        ["query"],
+    ],
 )
 def test_help_gives_an_example(command: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stop:

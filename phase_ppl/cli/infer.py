@@ -19,8 +19,8 @@ from phase_ppl.cli.shared import (
     budget,
     command,
     load,
+    named_value,
     one_line,
-    option_value,
     whole,
     writable_folder,
     write_text,
@@ -51,7 +51,7 @@ def add_to(commands: Any) -> None:
     infer.add_argument(
         "--option",
         metavar="NAME=VALUE",
-        type=_option,
+        type=named_value,
         action="append",
         default=[],
         help="of the kernel, such as rule=paper; may be given several times",
@@ -192,13 +192,3 @@ def _write_results(post: Posterior, event: Event, out: Path) -> None:
     phase_ppl.plot.posterior(post, path=out / "posterior.png")
     phase_ppl.render.video(event, out / "replay.mp4", compare=post.replay())
     print(f"\nWritten to {out}: {POSTERIOR}, summary.json, posterior.png, replay.mp4")
-
-
-# --- options ---------------------------------------------------------------------------------
-
-
-def _option(text: str) -> tuple[str, Any]:
-    name, equals, value = text.partition("=")
-    if not (equals and name.isidentifier()):
-        raise argparse.ArgumentTypeError(f"{text!r} is not of the form NAME=VALUE")
-    return name, option_value(value)

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import phase_ppl
-from phase_ppl.cli import compare, diagnose, infer, query, render, report
+from phase_ppl.cli import compare, diagnose, evaluate, infer, query, render, report
 from phase_ppl.cli.shared import (
     BAD_INPUT,
     BROKEN_PIPE,
@@ -30,7 +30,8 @@ from phase_ppl.world.errors import PhasePPLError
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit code.
 
-    It is 0, or 2 for bad input, 130 where interrupted, 141 where output was not read to its end.
+    It is 0, or 1 where something failed that did not stop the rest, 2 for bad input, 130 where
+    interrupted, 141 where output was not read to its end.
     """
     options = _parser().parse_args(arguments)
     try:
@@ -125,6 +126,7 @@ def _parser() -> argparse.ArgumentParser:
     render.add_to(commands)
     compare.add_to(commands)
     query.add_to(commands)
+    evaluate.add_to(commands)
     report.add_to(commands)
     diagnose.add_to(commands)
     return parser

@@ -17,6 +17,7 @@ from phase_ppl.world.event import Event
 if TYPE_CHECKING:
     from phase_ppl.analysis.posterior import Posterior
 
+FAILED: Final = 1
 BAD_INPUT: Final = 2
 INTERRUPTED: Final = 130
 BROKEN_PIPE: Final = 141
@@ -132,3 +133,11 @@ def option_value(text: str) -> Any:
         return json.loads(text)
     except json.JSONDecodeError:
         return text
+
+
+def named_value(text: str) -> tuple[str, Any]:
+    """Return name and value of NAME=VALUE."""
+    name, equals, value = text.partition("=")
+    if not (equals and name.isidentifier()):
+        raise argparse.ArgumentTypeError(f"{text!r} is not of the form NAME=VALUE")
+    return name, option_value(value)
