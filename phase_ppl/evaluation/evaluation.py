@@ -72,6 +72,9 @@ class Evaluation:
             InvalidEventError: it is no such folder, or a file in it is damaged.
         """
         folder = ResultsFolder.open(path)
+        for name in ("model", "seed"):
+            if name not in folder.settings:
+                raise InvalidEventError(f"{folder.path}: settings.json has no {name}")
         predictions = folder.predictions()
         stored = (folder.metrics() or {}).get("cost") or {}
         cost = cost_of(predictions, stored.get("workers"), stored.get("wall_seconds"))
@@ -139,10 +142,12 @@ def cost_of(
 ) -> dict[str, Any]:
     """Return what predictions cost, together and each."""
     each = {name: dict(prediction.cost) for name, prediction in predictions.items()}
-    given = [cost.get("simulations") for cost in each.values()]
-    counts = [count for count in given if isinstance(count, int | float)]
+    counts, seconds = (
+        [cost[name] for cost in each.values() if isinstance(cost.get(name), int | float)]
+        for name in ("simulations", "seconds")
+    )
     return {
-        "seconds": sum(cost.get("seconds", 0.0) for cost in each.values()),
+        "seconds": sum(seconds),
         "simulations": sum(counts) if counts else None,
         "workers": workers,
         "wall_seconds": wall_seconds,

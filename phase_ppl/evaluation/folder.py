@@ -31,6 +31,7 @@ from typing import Any, Final
 from phase_ppl.dataset.documents import read_document
 from phase_ppl.dataset.load import load_events, save_events
 from phase_ppl.evaluation.prediction import Prediction
+from phase_ppl.evaluation.stored import check_metrics
 from phase_ppl.world.errors import InvalidEventError, OutputError, PhasePPLError
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import atomic_output
@@ -196,9 +197,20 @@ class ResultsFolder:
         return read_json(source) if source.is_file() else {}
 
     def metrics(self) -> dict[str, Any] | None:
-        """Return the content of metrics.json; None where the evaluation is not finished."""
+        """Return the content of metrics.json; None where the evaluation is not finished.
+
+        Raises:
+            InvalidEventError: it is damaged; the message names the file and the field.
+        """
         source = self.path / METRICS
-        return read_json(source) if source.is_file() else None
+        if not source.is_file():
+            return None
+        found = read_json(source)
+        try:
+            check_metrics(found)
+        except InvalidEventError as error:
+            raise InvalidEventError(f"{source}: {error}") from None
+        return found
 
 
 def read_json(path: Path) -> dict[str, Any]:
