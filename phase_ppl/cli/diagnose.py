@@ -13,10 +13,7 @@ import numpy as np
 
 import phase_ppl
 from phase_ppl.analysis.summary import plain
-from phase_ppl.cli.shared import writable_folder
-
-RESULT: Final = "posterior.nc"
-"""Name of a posterior in the folder that ``infer`` writes."""
+from phase_ppl.cli.shared import posterior, writable_folder
 
 WIDTH: Final = 88
 """Columns of the table."""
@@ -38,22 +35,17 @@ def add_to(commands: Any) -> None:
     )
     parser.set_defaults(run=_diagnose)
     parser.add_argument(
-        "posterior",
-        metavar="RUN",
-        type=Path,
-        help=f"a posterior's .nc file, or a folder with {RESULT}",
+        "file", metavar="FILE", type=Path, help="a posterior's .nc file, or the folder of infer"
     )
     parser.add_argument(
-        "--weights", metavar="NAME", help="count, visited or likelihood; default: the run's"
+        "--weights", metavar="NAME", help="count, visited or likelihood; default: the file's"
     )
-    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    parser.add_argument("--json", action="store_true", help="JSON instead of a table")
     parser.add_argument("--out", metavar="DIR", type=Path, help="for the figures")
 
 
 def _diagnose(options: argparse.Namespace) -> int:
-    path = options.posterior
-    path = path / RESULT if path.is_dir() else path
-    post = phase_ppl.Posterior.load(path, options.weights)
+    post = posterior(options.file, options.weights)
     found = post.diagnostics()
     written = [] if options.out is None else _figures(post, writable_folder(options.out))
     if options.json:

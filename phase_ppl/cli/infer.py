@@ -6,6 +6,7 @@ import argparse
 import functools
 import inspect
 import json
+import shlex
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -21,6 +22,7 @@ from phase_ppl.cli.shared import (
     load,
     named_value,
     one_line,
+    report_hint,
     whole,
     writable_folder,
     write_text,
@@ -56,7 +58,9 @@ def add_to(commands: Any) -> None:
         default=[],
         help="of the kernel, such as rule=paper; may be given several times",
     )
-    infer.add_argument("--out", metavar="DIR", type=Path)
+    infer.add_argument(
+        "--out", metavar="DIR", type=Path, help="for the posterior, a figure and a film"
+    )
     _add_means(infer)
 
     resume = commands.add_parser(
@@ -158,7 +162,7 @@ def _finish(
         _write_results(post, event, out)
     if kept is not None and kept.exists():
         if code:
-            print(f"Go on with: phase-ppl resume {kept}")
+            print(f"Go on with: phase-ppl resume {shlex.quote(str(kept))}")
         elif not options.keep_checkpoint:
             kept.unlink()
     return code
@@ -192,3 +196,4 @@ def _write_results(post: Posterior, event: Event, out: Path) -> None:
     phase_ppl.plot.posterior(post, path=out / "posterior.png")
     phase_ppl.render.video(event, out / "replay.mp4", compare=post.replay())
     print(f"\nWritten to {out}: {POSTERIOR}, summary.json, posterior.png, replay.mp4")
+    print(report_hint(out))

@@ -5,13 +5,14 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import shlex
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import phase_ppl
-from phase_ppl.world.errors import OutputError
+from phase_ppl.world.errors import InvalidEventError, OutputError
 from phase_ppl.world.event import Event
 
 if TYPE_CHECKING:
@@ -37,8 +38,23 @@ def load(options: argparse.Namespace) -> Event:
 
 
 def posterior(path: Path, weights: str | None = None) -> Posterior:
-    """Return the posterior of a file, or of the folder of results that holds posterior.nc."""
-    return phase_ppl.Posterior.load(path / POSTERIOR if path.is_dir() else path, weights)
+    """Return the posterior of a file, or of the folder of results that holds posterior.nc.
+
+    Raises:
+        InvalidEventError: there is no such file, or none in the folder.
+    """
+    if not path.is_dir():
+        return phase_ppl.Posterior.load(path, weights)
+    if not (path / POSTERIOR).is_file():
+        kept = next(path.glob(f"events/*/{POSTERIOR}"), None)
+        hint = f"; it holds an evaluation, with one such as {kept}" if kept else ""
+        raise InvalidEventError(f"{path} holds no {POSTERIOR}{hint}")
+    return phase_ppl.Posterior.load(path / POSTERIOR, weights)
+
+
+def report_hint(out: Path) -> str:
+    """Return how to make a page of what is in the folder ``out``."""
+    return f"For one page of it all: phase-ppl report {shlex.quote(str(out))}"
 
 
 def check_suffix(out: Path, suffixes: Sequence[str]) -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from phase_ppl.analysis.summary import plain
-from phase_ppl.evaluation.folder import ResultsFolder
+from phase_ppl.evaluation.folder import SETTINGS, ResultsFolder
 from phase_ppl.evaluation.metrics import evaluate_predictions, paired_difference, reference_models
 from phase_ppl.evaluation.people import human_accuracy
 from phase_ppl.evaluation.prediction import Prediction
@@ -74,7 +74,7 @@ class Evaluation:
         folder = ResultsFolder.open(path)
         for name in ("model", "seed"):
             if name not in folder.settings:
-                raise InvalidEventError(f"{folder.path}: settings.json has no {name}")
+                raise InvalidEventError(f"{folder.path / SETTINGS} has no {name}")
         predictions = folder.predictions()
         stored = (folder.metrics() or {}).get("cost") or {}
         cost = cost_of(predictions, stored.get("workers"), stored.get("wall_seconds"))
@@ -95,32 +95,12 @@ class Evaluation:
             InvalidEventError: there is no such folder; or an event is not the same in both.
             InvalidSettingError: there is no event that both predict.
         """
-        name, predictions = self._predictions_of(other)
+        name, predictions = opponent(self.events, other)
         if not set(predictions) & set(self.predictions):
             raise InvalidSettingError(f"there is no event that {self.name} and {name} both predict")
         found = paired_difference(self.events, self.predictions, predictions)
         return {name: plain(value) for name, value in
                 {"one": self.name, "other": name, **found}.items()}  # fmt: skip
-
-    def _predictions_of(
-        self, other: Evaluation | str | os.PathLike[str]
-    ) -> tuple[str, Mapping[str, Prediction]]:
-        if not isinstance(other, Evaluation):
-            references = reference_predictions(self.events)
-            if isinstance(other, str) and other in references:
-                return other, references[other]
-            if not Path(other).exists():
-                known = f", and no reference model ({', '.join(references)})" if references else ""
-                raise InvalidEventError(f"{other}: no such folder{known}")
-            other = Evaluation.load(other)
-        mine = {event.id: event for event in self.events}
-        for event in other.events:
-            if event.id in mine and event_digest(event) != event_digest(mine[event.id]):
-                raise InvalidEventError(
-                    f"event {event.id!r} is not the same in both evaluations: its scene or "
-                    "observation differ"
-                )
-        return other.name, other.predictions
 
     @property
     def name(self) -> str:
@@ -135,6 +115,42 @@ class Evaluation:
             f"<Evaluation of {self.name}: {len(self.predictions)} of {len(self.events)} events, "
             f"{len(self.failures)} failed>"
         )
+
+
+def opponent(
+    events: Sequence[Event], other: Evaluation | str | os.PathLike[str]
+) -> tuple[str, Mapping[str, Prediction]]:
+    """Return name and predictions of what a model is compared with.
+
+    Args:
+        events: that the model is asked about.
+        other: as of :meth:`Evaluation.against`.
+
+    Raises:
+        As :meth:`Evaluation.against`.
+    """
+    name: str
+    predictions: Mapping[str, Prediction]
+    references = reference_predictions(events)
+    if isinstance(other, str) and other in references:
+        name, predictions = other, references[other]
+    else:
+        if not isinstance(other, Evaluation):
+            if not Path(other).exists():
+                known = f", and no reference model ({', '.join(references)})" if references else ""
+                raise InvalidEventError(f"{other}: no such folder{known}")
+            other = Evaluation.load(other)
+        mine = {event.id: event for event in events}
+        for event in other.events:
+            if event.id in mine and event_digest(event) != event_digest(mine[event.id]):
+                raise InvalidEventError(
+                    f"event {event.id!r} is not the same in both evaluations: its scene or "
+                    "observation differ"
+                )
+        name, predictions = other.name, other.predictions
+    if not any(event.id in predictions for event in events):
+        raise InvalidSettingError(f"{name} predicts none of the {len(events)} events")
+    return name, predictions
 
 
 def cost_of(

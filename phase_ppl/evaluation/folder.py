@@ -39,6 +39,8 @@ from phase_ppl.world.files import atomic_output
 SCHEMA: Final = "phase-ppl-evaluation-1"
 """Value of ``schema`` in settings.json."""
 
+SETTINGS: Final = "settings.json"
+EVENTS: Final = "events.json"
 PREDICTION: Final = "prediction.json"
 POSTERIOR: Final = "posterior.nc"
 PAGE: Final = "page.png"
@@ -71,7 +73,7 @@ class ResultsFolder:
             OutputError: it cannot be written, or already holds the predictions of an evaluation.
         """
         folder = Path(path)
-        if any(folder.glob(f"events/*/{PREDICTION}")):
+        if holds_predictions(folder):
             raise OutputError(f"{folder} already holds an evaluation; resume it or name another")
         try:
             (folder / "events").mkdir(parents=True, exist_ok=True)
@@ -97,11 +99,11 @@ class ResultsFolder:
                 shutil.rmtree(part, ignore_errors=True)
         except OSError as error:
             raise OutputError(f"cannot write into {self.path}: {error.strerror or error}") from None
-        save_events(events, self.path / "events.json")
+        save_events(events, self.path / EVENTS)
         self.settings = {"schema": SCHEMA, **settings}
         self.events = list(events)
         self._place = {event.id: index for index, event in enumerate(self.events)}
-        write_json(self.path / "settings.json", self.settings)
+        write_json(self.path / SETTINGS, self.settings)
 
     @classmethod
     def open(cls, path: str | os.PathLike[str]) -> ResultsFolder:
@@ -111,15 +113,15 @@ class ResultsFolder:
             InvalidEventError: it is no such folder, or a file in it is damaged.
         """
         folder = Path(path)
-        if not (folder / "settings.json").is_file():
-            raise InvalidEventError(f"{folder} holds no evaluation: it has no settings.json")
-        settings = read_json(folder / "settings.json")
+        if not (folder / SETTINGS).is_file():
+            raise InvalidEventError(f"{folder} holds no evaluation: it has no {SETTINGS}")
+        settings = read_json(folder / SETTINGS)
         if settings.get("schema") != SCHEMA:
             raise InvalidEventError(
                 f"{folder / 'settings.json'}: its schema is {settings.get('schema')!r}, "
                 f"not {SCHEMA!r}"
             )
-        return cls(folder, settings, load_events(folder / "events.json"))
+        return cls(folder, settings, load_events(folder / EVENTS))
 
     def folder_of(self, event_id: str) -> Path:
         """Return the folder of an event, whether it is there or not."""
@@ -211,6 +213,11 @@ class ResultsFolder:
         except InvalidEventError as error:
             raise InvalidEventError(f"{source}: {error}") from None
         return found
+
+
+def holds_predictions(folder: Path) -> bool:
+    """Whether an evaluation in ``folder`` has finished any event."""
+    return any(folder.glob(f"events/*/{PREDICTION}"))
 
 
 def read_json(path: Path) -> dict[str, Any]:

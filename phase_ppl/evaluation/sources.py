@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from phase_ppl.dataset.load import load_events
+from phase_ppl.evaluation.folder import EVENTS, SETTINGS
 from phase_ppl.evaluation.references import reference_predictions
 from phase_ppl.evaluation.votes import event_judgments
 from phase_ppl.world.errors import InvalidEventError, shown
@@ -50,6 +51,10 @@ def _files(path: str | os.PathLike[str]) -> list[Path]:
     source = Path(path)
     if not source.is_dir():
         return [source]
+    if (source / SETTINGS).is_file() and (source / EVENTS).is_file():
+        raise InvalidEventError(
+            f"{source} holds an evaluation; its events are in {source / EVENTS}"
+        )
     files = sorted(file for file in source.iterdir() if file.suffix.lower() in EVENT_FILES)
     if not files:
         endings = ", ".join(EVENT_FILES)

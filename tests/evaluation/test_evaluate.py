@@ -405,6 +405,12 @@ def test_other_versions_are_refused_while_there_is_something_left(tmp_path: Path
         evaluate(out=tmp_path, resume=True)
 
 
+def test_settings_may_change_while_nothing_is_finished(tmp_path: Path) -> None:
+    evaluate(model=lambda *_: raises(), out=tmp_path)
+    assert evaluate(out=tmp_path, seed=3, resume=True).settings["seed"] == 3
+    assert not (tmp_path / "failures.json").exists()
+
+
 def test_results_are_not_overwritten(tmp_path: Path) -> None:
     evaluate(out=tmp_path)
     with pytest.raises(OutputError, match="already holds an evaluation; resume it"):
@@ -549,7 +555,7 @@ def test_a_model_whose_predictions_the_events_carry_is_an_opponent() -> None:
 
 def test_opponents_must_have_seen_the_same() -> None:
     one = evaluate(EVENTS[:2])
-    with pytest.raises(InvalidSettingError, match="no event that right and right both predict"):
+    with pytest.raises(InvalidSettingError, match="right predicts none of the 2 events"):
         one.against(evaluate(EVENTS[2:]))
     with pytest.raises(InvalidEventError, match="'a' is not the same in both"):
         one.against(evaluate([still("a", shift=0.7)]))

@@ -166,7 +166,7 @@ def test_bad_folders_and_places_are_named(tmp_path: Path) -> None:
 def test_the_command_writes_the_report_and_says_where(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    target = tmp_path / "a report.html"
+    target = tmp_path / "a new folder" / "a report.html"
     assert main(["report", str(run.parent), "--out", str(target)]) == 0
     assert capsys.readouterr().out.strip().endswith(str(target))
     assert target.read_text("utf-8") == run.read_text("utf-8")

@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import Final
 
-from phase_ppl.evaluation.folder import POSTERIOR, ResultsFolder
+from phase_ppl.evaluation.folder import POSTERIOR, SETTINGS, ResultsFolder
 from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.files import atomic_output, check_output
 
@@ -39,11 +39,11 @@ def report(
     target = source / NAME if path is None else Path(path)
     if not source.is_dir():
         raise InvalidEventError(f"{source}: no such folder")
-    of_evaluation = (source / "settings.json").is_file()
+    of_evaluation = (source / SETTINGS).is_file()
     if not of_evaluation and not (source / POSTERIOR).is_file():
         raise InvalidEventError(
             f"{source} holds neither a run (it has no {POSTERIOR}) nor an evaluation (it has no "
-            "settings.json)"
+            f"{SETTINGS})"
         )
     check_output(target, (".html",))
     if of_evaluation:

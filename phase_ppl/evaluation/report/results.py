@@ -8,7 +8,7 @@ from typing import Any, Final
 import phase_ppl
 from phase_ppl.evaluation.figures import DRAWN, TITLES
 from phase_ppl.evaluation.figures.results import NothingToDrawError, Results
-from phase_ppl.evaluation.folder import ResultsFolder, read_json
+from phase_ppl.evaluation.folder import ResultsFolder
 from phase_ppl.evaluation.observers import Observer, label_of
 from phase_ppl.evaluation.report import parts
 from phase_ppl.evaluation.report.html import (
@@ -162,8 +162,7 @@ def _figures(results: Results) -> list[Html]:
 
 
 def _failures(folder: ResultsFolder) -> Html | None:
-    source = folder.path / "failures.json"
-    found = read_json(source) if source.is_file() else {}
+    found = folder.failures()
     if not found:
         return None
     pairs = [(event, parts.in_words(what)) for event, what in found.items()]
