@@ -13,9 +13,10 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.cli import main
-from phase_ppl.evaluation.folder import POSTERIOR, write_json
+from phase_ppl.evaluation.folder import POSTERIOR
 from phase_ppl.evaluation.report.html import tag
 from phase_ppl.world.errors import InvalidEventError, OutputError
+from phase_ppl.world.files import write_json
 
 from .small import HOSTILE, events, make_folder, make_posterior, prediction, with_posterior
 
