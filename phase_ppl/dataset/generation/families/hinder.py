@@ -17,8 +17,7 @@ def hinder(draw: Draw, variant: str) -> Situation:
     mover = hindered if variant == "LMA" else item
     landmark = draw.room(but=[mover])
     goal = agent_to(GREEN, landmark) if variant == "LMA" else item_to(BLUE_ITEM, landmark)
-    ways = (mover, landmark), (hindered, mover)
-    ways = ways[:1] if variant == "LMA" else ways
+    ways = [(mover, landmark)] + [(hindered, mover)] * (variant == "LMO")
     return draw.situation(
         (goal, goal),
         (-1, 0),
