@@ -167,7 +167,10 @@ class Posterior(Hypotheses):
 
     @property
     def arviz(self) -> Any:
-        """The draws for ArviZ; see :func:`phase_ppl.analysis._arviz.arviz_data`."""
+        """The draws, each counted once, for ArviZ, as in ``az.summary(post.arviz)``.
+
+        See :func:`phase_ppl.analysis._arviz.arviz_data` for what is in there; nothing is simulated.
+        """
         return arviz_data(self._tree, self._scenario)
 
     def save(self, path: str | os.PathLike[str]) -> Path:

@@ -16,7 +16,7 @@ from phase_ppl.world.event import Event
 if TYPE_CHECKING:
     from phase_ppl.evaluation.judgments import Study
 
-EVENT_FILES: Final = (".json",)
+EVENT_FILES: Final = (".json", ".nc")
 """Endings of the files that are read from a folder of events."""
 
 
@@ -52,7 +52,8 @@ def _files(path: str | os.PathLike[str]) -> list[Path]:
         return [source]
     files = sorted(file for file in source.iterdir() if file.suffix.lower() in EVENT_FILES)
     if not files:
-        raise InvalidEventError(f"{source}: the folder holds no event files (.json)")
+        endings = ", ".join(EVENT_FILES)
+        raise InvalidEventError(f"{source}: the folder holds no event files ({endings})")
     return files
 
 

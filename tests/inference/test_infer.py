@@ -96,12 +96,14 @@ def test_nothing_that_is_asked_of_a_posterior_simulates_again(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         import arviz
+        import matplotlib.pyplot as plt
 
         data = post.arviz
         arviz.summary(data)
         arviz.ess(data)
         for draw in (arviz.plot_trace, arviz.plot_rank, arviz.plot_forest):
             draw(data, var_names=["log_joint"])
+        plt.close("all")
     post.diagnostics()
     post.over_time()
     ppl.plot.diagnostics(post)
