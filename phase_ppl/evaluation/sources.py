@@ -48,7 +48,7 @@ def all_events(events: str | os.PathLike[str] | Event | Sequence[Event]) -> list
 
 def _files(path: str | os.PathLike[str]) -> list[Path]:
     source = Path(path)
-    if not source.is_dir():
+    if not source.is_dir() or (source / "manifest.json").is_file():
         return [source]
     files = sorted(file for file in source.iterdir() if file.suffix.lower() in EVENT_FILES)
     if not files:

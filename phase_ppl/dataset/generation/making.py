@@ -41,25 +41,27 @@ class Made(NamedTuple):
 
     Attributes:
         slot: what was wanted.
+        name: id of the event; copies get a dot and a number.
         events: the event and its copies; empty where every draw was rejected.
         entries: per event what the manifest says about it.
         rejected: draws before the one that was kept.
     """
 
     slot: Slot
+    name: str
     events: list[Event]
     entries: list[dict[str, Any]]
     rejected: list[Rejected]
 
 
-def make(plan: Plan, slot: Slot, name: str) -> Made:
+def make(plan: Plan, slot: Slot) -> Made:
     """Draw and simulate situations of a slot until one shows what it should.
 
     Args:
         plan: of the whole set.
         slot: what is to be made.
-        name: id of the event; copies get a dot and a number.
     """
+    name = f"{slot.cell.replace(':', '-')}-{slot.number:05d}"
     family, variant = family_and_variant(slot.cell)
     simulator = JointSimulator(plan.planner)
     rejected: list[Rejected] = []
@@ -75,10 +77,10 @@ def make(plan: Plan, slot: Slot, name: str) -> Made:
         events, entries = [], []
         for copy, look in enumerate(_looks(plan, rng)):
             id = name if copy == 0 else f"{name}.{copy}"
-            events.append(_event(_with_look(recording, look), id))
+            events.append(event_of(_with_look(recording, look), id))
             entries.append(_entry(slot, id, name, attempt, look, recording, found))
-        return Made(slot, events, entries, rejected)
-    return Made(slot, [], [], rejected)
+        return Made(slot, name, events, entries, rejected)
+    return Made(slot, name, [], [], rejected)
 
 
 def _looks(plan: Plan, rng: np.random.Generator) -> list[tuple[str, bool, bool]]:
@@ -101,7 +103,8 @@ def _with_look(recording: Recording, look: tuple[str, bool, bool]) -> Recording:
     return recoloured(recording, agents=agents, items=items)
 
 
-def _event(recording: Recording, id: str) -> Event:
+def event_of(recording: Recording, id: str) -> Event:
+    """Return a recording as an event with its truth."""
     red, green = recording.hypothesis.effective_goals
     strengths = recording.hypothesis.strengths
     truth = Truth(GOALS[red], GOALS[green], strength_red=strengths[0], strength_green=strengths[1])
