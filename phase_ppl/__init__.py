@@ -44,6 +44,7 @@ _WHERE = {
     "seconds": "phase_ppl.inference.infer",
     "simulate": "phase_ppl.simulator.simulate",
     "simulations": "phase_ppl.inference.infer",
+    "statistics": "phase_ppl.dataset.statistics",
 }
 
 _MODULES = {
@@ -66,6 +67,7 @@ if TYPE_CHECKING:
     from phase_ppl.dataset.load import load_events as load_events
     from phase_ppl.dataset.load import save_event as save_event
     from phase_ppl.dataset.load import save_events as save_events
+    from phase_ppl.dataset.statistics import statistics as statistics
     from phase_ppl.inference.compare import ComparisonInterrupted as ComparisonInterrupted
     from phase_ppl.inference.compare import compare as compare
     from phase_ppl.inference.infer import Interrupted as Interrupted

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.analysis.comparison_plot import comparison as comparison
+from phase_ppl.analysis.data_card import data_card as data_card
 from phase_ppl.analysis.style import INK, NORMAL, SMALL, bare, new_figure, written
 from phase_ppl.analysis.tree import array
 from phase_ppl.world.geometry import agent_outline, is_agent
