@@ -142,7 +142,7 @@ def test_simulate_and_render_write_files(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "command", [[], ["infer"], ["resume"], ["simulate"], ["render"], ["compare"]]
+    "command", [[], ["infer"], ["resume"], ["simulate"], ["render"], ["compare"], ["describe"]]
 )
 def test_help_gives_an_example(command: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stop:

@@ -12,6 +12,7 @@ from phase_ppl.analysis.data_table import Row, counted, goal_grid, number, other
 from phase_ppl.analysis.style import INK, NORMAL, SMALL, bare, new_figure, written
 from phase_ppl.dataset.counts import LEVELS
 from phase_ppl.dataset.phase_statistics import PHASE
+from phase_ppl.dataset.statistics import SPEED_EDGES
 from phase_ppl.world.names import LANDMARKS
 
 if TYPE_CHECKING:
@@ -51,12 +52,12 @@ the rows."""
 _COLUMNS: Final = (
     ((1.05, 2.2), (4.55, 2.0), (8.35, 3.5)),
     ((1.05, 2.1), (3.85, 2.0), (6.6, 2.75), (10.6, 1.25)),
-    ((1.75, 3.6), (6.2, 2.3), (9.9, 1.95)),
+    ((1.75, 3.9), (6.2, 2.75), (10.1, 1.75)),
 )
 """Per row of panels their left sides and widths, inches."""
 
 _SPEED_MARKS: Final = {"mean": ("mean", "o"), "p99": ("99 %", "|"), "max": ("most", "o")}
-_SPEED_TEXT: Final = 77.0
+_SPEED_TEXT: Final = SPEED_EDGES[-1] + 7.0
 """Where the columns of numbers begin, units/s."""
 
 _LONGEST_LABEL: Final = 22
@@ -84,7 +85,7 @@ def data_card(
     Raises:
         OutputError: the figure cannot be written there, or the ending is another.
     """
-    told = [key for key in ("family", "layout", "reflection") if key in statistics["tables"]]
+    told = {"family", "layout", "reflection", "split"} & set(statistics["tables"])
     columns = _COLUMNS if told or statistics["draws"] else _COLUMNS[:2]
     height = _TOP + len(columns) * _ROW - (_ROW - _PANEL) + 0.6
     figure = new_figure(_WIDTH, height)
@@ -124,12 +125,11 @@ def _heading(figure: Figure, here: Statistics, beside: Statistics, height: float
     if here["without_truth"]:
         words += f", {here['without_truth']} without truth"
     y = 1 - 0.17 / height
-    place: dict[str, Any] = {"va": "top", "fontsize": 10}
-    figure.text(0.012, y, f"{_short(here['name'])}: {words}", color=HERE, weight="bold", **place)
-    figure.text(0.5, y, f"{_short(beside['name'])}, in grey", color=WORDS, **place)
-    figure.text(
-        0.988, y, "* differs by more than chance explains (95 %)", color=WORDS, ha="right", **place
-    )
+    style: dict[str, Any] = {"va": "top", "fontsize": 9}
+    name, other = (_short(of["name"], 24) for of in (here, beside))
+    figure.text(0.012, y, f"{name}: {words}", color=HERE, weight="bold", **style)
+    note = f"in grey: {other}; * differs by more than chance explains (95 %)"
+    figure.text(0.988, y, note, color=WORDS, ha="right", **style)
 
 
 def _kinds(axes: Axes, found: Sequence[Row]) -> None:
@@ -243,14 +243,16 @@ def _speeds(axes: Axes, here: Statistics, beside: Statistics, found: Sequence[Ro
     axes.set_yticks(range(len(shown)), [kinds[kind] for kind in shown])
     axes.set_ylim(len(shown) - 0.6, -0.95)
     axes.set_xlim(0, _SPEED_TEXT + 30)
-    axes.set_xticks(range(0, 71, 10))
+    axes.set_xticks(range(0, SPEED_EDGES[-1] + 1, 10))
     axes.set_xlabel("units/s; shaded: root of the frequency", fontsize=NORMAL, color=INK)
     bare(axes)
     axes.tick_params(axis="y", length=0)
 
 
 def _speed_marks(axes: Axes, values: Mapping[str, Any], kind: str, y: float, colour: str) -> None:
-    mean, high, most = (values[f"speed_{what}{kind}"]["value"] for what in _SPEED_MARKS)
+    mean, high, most = (
+        min(values[f"speed_{what}{kind}"]["value"], SPEED_EDGES[-1]) for what in _SPEED_MARKS
+    )
     axes.plot([mean, most], [y, y], color=colour, lw=1)
     axes.plot(mean, y, "o", ms=4.5, color=colour)
     axes.plot(high, y, "|", ms=6, mew=2, color=colour)
@@ -282,11 +284,11 @@ def _draws(axes: Axes, here: Statistics, found: Sequence[Row]) -> None:
     for place, (_, draw) in enumerate(tried):
         axes.barh(place, draw["share"], 0.7, color=HERE)
         why = next(iter(draw["reasons"]), "")
-        words = f"{draw['kept']} of {draw['tried']}" + (f": {why}" if why else "")
+        words = f"{draw['kept']} of {draw['tried']}" + (f": {_short(why, 38)}" if why else "")
         axes.text(draw["share"] + 0.02, place, words, fontsize=SMALL, color=INK, va="center")
     axes.set_yticks(range(len(tried)), [_short(cell, _LONGEST_LABEL) for cell, _ in tried])
     axes.set_ylim(len(tried) - 0.4, -0.6)
-    axes.set_xlim(0, 2.0)
+    axes.set_xlim(0, 3.3)
     axes.set_xticks([0, 0.5, 1], ["0", "0.5", "1"])
     bare(axes)
     axes.tick_params(axis="y", length=0)
@@ -300,6 +302,7 @@ def _layouts(axes: Axes, here: Statistics) -> None:
         return
     axes.bar(range(len(counts)), list(counts.values()), 0.75, color=HERE)
     axes.set_xticks(range(len(counts)), list(counts))
+    axes.locator_params(axis="y", integer=True)
     axes.set_xlabel("number of the layout", fontsize=NORMAL, color=INK)
     bare(axes)
     axes.tick_params(axis="x", length=0, labelsize=SMALL - 0.5)
@@ -326,7 +329,7 @@ def _with_star(row: Row) -> str:
     return number(row.value, row) + ("*" if row.stands_out else "")
 
 
-def _short(text: str, length: int = 48) -> str:
+def _short(text: str, length: int) -> str:
     return text if len(text) <= length else text[: length - 1] + "…"
 
 
@@ -353,7 +356,7 @@ def _paired_bars(axes: Axes, groups: Sequence[Sequence[Row]]) -> None:
         alone = row.other is None
         axes.barh(place if alone else place - 0.2, row.value, 0.7 if alone else 0.4, color=HERE)
         if row.other is not None:
-            low, top = (0.0, row.other) if isinstance(row.other, float) else row.other  # type: ignore[misc]
+            low, top = row.other if isinstance(row.other, tuple) else (0.0, row.other)
             axes.barh(place + 0.2, top - low, 0.4, left=low, color=BESIDE)
         end = max(row.value, *np.atleast_1d(row.other or 0.0))
         axes.text(end + 0.02 * high, place, _with_star(row), va="center", fontsize=SMALL, color=INK,
