@@ -70,6 +70,7 @@ _WHERE = {
     "seconds": "phase_ppl.inference.infer",
     "simulate": "phase_ppl.simulator.simulate",
     "simulations": "phase_ppl.inference.infer",
+    "statistics": "phase_ppl.dataset.statistics",
     "with_judgments": "phase_ppl.evaluation.judgments",
 }
 
@@ -102,6 +103,7 @@ if TYPE_CHECKING:
     from phase_ppl.dataset.load import load_events as load_events
     from phase_ppl.dataset.load import save_event as save_event
     from phase_ppl.dataset.load import save_events as save_events
+    from phase_ppl.dataset.statistics import statistics as statistics
     from phase_ppl.dataset.xarrays import event_dataset as event_dataset
     from phase_ppl.dataset.xarrays import event_from_dataset as event_from_dataset
     from phase_ppl.evaluation import figures as figures

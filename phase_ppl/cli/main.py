@@ -9,7 +9,17 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import phase_ppl
-from phase_ppl.cli import compare, diagnose, evaluate, generate, infer, query, render, report
+from phase_ppl.cli import (
+    compare,
+    describe,
+    diagnose,
+    evaluate,
+    generate,
+    infer,
+    query,
+    render,
+    report,
+)
 from phase_ppl.cli.shared import (
     BAD_INPUT,
     BROKEN_PIPE,
@@ -130,4 +140,5 @@ def _parser() -> argparse.ArgumentParser:
     report.add_to(commands)
     diagnose.add_to(commands)
     generate.add_to(commands)
+    describe.add_to(commands)
     return parser

@@ -56,7 +56,7 @@ class GeneratedEvents(Sequence[Event]):
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
         self.manifest = read_manifest(self.path)
-        self._events = load_events(self.path / EVENTS)
+        self._events = list(load_events(self.path / EVENTS))
         ids, told = [event.id for event in self._events], [entry["id"] for entry in self.entries]
         if ids != told:
             raise InvalidEventError(
