@@ -5,12 +5,16 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
+import phase_ppl
 from phase_ppl.cli.shared import FAILED, INTERRUPTED, whole
 from phase_ppl.dataset.generation.generate import PRESETS, GenerationInterrupted, generate
 from phase_ppl.dataset.generation.plan import PHASE500
 from phase_ppl.dataset.generation.store import GeneratedEvents, verify
+
+VIDEOS: Final = "videos"
+"""The folder of the films in that of the data set."""
 
 
 def add_to(commands: Any) -> None:
@@ -53,6 +57,9 @@ def add_to(commands: Any) -> None:
     command.add_argument(
         "--keep-rejected", action="store_true", help="keep the draws that were not good enough"
     )
+    command.add_argument(
+        "--videos", action="store_true", help="film every event, and draw all on one picture"
+    )
     command.add_argument("--resume", action="store_true", help="go on with what DIR holds")
     command.add_argument("--quiet", action="store_true", help="no progress bar")
 
@@ -86,6 +93,12 @@ def _generate(options: argparse.Namespace) -> int:
         print(f"phase-ppl: {stopped}: phase-ppl generate ... --resume", file=sys.stderr)
         return INTERRUPTED
     _print(made)
+    if options.videos:
+        shown = False if options.quiet else None
+        sheet, folder = made.path / "contact_sheet.png", made.path / VIDEOS
+        phase_ppl.render.videos(made, folder, workers=options.workers, progress=shown)
+        sheets = phase_ppl.render.contact_sheet(made, sheet, progress=shown)
+        print(f"{len(made)} films in {folder}; {', '.join(file.name for file in sheets)}")
     given_up = made.manifest["given_up"]
     if given_up:
         print(f"Given up after too many draws: {', '.join(given_up)}", file=sys.stderr)

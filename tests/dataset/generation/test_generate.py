@@ -12,6 +12,7 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.cli import main
 from phase_ppl.dataset.generation import generate as module
 from phase_ppl.dataset.generation import making
 from phase_ppl.dataset.generation.generate import GenerationInterrupted, generate
@@ -241,3 +242,36 @@ def test_bad_settings_are_named_before_anything_is_written(
     with pytest.raises(error, match=message):
         generate(tmp_path / "set", **options)
     assert not (tmp_path / "set").exists()
+
+
+@pytest.mark.usefixtures("anything_goes")
+def test_models_are_evaluated_on_a_split(tmp_path: Path) -> None:
+    made = generate(tmp_path / "set", cells={"chasing": 5}, **QUICK)
+    found = ppl.evaluate(tmp_path / "set", "last_frame", split="test", workers=1, progress=False)
+    assert found.metrics["n_events"] == len(made.split("test")) == 1
+    everything = ppl.evaluate(made, "last_frame", workers=1, progress=False)
+    assert everything.metrics["n_events"] == 5
+    with pytest.raises(InvalidEventError, match="'dev'"):
+        ppl.evaluate(made, "last_frame", split="dev", workers=1)
+    with pytest.raises(InvalidEventError, match="only generated"):
+        ppl.evaluate(list(made), "last_frame", split="test", workers=1)
+
+
+@pytest.mark.usefixtures("anything_goes")
+def test_the_terminal_makes_films_checks_and_says_what_was_kept(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "a set"
+    monkeypatch.setattr(
+        "phase_ppl.cli.generate.generate",
+        lambda folder, n, **options: generate(folder, n, **{**options, **QUICK}),
+    )
+    arguments = ["generate", "--cell", "chasing=2", "--videos", "--quiet", "--workers", "1"]
+    assert main([*arguments, "--out", str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert "chasing                  2 of    2 draws" in printed
+    assert len(list((out / "videos").glob("*.mp4"))) == 2
+    assert (out / "contact_sheet.png").stat().st_size > 1000
+    assert main(["verify", str(out)]) == 0
+    assert main([*arguments, "--out", str(out)]) == 2
+    assert "resume" in capsys.readouterr().err
