@@ -59,6 +59,7 @@ def add_to(commands: Any) -> None:
         action="store_true",
         help="go on with what is in --out; events may have been added at the end",
     )
+    parser.add_argument("--split", metavar="NAME", help="of a generated set, such as test")
     parser.add_argument("--limit", metavar="N", type=whole(1), help="the first N events only")
     parser.add_argument(
         "--workers", metavar="N", type=whole(1), help="processes; default one per usable core"
@@ -127,6 +128,7 @@ def _anew(options: argparse.Namespace) -> Evaluation | None:
             out=options.out,
             workers=options.workers,
             resume=options.resume,
+            split=options.split,
             limit=options.limit,
             seed=options.seed,
             judgments=options.judgments,

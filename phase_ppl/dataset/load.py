@@ -72,12 +72,26 @@ def load_event(path: PathLike, video: str | None = None, turning: Turning | None
     return _read(path, entries[index], turning)
 
 
-def load_events(path: PathLike, turning: Turning | None = None) -> list[Event]:
-    """Read all events of a file, in the order of the file.
+def load_events(path: PathLike, turning: Turning | None = None) -> Sequence[Event]:
+    """Read all events of a file, in the order of the file, or of a generated data set.
 
-    Arguments and errors as for :func:`load_event`.
+    Args:
+        path: as for :func:`load_event`, or the folder of a generated data set, which comes as
+            :class:`~phase_ppl.dataset.generation.store.GeneratedEvents`.
+        turning: as for :func:`load_event`.
+
+    Raises:
+        InvalidEventError, InvalidSettingError: as for :func:`load_event`.
     """
     _check_turning(turning)
+    folder = Path(path)
+    if folder.is_dir() and any(
+        (folder / name).is_file() for name in ("plan.json", "manifest.json")
+    ):
+        from phase_ppl.dataset.generation.store import GeneratedEvents
+
+        generated = GeneratedEvents(folder)
+        return generated if turning is None else [_turned(event, turning) for event in generated]
     return [_read(path, entry, turning) for entry in _entries(path)]
 
 
@@ -169,8 +183,10 @@ def _read(path: PathLike, entry: tuple[str, Callable[[], Event]], turning: Turni
     name, read = entry
     with _naming(path, name):
         event = read()
-    if turning is None:
-        return event
+    return event if turning is None else _turned(event, turning)
+
+
+def _turned(event: Event, turning: Turning) -> Event:
     return dataclasses.replace(event, scene=dataclasses.replace(event.scene, turning=turning))
 
 
