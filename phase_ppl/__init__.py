@@ -33,6 +33,8 @@ _WHERE = {
     "available_kernels": "phase_ppl.inference.registry",
     "bundled_events": "phase_ppl.dataset.bundled",
     "compare": "phase_ppl.inference.compare",
+    "event_dataset": "phase_ppl.dataset.xarrays",
+    "event_from_dataset": "phase_ppl.dataset.xarrays",
     "infer": "phase_ppl.inference.infer",
     "kernel_info": "phase_ppl.inference.registry",
     "load_event": "phase_ppl.dataset.load",
@@ -66,6 +68,8 @@ if TYPE_CHECKING:
     from phase_ppl.dataset.load import load_events as load_events
     from phase_ppl.dataset.load import save_event as save_event
     from phase_ppl.dataset.load import save_events as save_events
+    from phase_ppl.dataset.xarrays import event_dataset as event_dataset
+    from phase_ppl.dataset.xarrays import event_from_dataset as event_from_dataset
     from phase_ppl.inference.compare import ComparisonInterrupted as ComparisonInterrupted
     from phase_ppl.inference.compare import compare as compare
     from phase_ppl.inference.infer import Interrupted as Interrupted

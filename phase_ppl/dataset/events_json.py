@@ -197,14 +197,14 @@ def events_record(events: Sequence[Event]) -> dict[str, Any]:
     return {"format": EVENTS_FORMAT, "events": records}
 
 
-def to_text(record: Mapping[str, Any]) -> str:
-    """Return ``record`` as JSON text, with what is short on one line.
+def to_text(record: Mapping[str, Any], compact: bool = False) -> str:
+    """Return ``record`` as JSON text, with what is short, or all if ``compact``, on one line.
 
     Raises:
         InvalidEventError: a value has no JSON form, such as NaN.
     """
     try:
-        return _layout(record, 0) + "\n"
+        return json.dumps(record, allow_nan=False) if compact else _layout(record, 0) + "\n"
     except (TypeError, ValueError, RecursionError) as error:
         raise InvalidEventError(f"cannot be written as JSON: {error}") from None
 

@@ -5,15 +5,18 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import functools
+import importlib
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import Any, Final
 
 from phase_ppl.dataset import events_json, phase_test
 from phase_ppl.dataset.bundled import bundled_events, load_bundled
 from phase_ppl.dataset.documents import read_document
 from phase_ppl.dataset.fields import Entries
+from phase_ppl.dataset.hdf5 import is_hdf5
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
@@ -39,7 +42,8 @@ def load_event(path: PathLike, video: str | None = None, turning: Turning | None
     """Read one event.
 
     Args:
-        path: an event file (:mod:`phase_ppl.dataset.events_json`), the authors' videos
+        path: an event file, JSON (:mod:`phase_ppl.dataset.events_json`) or NetCDF
+            (:mod:`phase_ppl.dataset.events_netcdf`), the authors' videos
             (:mod:`phase_ppl.dataset.phase_test`), or the name of a bundled event, with or without
             ".json", where no file of that name exists.
         video: id of the wanted event; must be given if the file holds several.
@@ -73,7 +77,7 @@ def load_events(path: PathLike, turning: Turning | None = None) -> list[Event]:
 
 
 def save_event(event: Event, path: PathLike) -> None:
-    """Write ``event`` to a ".json" file; :func:`load_event` gives the same event back.
+    """Write ``event`` to a ".json" or ".nc" file; :func:`load_event` gives the same event back.
 
     Judgments and predictions come back as JSON has them: tuples as lists, names as strings.
 
@@ -82,11 +86,13 @@ def save_event(event: Event, path: PathLike) -> None:
         InvalidEventError: judgments or predictions hold something that JSON has no form for, or
             the id is no printable text.
     """
-    _write(lambda: events_json.event_record(event), path)
+    with _naming(path):
+        content = _netcdf().one(event) if _is_netcdf(path) else events_json.event_record(event)
+    _write(content, path)
 
 
 def save_events(events: Sequence[Event], path: PathLike) -> None:
-    """Write several events to a ".json" file; :func:`load_events` gives them back.
+    """Write several events to a ".json" or ".nc" file; :func:`load_events` gives them back.
 
     Raises:
         OutputError: the file cannot be written.
@@ -94,13 +100,32 @@ def save_events(events: Sequence[Event], path: PathLike) -> None:
     """
     with _naming(path):
         _check_ids([event.id for event in events])
-    _write(lambda: events_json.events_record(events), path)
+        content = _netcdf().many(events) if _is_netcdf(path) else events_json.events_record(events)
+    _write(content, path)
 
 
-def _write(record: Callable[[], Mapping[str, Any]], path: PathLike) -> None:
+_JSON: Final = ".json"
+_NETCDF: Final = ".nc"
+
+
+def _is_netcdf(path: PathLike) -> bool:
+    return Path(path).suffix.lower() == _NETCDF
+
+
+def _netcdf() -> ModuleType:
+    """Return the module for NetCDF, which brings xarray: only where it is needed."""
+    return importlib.import_module("phase_ppl.dataset.events_netcdf")
+
+
+def _write(content: Any, path: PathLike) -> None:
+    """Write a JSON object, or a Dataset for NetCDF."""
+    if _is_netcdf(path):
+        with _naming(path), atomic_output(path, (_NETCDF,)) as part:
+            _netcdf().write(content, part)
+        return
     with _naming(path):
-        text = events_json.to_text(record())
-    with atomic_output(path, (".json",)) as part:
+        text = events_json.to_text(content)
+    with atomic_output(path, (_JSON, _NETCDF)) as part:
         part.write_text(text, encoding="utf-8")
 
 
@@ -109,15 +134,21 @@ def _entries(path: PathLike) -> Entries:
     if bundled is not None:
         return [(bundled, functools.partial(load_bundled, bundled))]
     with _naming(path):
-        document = read_document(path)
-        tag = document.get("format")
-        if tag is None:
-            raise InvalidEventError(f"is not an event file: it has no format, such as {_FORMATS}")
-        if not isinstance(tag, str) or tag not in _READERS:
-            raise InvalidEventError(f"has format {shown(tag)}, expected one of {_FORMATS}")
-        entries = _READERS[tag](document)
+        if is_hdf5(path) or (_is_netcdf(path) and Path(path).is_file()):
+            entries: Entries = _netcdf().read(path)
+        else:
+            entries = _of_document(read_document(path))
         _check_ids([name for name, _ in entries])
     return entries
+
+
+def _of_document(document: Mapping[str, Any]) -> Entries:
+    tag = document.get("format")
+    if tag is None:
+        raise InvalidEventError(f"is not an event file: it has no format, such as {_FORMATS}")
+    if not isinstance(tag, str) or tag not in _READERS:
+        raise InvalidEventError(f"has format {shown(tag)}, expected one of {_FORMATS}")
+    return _READERS[tag](document)
 
 
 _FORMATS = ", ".join(repr(tag) for tag in _READERS)

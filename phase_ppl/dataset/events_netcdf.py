@@ -1,0 +1,181 @@
+"""Event files in NetCDF 4, for xarray and whatever else reads HDF5.
+
+A file of one event is the Dataset of :mod:`phase_ppl.dataset.xarrays` with the attribute
+``format`` = "phase-ppl-event-1".
+
+A file of several, ``format`` = "phase-ppl-events-1", is ragged in time: the frames of all events
+follow each other along ``time`` and their inner walls along ``wall``; ``n_frames`` and ``n_walls``
+(event) say how many are whose. All else has a first dimension ``event``, whose coordinate holds
+the ids, so that ``xarray.open_dataset("all.nc").goal_red`` is a column.
+
+Arrays carry a checksum of their bytes, and each event one of all it holds, ``sha256``, which is
+compared when the file is read.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import json
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from phase_ppl.dataset.events_json import EVENT_FORMAT, EVENTS_FORMAT, event_record, to_text
+from phase_ppl.dataset.fields import Entries
+from phase_ppl.dataset.hdf5 import check_hdf5
+from phase_ppl.dataset.xarrays import LABELS, event_dataset, event_from_dataset
+from phase_ppl.world.errors import InvalidEventError, shown
+from phase_ppl.world.event import Event
+
+_RAGGED: Final = {"time": "n_frames", "wall": "n_walls"}
+"""Per dimension along which events follow each other the variable with their lengths."""
+
+_CHECKSUM: Final = "sha256"
+
+
+def read(path: str | os.PathLike[str]) -> Entries:
+    """Return the events of the file ``path``, in memory, each still to be checked.
+
+    Raises:
+        InvalidEventError: damaged, too large, or no file of events.
+    """
+    check_hdf5(path)
+    try:
+        with xr.open_dataset(path, engine="h5netcdf", decode_times=False) as stored:
+            dataset = stored.load()
+    except Exception as error:  # whatever a damaged file makes the reader stumble over
+        reason = " ".join(str(error).split())
+        raise InvalidEventError(f"cannot be read as NetCDF: {reason}") from error
+    tag = dataset.attrs.get("format")
+    if tag == EVENT_FORMAT:
+        return [(_id(dataset), functools.partial(_checked_event, dataset))]
+    if tag == EVENTS_FORMAT:
+        return _unpacked(dataset)
+    what = "has no format" if tag is None else f"has format {shown(tag)}"
+    raise InvalidEventError(f"{what}, expected {EVENT_FORMAT!r} or {EVENTS_FORMAT!r}")
+
+
+def one(event: Event) -> xr.Dataset:
+    """Return the content of a file of one event.
+
+    Raises:
+        InvalidEventError: as for :func:`phase_ppl.dataset.xarrays.event_dataset`.
+    """
+    return event_dataset(event).assign({_CHECKSUM: ((), checksum(event))})
+
+
+def many(events: Sequence[Event]) -> xr.Dataset:
+    """Return the content of a file of several events.
+
+    Raises:
+        InvalidEventError: as for :func:`phase_ppl.dataset.xarrays.event_dataset`.
+    """
+    return _packed([one(event) for event in events])
+
+
+def write(dataset: xr.Dataset, path: Path) -> None:
+    """Write the content of a file.
+
+    Raises:
+        InvalidEventError: it is larger than what can be read again.
+    """
+    encoding: dict[str, dict[str, object]] = {}
+    for name, variable in dataset.variables.items():
+        if variable.dtype.kind not in "if":
+            continue
+        encoding[str(name)] = {"_FillValue": None}  # nothing but a strength is ever missing
+        if variable.ndim and variable.size:
+            encoding[str(name)]["fletcher32"] = True
+    dataset.to_netcdf(path, engine="h5netcdf", encoding=encoding)
+    check_hdf5(path)
+
+
+# --- checksums -------------------------------------------------------------------------------
+
+
+def checksum(event: Event) -> str:
+    """Return the SHA-256 of all that an event holds, as hexadecimal digits."""
+    # names of judgments may be numbers; JSON has strings
+    record = json.loads(to_text(event_record(event), compact=True))
+    return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
+
+
+def _checked_event(dataset: xr.Dataset) -> Event:
+    event = event_from_dataset(dataset)
+    if _CHECKSUM in dataset and dataset.variables[_CHECKSUM].values.tolist() != checksum(event):
+        raise InvalidEventError(
+            f"its content is not what {_CHECKSUM} says: damaged, or edited; an edited dataset is "
+            f"written by save_event(event_from_dataset(dataset), path) or without {_CHECKSUM}"
+        )
+    return event
+
+
+# --- ragged in time --------------------------------------------------------------------------
+
+
+def _packed(datasets: Sequence[xr.Dataset]) -> xr.Dataset:
+    """Return one dataset of several events; each has the same variables."""
+    packed: dict[str, xr.Variable] = {}
+    for name, variable in datasets[0].variables.items():
+        parts = [dataset.variables[name].values for dataset in datasets]
+        if name in LABELS:
+            packed[str(name)] = variable
+            continue
+        if variable.dtype.kind == "U":
+            # texts as objects: arrays of strings are as wide as the longest
+            parts = [part.astype(object) for part in parts]
+        ragged = variable.dims and variable.dims[0] in _RAGGED
+        dims = variable.dims if ragged else ("event", *variable.dims)
+        joined = np.concatenate(parts) if ragged else np.stack(parts)
+        packed[str(name)] = xr.Variable(dims, joined, variable.attrs)
+    for dim, counter in _RAGGED.items():
+        lengths = np.array([dataset.sizes[dim] for dataset in datasets])
+        packed[counter] = xr.Variable("event", lengths, {"sample_dimension": dim})
+    coords = {name: packed.pop(name) for name in ("time", "event", *LABELS)}
+    return xr.Dataset(packed, coords, {"format": EVENTS_FORMAT})
+
+
+def _unpacked(dataset: xr.Dataset) -> Entries:
+    """Return the events of a packed dataset, each still to be taken out of it."""
+    if "event" not in dataset.dims or "event" not in dataset.coords:
+        raise InvalidEventError("has no coordinate event, which holds the ids")
+    stops = {dim: _stops(dataset, dim) for dim in _RAGGED}
+    entries: Entries = []
+    for index in range(dataset.sizes["event"]):
+        place: dict[str, int | slice] = {"event": index}
+        for dim, ends in stops.items():
+            place[dim] = slice(int(ends[index - 1]) if index else 0, int(ends[index]))
+        name = _id(dataset, index)
+        entries.append((name, functools.partial(_taken, dataset, place)))
+    return entries
+
+
+def _stops(dataset: xr.Dataset, dim: str) -> NDArray[np.int64]:
+    """Return per event where along ``dim`` it ends."""
+    counter = _RAGGED[dim]
+    if counter not in dataset.variables or dataset[counter].dims != ("event",):
+        raise InvalidEventError(f"has no {counter} (event)")
+    lengths, size = dataset[counter].values, dataset.sizes.get(dim, 0)
+    # no length beyond the whole, so that no sum can overflow
+    whole = lengths.dtype.kind in "iu" and not ((lengths < 0) | (lengths > size)).any()
+    if not whole or int(lengths.sum()) != size:
+        raise InvalidEventError(f"{counter} does not add up to the {size} along {dim}")
+    return np.cumsum(lengths, dtype=np.int64)
+
+
+def _taken(dataset: xr.Dataset, place: dict[str, int | slice]) -> Event:
+    return _checked_event(dataset.isel(place))
+
+
+def _id(dataset: xr.Dataset, index: int | None = None) -> str:
+    """Return an id as the file has it; what is wrong with it shows when the event is read."""
+    if "event" not in dataset.variables:
+        return ""
+    values = dataset["event"].values
+    return str(values if index is None else values[index])
