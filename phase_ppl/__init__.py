@@ -33,6 +33,7 @@ _WHERE = {
     "available_kernels": "phase_ppl.inference.registry",
     "bundled_events": "phase_ppl.dataset.bundled",
     "compare": "phase_ppl.inference.compare",
+    "export_events": "phase_ppl.dataset.export",
     "event_dataset": "phase_ppl.dataset.xarrays",
     "event_from_dataset": "phase_ppl.dataset.xarrays",
     "infer": "phase_ppl.inference.infer",
@@ -64,6 +65,7 @@ if TYPE_CHECKING:
     from phase_ppl.analysis.comparison import Comparison as Comparison
     from phase_ppl.analysis.posterior import Posterior as Posterior
     from phase_ppl.dataset.bundled import bundled_events as bundled_events
+    from phase_ppl.dataset.export import export_events as export_events
     from phase_ppl.dataset.load import load_event as load_event
     from phase_ppl.dataset.load import load_events as load_events
     from phase_ppl.dataset.load import save_event as save_event

@@ -1,4 +1,4 @@
-"""The terminal: ``phase-ppl infer | resume | simulate | render | compare``."""
+"""The terminal: ``phase-ppl infer | resume | simulate | render | compare | export``."""
 
 from phase_ppl.cli.main import main
 

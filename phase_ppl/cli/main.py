@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import phase_ppl
-from phase_ppl.cli import compare, infer
+from phase_ppl.cli import compare, export, infer
 from phase_ppl.cli.shared import (
     BAD_INPUT,
     INTERRUPTED,
@@ -130,4 +130,5 @@ def _parser() -> argparse.ArgumentParser:
     )
     render.add_argument("--out", metavar="FILE", type=Path, required=True, help=".mp4")
     compare.add_to(commands)
+    export.add_to(commands)
     return parser
