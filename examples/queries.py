@@ -1,4 +1,4 @@
-"""What one can ask a posterior: probabilities, conditionals, joints, intervals, tables.
+"""What one can ask a posterior, in Python and in words, and how sure the answers are.
 
     python examples/queries.py [FILE.nc] [--quick]
 
@@ -23,29 +23,40 @@ def main(file: str | None, quick: bool) -> None:
     else:
         post = ppl.Posterior.load(file)
 
-    print("Most probable goals of the red agent")
+    print("Most probable goals of the red agent, with their Monte-Carlo errors")
     for goal, probability in post.top("goal_red", 5):
-        print(f"  {probability:.2f}  {goal}")
+        print(f"  {probability}  {goal}")
 
-    goal = post.top("goal_red", 1)[0][0]
+    goal = post.mode("goal_red")
     friendly = post.probability(relation="friendly")
     given = post.probability(relation="friendly", given={"goal_red": goal})
-    print(f"\nP(friendly) = {friendly:.2f}; given that red's goal is {goal!r}: {given:.2f}")
+    print(f"\nP(friendly) = {friendly}; given that red's goal is {goal!r}: {given}")
 
-    items = [goal for goal in ppl.GOALS if "item" in goal]
-    print(f"P(both agents care for an item) = "
-          f"{post.probability(goal_red=items, goal_green=items):.2f}")  # fmt: skip
-    print(f"P(red is stronger than 400 N) = {post.probability(strength_red=(400, 600)):.2f}")
-    low, high = post.hdi("strength_red").values
-    print(f"Strength of red: {post.mean('strength_red'):.0f} N, 94 % in {low:.0f} to {high:.0f} N")
+    print("\nThe same in words, as phase-ppl query does")
+    for question in (
+        f"P(relation=friendly | goal_red={goal})",
+        "P(goal_kind_red=item-landmark, goal_kind_green=item-landmark)",
+        "P(strength_red > 400)",
+        "E[strength_red | relation=friendly]",
+        "H(goal_red, goal_green)",
+    ):
+        print(f"  {question} = {post.query(question)}")
+
+    # a quantity of one's own, from here on like any other
+    post.define("same_target", lambda h: h.target_red == h.target_green)
+    print(f"\nP(both are after the same thing) = {post.probability(same_target=True)}")
+    interval = post.hdi("strength_red", given={"same_target": True})
+    (low, high), (low_error, high_error) = interval.values, interval.error.values
+    print(f"If so, red's strength is in {low:.0f} ± {low_error:.0f} to "
+          f"{high:.0f} ± {high_error:.0f} N with 94 %")  # fmt: skip
 
     joint = post.joint("goal_red", "goal_green").to_series().nlargest(3)
     print("\nMost probable pairs of goals")
     for (red, green), probability in joint.items():
         print(f"  {probability:.2f}  {red} | {green}")
 
-    print("\nGoals by relation, the five most probable rows of the table of hypotheses")
-    table = post.to_dataframe().groupby(["relation", "goal_red"])["weight"].sum()
+    print("\nTargets by relation, the five most probable rows of the table of hypotheses")
+    table = post.to_dataframe().groupby(["relation", "target_red"])["weight"].sum()
     print(table.nlargest(5).round(3).to_string())
     print(f"\nBest single hypothesis: {post.map()}")
 

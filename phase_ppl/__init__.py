@@ -13,43 +13,64 @@ __version__ = "0.1.0"
 _WHERE = {
     "AGENTS": "phase_ppl.world.names",
     "ALPHAS": "phase_ppl.world.hypothesis",
+    "Answer": "phase_ppl.evaluation.answer",
     "Comparison": "phase_ppl.analysis.comparison",
     "ComparisonInterrupted": "phase_ppl.inference.compare",
+    "Estimate": "phase_ppl.analysis.estimate",
+    "Evaluation": "phase_ppl.evaluation.evaluation",
+    "EvaluationInterrupted": "phase_ppl.evaluation.evaluate",
     "Event": "phase_ppl.world.event",
     "GOALS": "phase_ppl.world.goals",
     "Hypothesis": "phase_ppl.world.hypothesis",
     "Interrupted": "phase_ppl.inference.infer",
     "JointSimulator": "phase_ppl.simulator.joint",
+    "Judgments": "phase_ppl.evaluation.votes",
     "Model": "phase_ppl.models.model",
     "Observation": "phase_ppl.world.observation",
     "PhasePPLError": "phase_ppl.world.errors",
     "PlannerConfig": "phase_ppl.agents.config",
     "Posterior": "phase_ppl.analysis.posterior",
+    "Prediction": "phase_ppl.evaluation.prediction",
+    "QueryError": "phase_ppl.world.errors",
     "RadialLikelihood": "phase_ppl.models.likelihood",
     "Scene": "phase_ppl.world.scene",
     "SimpleSettings": "phase_ppl.inference.infer",
     "SimulationError": "phase_ppl.world.errors",
+    "Study": "phase_ppl.evaluation.judgments",
     "Truth": "phase_ppl.world.event",
     "available_kernels": "phase_ppl.inference.registry",
+    "available_models": "phase_ppl.evaluation.registry",
     "bundled_events": "phase_ppl.dataset.bundled",
     "compare": "phase_ppl.inference.compare",
+    "evaluate": "phase_ppl.evaluation.evaluate",
+    "evaluate_predictions": "phase_ppl.evaluation.metrics",
     "export_events": "phase_ppl.dataset.export",
     "event_dataset": "phase_ppl.dataset.xarrays",
     "event_from_dataset": "phase_ppl.dataset.xarrays",
+    "human_accuracy": "phase_ppl.evaluation.people",
     "infer": "phase_ppl.inference.infer",
     "kernel_info": "phase_ppl.inference.registry",
     "load_event": "phase_ppl.dataset.load",
     "load_events": "phase_ppl.dataset.load",
+    "load_judgments": "phase_ppl.evaluation.judgments",
+    "model_info": "phase_ppl.evaluation.registry",
+    "paired_difference": "phase_ppl.evaluation.metrics",
+    "reference_models": "phase_ppl.evaluation.metrics",
+    "reference_predictions": "phase_ppl.evaluation.references",
     "register_kernel": "phase_ppl.inference.registry",
+    "register_model": "phase_ppl.evaluation.registry",
+    "report": "phase_ppl.evaluation.report",
     "resume": "phase_ppl.inference.infer",
     "save_event": "phase_ppl.dataset.load",
     "save_events": "phase_ppl.dataset.load",
     "seconds": "phase_ppl.inference.infer",
     "simulate": "phase_ppl.simulator.simulate",
     "simulations": "phase_ppl.inference.infer",
+    "with_judgments": "phase_ppl.evaluation.judgments",
 }
 
 _MODULES = {
+    "figures": "phase_ppl.evaluation.figures",
     "plot": "phase_ppl.analysis.plots",
     "priors": "phase_ppl.models.priors",
     "render": "phase_ppl.render",
@@ -63,6 +84,7 @@ if TYPE_CHECKING:
     from phase_ppl.agents.config import PlannerConfig as PlannerConfig
     from phase_ppl.analysis import plots as plot
     from phase_ppl.analysis.comparison import Comparison as Comparison
+    from phase_ppl.analysis.estimate import Estimate as Estimate
     from phase_ppl.analysis.posterior import Posterior as Posterior
     from phase_ppl.dataset.bundled import bundled_events as bundled_events
     from phase_ppl.dataset.export import export_events as export_events
@@ -72,6 +94,25 @@ if TYPE_CHECKING:
     from phase_ppl.dataset.load import save_events as save_events
     from phase_ppl.dataset.xarrays import event_dataset as event_dataset
     from phase_ppl.dataset.xarrays import event_from_dataset as event_from_dataset
+    from phase_ppl.evaluation import figures as figures
+    from phase_ppl.evaluation.answer import Answer as Answer
+    from phase_ppl.evaluation.evaluate import EvaluationInterrupted as EvaluationInterrupted
+    from phase_ppl.evaluation.evaluate import evaluate as evaluate
+    from phase_ppl.evaluation.evaluation import Evaluation as Evaluation
+    from phase_ppl.evaluation.judgments import Study as Study
+    from phase_ppl.evaluation.judgments import load_judgments as load_judgments
+    from phase_ppl.evaluation.judgments import with_judgments as with_judgments
+    from phase_ppl.evaluation.metrics import evaluate_predictions as evaluate_predictions
+    from phase_ppl.evaluation.metrics import paired_difference as paired_difference
+    from phase_ppl.evaluation.metrics import reference_models as reference_models
+    from phase_ppl.evaluation.people import human_accuracy as human_accuracy
+    from phase_ppl.evaluation.prediction import Prediction as Prediction
+    from phase_ppl.evaluation.references import reference_predictions as reference_predictions
+    from phase_ppl.evaluation.registry import available_models as available_models
+    from phase_ppl.evaluation.registry import model_info as model_info
+    from phase_ppl.evaluation.registry import register_model as register_model
+    from phase_ppl.evaluation.report import report as report
+    from phase_ppl.evaluation.votes import Judgments as Judgments
     from phase_ppl.inference.compare import ComparisonInterrupted as ComparisonInterrupted
     from phase_ppl.inference.compare import compare as compare
     from phase_ppl.inference.infer import Interrupted as Interrupted
@@ -90,6 +131,7 @@ if TYPE_CHECKING:
     from phase_ppl.simulator.joint import JointSimulator as JointSimulator
     from phase_ppl.simulator.simulate import simulate as simulate
     from phase_ppl.world.errors import PhasePPLError as PhasePPLError
+    from phase_ppl.world.errors import QueryError as QueryError
     from phase_ppl.world.errors import SimulationError as SimulationError
     from phase_ppl.world.event import Event as Event
     from phase_ppl.world.event import Truth as Truth

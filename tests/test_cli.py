@@ -14,11 +14,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from PIL import Image
 
 import phase_ppl
 from phase_ppl.cli import main
 from phase_ppl.world.goals import GOALS
+from tests.analysis.factory import Simulation, hypothesis, make_tree
 from tests.inference.toy import walkers, walking_event
+from tests.world.examples import make_event
 
 TINY = ["--chains", "2", "--iterations", "1", "--workers", "1", "--quiet"]
 
@@ -136,13 +139,64 @@ def test_simulate_and_render_write_files(tmp_path: Path) -> None:
     goals = ["--goal-red", "Get red agent to red lm", "--goal-green", "get to red agent"]
     event = tmp_path / "event.json"
     assert main(["simulate", "collaborate", *goals, "--frames", "4", "--out", str(event)]) == 0
-    film = tmp_path / "film.mp4"
-    assert main(["render", str(event), "--out", str(film)]) == 0
-    assert film.stat().st_size > 1000
+    for name in ("film.mp4", "film.gif"):
+        assert main(["render", str(event), "--out", str(tmp_path / name)]) == 0
+        assert (tmp_path / name).stat().st_size > 1000
+
+
+def test_simulate_writes_netcdf_and_gif_that_the_commands_take_up(tmp_path: Path) -> None:
+    goals = ["--goal-red", "Get red agent to red lm", "--goal-green", "get to red agent"]
+    written = {}
+    for name in ("event.json", "event.nc", "film.gif"):
+        out = tmp_path / name
+        assert main(["simulate", "collaborate", *goals, "--frames", "3", "--out", str(out)]) == 0
+        written[name] = out
+    events = [phase_ppl.load_event(written[name]) for name in ("event.json", "event.nc")]
+    first, second = (event.observation.trajectory for event in events)
+    assert (first == second).all()
+    with Image.open(written["film.gif"]) as film:
+        assert film.n_frames > 1
+    assert main(["render", str(written["event.nc"]), "--out", str(tmp_path / "x.png")]) == 0
 
 
 @pytest.mark.parametrize(
-    "command", [[], ["infer"], ["resume"], ["simulate"], ["render"], ["compare"]]
+    ("options", "size"),
+    [([], (1800, 336)), (["--strip", "2"], (600, 336)), (["--frame", "-1"], (640, 480))],
+)
+def test_render_draws_a_strip_or_a_frame_with_or_without_fields_of_view(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], size: tuple[int, int]
+) -> None:
+    plain, tinted = tmp_path / "plain.png", tmp_path / "a folder" / "tinted.png"
+    assert main(["render", "oppose", *options, "--out", str(plain)]) == 0
+    assert "of oppose written to" in capsys.readouterr().out
+    assert main(["render", "oppose", *options, "--fields-of-view", "--out", str(tinted)]) == 0
+    with Image.open(plain) as first, Image.open(tinted) as second:
+        assert first.size == second.size == size
+        assert first.tobytes() != second.tobytes()
+
+
+def test_a_strip_of_a_short_event_has_all_its_frames(tmp_path: Path) -> None:
+    event, strip = tmp_path / "walk.nc", tmp_path / "strip.png"
+    phase_ppl.save_event(make_event(n_frames=3), event)
+    assert main(["render", str(event), "--out", str(strip)]) == 0
+    with Image.open(strip) as picture:
+        assert picture.size == (900, 336)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        [],
+        ["infer"],
+        ["resume"],
+        ["simulate"],
+        ["render"],
+        ["compare"],
+        ["diagnose"],
+        ["evaluate"],
+        ["report"],
+        ["query"],
+    ],
 )
 def test_help_gives_an_example(command: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stop:
@@ -225,7 +279,36 @@ class TestBadInput:
     def test_an_output_of_another_kind(
         self, capsys: pytest.CaptureFixture[str], tmp_path: Path
     ) -> None:
-        assert ".mp4" in fails(capsys, "render", "collaborate", "--out", str(tmp_path / "x.avi"))
+        error = fails(capsys, "render", "collaborate", "--out", str(tmp_path / "x.avi"))
+        assert "expected a file ending in .mp4 or .gif or .png" in error
+
+    @pytest.mark.parametrize(
+        ("options", "name", "message"),
+        [
+            (["--frame", "3"], "x.gif", "--frame draws a picture: --out"),
+            (["--strip", "3"], "x.mp4", "--strip draws a picture: --out"),
+            (["--strip", "3", "--frame", "1"], "x.png", "not allowed"),
+            (["--strip", "999"], "x.png", "n=999, expected one of 1..54"),
+            (["--frame", "54"], "x.png", "frame=54, expected one of 0..53"),
+            (["--frame", "one"], "x.png", "invalid int value: 'one'"),
+        ],
+    )
+    def test_pictures_that_cannot_be_drawn(
+        self,
+        capsys: pytest.CaptureFixture[str],
+        tmp_path: Path,
+        options: list[str],
+        name: str,
+        message: str,
+    ) -> None:
+        out = str(tmp_path / name)
+        assert message in fails(capsys, "render", "collaborate", *options, "--out", out)
+
+    def test_a_posterior_is_no_event(
+        self, capsys: pytest.CaptureFixture[str], results: Path
+    ) -> None:
+        error = fails(capsys, "infer", str(results / "posterior.nc"))
+        assert "posterior.nc: is a posterior, not an event" in error
 
     def test_unknown_prior(self, capsys: pytest.CaptureFixture[str]) -> None:
         assert "'uniform'" in fails(capsys, "infer", "collaborate", "--prior", "unifrom")
@@ -246,6 +329,97 @@ class TestBadInput:
 
     def test_no_command(self, capsys: pytest.CaptureFixture[str]) -> None:
         assert "COMMAND" in fails(capsys)
+
+
+class TestQuery:
+    """The command ``query``, on a posterior made by hand."""
+
+    @pytest.fixture
+    def folder(self, tmp_path: Path) -> Path:
+        folder = tmp_path / "my results"
+        folder.mkdir()
+        simulations = [
+            Simulation(hypothesis("Get blue item to red lm", "Get blue item to red lm"), 0),
+            Simulation(hypothesis("get to green agent", "Get pink item to blue lm"), 1),
+        ]
+        post = phase_ppl.Posterior(make_tree(simulations, [[0], [0], [0], [1]]))
+        post.save(folder / "posterior.nc")
+        return folder
+
+    def test_answers_are_printed_with_their_errors(
+        self, folder: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        questions = [
+            *("P(relation = friendly)", "P(goal_red)", "mode relation", "H(goal_red, goal_green)"),
+            *("hdi strength_red", "top 1 relation|goal_red=get to green agent"),
+        ]
+        assert main(["query", str(folder), *questions]) == 0
+        assert capsys.readouterr().out.splitlines() == [
+            "P(relation = friendly) = 0.75 ± 0.25",
+            "P(goal_red):",
+            "  0.75 ± 0.25  Get blue item to red lm",
+            "  0.25 ± 0.25  get to green agent",
+            "mode relation = friendly (another leads with probability 0.16)",
+            "H(goal_red, goal_green) = 0.6 ± 0.5",
+            "hdi strength_red = 300 ± 0 to 300 ± 0",
+            "top 1 relation|goal_red=get to green agent:",
+            "  1 ± ?  neutral",
+        ]
+
+    def test_json_is_the_same_as_plain_data(
+        self, folder: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        questions = ["E strength_red", "P(relation, sign_red)", "mode relation", "hdi strength_red"]
+        file = str(folder / "posterior.nc")
+        assert main(["query", file, *questions, "--json", "--weights", "likelihood"]) == 0
+        mean, joint, mode, interval = json.loads(capsys.readouterr().out)
+        assert mean == {"question": "E strength_red", "value": 300.0, "error": 0.0}
+        assert joint["values"] == [
+            {"relation": a, "sign_red": "to", "probability": p, "error": pytest.approx(0.25)}
+            for a, p in (("friendly", 0.75), ("neutral", 0.25))
+        ]
+        assert (mode["value"], mode["error"]) == ("friendly", pytest.approx(0.159, abs=1e-3))
+        assert interval["bounds"] == [{"value": 300.0, "error": 0.0}] * 2
+        alone = [
+            "P(sign_red=to | relation=neutral)",
+            "top 1 (relation | goal_red=get to green agent)",
+        ]
+        assert main(["query", file, *alone, "--json"]) == 0
+        one, top = json.loads(capsys.readouterr().out)
+        assert one["error"] is None
+        assert top["values"] == [{"value": "neutral", "probability": 1.0, "error": None}]
+
+    def test_a_wrong_question_is_shown_with_its_place(
+        self, folder: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        assert main(["query", str(folder), "P(goal_red)", "P(relation=freindly)"]) == 2
+        written = capsys.readouterr()
+        assert written.out == ""
+        assert written.err.splitlines() == [
+            "phase-ppl: error: unknown relation 'freindly'; did you mean 'friendly'?",
+            "  P(relation=freindly)",
+            "             ^",
+        ]
+
+    def test_files_and_weights_that_do_not_exist(
+        self, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        assert "no such file" in fails(capsys, "query", str(tmp_path / "x.nc"), "P(goal_red)")
+        assert "posterior.nc: no such file" in fails(capsys, "query", str(tmp_path), "P(goal_red)")
+        assert "QUESTION" in fails(capsys, "query", str(folder))
+        wrong = ["--weights", "visitde"]
+        assert "'visited'" in fails(capsys, "query", str(folder), "P(goal_red)", *wrong)
+
+    @pytest.mark.skipif(os.name != "posix", reason="closes a pipe")
+    def test_a_reader_that_stops_early_is_no_error(self, folder: Path) -> None:
+        command = [sys.executable, "-m", "phase_ppl.cli", "query", str(folder)]
+        read, write = os.pipe()
+        os.close(read)
+        done = subprocess.run(
+            [*command, "P(goal_red)"], stdout=write, stderr=subprocess.PIPE, text=True, timeout=60
+        )
+        os.close(write)
+        assert done.stderr == ""
 
 
 def _is_gone_within(group: int, seconds: float) -> bool:

@@ -18,8 +18,11 @@ PROMISED: dict[str, tuple[list[str], list[str]]] = {
         ["SIMPLE", "prior", "TV goals"],
         ["compare_kernels.json", "compare_kernels.png"],
     ),
-    "diagnostics": (["between_chain_tv", "R-hat"], ["diagnostics.png"]),
-    "queries": (["P(friendly) = ", "Best single hypothesis: red: "], []),
+    "diagnostics": (
+        ["between_chain_tv", "r_hat", "goal_red["],
+        ["diagnostics.png", "over_time.png"],
+    ),
+    "queries": (["P(friendly) = ", "E[strength_red | ", "Best single hypothesis: red: "], []),
 }
 
 

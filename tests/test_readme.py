@@ -23,9 +23,9 @@ def run(example: str, folder: Path) -> str:
     return done.stdout
 
 
-def test_there_are_three_examples() -> None:
-    told_by = ("ppl.render.video", "ppl.Model", "ppl.resume")
-    assert [name in e for name, e in zip(told_by, EXAMPLES, strict=True)] == [True] * 3
+def test_there_are_four_examples() -> None:
+    told_by = ("ppl.render.video", "ppl.Model", "ppl.resume", "ppl.evaluate")
+    assert [name in e for name, e in zip(told_by, EXAMPLES, strict=True)] == [True] * 4
 
 
 def test_the_main_example_prints_a_posterior_and_writes_its_files(tmp_path: Path) -> None:
@@ -38,6 +38,10 @@ def test_the_main_example_prints_a_posterior_and_writes_its_files(tmp_path: Path
 def test_a_prior_and_a_simulator_defined_in_a_script_work(tmp_path: Path) -> None:
     printed = run(EXAMPLES[1] + "\nprint(post)\n", tmp_path)
     assert "15 particles x 6 iterations" in printed
+
+
+def test_a_model_of_ones_own_is_evaluated(tmp_path: Path) -> None:
+    assert "collaborative" in run(EXAMPLES[3], tmp_path)
 
 
 @pytest.mark.slow

@@ -10,7 +10,16 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from phase_ppl.analysis.comparison import Comparison
-from phase_ppl.analysis.style import INK, NORMAL, SMALL, bare, new_figure, written
+from phase_ppl.analysis.style import (
+    COLOURS,
+    INK,
+    NORMAL,
+    SMALL,
+    bare,
+    direct_labels,
+    new_figure,
+    written,
+)
 from phase_ppl.world.errors import unknown_name
 
 if TYPE_CHECKING:
@@ -18,9 +27,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FloatArray = NDArray[np.float64]
-
-COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#9a4c8f", "#8a6d00", "#56a0d3", "#444444")
-"""Colours of the kernels, to be told apart without seeing red and green apart."""
 
 STYLES: Final = ("-", (0, (5, 1.6)), (0, (1.2, 1.2)))
 """Lines of the kernels, for those beyond the colours."""
@@ -37,8 +43,6 @@ HEADINGS: Final = {
 """Measure -> title and label of its axis."""
 
 _POINTS: Final = 200
-_LABEL_GAP: Final = 0.065
-"""Least distance of two labels, as a share of the axis."""
 
 
 def comparison(
@@ -109,7 +113,7 @@ def _panel(axes: Axes, c: Comparison, name: str) -> None:
     axes.set_ylim(0, min(1.02, max(top, 0.05)))
     axes.grid(axis="y", color="#e6e6e6", lw=0.6)
     axes.set_axisbelow(True)
-    _direct_labels(axes, ends)
+    direct_labels(axes, ends)
 
 
 def _mean_curve(rows: pd.DataFrame, name: str) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -124,33 +128,3 @@ def _mean_curve(rows: pd.DataFrame, name: str) -> tuple[FloatArray, FloatArray, 
     values = np.array([y[np.searchsorted(x, at, side="right") - 1] for x, y in runs])
     spread = values.std(axis=0, ddof=1) / np.sqrt(len(runs)) if len(runs) > 1 else 0.0 * at
     return at, values.mean(axis=0), spread
-
-
-def _direct_labels(axes: Axes, ends: list[tuple[float, float, str, str]]) -> None:
-    """Write each kernel's name beside the end of its line, moved apart where they would touch."""
-    low, high = axes.get_ylim()
-    wanted = np.array([(end[1] - low) / (high - low) for end in ends])
-    order = np.argsort(wanted)
-    places = wanted[order].copy()
-    for _ in range(200):
-        gaps = np.diff(places)
-        for i in np.flatnonzero(gaps < _LABEL_GAP - 1e-9):
-            push = (_LABEL_GAP - gaps[i]) / 2
-            places[i] -= push
-            places[i + 1] += push
-        lift = max(0.0, 0.02 - places[0])
-        places[0] += lift
-    for place, i in zip(places, order, strict=True):
-        _, _, kernel, colour = ends[i]
-        axes.annotate(
-            kernel,
-            (1.0, wanted[i]),
-            xycoords="axes fraction",
-            xytext=(1.035, place),
-            textcoords="axes fraction",
-            va="center",
-            fontsize=NORMAL,
-            color=colour,
-            annotation_clip=False,
-            arrowprops={"arrowstyle": "-", "color": colour, "lw": 0.7, "shrinkA": 0, "shrinkB": 0},
-        )

@@ -1,32 +1,36 @@
-"""How the chains went, and in words whether their posterior can be trusted."""
+"""How the chains went, in numbers; :mod:`~phase_ppl.analysis.verdict` says it in words."""
 
 from __future__ import annotations
 
 import itertools
-from typing import Any
+import json
+import math
+from collections.abc import Mapping
+from typing import Any, Final
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.tree import HYPOTHESIS, log_weight_of_draws
-from phase_ppl.analysis.weights import aborted_mass_bound
-from phase_ppl.world.goals import N_GOALS
-from phase_ppl.world.names import AGENTS
+from phase_ppl.analysis import convergence
+from phase_ppl.analysis.quantities import ScenarioFunction, quantities, relation_codes
+from phase_ppl.analysis.tree import HYPOTHESIS, SITES, log_weight_of_draws
+from phase_ppl.analysis.verdict import verdict
+from phase_ppl.analysis.weights import Rows, aborted_mass_bound
+from phase_ppl.world.goals import GOALS, N_GOALS
 
-AGREED = 0.8
-"""Share of particles with the same leading goal from which on they are said to agree."""
+MASS: Final = 0.02
+"""Share of the draws, or probability, from which on a category is reported."""
 
-STUCK = 0.05
-"""Acceptance rate below which the particles are said to have hardly moved."""
-
-FEW = 0.1
-"""Effective share of weighted draws below which a few of them are said to decide."""
+CATEGORICAL: Final = ("goal_red", "goal_green", "relation", "scenario")
+"""Quantities whose categories are reported."""
 
 FloatArray = NDArray[np.float64]
 
 
-def diagnostics(tree: xr.DataTree, weights: str, row_weights: FloatArray) -> dict[str, Any]:
+def diagnostics(
+    tree: xr.DataTree, weights: str, rows: Rows, scenario: ScenarioFunction | None = None
+) -> dict[str, Any]:
     """Return the diagnostics of a tree of draws as plain numbers, lists and text.
 
     Keys, beside ``weights``, ``kernel`` and ``validity``:
@@ -38,20 +42,37 @@ def diagnostics(tree: xr.DataTree, weights: str, row_weights: FloatArray) -> dic
     * ``distinct_hypotheses``, ``distinct_goal_pairs``: among the draws.
     * ``effective_rows``: 1 / sum of squared weights, of the weighting in use.
     * ``weighted_draws_ess``: for kernels that weigh their draws, the effective share of them,
-      1 / (n * sum of squared weights); None for others. The next three count the draws' weights.
+      1 / (n * sum of squared weights); None for others. The next four count the draws' weights.
     * ``agreement``: per goal, the share of particles whose own leading goal leads overall.
+    * ``leading_goals``: per goal, how many particles each goal leads in, most first.
     * ``between_chain_tv``: per goal, mean and max over pairs of particles of the total
       variation between their marginals; None with one particle.
     * ``monte_carlo_error``: per goal, the standard error of the leading goal's probability
       from the spread between particles; None with one particle.
+    * ``scalars``: of the log joint, total error, strengths and real sites of the user's own,
+      ``r_hat``, ``ess_bulk`` and ``ess_tail`` (:mod:`phase_ppl.analysis.convergence`).
+    * ``categories``: of goals, relation and scenario, each category whose ``probability`` under
+      the weighting or ``share`` of the draws exceeds 2 %, most probable first, with ``ess``,
+      ``mcse`` (standard error of the share) and split ``r_hat`` of its indicator.
+    * ``windows``: of the proposals, how many came from a window (``proposals``) and from none
+      (``without``); the first frames that occur (``starts``) and how often each (``counts``);
+      ``frames`` of a window, None where the run has no such setting.
     * ``simulations``: total, completed, aborted (stopped early), failed.
     * ``frames_saved``, ``frames_saved_share``: by stopping early.
     * ``aborted_mass_bound``: see :func:`phase_ppl.analysis.weights.aborted_mass_bound`.
     * ``best_error_per_frame``: smallest mean error of a draw, units: the norm over x, y of all
       four entities.
-    * ``verdict``: a sentence or two.
+    * ``verdict``: a few sentences.
 
-    R-hat and effective sample size of goal codes mean nothing and are not given.
+    R-hat and effective sizes are None where they do not exist: for fewer than four draws per
+    chain, weighted draws, or what never changes (R-hat: within half a chain). Of goal codes they
+    mean nothing and are not given.
+
+    Args:
+        tree: of draws.
+        weights: name of the weighting in use.
+        rows: its table, with relation and scenario.
+        scenario: as in :class:`~phase_ppl.analysis.posterior.Posterior`.
     """
     posterior, stats = tree["posterior"].dataset, tree["sample_stats"].dataset
     n_chains, n_draws = posterior["goal_red"].shape
@@ -78,19 +99,112 @@ def diagnostics(tree: xr.DataTree, weights: str, row_weights: FloatArray) -> dic
         "move_rate": float((pair[:, 1:] != pair[:, :-1]).mean()) if n_draws > 1 else None,
         "distinct_hypotheses": _n_distinct([posterior[name].values for name in HYPOTHESIS]),
         "distinct_goal_pairs": len(np.unique(pair)),
-        "effective_rows": float(1 / (row_weights**2).sum()),
+        "effective_rows": float(1 / (rows.weights**2).sum()),
         "weighted_draws_ess": (
             float(1 / (draw_weights.size * (draw_weights**2).sum())) if weighted else None
         ),
         "agreement": {name: _agreement(p, shares) for name, p in by_chain.items()},
+        "leading_goals": {name: _leading_goals(p, shares) for name, p in by_chain.items()},
         "between_chain_tv": {name: _between_chain_tv(p, shares) for name, p in by_chain.items()},
         "monte_carlo_error": {name: _monte_carlo_error(p, shares) for name, p in by_chain.items()},
+        "scalars": {
+            name: _convergence_of_scalar(values, weighted) for name, values in scalars(tree).items()
+        },
+        "categories": {
+            name: _categories(name, codes, draw_weights, rows, weighted)
+            for name, codes in categorical_draws(tree, scenario).items()
+        },
+        "windows": _windows(stats["window"].values, tree.attrs["settings"], n_frames),
         **_simulation_costs(tree, n_frames),
         "aborted_mass_bound": aborted_mass_bound(tree),
         "best_error_per_frame": float(stats["total_error"].min()) / n_frames,
     }
     result["verdict"] = verdict(result)
     return result
+
+
+def scalars(tree: xr.DataTree) -> dict[str, FloatArray]:
+    """Return the real quantities of the draws, (chain, draw), a user's own sites last."""
+    posterior, stats = tree["posterior"].dataset, tree["sample_stats"].dataset
+    own = [
+        str(name)
+        for name, variable in posterior.data_vars.items()
+        if name not in SITES and variable.ndim == 2 and variable.dtype.kind == "f"
+    ]
+    return {
+        **{name: stats[name].values.astype(float) for name in ("log_joint", "total_error")},
+        **{n: posterior[n].values.astype(float) for n in ("strength_red", "strength_green", *own)},
+    }
+
+
+def categorical_draws(
+    tree: xr.DataTree, scenario: ScenarioFunction | None = None
+) -> dict[str, NDArray[np.int64]]:
+    """Return the codes (chain, draw) of :data:`CATEGORICAL` quantities of the draws."""
+    posterior = tree["posterior"].dataset
+    red, green = (posterior[name].values.astype(np.int64) for name in CATEGORICAL[:2])
+    derived = relation_codes(red.ravel(), green.ravel(), scenario)
+    shaped = {name: codes.reshape(red.shape) for name, codes in derived.items()}
+    return {"goal_red": red, "goal_green": green, **shaped}
+
+
+def _convergence_of_scalar(values: FloatArray, weighted: bool) -> dict[str, float | None]:
+    measures = {
+        "r_hat": convergence.r_hat,
+        "ess_bulk": convergence.ess_bulk,
+        "ess_tail": convergence.ess_tail,
+    }
+    return {
+        name: None if weighted else _finite(measure(values)) for name, measure in measures.items()
+    }
+
+
+def _categories(
+    name: str,
+    codes: NDArray[np.int64],
+    draw_weights: FloatArray,
+    rows: Rows,
+    weighted: bool,
+) -> dict[str, dict[str, float | None]]:
+    labels = quantities()[name].categories()
+    probability = np.bincount(rows.values[name], rows.weights, minlength=len(labels))
+    share = np.bincount(codes.ravel(), draw_weights.ravel(), minlength=len(labels))
+    found: dict[str, dict[str, float | None]] = {}
+    for code in np.lexsort((-share, -probability)).tolist():
+        if max(probability[code], share[code]) <= MASS:
+            continue
+        indicator = (codes == code).astype(float)
+        measures = {
+            "ess": convergence.ess_mean,
+            "mcse": convergence.mcse_mean,
+            "r_hat": convergence.split_r_hat,
+        }
+        found[labels[code]] = {
+            "probability": float(probability[code]),
+            "share": float(share[code]),
+            **{
+                key: None if weighted else _finite(measure(indicator))
+                for key, measure in measures.items()
+            },
+        }
+    return found
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _windows(window: NDArray[Any], settings: str, n_frames: int) -> dict[str, Any]:
+    chosen = window[window >= 0].astype(np.int64)  # -1, or not a number: none
+    starts, counts = np.unique(chosen, return_counts=True)
+    length = (json.loads(settings).get("simple") or {}).get("window")
+    return {
+        "proposals": int(chosen.size),
+        "without": int(window.size - chosen.size),
+        "frames": None if length is None else min(int(length), n_frames - 1) + 1,
+        "starts": starts.tolist(),
+        "counts": counts.tolist(),
+    }
 
 
 def _chain_marginals(codes: NDArray[Any], weights: FloatArray) -> FloatArray:
@@ -104,6 +218,13 @@ def _chain_marginals(codes: NDArray[Any], weights: FloatArray) -> FloatArray:
 def _agreement(by_chain: FloatArray, shares: FloatArray) -> float:
     leading = (shares @ by_chain).argmax()
     return float((by_chain.argmax(axis=1) == leading)[shares > 0].mean())
+
+
+def _leading_goals(by_chain: FloatArray, shares: FloatArray) -> Mapping[str, int]:
+    leading = by_chain.argmax(axis=1)[shares > 0]
+    particles = np.bincount(leading, minlength=N_GOALS)
+    order = np.argsort(-particles, kind="stable")
+    return {GOALS[code]: int(particles[code]) for code in order if particles[code]}
 
 
 def _between_chain_tv(by_chain: FloatArray, shares: FloatArray) -> dict[str, float] | None:
@@ -147,70 +268,3 @@ def _simulation_costs(tree: xr.DataTree, n_frames: int) -> dict[str, Any]:
         "frames_saved": saved,
         "frames_saved_share": saved / wanted if wanted else 0.0,
     }
-
-
-def verdict(found: dict[str, Any]) -> str:
-    """Return in a few sentences whether the posterior with these diagnostics can be trusted."""
-    if found["weighted_draws_ess"] is None:
-        sentences = [_agreement_in_words(found), *_acceptance_in_words(found["acceptance_rate"])]
-    else:
-        sentences = [_weighted_in_words(found)]
-    if found["weights"] == "visited":
-        sentences.append(
-            "The weights 'visited' are an approximation; simulations stopped early hide at most "
-            f"{found['aborted_mass_bound']:.1%} of their mass."
-        )
-    elif found["weights"] == "likelihood":
-        sentences.append("The weights 'likelihood' make every probability too extreme.")
-    if found["validity"] == "approximate":
-        sentences.append(
-            f"The kernel {found['kernel']} is approximate: its probabilities are biased however "
-            "long it runs."
-        )
-    simulations = found["simulations"]
-    if simulations["failed"]:
-        sentences.append(f"{simulations['failed']} of {simulations['total']} simulations failed.")
-    return " ".join(sentences)
-
-
-def _acceptance_in_words(rate: float) -> list[str]:
-    if rate == 0:
-        return ["No proposal was accepted: this is still the bottom-up guess, not a posterior."]
-    if rate < STUCK:
-        return [
-            f"Only {rate:.0%} of the proposals were accepted: the particles have hardly left "
-            "the bottom-up guess."
-        ]
-    return []
-
-
-def _weighted_in_words(found: dict[str, Any]) -> str:
-    ess, draws = found["weighted_draws_ess"], found["particles"] * found["iterations"]
-    text = f"The {draws} weighted draws are worth {ess * draws:.1f} equal ones"
-    if found["particles"] > 1:
-        error = max(found["monte_carlo_error"].values())
-        text += f" (Monte-Carlo error of a leading goal's probability: {error:.2f})"
-    return f"{text}: so few decide that another run may well differ." if ess < FEW else f"{text}."
-
-
-def _agreement_in_words(found: dict[str, Any]) -> str:
-    particles = found["particles"]
-    if particles == 1:
-        return "With one particle nothing shows whether another would agree: use more."
-    error = max(found["monte_carlo_error"].values())
-    margin = f" (Monte-Carlo error of a leading goal's probability: {error:.2f})"
-    agreed = [share >= AGREED for share in found["agreement"].values()]
-    if all(agreed):
-        return (
-            f"The {particles} particles agree on both agents' goals{margin}: "
-            "nothing speaks against the leading goals."
-        )
-    if any(agreed):
-        yes, no = (AGENTS[0], AGENTS[1]) if agreed[0] else (AGENTS[1], AGENTS[0])
-        on_what = f"agree on the {yes}'s goal but not on the {no}'s"
-    else:
-        on_what = "agree on neither agent's goal"
-    return (
-        f"The {particles} particles {on_what}{margin}: more iterations would tell real "
-        "uncertainty from chains that have not mixed."
-    )

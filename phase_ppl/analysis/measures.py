@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -11,6 +10,7 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
+from phase_ppl.analysis.convergence import ess_mean
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.tree import array
 from phase_ppl.world.event import Truth
@@ -24,9 +24,6 @@ COMPARED: Final = ("goal_red", "goal_green", "relation")
 
 CURVE_POINTS: Final = 40
 """Prefixes of a run that are looked at, at most."""
-
-MIN_DRAWS: Final = 4
-"""Draws per chain below which no effective sample size is estimated."""
 
 Marginals = Mapping[str, FloatArray]
 """Quantity of :data:`COMPARED` -> probabilities of its labels."""
@@ -93,8 +90,9 @@ def efficiency(post: Posterior) -> dict[str, float]:
     * ``acceptance``, ``moves``: share of proposals accepted, and of iterations in which the pair
       of effective goals changed.
     * ``distinct``: hypotheses among the draws.
-    * ``ess_per_simulation``: effective sample size of the log joint, per simulation; of weighted
-      draws, 1 / the sum of their squared weights.
+    * ``ess_per_simulation``: effective sample size of the log joint
+      (:func:`phase_ppl.analysis.convergence.ess_mean`), per simulation; of weighted draws, 1 / the
+      sum of their squared weights.
     * ``simulations``, ``seconds`` of wall time.
     """
     found = post.diagnostics()
@@ -114,15 +112,7 @@ def _effective_sample_size(post: Posterior, found: Mapping[str, Any]) -> float:
     weight = post.to_dataframe()["weight"].to_numpy()
     if not np.allclose(weight, weight[0]):
         return float(found["effective_rows"])
-    log_joint = post.tree["sample_stats"].to_dataset()[["log_joint"]]
-    if log_joint.sizes["draw"] < MIN_DRAWS:
-        return np.nan
-    with warnings.catch_warnings():
-        # announces ArviZ 1.0, with which this works too
-        warnings.simplefilter("ignore", FutureWarning)
-        import arviz
-
-    return float(arviz.ess(log_joint, method="mean")["log_joint"])
+    return ess_mean(array(post.tree, "sample_stats", "log_joint").astype(float))
 
 
 def curve(post: Posterior, reference: Marginals, truth: Truth | None) -> pd.DataFrame:

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.analysis.comparison_plot import comparison as comparison
+from phase_ppl.analysis.diagnostic_plots import chains as chains
+from phase_ppl.analysis.diagnostic_plots import diagnostics as diagnostics
+from phase_ppl.analysis.diagnostic_plots import errors as errors
+from phase_ppl.analysis.diagnostic_plots import goal_map as goal_map
+from phase_ppl.analysis.over_time_plot import over_time as over_time
 from phase_ppl.analysis.style import INK, NORMAL, SMALL, bare, new_figure, written
 from phase_ppl.analysis.tree import array
 from phase_ppl.world.geometry import agent_outline, is_agent
@@ -175,7 +181,10 @@ def strength_histogram(axes: Axes, post: Posterior, name: str, agent: int) -> No
 
 
 def _bars(
-    axes: Axes, entries: list[tuple[str, float]], colour: Colour | str, gap_after: int | None = None
+    axes: Axes,
+    entries: Sequence[tuple[str, float]],
+    colour: Colour | str,
+    gap_after: int | None = None,
 ) -> None:
     """Draw labelled horizontal bars from the top down, with their values at their ends."""
     places = np.arange(len(entries), dtype=float)

@@ -1,10 +1,27 @@
-"""The quantities one can ask a posterior for, by name, and their labels."""
+"""The quantities one can ask a posterior for, by name, and their labels.
+
+Of a hypothesis: ``goal_red``, ``goal_green`` (effective goals), ``relation``, ``scenario``,
+``alpha``, ``strength_red``, ``strength_green``, ``stated_goal_red``, ``stated_goal_green``. Of
+each effective goal, here that of red:
+
+``goal_kind_red``
+    "item-landmark": an item to or from a landmark (LMO in the paper's data); "self-landmark" and
+    "other-landmark": the agent itself or the other agent to or from a landmark (LMA);
+    "self-other": the agent itself to or from the other agent (TE).
+``target_red``
+    The entity that the goal is about: the one to be at a landmark or not, or the agent to get to
+    or away from.
+``landmark_red``
+    The landmark, or "none".
+``sign_red``
+    "to" or "away from".
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Final, cast
 
 import numpy as np
@@ -13,8 +30,10 @@ from numpy.typing import NDArray
 
 from phase_ppl.analysis.tree import array
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, unknown_name
-from phase_ppl.world.goals import GOALS
+from phase_ppl.world.goals import GOALS, N_GOALS, goal_literal
 from phase_ppl.world.hypothesis import ALPHAS
+from phase_ppl.world.literals import Predicate
+from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS
 from phase_ppl.world.relations import (
     RELATION_OF_SCENARIO,
     RELATIONS,
@@ -28,6 +47,14 @@ ScenarioFunction = Callable[[str, str], str]
 ALPHA_LABELS: Final = tuple(str(alpha) for alpha in ALPHAS)
 """Labels of ``alpha``: signs of (alpha red -> green, alpha green -> red), as "(1, 0)"."""
 
+GOAL_PARTS: Final[Mapping[str, tuple[str, ...]]] = {
+    "goal_kind": ("item-landmark", "self-landmark", "other-landmark", "self-other"),
+    "target": ENTITIES,
+    "landmark": (*LANDMARKS, "none"),
+    "sign": ("to", "away from"),
+}
+"""What a goal consists of -> its labels."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Quantity:
@@ -36,10 +63,39 @@ class Quantity:
     Attributes:
         name: how users call it.
         labels: the values it can take, in order of their codes; None for a real number.
+        values: what the labels stand for, such as the pair (1, 0); None: the labels themselves.
     """
 
     name: str
     labels: tuple[str, ...] | None = None
+    values: tuple[Any, ...] | None = None
+
+    def value(self, entry: Any) -> Any:
+        """Return what the code or number ``entry`` stands for."""
+        if self.labels is None:
+            return float(entry)
+        return (self.values or self.labels)[int(entry)]
+
+    @property
+    def numeric(self) -> bool:
+        """Whether it has means and intervals: real numbers, whole numbers and truth values do."""
+        return self.labels is None or (
+            self.values is not None and all(isinstance(value, int) for value in self.values)
+        )
+
+    def numbers(self, entries: NDArray[Any]) -> NDArray[np.float64]:
+        """Return the numbers that codes or numbers stand for.
+
+        Raises:
+            InvalidSettingError: they stand for none.
+        """
+        if not self.numeric:
+            raise InvalidSettingError(
+                f"{self.name} has categories, not numbers; ask for its marginal, mode or top"
+            )
+        if self.values is not None:
+            return np.array(self.values, np.float64)[entries]
+        return np.asarray(entries, np.float64)
 
     def code(self, value: object) -> int:
         """Return the code of the label ``value`` (case and spacing do not matter).
@@ -48,6 +104,8 @@ class Quantity:
             UnknownNameError: there is no such label; the message names close matches.
         """
         labels = self.categories()
+        if isinstance(value, str) and value in labels:  # a user's may differ in case only
+            return labels.index(value)
         wanted = _canonical(value)
         for code, label in enumerate(labels):
             if _canonical(label) == wanted:
@@ -72,9 +130,9 @@ class Quantity:
 
         Args:
             values: (row,) codes or numbers.
-            wanted: a label, or several of which any will do; (low, high) for a real number.
+            wanted: a label, or several of which any will do; (low, high) for numbers.
         """
-        if self.labels is not None:
+        if self.labels is not None and not (self.numeric and isinstance(wanted, tuple)):
             if isinstance(wanted, tuple) and all(isinstance(w, str | tuple) for w in wanted):
                 wanted = list(wanted)
             options = wanted if isinstance(wanted, list | set | frozenset) else [wanted]
@@ -87,7 +145,8 @@ class Quantity:
             ) from None
         if not low <= high:
             raise InvalidSettingError(f"{self.name}={wanted!r}: the interval is empty")
-        return (values >= low) & (values <= high)
+        numbers = self.numbers(values)
+        return (numbers >= low) & (numbers <= high)
 
 
 def _canonical(label: object) -> str:
@@ -103,8 +162,11 @@ def quantities() -> dict[str, Quantity]:
         "alpha": ALPHA_LABELS,
         **dict.fromkeys(("strength_red", "strength_green"), None),
         **dict.fromkeys(("stated_goal_red", "stated_goal_green"), GOALS),
+        **{f"{part}_{agent}": GOAL_PARTS[part] for agent in _AGENTS for part in GOAL_PARTS},
     }
-    return {name: Quantity(name, values) for name, values in labels.items()}
+    found = {name: Quantity(name, values) for name, values in labels.items()}
+    found["alpha"] = dataclasses.replace(found["alpha"], values=ALPHAS)
+    return found
 
 
 def own_quantity(
@@ -129,13 +191,43 @@ def own_quantity(
     occurring = np.unique(np.append(variable.values, array(tree, "simulations", name)))
     if "flag_meanings" not in variable.attrs:
         labels = tuple(str(value) for value in occurring.tolist())
-        return Quantity(name, labels), np.searchsorted(occurring, values)
+        own = Quantity(name, labels, tuple(occurring.tolist()))
+        return own, np.searchsorted(occurring, values)
     meanings = tuple(str(meaning) for meaning in json.loads(variable.attrs["flag_meanings"]))
     if not np.isin(occurring, np.arange(len(meanings))).all():
         raise InvalidEventError(
             f"{name} takes the values {occurring.tolist()} but has {len(meanings)} labels"
         )
     return Quantity(name, meanings), values
+
+
+def _part_codes(goal: int, holder: int) -> tuple[int, ...]:
+    """Return the codes of the ``GOAL_PARTS`` of a goal that the agent ``holder`` has."""
+    literal = goal_literal(goal, holder)
+    sign = 0 if literal.positive else 1
+    if literal.predicate is Predicate.TOUCH:
+        return 3, literal.target, len(LANDMARKS), sign
+    agent = literal.subject < len(AGENTS)
+    kind = (1 if literal.subject == holder else 2) if agent else 0
+    return kind, literal.subject, literal.target, sign
+
+
+_AGENTS: Final = tuple(name.split()[0] for name in AGENTS)
+
+_PART_TABLES: Final = {
+    agent: np.array([_part_codes(goal, holder) for goal in range(N_GOALS)], np.int64)
+    for holder, agent in enumerate(_AGENTS)
+}
+"""Agent -> (goal, part) codes."""
+
+
+def part_codes(goal_red: NDArray[Any], goal_green: NDArray[Any]) -> dict[str, NDArray[np.int64]]:
+    """Return the codes of ``goal_kind_red`` to ``sign_green`` of effective goals, arrays (row,)."""
+    return {
+        f"{part}_{agent}": _PART_TABLES[agent][goals, column]
+        for agent, goals in zip(_AGENTS, (goal_red, goal_green), strict=True)
+        for column, part in enumerate(GOAL_PARTS)
+    }
 
 
 def relation_codes(
@@ -159,18 +251,3 @@ def relation_codes(
         codes = np.array([table[pair] for pair in pairs], np.int64)
     relation_of = np.array([RELATIONS.index(RELATION_OF_SCENARIO[name]) for name in SCENARIOS])
     return {"relation": relation_of[codes], "scenario": codes}
-
-
-def shortest_interval(
-    values: NDArray[np.float64], weights: NDArray[np.float64], prob: float
-) -> tuple[float, float]:
-    """Return the shortest [low, high] between weighted values that holds mass ``prob``."""
-    order = np.argsort(values, kind="stable")
-    values, cumulative = values[order], np.cumsum(weights[order])
-    before = cumulative - weights[order]
-    # the tolerance keeps 0.9 of ten equal draws at nine of them
-    last = np.searchsorted(cumulative, before + prob * cumulative[-1] - 1e-12)
-    holds = last < len(values)
-    starts, ends = values[holds], values[last[holds]]
-    best = int(np.argmin(ends - starts))
-    return float(starts[best]), float(ends[best])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -62,8 +62,8 @@ def plain(value: Any) -> Any:
         return [plain(entry) for entry in value]
     if isinstance(value, np.ndarray | np.generic):
         return plain(value.tolist())
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
+    if isinstance(value, float):
+        return float(value) if np.isfinite(value) else None
     return value
 
 
@@ -87,7 +87,7 @@ def table(post: Posterior) -> str:
     return "\n".join([*lines, *_wrapped("verdict", found["verdict"])])
 
 
-def _bars(label: str, entries: list[tuple[str, float]]) -> Iterator[str]:
+def _bars(label: str, entries: Sequence[tuple[str, float]]) -> Iterator[str]:
     for name, probability in entries:
         bar = "#" * round(probability * _BAR)
         yield f"{label:<{_LABEL}}{name:<{_NAME}}{probability:5.3f}  {bar}".rstrip()

@@ -63,8 +63,11 @@ REQUIRED: Final[Mapping[str, Mapping[str, tuple[str, ...] | None]]] = {
 }
 """Group -> variable -> dimensions (None: any)."""
 
-OPTIONAL: Final = ("log_weight", "log_evidence")
-"""Further variables (chain, draw) of ``sample_stats``: not all files and kernels have them."""
+OPTIONAL: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {
+    "sample_stats": dict.fromkeys(("log_weight", "log_evidence"), _DRAW),
+    "simulations": {"step_log_likelihood": ("simulation", "time")},
+}
+"""Group -> further variable -> dimensions: not all files and kernels have them."""
 
 REQUIRED_ATTRS: Final = ("event_id", "settings", "cost", "kernel", "validity", "weights", "schema")
 
@@ -91,12 +94,13 @@ def check_tree(tree: xr.DataTree) -> None:
                 raise InvalidEventError(
                     f"{group}/{name} has dimensions {dataset[name].dims}, expected {dims}"
                 )
-    stats = tree["sample_stats"].dataset
-    for name in OPTIONAL:
-        if name in stats and stats[name].dims != _DRAW:
-            raise InvalidEventError(
-                f"sample_stats/{name} has dimensions {stats[name].dims}, expected {_DRAW}"
-            )
+    for group, optional in OPTIONAL.items():
+        dataset = tree[group].dataset
+        for name, dims in optional.items():
+            if name in dataset and dataset[name].dims != dims:
+                raise InvalidEventError(
+                    f"{group}/{name} has dimensions {dataset[name].dims}, expected {dims}"
+                )
     _check_sizes(tree)
     _check_codes(tree)
 
@@ -111,6 +115,10 @@ def _check_sizes(tree: xr.DataTree) -> None:
         ("sample_stats", "step_error"): (*shape, frames[0]),
         ("posterior_predictive", "trajectory"): (*shape, *frames),
     }
+    simulations = tree["simulations"].dataset
+    if "step_log_likelihood" in simulations:
+        size = (simulations.sizes["simulation"], frames[0])
+        expected["simulations", "step_log_likelihood"] = size
     for (group, name), want in expected.items():
         have = array(tree, group, name).shape
         if have != want:

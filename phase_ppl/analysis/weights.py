@@ -45,6 +45,9 @@ FloatArray = NDArray[np.float64]
 
 _PAIR: Final = ("goal_red", "goal_green")
 
+MOST_GROUPS: Final = 32
+"""Groups of chains that are left out, at most: more would hardly make errors surer."""
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Rows:
@@ -82,6 +85,37 @@ def normalised(log_weights: FloatArray) -> FloatArray:
         )
     weights = np.exp(log_weights - total)
     return weights / weights.sum()
+
+
+def chain_groups(tree: xr.DataTree) -> NDArray[np.int64]:
+    """Return (chain,) the group that each chain belongs to when groups are left out in turn.
+
+    Groups are single chains, or where there are more than :data:`MOST_GROUPS` as many groups of
+    neighbouring chains, whose sizes differ by 1 at most.
+    """
+    n_chains = array(tree, "posterior", "goal_red").shape[0]
+    return np.arange(n_chains) * min(n_chains, MOST_GROUPS) // n_chains
+
+
+def without_groups(tree: xr.DataTree, name: str, rows: Rows, sets: NDArray[np.bool_]) -> FloatArray:
+    """Return the weights that the rows would have if sets of chains had not been run.
+
+    Args:
+        tree: a tree of draws.
+        name: of the weighting.
+        rows: the table that it makes of ``tree``.
+        sets: (set, group) which groups of :func:`chain_groups` are left out.
+
+    Returns:
+        (set, row), each set's sum 1; NaN where nothing would be left.
+    """
+    group_of_chain = chain_groups(tree)
+    if name == "visited":
+        weights = _visited_without(tree, rows, group_of_chain, sets)
+    else:
+        weights = np.where(sets[:, group_of_chain[rows.index["chain"]]], 0.0, rows.weights)
+    total = weights.sum(axis=1, keepdims=True)
+    return weights / np.where(total > 0, total, np.nan)
 
 
 def count(tree: xr.DataTree) -> Rows:
@@ -122,7 +156,7 @@ def visited(tree: xr.DataTree) -> Rows:
     Raises:
         InvalidSettingError: no simulation was completed.
     """
-    table = _evaluations(tree)
+    table = evaluations(tree)
     weighed = table[table["completed"]]
     if weighed.empty:
         raise InvalidSettingError("weights 'visited' need at least one completed simulation")
@@ -139,7 +173,7 @@ def aborted_mass_bound(tree: xr.DataTree) -> float:
     Finishing them would change no probability under weights ``"visited"`` by more than this
     (total variation); 1 where nothing was completed.
     """
-    table = _evaluations(tree)
+    table = evaluations(tree)
     completed = table["completed"].to_numpy()
     log_mass = table["log_mass"].to_numpy()
     if completed.all():
@@ -149,31 +183,82 @@ def aborted_mass_bound(tree: xr.DataTree) -> float:
     return float(np.exp(hidden - everything)) if np.isfinite(everything) else 1.0
 
 
-def _evaluations(tree: xr.DataTree) -> pd.DataFrame:
-    """Return one row per distinct (hypothesis, seed) that did not fail.
+def _runs(tree: xr.DataTree) -> pd.DataFrame:
+    """Return one row per simulation that did not fail.
 
-    Columns: simulation (first row in the tree), completed, and log_mass = log P(h) + log
-    likelihood (a bound where not completed) - log(number of simulations of the goal pair), with
-    P(h) the prior of effective goals and strengths.
+    Columns: simulation (row in the tree), chain, completed, log_prior = log P(h), the prior of
+    effective goals and strengths, log_joint = log P(h) + log likelihood (a bound where not
+    completed), key (number of the hypothesis and seed, from 0) and pair (number of the pair of
+    effective goals).
     """
     simulations = tree["simulations"].dataset
-    key = [name for name in _sites(tree) if name in HYPOTHESIS or name not in SITES]
-    columns = (*key, *_PAIR, "seed", "log_prior_effective", "log_likelihood", "completed")
-    table = pd.DataFrame({name: simulations[name].values for name in columns})
+    names = [name for name in _sites(tree) if name in HYPOTHESIS or name not in SITES]
+    columns = (*names, "seed", "chain", "log_prior_effective", "log_likelihood", "completed")
+    table = pd.DataFrame({name: simulations[name].values for name in (*_PAIR, *columns)})
     table.insert(0, "simulation", np.arange(len(table)))
     table = table[~simulations["failed"].values]
-    # a completed run of a hypothesis and seed says more than a stopped one of the same
-    table = table.sort_values("completed", ascending=False, kind="stable")
-    table = table.drop_duplicates([*key, "seed"]).sort_values("simulation")
-    log_joint = table["log_prior_effective"].astype(float) + table["log_likelihood"].astype(float)
-    runs = table.groupby(list(_PAIR))["seed"].transform("size")
+    by = {"sort": False, "dropna": False}
+    log_prior = table["log_prior_effective"].astype(float)
     return pd.DataFrame(
         {
             "simulation": table["simulation"],
+            "chain": table["chain"],
             "completed": table["completed"].astype(bool),
-            "log_mass": log_joint - np.log(runs),
+            "log_prior": log_prior,
+            "log_joint": log_prior + table["log_likelihood"].astype(float),
+            "key": table.groupby([*names, "seed"], **by).ngroup(),
+            "pair": table.groupby(list(_PAIR), **by).ngroup(),
         }
     )
+
+
+def evaluations(tree: xr.DataTree) -> pd.DataFrame:
+    """Return one row per distinct (hypothesis, seed) that did not fail.
+
+    Columns: simulation (first row in the tree), completed, log_share = log P(h) - log(number of
+    simulations of the goal pair), with P(h) the prior of effective goals and strengths, and
+    log_mass = log_share + log likelihood (a bound where not completed).
+    """
+    # a completed run of a hypothesis and seed says more than a stopped one of the same
+    table = _runs(tree).sort_values("completed", ascending=False, kind="stable")
+    table = table.drop_duplicates("key").sort_values("simulation")
+    log_n_of_pair = np.log(table.groupby("pair")["key"].transform("size"))
+    return pd.DataFrame(
+        {
+            "simulation": table["simulation"],
+            "completed": table["completed"],
+            "log_share": table["log_prior"] - log_n_of_pair,
+            "log_mass": table["log_joint"] - log_n_of_pair,
+        }
+    )
+
+
+def _visited_without(
+    tree: xr.DataTree, rows: Rows, group_of_chain: NDArray[np.int64], sets: NDArray[np.bool_]
+) -> FloatArray:
+    """Return (set, row) the weights of :func:`visited` without sets of groups, up to a factor."""
+    runs = _runs(tree)
+    group, n_groups = group_of_chain[runs["chain"].to_numpy()], sets.shape[1]
+    key, n_keys = runs["key"].to_numpy(), int(runs["key"].max()) + 1
+
+    def left(which: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return (set, key): whether a group outside the set has such a run."""
+        cell = group[which] * n_keys + key[which]
+        number = np.bincount(cell, minlength=n_groups * n_keys).reshape(n_groups, n_keys)
+        return (~sets).astype(float) @ (number > 0) > 0
+
+    pair_of_key = np.zeros(n_keys, np.int64)
+    pair_of_key[key] = runs["pair"].to_numpy()
+    known, completed = left(np.ones(len(runs), bool)), left(runs["completed"].to_numpy())
+    n_of_pair = np.stack([np.bincount(pair_of_key, some) for some in known])
+
+    table = runs.set_index("simulation").loc[rows.index["simulation"]]
+    row_key = table["key"].to_numpy()
+    n_of_row = np.maximum(n_of_pair[:, pair_of_key[row_key]], 1)
+    log_mass = table["log_joint"].to_numpy() - np.log(n_of_row)
+    log_mass[~completed[:, row_key]] = -np.inf
+    highest = log_mass.max(axis=1, keepdims=True)
+    return np.exp(log_mass - np.where(np.isfinite(highest), highest, 0))
 
 
 def _sites(tree: xr.DataTree) -> list[str]:

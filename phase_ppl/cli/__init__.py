@@ -1,4 +1,4 @@
-"""The terminal: ``phase-ppl infer | resume | simulate | render | compare | export``."""
+"""The terminal: ``phase-ppl infer | query | evaluate | ...``, a file each."""
 
 from phase_ppl.cli.main import main
 

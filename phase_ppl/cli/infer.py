@@ -15,11 +15,12 @@ import phase_ppl
 from phase_ppl.cli.shared import (
     BAD_INPUT,
     INTERRUPTED,
+    POSTERIOR,
     budget,
     command,
     load,
+    named_value,
     one_line,
-    option_value,
     whole,
     writable_folder,
     write_text,
@@ -50,7 +51,7 @@ def add_to(commands: Any) -> None:
     infer.add_argument(
         "--option",
         metavar="NAME=VALUE",
-        type=_option,
+        type=named_value,
         action="append",
         default=[],
         help="of the kernel, such as rule=paper; may be given several times",
@@ -185,19 +186,9 @@ def _kernel_options(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
 
 def _write_results(post: Posterior, event: Event, out: Path) -> None:
     """Write posterior.nc, summary.json, posterior.png and replay.mp4 into ``out``."""
-    post.save(out / "posterior.nc")
+    post.save(out / POSTERIOR)
     text = json.dumps(post.summary(), indent=2, ensure_ascii=False, allow_nan=False)
     write_text(out / "summary.json", text + "\n")
     phase_ppl.plot.posterior(post, path=out / "posterior.png")
     phase_ppl.render.video(event, out / "replay.mp4", compare=post.replay())
-    print(f"\nWritten to {out}: posterior.nc, summary.json, posterior.png, replay.mp4")
-
-
-# --- options ---------------------------------------------------------------------------------
-
-
-def _option(text: str) -> tuple[str, Any]:
-    name, equals, value = text.partition("=")
-    if not (equals and name.isidentifier()):
-        raise argparse.ArgumentTypeError(f"{text!r} is not of the form NAME=VALUE")
-    return name, option_value(value)
+    print(f"\nWritten to {out}: {POSTERIOR}, summary.json, posterior.png, replay.mp4")

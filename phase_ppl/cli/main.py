@@ -1,33 +1,46 @@
-"""The commands ``simulate`` and ``render``, and the way to all commands."""
+"""The command ``simulate``, and the way to all commands."""
 
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 import phase_ppl
-from phase_ppl.cli import compare, export, infer
+from phase_ppl.cli import compare, diagnose, evaluate, export, infer, query, render, report
 from phase_ppl.cli.shared import (
     BAD_INPUT,
+    BROKEN_PIPE,
     INTERRUPTED,
     Parser,
+    check_suffix,
     command,
     load,
     one_line,
     whole,
     writable_folder,
 )
-from phase_ppl.world.errors import OutputError, PhasePPLError
+from phase_ppl.dataset.load import SUFFIXES as EVENT_SUFFIXES
+from phase_ppl.render.video import SUFFIXES as FILM_SUFFIXES
+from phase_ppl.world.errors import PhasePPLError
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; return the exit code (0 fine, 2 bad input, 130 interrupted)."""
+    """Run the command line; return the exit code.
+
+    It is 0, or 1 where something failed that did not stop the rest, 2 for bad input, 130 where
+    interrupted, 141 where output was not read to its end.
+    """
     options = _parser().parse_args(arguments)
     try:
         code: int = options.run(options)
+        sys.stdout.flush()
         return code
+    except BrokenPipeError:  # of "| head"; Python must not try to write the rest at its end
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return BROKEN_PIPE
     except PhasePPLError as error:
         print(f"phase-ppl: error: {one_line(error)}", file=sys.stderr)
         return BAD_INPUT
@@ -40,9 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _simulate(options: argparse.Namespace) -> int:
-    suffixes = (".json", ".mp4")
-    if options.out.suffix.lower() not in suffixes:
-        raise OutputError(f"--out {options.out}: expected a file ending in {' or '.join(suffixes)}")
+    suffix = check_suffix(options.out, (*EVENT_SUFFIXES, *FILM_SUFFIXES))
     event = load(options)
     writable_folder(options.out.parent)
     hypothesis = phase_ppl.Hypothesis(
@@ -60,22 +71,11 @@ def _simulate(options: argparse.Namespace) -> int:
         planner=options.planner,
         id=f"{event.id}-simulated",
     )
-    if options.out.suffix.lower() == ".json":
+    if suffix in EVENT_SUFFIXES:
         phase_ppl.save_event(simulated, options.out)
     else:
         phase_ppl.render.video(simulated, options.out)
     print(f"{hypothesis}\n{simulated.observation.n_frames} frames written to {options.out}")
-    return 0
-
-
-# --- render ----------------------------------------------------------------------------------
-
-
-def _render(options: argparse.Namespace) -> int:
-    event = load(options)
-    writable_folder(options.out.parent)
-    phase_ppl.render.video(event, options.out)
-    print(f"{event.observation.n_frames} frames of {event.id} written to {options.out}")
     return 0
 
 
@@ -119,16 +119,15 @@ def _parser() -> argparse.ArgumentParser:
     simulate.add_argument(
         "--frames", metavar="T", type=whole(2), help="default: as long as the event"
     )
-    simulate.add_argument("--out", metavar="FILE", type=Path, required=True, help=".json or .mp4")
-
-    render = command(
-        commands,
-        "render",
-        _render,
-        "film an event",
-        "phase-ppl render collaborate --out collaborate.mp4",
+    simulate.add_argument(
+        "--out", metavar="FILE", type=Path, required=True, help=".json, .nc, .mp4 or .gif"
     )
-    render.add_argument("--out", metavar="FILE", type=Path, required=True, help=".mp4")
+
+    render.add_to(commands)
     compare.add_to(commands)
+    query.add_to(commands)
+    evaluate.add_to(commands)
+    report.add_to(commands)
+    diagnose.add_to(commands)
     export.add_to(commands)
     return parser

@@ -6,15 +6,24 @@ import argparse
 import json
 import os
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import phase_ppl
 from phase_ppl.world.errors import OutputError
 from phase_ppl.world.event import Event
 
+if TYPE_CHECKING:
+    from phase_ppl.analysis.posterior import Posterior
+
+FAILED: Final = 1
 BAD_INPUT: Final = 2
 INTERRUPTED: Final = 130
+BROKEN_PIPE: Final = 141
+
+POSTERIOR: Final = "posterior.nc"
+"""The file in the folder of results that holds the posterior."""
 
 
 def one_line(error: BaseException) -> str:
@@ -25,6 +34,23 @@ def one_line(error: BaseException) -> str:
 def load(options: argparse.Namespace) -> Event:
     """Return the event that the options name."""
     return phase_ppl.load_event(options.event, video=options.video, turning=options.turning)
+
+
+def posterior(path: Path, weights: str | None = None) -> Posterior:
+    """Return the posterior of a file, or of the folder of results that holds posterior.nc."""
+    return phase_ppl.Posterior.load(path / POSTERIOR if path.is_dir() else path, weights)
+
+
+def check_suffix(out: Path, suffixes: Sequence[str]) -> str:
+    """Return the ending of ``out``, in lower case.
+
+    Raises:
+        OutputError: it is none of ``suffixes``.
+    """
+    suffix = out.suffix.lower()
+    if suffix not in suffixes:
+        raise OutputError(f"--out {out}: expected a file ending in {' or '.join(suffixes)}")
+    return suffix
 
 
 def writable_folder(folder: Path) -> Path:
@@ -107,3 +133,11 @@ def option_value(text: str) -> Any:
         return json.loads(text)
     except json.JSONDecodeError:
         return text
+
+
+def named_value(text: str) -> tuple[str, Any]:
+    """Return name and value of NAME=VALUE."""
+    name, equals, value = text.partition("=")
+    if not (equals and name.isidentifier()):
+        raise argparse.ArgumentTypeError(f"{text!r} is not of the form NAME=VALUE")
+    return name, option_value(value)

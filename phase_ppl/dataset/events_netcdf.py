@@ -27,7 +27,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from phase_ppl.dataset.events_json import EVENT_FORMAT, EVENTS_FORMAT, event_record, to_text
-from phase_ppl.dataset.fields import Entries
+from phase_ppl.dataset.fields import Entries, event_id
 from phase_ppl.dataset.hdf5 import check_hdf5
 from phase_ppl.dataset.xarrays import LABELS, event_dataset, event_from_dataset
 from phase_ppl.world.errors import InvalidEventError, shown
@@ -53,6 +53,8 @@ def read(path: str | os.PathLike[str]) -> Entries:
         reason = " ".join(str(error).split())
         raise InvalidEventError(f"cannot be read as NetCDF: {reason}") from error
     tag = dataset.attrs.get("format")
+    if not isinstance(tag, str):
+        tag = None  # an array, which would compare element by element
     if tag == EVENT_FORMAT:
         return [(_id(dataset), functools.partial(_checked_event, dataset))]
     if tag == EVENTS_FORMAT:
@@ -174,8 +176,8 @@ def _taken(dataset: xr.Dataset, place: dict[str, int | slice]) -> Event:
 
 
 def _id(dataset: xr.Dataset, index: int | None = None) -> str:
-    """Return an id as the file has it; what is wrong with it shows when the event is read."""
+    """Return the id of an event, or of the one at ``index`` of several."""
     if "event" not in dataset.variables:
-        return ""
-    values = dataset["event"].values
-    return str(values if index is None else values[index])
+        raise InvalidEventError("has no event, which is its id")
+    ids = dataset.variables["event"].values.tolist()
+    return event_id({"id": ids if index is None else ids[index]})

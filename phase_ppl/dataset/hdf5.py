@@ -25,14 +25,18 @@ _BYTES_PER_CHARACTER: Final = 4
 
 
 def is_hdf5(path: str | os.PathLike[str]) -> bool:
-    """Whether ``path`` is a file that begins like HDF5."""
+    """Whether ``path`` is a file that begins like HDF5.
+
+    Raises:
+        InvalidEventError: it is a file that cannot be read.
+    """
+    if not Path(path).is_file():  # a pipe could not be read a second time
+        return False
     try:
-        if not Path(path).is_file():  # a pipe could not be read a second time
-            return False
         with open(path, "rb") as file:
             return file.read(len(SIGNATURE)) == SIGNATURE
-    except OSError:
-        return False
+    except OSError as error:
+        raise InvalidEventError(f"cannot be read: {error.strerror or error}") from None
 
 
 def check_hdf5(path: str | os.PathLike[str]) -> None:

@@ -28,6 +28,11 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.files import atomic_output
 from phase_ppl.world.scene import TURNINGS, Turning
 
+_JSON: Final = ".json"
+_NETCDF: Final = ".nc"
+SUFFIXES: Final = (_JSON, _NETCDF)
+"""Endings of the files that events are written to."""
+
 PathLike = str | os.PathLike[str]
 
 _READERS: Final[Mapping[str, Callable[[Mapping[str, Any]], Entries]]] = {
@@ -118,10 +123,6 @@ def save_events(events: Sequence[Event], path: PathLike) -> None:
     _write(content, path)
 
 
-_JSON: Final = ".json"
-_NETCDF: Final = ".nc"
-
-
 def _is_netcdf(path: PathLike) -> bool:
     return Path(path).suffix.lower() == _NETCDF
 
@@ -139,7 +140,7 @@ def _write(content: Any, path: PathLike) -> None:
         return
     with naming(path):
         text = events_json.to_text(content)
-    with atomic_output(path, (_JSON, _NETCDF)) as part:
+    with atomic_output(path, SUFFIXES) as part:
         part.write_text(text, encoding="utf-8")
 
 

@@ -41,6 +41,8 @@ SCHEMA: Final = "phase-ppl-evaluation-1"
 PREDICTION: Final = "prediction.json"
 POSTERIOR: Final = "posterior.nc"
 PAGE: Final = "page.png"
+METRICS: Final = "metrics.json"
+FAILURES: Final = "failures.json"
 
 
 class ResultsFolder:
@@ -65,19 +67,40 @@ class ResultsFolder:
         """Make a folder for a new evaluation.
 
         Raises:
-            OutputError: it cannot be written, or already holds an evaluation.
+            OutputError: it cannot be written, or already holds the predictions of an evaluation.
         """
         folder = Path(path)
-        if (folder / "settings.json").exists():
+        if any(folder.glob(f"events/*/{PREDICTION}")):
             raise OutputError(f"{folder} already holds an evaluation; resume it or name another")
         try:
             (folder / "events").mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise OutputError(f"cannot write into {folder}: {error.strerror or error}") from None
-        save_events(events, folder / "events.json")
-        record = {"schema": SCHEMA, **settings}
-        write_json(folder / "settings.json", record)
-        return cls(folder, record, events)
+        made = cls(folder, settings, events)
+        made.update(settings, events)
+        return made
+
+    def update(self, settings: Mapping[str, Any], events: Sequence[Event]) -> None:
+        """Replace settings and events, of which more may come after those that are there.
+
+        The metrics, which belong to those before, are deleted, and so is what an evaluation
+        that was killed has left half done.
+
+        Raises:
+            OutputError: it cannot be written.
+        """
+        try:
+            for name in (METRICS, FAILURES):
+                (self.path / name).unlink(missing_ok=True)
+            for part in self.path.glob("events/.part-*"):
+                shutil.rmtree(part, ignore_errors=True)
+        except OSError as error:
+            raise OutputError(f"cannot write into {self.path}: {error.strerror or error}") from None
+        save_events(events, self.path / "events.json")
+        self.settings = {"schema": SCHEMA, **settings}
+        self.events = list(events)
+        self._place = {event.id: index for index, event in enumerate(self.events)}
+        write_json(self.path / "settings.json", self.settings)
 
     @classmethod
     def open(cls, path: str | os.PathLike[str]) -> ResultsFolder:
@@ -136,25 +159,45 @@ class ResultsFolder:
             InvalidEventError: a prediction is damaged, or of another event; the message names
                 the file.
         """
-        found = {}
-        for event in self.events:
-            if self.is_finished(event.id):
-                source = self.folder_of(event.id) / PREDICTION
-                try:
-                    prediction = Prediction.from_dict(read_json(source))
-                except PhasePPLError as error:
-                    where = "" if str(source) in str(error) else f"{source}: "
-                    raise InvalidEventError(f"{where}{error}") from None
-                if prediction.event_id != event.id:
-                    raise InvalidEventError(
-                        f"{source}: is of the event {prediction.event_id!r}, not {event.id!r}"
-                    )
-                found[event.id] = prediction
-        return found
+        found = {event.id: self.prediction(event.id) for event in self.events}
+        return {name: given for name, given in found.items() if given is not None}
+
+    def prediction(self, event_id: str) -> Prediction | None:
+        """Return the prediction of an event; None where it is not finished.
+
+        Raises:
+            InvalidEventError: as for :meth:`predictions`.
+        """
+        if not self.is_finished(event_id):
+            return None
+        source = self.folder_of(event_id) / PREDICTION
+        try:
+            prediction = Prediction.from_dict(read_json(source))
+        except PhasePPLError as error:
+            where = "" if str(source) in str(error) else f"{source}: "
+            raise InvalidEventError(f"{where}{error}") from None
+        if prediction.event_id != event_id:
+            raise InvalidEventError(
+                f"{source}: is of the event {prediction.event_id!r}, not {event_id!r}"
+            )
+        return prediction
+
+    def write_failures(self, failures: Mapping[str, str]) -> None:
+        """Keep what went wrong, by event.
+
+        Raises:
+            OutputError: it cannot be written.
+        """
+        write_json(self.path / FAILURES, failures)
+
+    def failures(self) -> dict[str, Any]:
+        """Return event id -> what went wrong."""
+        source = self.path / FAILURES
+        return read_json(source) if source.is_file() else {}
 
     def metrics(self) -> dict[str, Any] | None:
         """Return the content of metrics.json; None where the evaluation is not finished."""
-        source = self.path / "metrics.json"
+        source = self.path / METRICS
         return read_json(source) if source.is_file() else None
 
 

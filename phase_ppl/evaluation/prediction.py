@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import numbers
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -141,7 +142,7 @@ def probabilities_of(question: str, shares: Mapping[str, Any]) -> FloatArray:
         raise InvalidEventError(f"{question} is {shown(shares)}, expected answers with numbers")
     values = np.zeros(len(QUESTIONS[question]))
     for answer, share in shares.items():
-        if isinstance(share, bool) or not isinstance(share, int | float):
+        if isinstance(share, bool) or not isinstance(share, numbers.Real):
             raise InvalidEventError(f"{question}: {answer!r} has {shown(share)}, expected a number")
         values[QUESTIONS[question].index(_answer(question, answer))] = share
     return values

@@ -15,13 +15,7 @@ from phase_ppl.inference.runs import pace
 from phase_ppl.inference.runs.archive import SUFFIXES
 from phase_ppl.inference.runs.checkpoint import Checkpoint
 from phase_ppl.inference.runs.length import check_chains
-from phase_ppl.inference.runs.plan import (
-    Plan,
-    complete_model,
-    differences,
-    event_digest,
-    model_again,
-)
+from phase_ppl.inference.runs.plan import Plan, complete_model, model_again
 from phase_ppl.inference.runs.session import Interrupted, Means, carry_out
 from phase_ppl.inference.settings import (
     Budget,
@@ -34,6 +28,7 @@ from phase_ppl.models.model import Model
 from phase_ppl.world.errors import InvalidSettingError, OutputError
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import check_output
+from phase_ppl.world.identity import differences, event_digest
 
 if TYPE_CHECKING:
     from phase_ppl.agents.config import PlannerConfig

@@ -41,6 +41,10 @@ RESERVED: Final = frozenset(
         *("chain", "draw", "simulation", "time", "entity", "coord", "seed", "iteration"),
         *("log_prior", "log_prior_effective", "log_likelihood", "total_error", "completed"),
         *("frames_simulated", "failed", "mixture", "step_error", "trajectory"),
+        *("goal_kind_red", "goal_kind_green", "target_red", "target_green"),
+        *("landmark_red", "landmark_green", "sign_red", "sign_green"),
+        *("given", "self", "error", "bound", "probability"),
+        *("log_joint", "step_log_likelihood"),
     )
 )
 """Names that a prior's own sites cannot have."""

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import hashlib
-import inspect
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from phase_ppl.models import priors
@@ -14,6 +11,7 @@ from phase_ppl.models.checks import checked_sites
 from phase_ppl.models.density import Program
 from phase_ppl.models.likelihood import Likelihood, RadialLikelihood
 from phase_ppl.world.errors import InvalidSettingError, unknown_name
+from phase_ppl.world.identity import qualified_name, source_hash
 
 if TYPE_CHECKING:
     from phase_ppl.agents.config import PlannerConfig
@@ -110,25 +108,11 @@ class Model:
         """
         own = self.simulator is not None
         return {
-            "prior": _name(self.prior),
+            "prior": qualified_name(self.prior),
             "prior_source": source_hash(self.prior),
-            "simulator": _name(self.simulator) if own else "joint",
+            "simulator": qualified_name(self.simulator) if own else "joint",
             "simulator_source": source_hash(self.simulator) if own else None,
             "likelihood": repr(self.likelihood),
             "planner": None if own else self._planner_config().to_dict(),
             "noise": self.noise,
         }
-
-
-def _name(thing: Any) -> str:
-    named = thing if hasattr(thing, "__qualname__") else type(thing)
-    return f"{named.__module__}.{named.__qualname__}"
-
-
-def source_hash(thing: Callable[..., Any] | None) -> str | None:
-    """Return a hash of the source of a function or of an object's class; None without source."""
-    try:
-        source = inspect.getsource(thing if hasattr(thing, "__qualname__") else type(thing))  # type: ignore[arg-type]
-    except (OSError, TypeError):
-        return None
-    return hashlib.sha256(source.encode()).hexdigest()[:16]

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from PIL import Image, ImageDraw
 
+from phase_ppl.render.sight import field_of_view
 from phase_ppl.world.geometry import UNIT_TRAPEZOID, is_agent, rotation
 from phase_ppl.world.names import AGENTS, ENTITIES, ITEMS
 from phase_ppl.world.scene import Scene, finite_array
@@ -53,6 +54,13 @@ TRAIL_COLOURS: Final[tuple[Colour, ...]] = (
 )
 TRAIL_PIXELS: Final = 3
 
+SIGHT_COLOURS: Final[tuple[Colour, ...]] = ((215, 0, 0), (0, 150, 0))
+SIGHT_OPACITY: Final = 0.16
+SIGHT_EDGE_OPACITY: Final = 0.45
+"""The edge of a field of view shows it on a landmark of its colour too."""
+
+SIGHT_EDGE_PIXELS: Final = 1.25
+
 EYES: Final = np.array([[-0.24, 0.62], [0.24, 0.62]])
 """Centres of the eyes of an agent of size 1 in its body frame."""
 
@@ -60,6 +68,9 @@ EYE_RADIUS: Final = 0.14
 
 _FINE = 8
 """Subpixels per pixel and axis in which shapes are drawn before they are averaged."""
+
+_SIGHT_FINE = 4
+"""The same for fields of view, which are large."""
 
 _DRAWING_ORDER = tuple(ENTITIES.index(name) for name in (*ITEMS, *AGENTS))
 
@@ -69,10 +80,12 @@ class Painter:
 
     Args:
         scene: arena, walls, landmarks and sizes.
+        fields_of_view: whether to show what each agent can see.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, fields_of_view: bool = False) -> None:
         self._scene = scene
+        self._fields_of_view = fields_of_view
         x0, x1, _, _ = scene.arena
         self._scale = ARENA_PIXELS / (x1 - x0)
 
@@ -88,6 +101,9 @@ class Painter:
         """
         pose = finite_array("poses", poses, (len(ENTITIES), 3))
         picture = self._floor.copy()
+        if self._fields_of_view:
+            for agent, colour in enumerate(SIGHT_COLOURS):
+                self._tint(picture, colour, self.pixel(field_of_view(self._scene, pose, agent)))
         if trail is not None and len(trail) > 1:
             for entity in _DRAWING_ORDER:
                 points = self.pixel(trail[:, entity, :2])
@@ -126,6 +142,28 @@ class Painter:
             _paste_polygon(mask, 255, corners)
         return mask
 
+    def _tint(self, picture: Image.Image, colour: Colour, corners: FloatArray) -> None:
+        """Lay a translucent colour over the part of an area that lies in the arena."""
+        first, last = self._arena_box
+        low = np.floor(corners.min(axis=0) - 1).clip(first, last).astype(int)
+        high = np.ceil(corners.max(axis=0) + 1).clip(first, last).astype(int)
+        if (low >= high).any():
+            return
+        width, height = (int(n) for n in (high - low) * _SIGHT_FINE)
+        mask = Image.new("L", (width, height), 0)
+        fine = ((corners - low) * _SIGHT_FINE - 0.5).ravel().tolist()
+        draw = ImageDraw.Draw(mask)
+        draw.polygon(fine, fill=round(255 * SIGHT_OPACITY))
+        edge = round(SIGHT_EDGE_PIXELS * _SIGHT_FINE)
+        draw.line([*fine, *fine[:2]], fill=round(255 * SIGHT_EDGE_OPACITY), width=edge)
+        picture.paste(colour, (int(low[0]), int(low[1])), mask.reduce(_SIGHT_FINE))
+
+    @functools.cached_property
+    def _arena_box(self) -> NDArray[np.int64]:
+        """Top left and bottom right pixel of the arena; walls cover what this rounds off."""
+        x0, x1, y0, y1 = self._scene.arena
+        return self.pixel([[x0, y1], [x1, y0]]).astype(np.int64)
+
     def _draw_entity(self, picture: Image.Image, entity: int, pose: FloatArray) -> None:
         radius, colour = float(self._scene.radius[entity]), ENTITY_COLOURS[entity]
         if not is_agent(entity):
@@ -137,17 +175,18 @@ class Painter:
             _paste_disc(picture, EYE_COLOUR, eye, EYE_RADIUS * radius * self._scale)
 
 
-def draw_frame(scene: Scene, poses: ArrayLike) -> Pixels:
+def draw_frame(scene: Scene, poses: ArrayLike, fields_of_view: bool = False) -> Pixels:
     """Return one frame as (480, 640, 3) RGB values.
 
     Args:
         scene: arena, walls, landmarks and sizes.
         poses: (entity, coord) with coord = x, y [units], angle [rad].
+        fields_of_view: whether to show what each agent can see.
 
     Raises:
         InvalidEventError: ``poses`` has another shape or is not finite.
     """
-    return np.asarray(Painter(scene).draw(poses), np.uint8)
+    return np.asarray(Painter(scene, fields_of_view).draw(poses), np.uint8)
 
 
 def _paste_polygon(picture: Image.Image, colour: Colour | int, corners: FloatArray) -> None:
@@ -177,12 +216,11 @@ def _paste(
 
     Only the box around the points is drawn finely and averaged.
     """
-    low = np.floor(points.min(axis=0) - margin).astype(int)
-    high = np.ceil(points.max(axis=0) + margin).astype(int)
-    if (high <= 0).any() or (low >= picture.size).any():
-        return  # out of the picture
     # of a shape that leaves the picture, only what can be seen
-    low, high = np.maximum(low, 0), np.minimum(high, picture.size)
+    low = np.floor(points.min(axis=0) - margin).clip(0, picture.size).astype(int)
+    high = np.ceil(points.max(axis=0) + margin).clip(0, picture.size).astype(int)
+    if (low >= high).any():
+        return
     mask = Image.new("L", (int(high[0] - low[0]) * _FINE, int(high[1] - low[1]) * _FINE), 0)
     # a fine pixel is named by its index; its centre lies half a fine pixel further
     fine = [(float(x), float(y)) for x, y in (points - low) * _FINE - 0.5]

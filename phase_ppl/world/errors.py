@@ -29,6 +29,30 @@ class InvalidSettingError(PhasePPLError, ValueError):
     """A setting outside its allowed range; the message names the range."""
 
 
+class QueryError(PhasePPLError, ValueError):
+    """A question in words that cannot be read or answered; the message points at the place.
+
+    Attributes:
+        reason: what is wrong, in one line.
+        position: index of the character of the question at which it is.
+    """
+
+    def __init__(self, reason: str, question: str, position: int) -> None:
+        start = max(0, position - _SHOWN_CHARACTERS // 2)
+        end = start + _SHOWN_CHARACTERS
+        # characters that move the cursor would move the caret away from the place
+        line = "".join(c if c.isprintable() else " " for c in question[start:end])
+        before, after = "..." * (start > 0), "..." * (end < len(question))
+        caret = " " * (len(before) + position - start) + "^"
+        super().__init__(f"{reason}\n  {before}{line}{after}\n  {caret}")
+        self.reason = reason
+        self.position = position
+        self._given = reason, question, position
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), self._given
+
+
 class OutputError(PhasePPLError, OSError):
     """A result that cannot be written where it was asked for."""
 

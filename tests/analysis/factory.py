@@ -65,6 +65,8 @@ def make_tree(
     observed: NDArray[np.float64] | None = None,
     predicted: NDArray[np.float64] | None = None,
     own_site: Sequence[int] | None = None,
+    window: Sequence[Sequence[int]] | None = None,
+    by_frame: NDArray[np.float64] | None = None,
 ) -> xr.DataTree:
     """Return a tree of draws.
 
@@ -77,6 +79,8 @@ def make_tree(
         observed: (time, entity, coord).
         predicted: (simulation, time, entity, coord); default: the simulation's number everywhere.
         own_site: a value per simulation of a user's site ``mood``.
+        window: (chain, draw) first frame of the window of each proposal; default: none.
+        by_frame: (simulation, time) log likelihoods; default: the tree has none.
     """
     scene = scene or default_scene()
     if observed is None:
@@ -110,7 +114,7 @@ def make_tree(
                 "log_joint": (pair, log_joint[index]),
                 "total_error": (pair, error.sum(axis=1, dtype=float)[index]),
                 "accepted": (pair, ~stayed),
-                "window": (pair, np.full(index.shape, -1)),
+                "window": (pair, np.full(index.shape, -1) if window is None else np.array(window)),
                 "frames_simulated": (pair, table["frames_simulated"][index]),
                 "sim_seed": (pair, table["seed"][index]),
                 "step_error": ((*pair, "time"), error[index]),
@@ -139,6 +143,8 @@ def make_tree(
             attrs={"turning": scene.turning, "landmark_half_width": scene.landmark_half_width},
         ),
     }
+    if by_frame is not None:
+        groups["simulations"]["step_log_likelihood"] = ("simulation", "time"), by_frame
     tree = xr.DataTree.from_dict(groups)
     tree.attrs = {
         "event_id": "made-up",

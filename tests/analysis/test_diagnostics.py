@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 import xarray as xr
 
 from phase_ppl.analysis import Posterior
+from phase_ppl.analysis.convergence import ess_bulk, mcse_mean, r_hat, split_r_hat
+from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import Hypothesis
 
 from .factory import BLUE_TO_RED, PINK_TO_BLUE, Simulation, hypothesis, make_tree, random_tree
@@ -49,6 +53,7 @@ def test_two_chains_worked_out_by_hand() -> None:
     assert found["effective_rows"] == pytest.approx(4)
     # green's goal is the same in all; chain 0 is tied, its first label is A's
     assert found["agreement"] == {"goal_red": 1.0, "goal_green": 1.0}
+    assert found["leading_goals"]["goal_red"] == {BLUE_TO_RED: 2}
     assert "1 of 6 simulations failed" in found["verdict"]
 
 
@@ -94,13 +99,14 @@ def test_verdict_says_on_whose_goal_the_particles_agree() -> None:
     simulations = [proposed(hypothesis(goal, PINK_TO_BLUE), goal) for goal in range(4)]
     simulations += [proposed(hypothesis(BLUE_TO_RED, goal), goal) for goal in range(4)]
     one_each = [[0], [1], [2], [3]]
-    assert "agree on the green agent's goal but not on the red agent's" in verdict(
-        one_each, simulations
-    )
-    assert "agree on the red agent's goal but not on the green agent's" in verdict(
-        [[4], [5], [6], [7]], simulations
-    )
-    assert "agree on neither" in verdict([[0], [1], [6], [7]], simulations)
+    said = verdict(one_each, simulations)
+    assert "The 4 particles agree on green's goal but not on red's, where all 4 favour" in said
+    assert "agree on red's goal but not on green's" in verdict([[4], [5], [6], [7]], simulations)
+    said = verdict([[0], [0], [6], [7]], simulations)
+    assert "agree on neither agent's goal" in said
+    camps = f"for red, 2 favour '{GOALS[0]}' and 2 '{BLUE_TO_RED}'"
+    assert camps in said
+    assert f"for green, 2 favour '{PINK_TO_BLUE}' and 2 something else" in said
     assert "agree on both" in verdict([[0], [0]], simulations)
 
 
@@ -135,3 +141,117 @@ def test_rates_are_shares(weights: str) -> None:
     for name in ("acceptance_rate", "move_rate", "frames_saved_share", "aborted_mass_bound"):
         assert 0 <= found[name] <= 1
     assert len(found["acceptance_by_iteration"]) == found["iterations"]
+
+
+# --- scalars, categories, windows ------------------------------------------------------------
+
+
+def test_scalars_have_their_convergence_but_not_with_fewer_than_four_draws() -> None:
+    tree = random_tree(2, n_chains=4, n_draws=12)
+    found = Posterior(tree).diagnostics()
+    values = tree["sample_stats"]["log_joint"].values
+    assert found["scalars"]["log_joint"]["r_hat"] == pytest.approx(r_hat(values))
+    assert found["scalars"]["log_joint"]["ess_bulk"] == pytest.approx(ess_bulk(values))
+    assert set(found["scalars"]) == {"log_joint", "total_error", "strength_red", "strength_green"}
+
+    few = Posterior(random_tree(2, n_draws=3)).diagnostics()
+    assert set(few["scalars"]["log_joint"].values()) == {None}
+    assert "need 4 draws per particle; there are 3" in few["verdict"]
+    assert "need 4 draws" not in found["verdict"]
+
+
+def test_a_users_real_site_is_a_scalar_and_its_categories_are_not() -> None:
+    simulations = [proposed(A, i) for i in range(4)]
+    tree = make_tree(simulations, [[0, 1, 2, 3]], own_site=[3, 1, 2, 2])
+    assert "mood" not in Posterior(tree).diagnostics()["scalars"]
+    for group in ("posterior", "simulations"):
+        tree[group]["mood"] = tree[group]["mood"].astype(float)
+    assert "mood" in Posterior(tree).diagnostics()["scalars"]
+
+
+def test_categories_worked_out_by_hand() -> None:
+    # A in three of the four particles, and in half of the other's draws
+    simulations = [proposed(A, 0), proposed(B, 1)]
+    draws = [[0] * 4] * 3 + [[0, 0, 1, 1]]
+    found = Posterior(make_tree(simulations, draws)).diagnostics()["categories"]
+    red = found["goal_red"]
+    assert list(red) == [BLUE_TO_RED, PINK_TO_BLUE]
+    indicator = (np.array(draws) == 0).astype(float)
+    assert red[BLUE_TO_RED]["probability"] == red[BLUE_TO_RED]["share"] == pytest.approx(14 / 16)
+    # means of the particles: 1, 1, 1, 0.5; standard error 0.25 / sqrt(4)
+    assert red[BLUE_TO_RED]["mcse"] == pytest.approx(0.125)
+    assert red[BLUE_TO_RED]["mcse"] == pytest.approx(mcse_mean(indicator))
+    assert red[BLUE_TO_RED]["ess"] == pytest.approx(indicator.var(ddof=1) / 0.125**2)
+    assert red[BLUE_TO_RED]["r_hat"] is None  # it changes between halves of chains only
+    assert not np.isfinite(split_r_hat(indicator))
+    # green's goal is always the same
+    assert found["goal_green"][PINK_TO_BLUE] == {
+        **{"probability": 1.0, "share": 1.0},
+        **dict.fromkeys(("ess", "mcse", "r_hat")),
+    }
+
+
+def test_categories_are_those_of_the_weighting_and_of_the_draws() -> None:
+    simulations = [
+        proposed(A, 0, log_likelihood=-50.0),
+        proposed(B, 1, log_likelihood=0.0),  # never accepted
+    ]
+    post = Posterior(make_tree(simulations, [[0] * 4] * 2), "visited")
+    found = post.diagnostics()
+    assert found["categories"]["goal_red"][PINK_TO_BLUE]["share"] == 0
+    assert found["categories"]["goal_red"][PINK_TO_BLUE]["probability"] == pytest.approx(1)
+    assert found["categories"]["goal_red"][BLUE_TO_RED]["share"] == 1
+    assert list(found["categories"]["goal_red"]) == [PINK_TO_BLUE, BLUE_TO_RED]
+    assert f"another goal of red first, '{PINK_TO_BLUE}'" in found["verdict"]
+
+
+def test_categories_follow_a_users_scenario() -> None:
+    tree = random_tree(4)
+    found = Posterior(tree, scenario=lambda red, green: "competing").diagnostics()
+    assert list(found["categories"]["scenario"]) == ["competing"]
+    assert list(found["categories"]["relation"]) == ["adversarial"]
+
+
+def test_windows_are_counted_and_those_without_are_not_windows() -> None:
+    simulations = [proposed(A, 0)]
+    tree = make_tree(simulations, [[0, 0, 0], [0, 0, 0]], window=[[2, 0, 2], [-1, 2, -1]])
+    assert Posterior(tree).diagnostics()["windows"] == {
+        "proposals": 4,
+        "without": 2,
+        "frames": None,
+        "starts": [0, 2],
+        "counts": [1, 3],
+    }
+    tree.attrs["settings"] = json.dumps({"simple": {"window": 10}})
+    assert Posterior(tree).diagnostics()["windows"]["frames"] == 5  # all there are
+    tree["sample_stats"]["window"] = tree["sample_stats"]["window"] * np.nan
+    assert Posterior(tree).diagnostics()["windows"]["proposals"] == 0
+
+
+def test_weighted_draws_have_no_convergence() -> None:
+    tree = random_tree(3, n_draws=6)
+    shape = tree["posterior"]["goal_red"].shape
+    log_weight = np.arange(np.prod(shape), dtype=float).reshape(shape)
+    tree["sample_stats"]["log_weight"] = xr.DataArray(log_weight, dims=("chain", "draw"))
+    found = Posterior(tree, "count").diagnostics()
+    assert set(found["scalars"]["log_joint"].values()) == {None}
+    for entry in found["categories"]["goal_red"].values():
+        assert (entry["ess"], entry["mcse"], entry["r_hat"]) == (None, None, None)
+
+
+def test_verdict_of_draws_that_count_says_whether_the_log_joint_has_mixed() -> None:
+    levels = [proposed(A, i, log_likelihood=-20.0 * i) for i in range(3)]
+    levels += [proposed(A, 9, log_likelihood=0.5)]
+    apart = [[0, 3] * 5, [1] * 9 + [0], [2] * 9 + [0]]
+    mixed = [[0, 1, 2, 3, 0, 1, 2, 3, 1, 2]] * 3
+    assert "log joint's R-hat" in verdict(apart, levels)
+    assert "log joint's R-hat" not in verdict(mixed, levels)
+    assert "log joint's R-hat" not in verdict(apart, levels, "visited")
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 4), (2, 3), (15, 6), (4, 40)])
+@pytest.mark.parametrize("weights", ["count", "visited"])
+def test_diagnostics_are_plain_data(shape: tuple[int, int], weights: str) -> None:
+    post = Posterior(random_tree(5, *shape), weights)
+    found = post.diagnostics()
+    assert json.loads(json.dumps(found, allow_nan=False)) == found

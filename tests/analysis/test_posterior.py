@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 
 from phase_ppl.analysis import Posterior
+from phase_ppl.analysis.quantities import GOAL_PARTS, part_codes
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import ALPHAS
@@ -246,3 +250,149 @@ def test_unknown_names_raise_with_close_matches(small: Posterior, query, named: 
 def test_impossible_questions_raise_and_say_why(small: Posterior, query, said: str) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(InvalidSettingError, match=said):
         query(small)
+
+
+# --- parts of goals ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("goal", "kinds", "target", "landmark", "sign"),
+    [
+        (BLUE_TO_RED, ("item-landmark",) * 2, "blue item", "red lm", "to"),
+        ("Get pink item away from green lm", ("item-landmark",) * 2, "pink item", "green lm",
+         "away from"),
+        ("Get red agent to blue lm", ("self-landmark", "other-landmark"), "red agent", "blue lm",
+         "to"),
+        ("Get green agent away from yellow lm", ("other-landmark", "self-landmark"), "green agent",
+         "yellow lm", "away from"),
+        (TO_GREEN, ("self-other",) * 2, "green agent", "none", "to"),
+        (AWAY_FROM_RED, ("self-other",) * 2, "red agent", "none", "away from"),
+    ],
+)  # fmt: skip
+def test_a_goal_has_a_kind_for_its_holder_a_target_a_landmark_and_a_sign(
+    goal: str, kinds: tuple[str, str], target: str, landmark: str, sign: str
+) -> None:
+    for agent, kind in zip(("red", "green"), kinds, strict=True):
+        codes = part_codes(np.array([GOALS.index(goal)]), np.array([GOALS.index(goal)]))
+        found = {part: labels[codes[f"{part}_{agent}"][0]] for part, labels in GOAL_PARTS.items()}
+        assert found == {"goal_kind": kind, "target": target, "landmark": landmark, "sign": sign}
+
+
+def test_parts_of_goals_are_asked_for_like_goals(small: Posterior) -> None:
+    assert small.mode("goal_kind_red") == "item-landmark"
+    assert small.probability(target_red="green agent") == pytest.approx(1 / 4)
+    assert small.marginal("landmark_green").sel(landmark_green="none") == pytest.approx(1 / 4)
+    assert small.probability(sign_green="away from", given={"sign_red": "to"}) == 1 / 4
+
+
+# --- further questions ---------------------------------------------------------------------------
+
+
+def test_a_joint_of_three_has_the_joints_of_two_as_margins(post: Posterior) -> None:
+    joint = post.joint("goal_red", "relation", "alpha")
+    assert joint.shape == (36, 3, 5)
+    two = post.joint("relation", "alpha")
+    np.testing.assert_allclose(joint.sum("goal_red"), two, atol=1e-12)
+    assert joint.error.shape == joint.shape
+
+
+def test_every_question_can_be_conditioned(small: Posterior) -> None:
+    given = {"goal_red": BLUE_TO_RED}
+    np.testing.assert_allclose(small.marginal("relation", given=given), [2 / 3, 1 / 3, 0])
+    joint = small.joint("relation", "alpha", given=given)
+    assert float(joint.sel(relation="friendly", alpha="(1, 0)")) == pytest.approx(1 / 3)
+    assert small.top("relation", 1, given={"strength_red": (300, 700)})[0][0] == "neutral"
+    assert small.mode("relation", given={"goal_red": TO_GREEN}) == "adversarial"
+    assert small.entropy("relation", given={"goal_red": TO_GREEN}) == 0
+    assert small.mean("strength_red", given=given) == pytest.approx((200 + 250 + 600) / 3)
+    assert small.sd("strength_red", given={"alpha": (1, 0)}) == 0
+    assert small.hdi("strength_red", 0.6, given=given).values.tolist() == [200, 250]
+
+
+def test_entropy_is_that_of_the_weights_in_nats(small: Posterior) -> None:
+    assert small.entropy("relation") == pytest.approx(0.5 * np.log(2) + 0.5 * np.log(4))
+    assert small.entropy("goal_red", "goal_green", "alpha") == pytest.approx(np.log(4))
+    assert small.entropy("relation", "scenario") == pytest.approx(small.entropy("relation"))
+
+
+def test_the_table_of_a_joint_is_not_made_too_large(small: Posterior) -> None:
+    goals = [name for name in CATEGORICAL if "goal" in name]
+    with pytest.raises(InvalidSettingError, match="at most"):
+        small.joint(*goals, "relation", "alpha", "scenario")
+    assert small.entropy(*goals, "relation", "alpha", "scenario") > 0
+
+
+# --- quantities of one's own ---------------------------------------------------------------------
+
+
+def test_a_defined_quantity_is_asked_for_like_any_other(small: Posterior) -> None:
+    post = Posterior(small.tree)
+    assert post.define("same_goal", lambda h: h.goal_red == h.goal_green) is post
+    assert post.probability(same_goal=True) == pytest.approx(1 / 2)
+    assert post.probability(relation="friendly", given={"same_goal": "true"}) == 1
+    assert post.marginal("same_goal")["same_goal"].values.tolist() == ["False", "True"]
+    post.define("stronger", lambda h: "red" if h.strength_red > h.strength_green else "green")
+    post.define("gap", lambda h: h.strength_red - h.strength_green if h.same_goal else 0)
+    post.define("helpers", lambda h: sum(sign > 0 for sign in h.alpha))
+    assert post.mode("stronger", given={"same_goal": False}) == "red"
+    assert post.mean("gap") == pytest.approx((-100 - 50 + 0 + 0) / 4)
+    assert post.probability(gap=(-60, -1)) == pytest.approx(1 / 4)
+    assert post.probability(helpers=1) == post.mean("helpers") == pytest.approx(1 / 4)
+    assert post.probability(helpers=(1, 2)) == pytest.approx(1 / 4)
+    table = post.to_dataframe()
+    assert table["same_goal"].tolist() == [True, True, False, False]
+    assert table["helpers"].tolist() == [0, 1, 0, 0]
+    assert "same_goal" not in small.quantities
+
+
+def test_a_definition_sees_labels_numbers_and_the_pair_alpha_once_per_hypothesis() -> None:
+    simulations = [Simulation(hypothesis(alpha=(1, 0)), 0), Simulation(hypothesis(), 1)]
+    post = Posterior(make_tree(simulations, [[0, 0, 1, 0]], own_site=[3, 4]))
+    seen = []
+
+    def look(h):  # type: ignore[no-untyped-def]
+        seen.append((h.goal_red, h.relation, h.alpha, h.strength_red, h.mood, h.landmark_red))
+        return True
+
+    post.define("looked", look)
+    assert seen == [
+        (PINK_TO_BLUE, "friendly", (1, 0), 300.0, 3, "blue lm"),
+        (BLUE_TO_RED, "neutral", (0, 0), 300.0, 4, "red lm"),
+    ]
+
+
+def test_a_definition_can_be_replaced_and_is_not_saved(tmp_path: Path) -> None:
+    post = Posterior(random_tree(2)).define("x", lambda h: h.relation)
+    post.define("x", lambda h: h.strength_red / 2)
+    assert post.mean("x") == pytest.approx(post.mean("strength_red") / 2)
+    assert "x" not in Posterior.load(post.save(tmp_path / "x.nc")).quantities
+
+
+def _fails(h: object) -> bool:
+    raise KeyError("oops")
+
+
+@pytest.mark.parametrize(
+    ("name", "function", "said"),
+    [
+        ("relation", lambda h: True, "'relation' already"),
+        ("same goal", lambda h: True, "'same goal'"),
+        ("in", lambda h: True, "Python variable"),
+        ("given", lambda h: True, "reserved"),
+        ("weight", lambda h: True, "reserved"),
+        (3, lambda h: True, "called 3"),
+        ("x", 3, "expected a function"),
+        ("x", _fails, "goal_red='Get.*KeyError: 'oops'"),
+        ("x", lambda h: h.goal_rde, "did you mean 'goal_red'"),
+        ("x", lambda h: float("nan"), "x is nan for goal_red="),
+        ("x", lambda h: -np.inf, "x is -inf for"),
+        ("x", lambda h: None, "x is None for .*expected a truth value"),
+        ("x", lambda h: h.alpha == (1, 0) or "no", "several kinds: .*bool.*str|str.*bool"),
+    ],
+)
+def test_definitions_that_cannot_be_raise_and_name_the_hypothesis(
+    small: Posterior, name: str, function: Any, said: str
+) -> None:
+    with pytest.raises(InvalidSettingError, match=said):
+        small.define(name, function)
+    assert "x" not in small.quantities

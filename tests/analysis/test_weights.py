@@ -10,10 +10,25 @@ import xarray as xr
 
 from phase_ppl.analysis import Posterior
 from phase_ppl.analysis.tree import array
-from phase_ppl.analysis.weights import aborted_mass_bound, log_sum_exp, normalised, visited
+from phase_ppl.analysis.weights import (
+    WEIGHTINGS,
+    aborted_mass_bound,
+    log_sum_exp,
+    normalised,
+    visited,
+    without_groups,
+)
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 
-from .factory import BLUE_TO_RED, PINK_TO_BLUE, TO_GREEN, Simulation, hypothesis, make_tree
+from .factory import (
+    BLUE_TO_RED,
+    PINK_TO_BLUE,
+    TO_GREEN,
+    Simulation,
+    hypothesis,
+    make_tree,
+    random_tree,
+)
 
 A = hypothesis(BLUE_TO_RED)
 B = hypothesis(PINK_TO_BLUE)
@@ -205,3 +220,41 @@ def test_log_sum_exp_of_nothing_and_of_zeros_is_minus_infinity() -> None:
 def test_weights_that_cannot_be_normalised_are_refused(bad: list[float]) -> None:
     with pytest.raises(InvalidSettingError, match="cannot be weighted"):
         normalised(np.array(bad))
+
+
+@pytest.mark.parametrize("name", ["count", "visited", "likelihood"])
+@pytest.mark.parametrize("seed", range(4))
+def test_weights_without_a_chain_are_those_of_a_run_without_it(name: str, seed: int) -> None:
+    tree = random_tree(seed, n_chains=5)
+    if name == "visited":  # two chains paid for the same simulation, one of them not to its end
+        simulations = tree["simulations"].dataset
+        for column in set(simulations.variables) - {"chain"}:
+            simulations[column].values[9] = simulations[column].values[0]
+        simulations["completed"].values[9] = False
+    rows = WEIGHTINGS[name](tree)
+    found = without_groups(tree, name, rows, np.eye(5, dtype=bool))
+    for chain in range(5):
+        smaller = tree.isel(chain=[c for c in range(5) if c != chain])
+        kept = tree["simulations"].dataset["chain"].values != chain
+        smaller["simulations"] = xr.DataTree(tree["simulations"].to_dataset().isel(simulation=kept))
+        expected = WEIGHTINGS[name](smaller)
+        mass = _mass_of_hypotheses(rows.values, found[chain])
+        wanted = _mass_of_hypotheses(expected.values, expected.weights)
+        assert mass == pytest.approx({key: wanted.get(key, 0) for key in mass})
+        assert sum(wanted.values()) == pytest.approx(1)
+
+
+def test_without_all_chains_that_completed_anything_no_weights_are_known() -> None:
+    simulations = [Simulation(hypothesis()), Simulation(hypothesis(), 1, completed=False, chain=1)]
+    tree = make_tree(simulations, [[0], [0]])
+    found = without_groups(tree, "visited", visited(tree), np.eye(2, dtype=bool))
+    assert np.isnan(found[0]).all()
+    assert found[1].tolist() == [1]
+
+
+def _mass_of_hypotheses(values, weights):  # type: ignore[no-untyped-def]
+    mass: dict[tuple[float, ...], float] = {}
+    keys = zip(*(column.tolist() for column in values.values()), strict=True)
+    for key, weight in zip(keys, weights, strict=True):
+        mass[key] = mass.get(key, 0.0) + float(weight)
+    return mass

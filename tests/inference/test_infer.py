@@ -3,6 +3,7 @@ from __future__ import annotations
 import _thread
 import json
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -64,6 +65,50 @@ def test_errors_are_the_distances_of_the_stored_trajectories(post: ppl.Posterior
     stats = post.tree["sample_stats"]
     np.testing.assert_allclose(stats["step_error"], errors, atol=1e-4)
     np.testing.assert_allclose(stats["total_error"], errors.sum(axis=-1), atol=1e-3)
+
+
+def test_the_frames_of_a_simulation_add_up_to_its_likelihood(post: ppl.Posterior) -> None:
+    simulations = post.tree["simulations"].dataset
+    by_frame = simulations["step_log_likelihood"].values
+    completed = simulations["completed"].values
+    frames = np.isfinite(by_frame).sum(axis=1)
+    np.testing.assert_array_equal(frames, simulations["frames_simulated"].values)
+    total = simulations["log_likelihood"].values[completed]
+    np.testing.assert_allclose(by_frame[completed].sum(axis=1), total)
+    found, visited = post.over_time(), ppl.Posterior(post.tree, "visited")
+    for name in ("goal_red", "goal_green", "relation", "scenario"):
+        np.testing.assert_allclose(found[name][-1], visited.marginal(name), atol=1e-9)
+
+
+def test_nothing_that_is_asked_of_a_posterior_simulates_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    calls: list[int] = []
+    run = Runner.run
+
+    def counted(self: Runner, hypotheses: Sequence[Hypothesis], *rest: Any) -> Any:
+        calls.append(len(hypotheses))
+        return run(self, hypotheses, *rest)
+
+    monkeypatch.setattr(Runner, "run", counted)
+    post = infer()
+    assert sum(calls) == post.cost["simulations"]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        import arviz
+        import matplotlib.pyplot as plt
+
+        data = post.arviz
+        arviz.summary(data)
+        arviz.ess(data)
+        for draw in (arviz.plot_trace, arviz.plot_rank, arviz.plot_forest):
+            draw(data, var_names=["log_joint"])
+        plt.close("all")
+    post.diagnostics()
+    post.over_time()
+    ppl.plot.diagnostics(post)
+    ppl.plot.over_time(post)
+    assert sum(calls) == post.cost["simulations"]
 
 
 def test_every_simulation_is_kept_and_counted(post: ppl.Posterior) -> None:

@@ -107,9 +107,9 @@ def test_angles_turn_the_shorter_way_round() -> None:
     assert np.cos(middle) == pytest.approx(-1.0)
 
 
-@pytest.mark.parametrize("name", ["event.gif", "event", "event.png", "event.avi"])
-def test_only_mp4_is_written_as_video(tmp_path: Path, name: str) -> None:
-    with pytest.raises(OutputError, match=rf"{name}: expected a name in .mp4"):
+@pytest.mark.parametrize("name", ["event.webp", "event", "event.png", "event.avi"])
+def test_only_mp4_and_gif_are_written_as_video(tmp_path: Path, name: str) -> None:
+    with pytest.raises(OutputError, match=rf"{name}: expected a name in .mp4 or .gif"):
         video(make_event(), tmp_path / name)
 
 

@@ -25,17 +25,12 @@ from phase_ppl.inference.runs.packing import (
     unpacked_records,
     unpacked_steps,
 )
-from phase_ppl.inference.runs.plan import (
-    Plan,
-    event_digest,
-    fields_of,
-    stored_model,
-    stored_options,
-)
+from phase_ppl.inference.runs.plan import Plan, fields_of, stored_model, stored_options
 from phase_ppl.models.bridge import Record
 from phase_ppl.simulator.costs import Statistics
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.event import Event
+from phase_ppl.world.identity import event_digest
 
 SCHEMA: Final = "phase-ppl-checkpoint-1"
 

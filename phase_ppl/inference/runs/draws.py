@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib.metadata
 import json
-import platform
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
@@ -13,7 +11,6 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl import __version__
 from phase_ppl.analysis.tree import SCHEMA
 from phase_ppl.inference.registry import KernelInfo
 from phase_ppl.inference.runs.chains import Step
@@ -24,6 +21,7 @@ from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, HYPOTHESIS_SITES, STR
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import GOALS, effective_goals
 from phase_ppl.world.hypothesis import ALPHAS
+from phase_ppl.world.identity import versions
 from phase_ppl.world.names import ENTITIES, LANDMARKS
 from phase_ppl.world.observation import FRAMES_PER_SECOND
 
@@ -31,13 +29,13 @@ DEFAULT_WEIGHTS: Final = "visited"
 """Default weighting of a run as short as the paper's; ``phase_ppl.analysis.weights`` says why.
 Kernels that weigh their draws themselves have "count"."""
 
-_LIBRARIES: Final = ("numpyro", "jax", "numpy", "xarray", "pymunk", "numba")
 _STORED: Final = {
     **dict.fromkeys((*GOAL_SITES, *(f"stated_{name}" for name in GOAL_SITES)), np.int16),
     ALPHA_SITE: np.int8,
     **dict.fromkeys(STRENGTH_SITES, np.float64),
 }
 _PAIR: Final = ("chain", "draw")
+_SIMULATION: Final = ("simulation",)
 _FRAME: Final = ("time", "entity", "coord")
 
 Columns = dict[str, NDArray[Any]]
@@ -105,7 +103,15 @@ def build_tree(
             {"trajectory": (_FRAME, event.observation.trajectory)}, frame_coords
         ),
         "simulations": xr.Dataset(
-            {name: _variable(name, ("simulation",), values) for name, values in table.items()}
+            {
+                **{name: _variable(name, _SIMULATION, values) for name, values in table.items()},
+                "step_log_likelihood": (
+                    (*_SIMULATION, "time"),
+                    _step_log_likelihood(records, model),
+                    {"long_name": "log likelihood of each frame; NaN where not simulated"},
+                ),
+            },
+            {"time": time},
         ),
         "constant_data": _scene_dataset(event),
     }
@@ -113,7 +119,7 @@ def build_tree(
     tree.attrs = {
         "event_id": event.id,
         "weights": "count" if drawn.weighted else DEFAULT_WEIGHTS,
-        "versions": json.dumps(_versions()),
+        "versions": json.dumps(versions()),
         "schema": SCHEMA,
         **attrs,
     }
@@ -152,6 +158,14 @@ def _simulation_table(records: Sequence[Record], model: Model) -> Columns:
         "frames_simulated": np.array([r.frames_simulated for r in results], np.int64),
         "failed": failed,
     }
+
+
+def _step_log_likelihood(records: Sequence[Record], model: Model) -> NDArray[np.float64]:
+    """Return (simulation, time) the log likelihood of the frames that were simulated."""
+    errors = np.array([record.result.errors for record in records])
+    simulated = np.isfinite(errors)
+    by_frame = model.likelihood.log_prob(np.where(simulated, errors, 0.0))
+    return np.where(simulated, by_frame, np.nan).astype(np.float64)
 
 
 def _hypothesis_columns(raw: Columns) -> Columns:
@@ -244,8 +258,3 @@ def _scene_dataset(event: Event) -> xr.Dataset:
         },
         attrs={"turning": scene.turning, "landmark_half_width": scene.landmark_half_width},
     )
-
-
-def _versions() -> dict[str, str]:
-    versions = {name: importlib.metadata.version(name) for name in _LIBRARIES}
-    return {"phase_ppl": __version__, "python": platform.python_version(), **versions}

@@ -3,28 +3,24 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import json
-import re
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from numpyro.infer.mcmc import MCMCKernel
 
 from phase_ppl.inference.registry import Factory, KernelInfo, described
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models import priors
 from phase_ppl.models.likelihood import RadialLikelihood
-from phase_ppl.models.model import Model, source_hash
+from phase_ppl.models.model import Model
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
 from phase_ppl.world.event import Event
+from phase_ppl.world.identity import event_digest, source_hash, stable
 
 if TYPE_CHECKING:
     from phase_ppl.agents.config import PlannerConfig
-
-_ADDRESS: Final = re.compile(r" at 0x[0-9a-fA-F]+")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -69,14 +65,14 @@ class Plan:
         observed = self.event
         return {
             "event": event_digest(observed),
-            "model": _stable(self.model.fingerprint()),
+            "model": stable(self.model.fingerprint()),
             "kernel": {
                 "name": self.info.name,
                 "source": source_hash(_unregistered(self)),
                 "values": _plain_values(self.kernel),
-                "options": _stable(dict(self.options)),
+                "options": stable(dict(self.options)),
             },
-            "settings": _stable(fields_of(self.settings)),
+            "settings": stable(fields_of(self.settings)),
             "chains": self.chains,
             "seed": self.seed,
         }
@@ -85,33 +81,6 @@ class Plan:
 def fields_of(settings: SimpleSettings) -> dict[str, Any]:
     """Return the settings by name."""
     return {f.name: getattr(settings, f.name) for f in dataclasses.fields(settings)}
-
-
-def event_digest(event: Event) -> str:
-    """Return a hash of all that inference sees of an event."""
-    scene = event.scene
-    digest = hashlib.sha256(scene.turning.encode())
-    for values in (
-        *(scene.start, scene.radius, scene.walls, np.array(scene.arena)),
-        *(scene.landmark_centres, np.array(scene.landmark_half_width)),
-        event.observation.trajectory,
-    ):
-        digest.update(np.ascontiguousarray(values, np.float64).tobytes())
-    return digest.hexdigest()
-
-
-def differences(stored: Mapping[str, Any], given: Mapping[str, Any], within: str = "") -> list[str]:
-    """Return in words where two identities differ, such as "model.noise is 'a', was 'b'"."""
-    found: list[str] = []
-    for name in dict.fromkeys([*stored, *given]):
-        old, new = stored.get(name), given.get(name)
-        if isinstance(old, Mapping) and isinstance(new, Mapping):
-            found += differences(old, new, f"{within}{name}.")
-        elif old != new:
-            hashed = name in ("event", "source") or name.endswith("_source")
-            how = "differs" if hashed else f"is {shown(new)}, was {shown(old)}"
-            found.append(f"{within}{name} {how}")
-    return found
 
 
 def complete_model(
@@ -188,9 +157,3 @@ def _plain_values(kernel: object) -> dict[str, Any]:
         for name, value in sorted(vars(kernel).items())
         if isinstance(value, bool | int | float | str)
     }
-
-
-def _stable(value: Any) -> Any:
-    """Return ``value`` in JSON's types, without what differs from process to process."""
-    text = json.dumps(value, default=repr, sort_keys=True)
-    return json.loads(_ADDRESS.sub("", text))

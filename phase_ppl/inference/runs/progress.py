@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import sys
+import threading
 import time
 from collections import deque
 from types import TracebackType
-from typing import Any, Final, Self
+from typing import Any, ClassVar, Final, Self
 
 from tqdm import tqdm
 
@@ -23,8 +24,12 @@ def is_shown(shown: bool | None) -> bool:
     return (sys.stderr.isatty() or "ipykernel" in sys.modules) if shown is None else shown
 
 
-class _Bar(tqdm):
+class SteadyBar(tqdm):
     """A bar whose rate is set from outside."""
+
+    # of threads alone: tqdm's own is also a semaphore of the system, which is reported as leaked
+    # where a worker process is killed
+    _lock: ClassVar = threading.RLock()
 
     steady_rate: float | None = None
 
@@ -54,7 +59,7 @@ class Progress:
         self._times = deque([(clock(), done)], maxlen=_ROUNDS * batch + 1)
         self._batch = batch
         self._began = False
-        self._bar = _Bar(
+        self._bar = SteadyBar(
             total=total,
             initial=done,
             disable=not is_shown(shown),

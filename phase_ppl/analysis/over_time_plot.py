@@ -1,0 +1,119 @@
+"""The figure of a posterior over time, in hindsight."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import xarray as xr
+
+from phase_ppl.analysis.style import (
+    INK,
+    MANY_COLOURS,
+    NORMAL,
+    OTHER,
+    SMALL,
+    bare,
+    direct_labels,
+    new_figure,
+    written,
+)
+from phase_ppl.world.relations import RELATIONS
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from phase_ppl.analysis.posterior import Posterior
+
+PANELS: Final = {
+    "goal_red": "Goal of the red agent",
+    "goal_green": "Goal of the green agent",
+    "relation": "Relation",
+}
+"""Quantity -> title of its panel."""
+
+_LINES: Final = 5
+"""Lines of a panel; what else there is, is one more."""
+
+_SEEN: Final = 0.1
+"""Probability that a goal must reach at some time to have a line."""
+
+_RELATION_COLOURS: Final = dict(zip(RELATIONS, ("#009e73", "#666666", "#d55e00"), strict=True))
+_LINE_HEIGHT: Final = 0.095
+"""Of a label, as a share of a panel's height."""
+
+_NOTE: Final = (
+    "Hindsight, not belief at the time: hypotheses proposed from the whole video, "
+    "weighted by how well they explain it up to each frame."
+)
+
+
+def over_time(post: Posterior, path: str | os.PathLike[str] | None = None) -> Figure:
+    """Draw how the probabilities of goals and relation grow out of the video, in hindsight.
+
+    See :meth:`phase_ppl.analysis.posterior.Posterior.over_time`. Both agents' goals share their
+    colours.
+
+    Args:
+        post: what to draw.
+        path: where to write the figure as well, as .png, .pdf or .svg.
+
+    Returns:
+        A matplotlib figure of 7.5 x 6.6 inches.
+
+    Raises:
+        InvalidEventError, InvalidSettingError: there is no such posterior over time.
+        OutputError: the figure cannot be written there, or the ending is another.
+    """
+    found = post.over_time()
+    figure = new_figure(7.5, 6.6)
+    grid = figure.add_gridspec(
+        3, 1, left=0.075, right=0.66, top=0.895, bottom=0.07, hspace=0.34, height_ratios=(5, 5, 4)
+    )
+    figure.text(0.012, 0.985, post.event_id, va="top", fontsize=10, color=INK)
+    figure.text(0.012, 0.955, _NOTE, va="top", fontsize=SMALL + 0.3, color="#666666")
+    shown = {name: _leading(found[name]) for name in ("goal_red", "goal_green")}
+    goals = list(dict.fromkeys(goal for goals in shown.values() for goal in goals))
+    colours = dict(zip(goals, MANY_COLOURS, strict=False))
+    colours |= _RELATION_COLOURS
+    shown["relation"] = list(_RELATION_COLOURS)
+    for place, (name, title) in enumerate(PANELS.items()):
+        axes = figure.add_subplot(grid[place])
+        _panel(axes, found[name], shown[name], colours)
+        axes.set_title(title, fontsize=NORMAL + 1, loc="left", color=INK)
+        if place == len(PANELS) - 1:
+            axes.set_xlabel("time [s]", fontsize=NORMAL, color=INK)
+        else:
+            axes.tick_params(labelbottom=False)
+    return written(figure, path)
+
+
+def _leading(marginal: xr.DataArray) -> list[str]:
+    """Return the labels that are ever probable, the highest at any time first, at most five."""
+    peak = marginal.max("time").values
+    order = np.argsort(-peak, kind="stable")[:_LINES]
+    labels = marginal[f"{marginal.name}_is"].values
+    return [str(labels[i]) for i in order if peak[i] >= _SEEN]
+
+
+def _panel(axes: Axes, marginal: xr.DataArray, labels: list[str], colours: dict[str, str]) -> None:
+    dim = f"{marginal.name}_is"
+    time = marginal["time"].values
+    ends = []
+    for label in labels:
+        values = marginal.sel({dim: label}).values
+        axes.plot(time, values, color=colours[label], lw=1.8, solid_capstyle="round", zorder=3)
+        ends.append((float(time[-1]), float(values[-1]), label, colours[label]))
+    rest = np.clip(1 - marginal.sel({dim: labels}).sum(dim).values, 0, 1)
+    if rest.max() >= _SEEN / 2:
+        axes.fill_between(time, rest, color=OTHER, alpha=0.6, lw=0, zorder=1)
+        ends.append((float(time[-1]), float(rest[-1]), "all other goals", "#777777"))
+    axes.set_xlim(time[0], time[-1])
+    axes.set_ylim(0, 1.02)
+    axes.set_yticks([0, 0.5, 1], ["0", "0.5", "1"])
+    axes.grid(axis="y", color="#e6e6e6", lw=0.6)
+    axes.set_axisbelow(True)
+    bare(axes)
+    direct_labels(axes, ends, gap=_LINE_HEIGHT)

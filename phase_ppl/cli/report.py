@@ -1,0 +1,38 @@
+"""The command ``report``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import phase_ppl
+
+
+def add_to(commands: Any) -> None:
+    """Add the command."""
+    report = commands.add_parser(
+        "report",
+        help="make one self-contained HTML page of a run or an evaluation",
+        description="Make one self-contained HTML page of a run or an evaluation.",
+        epilog="example: phase-ppl report out",
+    )
+    report.set_defaults(run=_report)
+    report.add_argument(
+        "folder", metavar="DIR", type=Path, help="written by infer --out or evaluate --out"
+    )
+    report.add_argument(
+        "--out", metavar="FILE", type=Path, help=".html; default report.html in DIR"
+    )
+    report.add_argument(
+        "--videos", action="store_true", help="film every event of an evaluation as well"
+    )
+    report.add_argument("--quiet", action="store_true", help="no progress bar")
+
+
+def _report(options: argparse.Namespace) -> int:
+    path = phase_ppl.report(
+        options.folder, options.out, videos=options.videos, progress=not options.quiet
+    )
+    print(f"{path.stat().st_size / 1e6:.1f} MB written to {path}")
+    return 0

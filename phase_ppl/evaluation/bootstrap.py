@@ -1,0 +1,146 @@
+"""Error bars by resampling events.
+
+A resample of n events is a vector of n weights: how often each event was drawn. Every figure is a
+function of weighted sums over events, so that one matrix of weights, whose first row is the data
+themselves, gives its value and all its resampled values at once.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from phase_ppl.world.checks import whole_number
+
+FloatArray = NDArray[np.float64]
+Figure = dict[str, float | None]
+"""``value``, ``ci_low``, ``ci_high``."""
+
+LEVEL: Final = 0.95
+"""Share of the resampled values between ``ci_low`` and ``ci_high``."""
+
+_CONSTANT: Final = 1e-12
+"""Variance up to which a vector of probabilities is constant but for rounding."""
+
+
+def resampled(n: int, seed: int = 0, resamples: int = 1000) -> FloatArray:
+    """Return weights (1 + resamples, n) of ``n`` events: all 1, then those of the resamples.
+
+    The same arguments give the same resamples.
+
+    Raises:
+        InvalidSettingError: ``seed`` is negative or ``resamples`` below 1, or no whole number.
+    """
+    rng = np.random.default_rng(whole_number("seed", seed, 0))
+    number = whole_number("resamples", resamples)
+    if n == 0:
+        return np.ones((1 + number, 0))
+    drawn = rng.multinomial(n, np.full(n, 1 / n), size=number)
+    return np.concatenate([np.ones((1, n)), drawn])
+
+
+def weighted_mean(weights: FloatArray, values: ArrayLike) -> FloatArray:
+    """Return the mean (row,) of ``values`` (event, ...) under each row of weights.
+
+    NaN among the values counts for nothing; the mean of nothing is NaN.
+    """
+    given = np.asarray(values, np.float64)
+    given = given.reshape(len(given), int(np.prod(given.shape[1:])))
+    known = ~np.isnan(given)
+    total = weights @ np.where(known, given, 0).sum(axis=1)
+    return divided(total, weights @ known.sum(axis=1).astype(np.float64))
+
+
+def correlation(
+    weights: FloatArray, x: ArrayLike, y: ArrayLike, groups: ArrayLike | None = None
+) -> FloatArray:
+    """Return Pearson's r (row,) of ``x`` and ``y``, each (event, component), flattened.
+
+    With ``groups``, numbers of shape (event, component), it is the r of deviations from the mean
+    of the group, which every row of weights has anew. A pair with a NaN, or of a group below 0,
+    is left out. NaN where a vector is constant.
+    """
+    known = ~np.isnan(x) & ~np.isnan(y)
+    group = np.zeros(known.shape, np.int64) if groups is None else np.asarray(groups, np.int64)
+    known &= group >= 0
+    # about their mean, so that little is lost in the differences of sums below
+    left, right = (
+        np.where(known, values, 0) - known * (np.mean(values[known]) if known.any() else 0)
+        for values in (np.asarray(x, np.float64), np.asarray(y, np.float64))
+    )
+    n = weights @ known.sum(axis=1).astype(np.float64)
+    of_left = weights @ (left**2).sum(axis=1)
+    of_right = weights @ (right**2).sum(axis=1)
+    both = weights @ (left * right).sum(axis=1)
+    for number in np.unique(group[known]):
+        chosen = known & (group == number)
+        count = weights @ chosen.sum(axis=1).astype(np.float64)
+        sum_left = weights @ np.where(chosen, left, 0).sum(axis=1)
+        sum_right = weights @ np.where(chosen, right, 0).sum(axis=1)
+        of_left = of_left - np.nan_to_num(divided(sum_left**2, count))
+        of_right = of_right - np.nan_to_num(divided(sum_right**2, count))
+        both = both - np.nan_to_num(divided(sum_left * sum_right, count))
+    return r_of_sums(n, of_left, of_right, both)
+
+
+def r_of_sums(
+    n: FloatArray, of_left: FloatArray, of_right: FloatArray, both: FloatArray
+) -> FloatArray:
+    """Return r from sums of squares and of products of deviations of ``n`` pairs.
+
+    NaN where a vector is constant.
+    """
+    varied = np.minimum(of_left, of_right) > _CONSTANT * n
+    size = np.sqrt(np.where(varied, of_left * of_right, 1))
+    return np.where(varied, np.clip(both / size, -1, 1), np.nan)
+
+
+def divided(total: FloatArray, count: FloatArray) -> FloatArray:
+    """Return ``total / count``, NaN where ``count`` is 0."""
+    return np.where(count > 0, total / np.where(count > 0, count, 1), np.nan)
+
+
+def figure(values: FloatArray, n: int) -> Figure | None:
+    """Return value and 95 % interval (percentiles of the resampled values).
+
+    Args:
+        values: (1 + resamples,) the value, then the resampled ones; those that are NaN, such as
+            of resamples without the events that count, are left out of the interval.
+        n: number of events that count; with one there is no interval (None, None).
+
+    Returns:
+        None where there is no value.
+    """
+    if not np.isfinite(values[0]):
+        return None
+    low, high = interval(values) if n > 1 else (None, None)
+    return {"value": float(values[0]), "ci_low": low, "ci_high": high}
+
+
+def interval(values: FloatArray) -> tuple[float | None, float | None]:
+    """Return the percentile interval of ``values[1:]``; None, None where none is finite."""
+    finite = values[1:][np.isfinite(values[1:])]
+    if not finite.size:
+        return None, None
+    low, high = np.quantile(finite, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+    return float(low), float(high)
+
+
+def difference(one: FloatArray, other: FloatArray, n: int) -> Figure | None:
+    """Return ``one - other`` with its interval and a two-sided p, over the same resamples.
+
+    p is twice the share of resamples (the data among them) in which the difference is not above
+    0, or not below 0, whichever is smaller; None, like the interval, with one event.
+    """
+    values = one - other
+    # what is equal but for rounding is equal
+    values = np.where(np.abs(values) < _CONSTANT, 0, values)
+    found = figure(values, n)
+    if found is None:
+        return None
+    drawn = values[1:][np.isfinite(values[1:])]
+    tail = min((drawn <= 0).sum(), (drawn >= 0).sum()) + 1
+    p = min(1.0, float(2 * tail / (drawn.size + 1)))
+    return {**found, "p": p if n > 1 and drawn.size else None}

@@ -1,0 +1,104 @@
+"""Which scenario is taken for which."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phase_ppl.analysis.style import INK, NORMAL, SMALL
+from phase_ppl.evaluation.figures.results import NothingToDrawError, Results
+from phase_ppl.evaluation.observers import Observer
+from phase_ppl.evaluation.sheet import GREY, Sheet, fitting
+from phase_ppl.world.relations import SCENARIOS
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+IntArray = NDArray[np.int64]
+
+_LEFT: Final = 1.4
+_SIDE: Final = 1.55
+_GAP: Final = 0.3
+_HEADING: Final = 0.38
+_BELOW: Final = 0.95
+_PER_ROW: Final = 3
+_DARK: Final = 0.65
+"""Share of a row from which on its number is white."""
+
+
+def confusion(results: Results) -> Figure:
+    """Draw, for all who answered both goals, true scenario against scenario of their goals.
+
+    Cells hold numbers of events, shades are shares of their row.
+
+    Raises:
+        NothingToDrawError: nobody answered the goals of events whose truth is known.
+    """
+    shown = [(o, counts) for o in results.measured if (counts := _counts(o, results)) is not None]
+    if not shown:
+        raise NothingToDrawError("nobody answered the goals of an event whose truth is known")
+    n_columns = min(len(shown), _PER_ROW)
+    n_rows = -(-len(shown) // _PER_ROW)
+    height = _HEADING + _SIDE
+    sheet = Sheet(_LEFT + n_columns * (_SIDE + _GAP), n_rows * height + _BELOW + 0.1)
+    for place, (observer, counts) in enumerate(shown):
+        row, column = divmod(place, _PER_ROW)
+        left, top = _LEFT + column * (_SIDE + _GAP), row * height
+        label = observer.label if observer.kind != "people" else f"{observer.label}, majority"
+        sheet.write(
+            left, top + 0.27, label, size=fitting(label, _SIDE, NORMAL + 0.5),
+            colour=observer.colour, weight="bold",
+        )  # fmt: skip
+        axes = sheet.axes(left, top + _HEADING, _SIDE, _SIDE)
+        _matrix(axes, counts)
+        lowest = place + _PER_ROW >= len(shown)
+        axes.set_xticks(range(len(SCENARIOS)), SCENARIOS if lowest else [], rotation=40, ha="right")
+        axes.set_yticks(range(len(SCENARIOS)), _row_labels(counts) if column == 0 else [])
+        axes.tick_params(length=0, labelsize=SMALL, pad=3, colors=INK)
+    middle = (n_rows * height + _HEADING) / 2
+    sheet.figure.text(
+        0.13 / sheet.width, 1 - middle / sheet.height, "true scenario", fontsize=NORMAL,
+        color=INK, rotation=90, ha="center", va="center",
+    )  # fmt: skip
+    x = _LEFT + (n_columns * (_SIDE + _GAP) - _GAP) / 2
+    sheet.write(x, sheet.height - 0.27, "scenario of the goals answered", ha="center")
+    sheet.write(
+        x, sheet.height - 0.1, "numbers: events; shade: share of the row",
+        size=SMALL - 0.5, colour=GREY, ha="center",
+    )  # fmt: skip
+    return sheet.figure
+
+
+def _counts(observer: Observer, results: Results) -> IntArray | None:
+    """Return (true, answered) numbers of events; None without any."""
+    counts = np.zeros((len(SCENARIOS), len(SCENARIOS)), np.int64)
+    for name, prediction in observer.predictions.items():
+        if name in results.scenarios and prediction.scenario is not None:
+            true = SCENARIOS.index(results.scenarios[name])
+            counts[true, SCENARIOS.index(prediction.scenario)] += 1
+    return counts if counts.any() else None
+
+
+def _matrix(axes: Axes, counts: IntArray) -> None:
+    shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+    axes.imshow(shares, cmap="Blues", vmin=0, vmax=1.15, aspect="equal")
+    for (row, column), n in np.ndenumerate(counts):
+        colour = "white" if shares[row, column] > _DARK else INK
+        weight = "bold" if row == column else "normal"
+        text = str(n) if n else "\N{MIDDLE DOT}"
+        axes.text(
+            column, row, text, ha="center", va="center", fontsize=NORMAL, color=colour,
+            fontweight=weight,
+        )  # fmt: skip
+    edges = np.arange(len(SCENARIOS) + 1) - 0.5
+    axes.hlines(edges, -0.5, len(SCENARIOS) - 0.5, color="white", lw=1.2)
+    axes.vlines(edges, -0.5, len(SCENARIOS) - 0.5, color="white", lw=1.2)
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+
+
+def _row_labels(counts: IntArray) -> list[str]:
+    return [f"{name}\nn = {n}" for name, n in zip(SCENARIOS, counts.sum(axis=1), strict=True)]

@@ -1,0 +1,252 @@
+"""Studies of people's judgments: a CSV file, one row per participant and video.
+
+::
+
+    participant,video,goal_red,goal_green,relation,response_time
+    p01,collaborate,Get pink item to red lm,Get pink item to red lm,friendly,12.4
+    p01,oppose,get to green agent,get away from red agent,adversarial,8.1
+    p02,collaborate,Get pink item to red lm,,friendly,
+
+``participant`` and ``video`` (the id of the event) must be there, and at least one of the questions
+``goal_red``, ``goal_green`` (effective goals, the paper's strings) and ``relation`` (friendly,
+neutral, adversarial); ``response_time`` [s] may be. Columns come in any order, and there are no
+others. A cell may be empty except in the first two; nothing is assumed in its place. UTF-8, cells
+separated by commas; case and spaces around an answer do not matter.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import dataclasses
+import functools
+import io
+import math
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import pandas as pd
+
+from phase_ppl.dataset.documents import MAX_BYTES
+from phase_ppl.evaluation.people import participant_accuracy
+from phase_ppl.evaluation.prediction import QUESTIONS
+from phase_ppl.evaluation.votes import Judgments, checked_answer
+from phase_ppl.world.errors import InvalidEventError, PhasePPLError, shown, unknown_name
+from phase_ppl.world.event import Event
+from phase_ppl.world.files import existing_file
+
+COLUMNS: Final = ("participant", "video", *QUESTIONS, "response_time")
+"""Columns of a study, all of which its table has."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Study:
+    """What participants said about videos.
+
+    Attributes:
+        table: a row per participant and video, with the columns :data:`COLUMNS`; answers as the
+            labels spell them, None where there is none; response times in seconds, NaN likewise.
+    """
+
+    table: pd.DataFrame
+
+    @property
+    def participants(self) -> tuple[str, ...]:
+        """The participants, in the order in which they come."""
+        return tuple(self.table["participant"].unique().tolist())
+
+    @functools.cached_property
+    def judgments(self) -> Mapping[str, Judgments]:
+        """Video -> judgments of the participants who answered a question about it."""
+        responses: dict[str, dict[str, dict[str, str]]] = {}
+        for row in self.table[["participant", "video", *QUESTIONS]].to_dict("records"):
+            given = {q: row[q] for q in QUESTIONS if isinstance(row[q], str)}
+            responses.setdefault(row["video"], {})[row["participant"]] = given
+        found = {video: Judgments.of_responses(rows) for video, rows in responses.items()}
+        return {video: judgments for video, judgments in found.items() if judgments.n_raters}
+
+    def accuracy(
+        self, events: Sequence[Event], *, seed: int = 0, resamples: int = 1000
+    ) -> dict[str, Any]:
+        """Return the accuracy of people as the paper has it: of each participant, then averaged.
+
+        Args:
+            events: with their truth; those that the study has no answers to do not count.
+            seed, resamples: of the participants.
+
+        Returns:
+            As :func:`~phase_ppl.evaluation.people.participant_accuracy`.
+
+        Raises:
+            InvalidEventError: the study has answers to none of the events.
+        """
+        return participant_accuracy(with_judgments(events, self), seed=seed, resamples=resamples)
+
+    def __repr__(self) -> str:
+        return (
+            f"<Study of {len(self.judgments)} videos, {len(self.participants)} participants, "
+            f"{len(self.table)} rows>"
+        )
+
+
+def load_judgments(path: str | os.PathLike[str], events: Sequence[Event] | None = None) -> Study:
+    """Read a study from a CSV file of the form that the module describes.
+
+    Args:
+        path: of the file.
+        events: those that may be judged; a row about another video is an error. Default: any.
+
+    Raises:
+        InvalidEventError: there is no such file, or it is no such table: columns are missing, a
+            row has too many or too few cells, no participant or video, a time that is no number
+            of seconds, or a participant judges a video twice; or nothing is answered.
+        UnknownNameError: a column, goal, relation or video is unknown; the message names close
+            matches. Messages begin with the file, and the line where it is one.
+    """
+    source = existing_file(path)
+    videos = None if events is None else [event.id for event in events]
+    try:
+        rows = _rows(_text(source), videos)
+    except PhasePPLError as error:
+        raise type(error)(f"{source}{error}") from None
+    # plain objects: pandas' own text would make NaN of None
+    table = pd.DataFrame(rows, columns=list(COLUMNS), dtype=object)
+    return Study(table.astype({"response_time": float}))
+
+
+def with_judgments(events: Sequence[Event], study: Study) -> list[Event]:
+    """Return the events with the judgments of a study in place of those they had, if any.
+
+    Raises:
+        InvalidEventError: the study has answers to none of the events.
+    """
+    found = [
+        dataclasses.replace(
+            event,
+            judgments=study.judgments[event.id].to_record()
+            if event.id in study.judgments
+            else None,
+        )
+        for event in events
+    ]
+    if all(event.judgments is None for event in found):
+        some = ", ".join(shown(video) for video in list(study.judgments)[:3])
+        raise InvalidEventError(f"the study is of none of the {len(events)} events, but of {some}")
+    return found
+
+
+def _text(source: Path) -> str:
+    try:
+        with open(source, "rb") as file:
+            content = file.read(MAX_BYTES + 1)
+    except OSError as error:
+        raise InvalidEventError(f": cannot be read: {error.strerror or error}") from None
+    if len(content) > MAX_BYTES:
+        raise InvalidEventError(f": is larger than the {MAX_BYTES // 2**20} MB that are read")
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise InvalidEventError(f": is no CSV file: byte {error.start} is not UTF-8") from None
+    if "\0" in text:
+        raise InvalidEventError(": is no CSV file in UTF-8: it holds zero bytes")
+    return text
+
+
+def _lines(text: str) -> Iterator[tuple[int, list[str]]]:
+    """Yield the number of its first line and the cells of each row that is not blank."""
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    while True:
+        line = reader.line_num + 1
+        try:
+            cells = [cell.strip() for cell in next(reader)]
+        except StopIteration:
+            return
+        except csv.Error as error:
+            raise InvalidEventError(f", line {line}: is no CSV: {error}") from None
+        if any(cells):
+            yield line, cells
+
+
+def _rows(text: str, videos: Sequence[str] | None) -> list[dict[str, Any]]:
+    lines = _lines(text)
+    line, header = next(lines, (0, []))
+    if not header:
+        raise InvalidEventError(": is empty")
+    with _naming(line):
+        _check_header(header)
+    allowed = None if videos is None else set(videos)
+    first: dict[tuple[str, str], int] = {}
+    rows = []
+    for line, cells in lines:
+        with _naming(line):
+            if len(cells) != len(header):
+                raise InvalidEventError(f"has {len(cells)} cells, expected {len(header)}")
+            row = _row(dict(zip(header, cells, strict=True)))
+            video = row["video"]
+            if allowed is not None and video not in allowed:
+                raise unknown_name("video", video, videos or [])
+            pair = row["participant"], video
+            if pair in first:
+                raise InvalidEventError(
+                    f"participant {shown(pair[0])} judges video {shown(video)} a second time, "
+                    f"after line {first[pair]}"
+                )
+            first[pair] = line
+            rows.append(row)
+    if not any(row[question] for row in rows for question in QUESTIONS):
+        raise InvalidEventError(": holds no judgments")
+    return rows
+
+
+@contextlib.contextmanager
+def _naming(line: int) -> Iterator[None]:
+    try:
+        yield
+    except PhasePPLError as error:
+        raise type(error)(f", line {line}: {error}") from None
+
+
+def _check_header(header: Sequence[str]) -> None:
+    if len(header) == 1 and any(mark in header[0] for mark in ";\t"):
+        raise InvalidEventError(f"is {shown(header[0])}, expected cells separated by commas")
+    for name in header:
+        if name not in COLUMNS:
+            raise unknown_name("column", name, COLUMNS)
+        if header.count(name) > 1:
+            raise InvalidEventError(f"names the column {name} twice")
+    for name in ("participant", "video"):
+        if name not in header:
+            raise InvalidEventError(f"names no column {name}")
+    if not any(name in QUESTIONS for name in header):
+        raise InvalidEventError(f"names none of the columns {', '.join(QUESTIONS)}")
+
+
+def _row(cells: Mapping[str, str]) -> dict[str, Any]:
+    row: dict[str, Any] = {}
+    for name in ("participant", "video"):
+        if not cells[name] or not cells[name].isprintable():
+            raise InvalidEventError(f"{name} is {shown(cells[name])}, expected printable text")
+        row[name] = cells[name]
+    for question in QUESTIONS:
+        answer = cells.get(question)
+        try:
+            row[question] = checked_answer(question, answer) if answer else None
+        except PhasePPLError as error:
+            raise type(error)(f"{question}: {error}") from None
+    row["response_time"] = _seconds(cells.get("response_time", ""))
+    return row
+
+
+def _seconds(cell: str) -> float:
+    """Return the seconds in a cell, NaN where it is empty."""
+    if not cell:
+        return math.nan
+    try:
+        value = float(cell)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value >= 0) or "_" in cell:
+        raise InvalidEventError(f"response_time is {shown(cell)}, expected seconds, such as 12.4")
+    return value

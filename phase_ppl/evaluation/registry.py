@@ -1,0 +1,223 @@
+"""Models of social perception by name: ours, a file each in ``evaluation/models``, and others.
+
+Another package registers its model under the entry point group ``phase_ppl.models``::
+
+    [project.entry-points."phase_ppl.models"]
+    my_model = "my_package.my_model:my_model"
+
+where ``my_model`` is a function decorated with :func:`register_model`. It is called once, with
+the options that a user gives, and returns the model itself: ``predict(scene, observation, seed)``
+(:data:`~phase_ppl.evaluation.answer.Predict`). What was returned is pickled and sent to worker
+processes, so what is large is best loaded at the first prediction.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import importlib
+import importlib.metadata
+import importlib.util
+import inspect
+import pkgutil
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Final
+
+from phase_ppl.analysis.summary import plain
+from phase_ppl.evaluation.answer import Predict
+from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
+from phase_ppl.world.identity import qualified_name, source_hash, stable
+
+if TYPE_CHECKING:
+    from phase_ppl.models.model import Model
+
+ENTRY_POINTS: Final = "phase_ppl.models"
+
+Factory = Callable[..., Predict]
+"""``factory(**options)`` checks the options and returns the model."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ModelInfo:
+    """What is known of a model without making it.
+
+    Attributes:
+        name: as users call it.
+        factory: makes the model from options.
+        summary: first line of the factory's documentation.
+        parallel: whether several processes may run it side by side; a model that has the
+            accelerator to itself, or is done before a process has started, is better not.
+        needs: modules that must be installed beside what the package itself needs.
+        extra: the extra of this package that brings them, if one does.
+    """
+
+    name: str
+    factory: Factory
+    summary: str
+    parallel: bool = True
+    needs: tuple[str, ...] = ()
+    extra: str | None = None
+
+    def make(self, **options: Any) -> Predict:
+        """Return the model.
+
+        Raises:
+            InvalidSettingError, UnknownNameError: an option that it does not have or that
+                cannot be used; or something that it needs is not installed.
+        """
+        missing = [module for module in self.needs if not _is_installed(module)]
+        if missing:
+            how = f": pip install 'phase_ppl[{self.extra}]'" if self.extra else ""
+            raise InvalidSettingError(
+                f"model {self.name!r} needs {', '.join(missing)}, which is not installed{how}"
+            )
+        try:
+            inspect.signature(self.factory).bind(**options)
+        except TypeError as error:
+            raise InvalidSettingError(f"model {self.name!r}: {error}") from None
+        return self.factory(**options)
+
+
+_MODELS: Final[dict[str, ModelInfo]] = {}
+
+
+def register_model(
+    name: str,
+    *,
+    parallel: bool = True,
+    needs: Sequence[str] = (),
+    extra: str | None = None,
+) -> Callable[[Factory], Factory]:
+    """Return a decorator that makes a factory of models known under ``name``.
+
+    Arguments as the attributes of :class:`ModelInfo`.
+
+    Raises:
+        InvalidSettingError: the name is taken by another factory.
+    """
+
+    def register(factory: Factory) -> Factory:
+        known = _MODELS.get(name)
+        if known is not None and qualified_name(known.factory) != qualified_name(factory):
+            raise InvalidSettingError(
+                f"a model named {name!r} exists: {qualified_name(known.factory)}"
+            )
+        summary = (inspect.getdoc(factory) or "").split("\n")[0]
+        _MODELS[name] = ModelInfo(name, factory, summary, parallel, tuple(needs), extra)
+        return factory
+
+    return register
+
+
+def _is_installed(module: str) -> bool:
+    try:
+        return importlib.util.find_spec(module) is not None
+    except ModuleNotFoundError:  # of a submodule whose package is missing
+        return False
+
+
+@functools.cache
+def _load_all() -> None:
+    """Import every model file of ours, then those of other packages."""
+    package = importlib.import_module("phase_ppl.evaluation.models")
+    for module in pkgutil.iter_modules(package.__path__):
+        importlib.import_module(f"{package.__name__}.{module.name}")
+    for entry in importlib.metadata.entry_points(group=ENTRY_POINTS):
+        try:
+            entry.load()
+        except Exception as error:  # somebody else's package must not break ours
+            warnings.warn(f"model {entry.name!r} cannot be loaded: {error}", stacklevel=2)
+
+
+def available_models() -> list[str]:
+    """Return the names of all models, sorted."""
+    _load_all()
+    return sorted(_MODELS)
+
+
+def model_info(name: str) -> ModelInfo:
+    """Return what is known of a model.
+
+    Raises:
+        UnknownNameError: there is no such model; the message names close matches.
+    """
+    if name not in available_models():
+        raise unknown_name("model", name, available_models())
+    return _MODELS[name]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ReadyModel:
+    """A model that is made, and what is known of it.
+
+    Attributes:
+        name: as reports call it.
+        predict: the model.
+        parallel: whether several processes may run it.
+        registered: whether it was given by name.
+        record: what determines its answers, as plain data.
+    """
+
+    name: str
+    predict: Predict
+    parallel: bool
+    registered: bool
+    record: Mapping[str, Any]
+
+
+def ready(model: str | Model | Predict, options: Mapping[str, Any]) -> ReadyModel:
+    """Return a model given by name with its options, or as a callable, ready to be asked.
+
+    A :class:`phase_ppl.Model` is explained by SIMPLE.
+
+    Raises:
+        UnknownNameError: there is no model of that name.
+        InvalidSettingError: it is neither; a callable that does not take (scene, observation,
+            seed), or comes with options; or the model cannot be made with these.
+    """
+    if not isinstance(model, str) and not callable(model):
+        model, options = "simple", {"program": _program(model), **options}
+    source: Callable[..., Any]
+    if isinstance(model, str):
+        info = model_info(model)
+        predict, name, parallel, source = info.make(**options), model, info.parallel, info.factory
+    else:
+        if options:
+            raise InvalidSettingError(
+                f"{', '.join(options)}: options are for models given by name, not for {model!r}"
+            )
+        _check_signature(model)
+        name = getattr(model, "__name__", type(model).__name__)
+        predict, parallel, source = model, True, model
+    details = getattr(predict, "settings", dict)
+    record = {
+        "model": name,
+        "options": dict(options),
+        "model_settings": details(),
+        "function": qualified_name(source),
+        "function_source": source_hash(source),
+    }
+    return ReadyModel(name, predict, parallel, isinstance(model, str), stable(plain(record)))
+
+
+def _program(model: object) -> Model:
+    from phase_ppl.models.model import Model
+
+    if not isinstance(model, Model):
+        raise InvalidSettingError(
+            f"model={shown(model)} is neither a name, a phase_ppl.Model nor a function "
+            "(scene, observation, seed)"
+        )
+    return model
+
+
+def _check_signature(model: Predict) -> None:
+    try:
+        inspect.signature(model).bind(None, None, 0)
+    except TypeError as error:
+        raise InvalidSettingError(
+            f"model {model!r} cannot be called as (scene, observation, seed): {error}"
+        ) from None
+    except ValueError:  # of a compiled function, which does not say what it takes
+        return

@@ -1,0 +1,59 @@
+"""One page that holds everything about a run or an evaluation, to be opened anywhere."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Final
+
+from phase_ppl.evaluation.folder import POSTERIOR, ResultsFolder
+from phase_ppl.world.errors import InvalidEventError
+from phase_ppl.world.files import atomic_output, check_output
+
+NAME: Final = "report.html"
+
+
+def report(
+    folder: str | os.PathLike[str],
+    path: str | os.PathLike[str] | None = None,
+    *,
+    videos: bool = False,
+    progress: bool = False,
+) -> Path:
+    """Write one self-contained HTML page about a run or an evaluation; return its path.
+
+    The page holds its pictures, films, style and script, and fetches nothing.
+
+    Args:
+        folder: of a run, with posterior.nc, or of an evaluation.
+        path: of the page, ending in .html; default ``report.html`` in the folder.
+        videos: film every event of an evaluation as well, some seconds and 0.1 MB each. A film
+            that a run has is always there.
+        progress: show a bar over the events of an evaluation.
+
+    Raises:
+        InvalidEventError: the folder is neither, or a file in it is damaged.
+        OutputError: the page cannot be written there, or its name does not end in .html.
+    """
+    source = Path(folder)
+    target = source / NAME if path is None else Path(path)
+    if not source.is_dir():
+        raise InvalidEventError(f"{source}: no such folder")
+    of_evaluation = (source / "settings.json").is_file()
+    if not of_evaluation and not (source / POSTERIOR).is_file():
+        raise InvalidEventError(
+            f"{source} holds neither a run (it has no {POSTERIOR}) nor an evaluation (it has no "
+            "settings.json)"
+        )
+    check_output(target, (".html",))
+    if of_evaluation:
+        from phase_ppl.evaluation.report.results import results_report
+
+        text = results_report(ResultsFolder.open(source), videos=videos, progress=progress)
+    else:
+        from phase_ppl.evaluation.report.run import run_report
+
+        text = run_report(source)
+    with atomic_output(target, (".html",)) as part:
+        part.write_text(text, encoding="utf-8", newline="\n")
+    return target

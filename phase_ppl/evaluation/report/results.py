@@ -1,0 +1,186 @@
+"""The report of an evaluation: who is right, who agrees with people, and every event."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any, Final
+
+import phase_ppl
+from phase_ppl.evaluation.figures import DRAWN, TITLES
+from phase_ppl.evaluation.figures.results import NothingToDrawError, Results
+from phase_ppl.evaluation.folder import ResultsFolder, read_json
+from phase_ppl.evaluation.observers import Observer, label_of
+from phase_ppl.evaluation.report import parts
+from phase_ppl.evaluation.report.html import (
+    Child,
+    Html,
+    facts,
+    figure_of,
+    more,
+    number,
+    page,
+    rolled,
+    section,
+    table,
+    tag,
+)
+from phase_ppl.evaluation.report.videos import videos_section
+from phase_ppl.world.relations import SCENARIOS
+
+COLUMNS: Final = {
+    ("goal_accuracy",): "goals right",
+    ("goal_top3_accuracy",): "goal among the first 3",
+    ("relation_accuracy",): "relations right",
+    ("human", "goal_r"): "r with people, goals",
+    ("human", "relation_r"): "r with people, relations",
+    ("human", "relation_r_given_truth"): "r given the truth",
+    ("human", "log_score"): "log score of people's answers",
+    ("human", "js"): "Jensen-Shannon divergence",
+}
+"""Place of a figure in the metrics -> heading of its column."""
+
+ALTS: Final = {
+    "accuracy": "Bars: share of right goals and relations of everybody, over all events and by "
+    "true scenario, with 95 % intervals; the numbers are in the tables above.",
+    "confusion": "Matrices of counts: true scenario against the scenario of the goals answered.",
+    "correlation": "Bars: correlation of each model with people; the numbers are in the table.",
+    "scatter_goals": "Points: probability of a goal for a model against that for people.",
+    "scatter_relations": "Points: probability of a relation for a model against that for people.",
+    "film_strips": "Film strips: an event of every scenario, from first to last frame.",
+}
+"""Name of a figure -> what stands in its place for those who do not see it."""
+
+
+def results_report(folder: ResultsFolder, *, videos: bool = False, progress: bool = False) -> str:
+    """Return the page of an evaluation.
+
+    Args:
+        folder: of the evaluation, finished or not.
+        videos: film every event.
+        progress: show a bar over the events.
+
+    Raises:
+        InvalidEventError, UnknownNameError: a file in the folder is damaged.
+    """
+    results = Results(folder)
+    name = label_of(str(folder.settings.get("model", "model")))
+    finished = sum(folder.is_finished(event.id) for event in folder.events)
+    title = f"Evaluation of {name}"
+    stored = folder.metrics() or {}
+    cost = stored.get("cost")
+    return page(
+        title,
+        tag("h1", title),
+        tag("p", _state(folder, finished), class_="soft"),
+        section("Summary", _summary(results.measured), _by_scenario(results.measured)),
+        section("Figures", *_figures(results)),
+        _failures(folder),
+        videos_section(results, films=videos, progress=progress),
+        section(
+            "Settings and cost",
+            facts(parts.flat(cost), "Cost") if isinstance(cost, Mapping) and cost else None,
+            more("Settings", facts(parts.flat(folder.settings), "Settings")),
+            tag("p", f"phase_ppl {phase_ppl.__version__}", class_="soft"),
+        ),
+    )
+
+
+def _state(folder: ResultsFolder, finished: int) -> str:
+    n = len(folder.events)
+    words = f"{finished} of {n} events predicted"
+    if finished < n and folder.metrics() is None:
+        words += "; not finished: tables and figures are about these"
+    return f"{words}."
+
+
+def _summary(observers: Iterable[Observer]) -> Html:
+    """Return the table of everybody's metrics, without columns that nobody has."""
+    shown = list(observers)
+    used = {
+        place: heading
+        for place, heading in COLUMNS.items()
+        if any(_at(observer.metrics, place) is not None for observer in shown)
+    }
+    if not used:
+        return tag("p", "There is nothing to compare with: neither truth nor people's judgments.")
+    heads: list[Child] = ["", *used.values()]
+    rows: list[list[Child]] = []
+    for observer in shown:
+        cells: list[Child] = [_with_interval(_at(observer.metrics, place)) for place in used]
+        rows.append([parts.named(observer), *cells])
+    people = _between_people(shown)
+    return tag(
+        "div",
+        table(heads, rows, "Metrics"),
+        tag("p", "In small: 95 % intervals over resampled events. ", people, class_="soft"),
+    )
+
+
+def _between_people(observers: list[Observer]) -> str:
+    words = []
+    for name, what in (("goal_split_half_r", "goals"), ("split_half_r", "relations")):
+        for observer in observers:
+            found = _at(observer.metrics, ("human", name))
+            if found is not None:
+                words.append(f"{number(found['value'])} on {what}")
+                break
+    return f"Halves of the people correlate {' and '.join(words)}." if words else ""
+
+
+def _by_scenario(observers: Iterable[Observer]) -> Html | None:
+    """Return accuracies by true scenario, folded away."""
+    rows: list[list[Child]] = []
+    shown = list(observers)
+    for kind, word in (("goal", "goals"), ("relation", "relations")):
+        for observer in shown:
+            found = [
+                _at(observer.metrics, ("by_scenario", name, f"{kind}_accuracy"))
+                for name in SCENARIOS
+            ]
+            if any(found):
+                rows.append([parts.named(observer), word, *(_with_interval(one) for one in found)])
+    if not rows:
+        return None
+    heads: list[Child] = ["", "right", *SCENARIOS]
+    return more("By true scenario", table(heads, rows, "Accuracy by true scenario"))
+
+
+def _figures(results: Results) -> list[Html]:
+    drawn: list[Html] = []
+    left_out = []
+    for name, draw in DRAWN.items():
+        try:
+            picture = figure_of(draw(results), ALTS[name])
+        except NothingToDrawError as reason:
+            left_out.append(f"{TITLES[name]}: {reason}.")
+            continue
+        drawn += [tag("h3", TITLES[name]), tag("figure", rolled(picture, TITLES[name]))]
+    if left_out:
+        words = " ".join(left_out)
+        drawn.append(tag("p", f"Not drawn. {words}", class_="soft"))
+    return drawn
+
+
+def _failures(folder: ResultsFolder) -> Html | None:
+    source = folder.path / "failures.json"
+    found = read_json(source) if source.is_file() else {}
+    if not found:
+        return None
+    pairs = [(event, parts.in_words(what)) for event, what in found.items()]
+    return section("Failures", facts(pairs, "Events without a prediction, and why"))
+
+
+def _at(metrics: Mapping[str, Any], place: tuple[str, ...]) -> Any:
+    found: Any = metrics
+    for name in place:
+        found = found.get(name) if isinstance(found, Mapping) else None
+    return found
+
+
+def _with_interval(found: Mapping[str, Any] | None) -> Child:
+    if found is None or found.get("value") is None:
+        return number(None)
+    low, high = found.get("ci_low"), found.get("ci_high")
+    if low is None or high is None:
+        return number(found["value"])
+    return [number(found["value"]), tag("small", f"{number(low)} to {number(high)}")]

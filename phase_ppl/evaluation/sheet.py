@@ -1,0 +1,76 @@
+"""A figure that is laid out in inches from its upper left corner, as a page is."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from phase_ppl.analysis.style import INK, NORMAL, new_figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+WIDTH: Final = 7.2
+"""Inches: both columns of a journal's page."""
+
+GREY: Final = "#6b6b6b"
+
+_CHARACTER: Final = 0.69
+"""Widest mean character of a bold text, as a share of its size."""
+
+
+class Sheet:
+    """An empty figure of ``width`` x ``height`` inches."""
+
+    def __init__(self, width: float, height: float) -> None:
+        self.figure: Figure = new_figure(width, height)
+        self.width, self.height = width, height
+
+    def axes(self, left: float, top: float, width: float, height: float) -> Axes:
+        """Return new axes at a place in inches."""
+        return self.figure.add_axes(
+            (
+                left / self.width,
+                1 - (top + height) / self.height,
+                width / self.width,
+                height / self.height,
+            )
+        )
+
+    def write(
+        self,
+        x: float,
+        y: float,
+        text: str,
+        *,
+        size: float = NORMAL,
+        colour: str = INK,
+        ha: str = "left",
+        va: str = "baseline",
+        weight: str = "normal",
+    ) -> None:
+        """Write at a place in inches; nothing in ``text`` is read as mathematics."""
+        self.figure.text(
+            x / self.width,
+            1 - y / self.height,
+            text,
+            fontsize=size,
+            color=colour,
+            ha=ha,
+            va=va,
+            fontweight=weight,
+            parse_math=False,
+        )
+
+
+def fitting(text: str, width: float, most: float = NORMAL) -> float:
+    """Return the font size, points, at which ``text`` fits into ``width`` inches."""
+    return min(most, 72 * width / (_CHARACTER * max(len(text), 1)))
+
+
+def tint(colour: str, share: float) -> tuple[float, float, float]:
+    """Return ``colour`` mixed with white; ``share`` is what is kept of it."""
+    from matplotlib.colors import to_rgb
+
+    red, green, blue = (1 - share * (1 - part) for part in to_rgb(colour))
+    return red, green, blue

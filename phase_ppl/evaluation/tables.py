@@ -1,0 +1,197 @@
+"""Events, predictions and judgments as arrays over events, from which all metrics follow."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phase_ppl.evaluation.bootstrap import FloatArray
+from phase_ppl.evaluation.prediction import GOAL_QUESTIONS, QUESTIONS, Prediction
+from phase_ppl.evaluation.votes import Judgments, event_judgments
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
+from phase_ppl.world.event import Event
+from phase_ppl.world.relations import SCENARIOS
+
+IntArray = NDArray[np.int64]
+
+KINDS: Final[Mapping[str, tuple[str, ...]]] = {
+    "goal": tuple(GOAL_QUESTIONS.values()),
+    "relation": ("relation",),
+}
+"""What is measured together -> its questions."""
+
+TOP: Final = 3
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Facts:
+    """What is known about the events themselves.
+
+    Attributes:
+        truth: kind -> (event, question) index of the true answer, -1 where unknown.
+        scenario: (event,) index of the true scenario, -1 where unknown.
+        judgments: of each event.
+        people: kind -> (event, question, answer) share of people, NaN where nobody answered.
+    """
+
+    truth: Mapping[str, IntArray]
+    scenario: IntArray
+    judgments: Sequence[Judgments | None]
+    people: Mapping[str, FloatArray]
+
+    @property
+    def by_participant(self) -> bool:
+        """Whether it is known, for all events that people judged, who gave which answer."""
+        judged = [one for one in self.judgments if one is not None]
+        return bool(judged) and all(one.responses for one in judged)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Said:
+    """What a model says about the events.
+
+    Attributes:
+        right: kind -> (event, question) 1 where the answer is true, 0 where not, NaN unknown.
+        in_top: (event, agent) likewise whether the true goal is among the three most probable
+            answers and has a probability above 0.
+        probabilities: kind -> (event, question, answer), NaN where none are given.
+        scenario: (event,) index of the scenario of both goals answered, -1 where unknown.
+    """
+
+    right: Mapping[str, FloatArray]
+    in_top: FloatArray
+    probabilities: Mapping[str, FloatArray]
+    scenario: IntArray
+
+    def where_known(self, other: Said) -> Said:
+        """Return it without what is unknown of ``other``."""
+
+        def common(
+            mine: Mapping[str, FloatArray], theirs: Mapping[str, FloatArray]
+        ) -> dict[str, FloatArray]:
+            return {k: np.where(np.isnan(theirs[k]), np.nan, mine[k]) for k in mine}
+
+        return dataclasses.replace(
+            self,
+            right=common(self.right, other.right),
+            in_top=np.where(np.isnan(other.in_top), np.nan, self.in_top),
+            probabilities=common(self.probabilities, other.probabilities),
+        )
+
+
+def predicted(events: Sequence[Event], predictions: Mapping[str, Prediction]) -> list[Event]:
+    """Return the events that have a prediction.
+
+    Raises:
+        InvalidEventError: two events have the same id.
+        InvalidSettingError: a prediction is filed under another event's id.
+    """
+    ids = [event.id for event in events]
+    if len(set(ids)) < len(ids):
+        twice = next(name for name in ids if ids.count(name) > 1)
+        raise InvalidEventError(f"there are two events with the id {shown(twice)}")
+    for name, prediction in predictions.items():
+        if prediction.event_id != name:
+            raise InvalidSettingError(
+                f"the prediction for {shown(name)} is of the event {shown(prediction.event_id)}"
+            )
+    return [event for event in events if event.id in predictions]
+
+
+def facts(events: Sequence[Event]) -> Facts:
+    """Collect what is known about the events.
+
+    Raises:
+        InvalidEventError, UnknownNameError: the judgments of an event cannot be read.
+    """
+    judgments = [event_judgments(event) for event in events]
+    return Facts(
+        truth={
+            kind: _array(
+                [[_true_index(event, question) for question in questions] for event in events],
+                (len(events), len(questions)),
+            ).astype(np.int64)
+            for kind, questions in KINDS.items()
+        },
+        scenario=np.array(
+            [-1 if e.truth is None else SCENARIOS.index(e.truth.scenario) for e in events],
+            np.int64,
+        ),
+        judgments=judgments,
+        people=_distributions(
+            [
+                None if one is None else {q: one.distribution(q) for q in QUESTIONS}
+                for one in judgments
+            ]
+        ),
+    )
+
+
+def said(events: Sequence[Event], predictions: Mapping[str, Prediction]) -> Said:
+    """Collect what the predictions say about the events, each of which has one."""
+    made = [predictions[event.id] for event in events]
+
+    def asked(kind: str, check: Callable[[Event, Prediction, str], float]) -> FloatArray:
+        pairs = zip(events, made, strict=True)
+        rows = [[check(*pair, question) for question in KINDS[kind]] for pair in pairs]
+        return _array(rows, (len(events), len(KINDS[kind])))
+
+    return Said(
+        right={kind: asked(kind, _is_right) for kind in KINDS},
+        in_top=asked("goal", _is_in_top),
+        probabilities=_distributions([one.probabilities for one in made]),
+        scenario=np.array(
+            [-1 if one.scenario is None else SCENARIOS.index(one.scenario) for one in made],
+            np.int64,
+        ),
+    )
+
+
+def true_answer(event: Event, question: str) -> str | None:
+    """Return the true answer; None where the event has no truth."""
+    return None if event.truth is None else str(getattr(event.truth, question))
+
+
+def _true_index(event: Event, question: str) -> int:
+    answer = true_answer(event, question)
+    return -1 if answer is None else QUESTIONS[question].index(answer)
+
+
+def _is_right(event: Event, prediction: Prediction, question: str) -> float:
+    true = true_answer(event, question)
+    if true is None or question not in prediction.answers:
+        return np.nan
+    return float(prediction.answers[question] == true)
+
+
+def _is_in_top(event: Event, prediction: Prediction, question: str) -> float:
+    true, top = true_answer(event, question), prediction.top(question, TOP)
+    if true is None or top is None:
+        return np.nan
+    # of the answers that a sampler never met, the first in label order are no better than others
+    probability = prediction.probabilities[question][QUESTIONS[question].index(true)]
+    return float(true in top and probability > 0)
+
+
+def _distributions(
+    given: Sequence[Mapping[str, FloatArray | None] | Mapping[str, FloatArray] | None],
+) -> dict[str, FloatArray]:
+    """Return kind -> (event, question, answer) from question -> distribution per event."""
+    arrays = {}
+    for kind, questions in KINDS.items():
+        values = np.full((len(given), len(questions), len(QUESTIONS[questions[0]])), np.nan)
+        for event, of_event in enumerate(given):
+            for place, question in enumerate(questions):
+                shares = None if of_event is None else of_event.get(question)
+                if shares is not None:
+                    values[event, place] = shares
+        arrays[kind] = values
+    return arrays
+
+
+def _array(rows: Sequence[Sequence[float]], shape: tuple[int, int]) -> FloatArray:
+    return np.array(rows, np.float64).reshape(shape)

@@ -1,0 +1,240 @@
+"""What people said about one event: votes, and who gave them where that is known."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phase_ppl.evaluation.prediction import GOAL_QUESTIONS, QUESTIONS
+from phase_ppl.world.errors import InvalidEventError, PhasePPLError, shown, unknown_name
+from phase_ppl.world.event import Event
+from phase_ppl.world.goals import GOALS, goal_index
+from phase_ppl.world.names import AGENTS
+from phase_ppl.world.relations import RELATIONS
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+MAX_VOTES: Final = 10**9 - 1
+"""Most votes on one question of one event."""
+
+_COUNTS: Final = ("relation_counts", "goal_counts", "responses")
+
+_WITHOUT_VOTES: Final = ("n_raters", "majority")
+"""What may be all that is known of people: the authors' pickles have the majority only."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Judgments:
+    """People's judgments of one event. What nobody answered is absent.
+
+    Attributes:
+        counts: question -> votes for its answers, in label order.
+        n_raters: people who answered at least one question.
+        responses: participant -> question -> answer; empty where only counts are known.
+    """
+
+    counts: Mapping[str, IntArray]
+    n_raters: int
+    responses: Mapping[str, Mapping[str, str]] = dataclasses.field(default_factory=dict)
+
+    def distribution(self, question: str) -> FloatArray | None:
+        """Return the share of each answer among those given (paper, Appendix 5); None if none."""
+        if question not in self.counts:
+            return None
+        votes = self.counts[question]
+        return votes / votes.sum()
+
+    def share(self, question: str, answer: str) -> float | None:
+        """Return the share of people who gave ``answer``; None where nobody answered."""
+        shares = self.distribution(question)
+        return None if shares is None else float(shares[QUESTIONS[question].index(answer)])
+
+    def majority(self, question: str) -> str | None:
+        """Return the most frequent answer, of equals the first in label order."""
+        if question not in self.counts:
+            return None
+        return QUESTIONS[question][int(self.counts[question].argmax())]
+
+    def ties(self, question: str) -> int:
+        """Return how many answers share the most votes: 1 where it is clear, 0 unknown."""
+        if question not in self.counts:
+            return 0
+        votes = self.counts[question]
+        return int((votes == votes.max()).sum())
+
+    @classmethod
+    def of_responses(cls, responses: Mapping[str, Mapping[str, str]]) -> Judgments:
+        """Count the votes in participant -> question -> answer; who answered nothing is no rater.
+
+        Raises:
+            UnknownNameError: there is no such question or answer.
+        """
+        given = {
+            who: {question: checked_answer(question, answer) for question, answer in row.items()}
+            for who, row in responses.items()
+            if row
+        }
+        counts = {}
+        for question, labels in QUESTIONS.items():
+            votes = [labels.index(row[question]) for row in given.values() if question in row]
+            if votes:
+                counts[question] = np.bincount(votes, minlength=len(labels)).astype(np.int64)
+        return cls(counts, len(given), given)
+
+    @classmethod
+    def from_record(cls, record: Mapping[str, Any]) -> Judgments | None:
+        """Read the judgments of an event file; None where nobody judged.
+
+        Fields: ``relation_counts`` {relation: votes}, ``goal_counts`` {agent: {goal: votes}},
+        ``n_raters``, and ``responses``, a list of objects with ``participant`` and answers to the
+        questions. All are optional, answers without votes may be left out, fields of other names
+        (such as ``majority``) are not read. ``goal_counts`` are of effective goals.
+
+        Raises:
+            InvalidEventError: votes that are negative or no whole number, more votes than raters,
+                fewer raters than votes can come from, responses that contradict the counts; or
+                the record has fields, but none of those that hold votes.
+            UnknownNameError: no such agent, goal, relation or question.
+        """
+        if record and not any(name in record for name in (*_COUNTS, *_WITHOUT_VOTES)):
+            raise InvalidEventError(
+                f"has {shown(sorted(map(str, record)))}, expected one of {', '.join(_COUNTS)}"
+            )
+        counts = _counts(record)
+        listed = record.get("responses")
+        if listed is not None:
+            found = cls.of_responses(_responses(listed))
+            for question, votes in counts.items():
+                if not np.array_equal(votes, found.counts.get(question, ())):
+                    raise InvalidEventError(f"the counts of {question} contradict the responses")
+            counts = dict(found.counts)
+        totals = [int(votes.sum()) for votes in counts.values()]
+        n_raters = _n_raters(record, totals)
+        if listed is not None:
+            if n_raters not in (None, found.n_raters):
+                raise InvalidEventError(
+                    f"n_raters is {n_raters}, but {found.n_raters} people responded"
+                )
+            return found if totals else None
+        if not totals:
+            return None
+        return cls(counts, max(totals) if n_raters is None else n_raters)
+
+    def to_record(self) -> dict[str, Any]:
+        """Return it as plain data, fit for JSON; :meth:`from_record` gives it back."""
+        record: dict[str, Any] = {"n_raters": self.n_raters}
+        if "relation" in self.counts:
+            votes = self.counts["relation"].tolist()
+            record["relation_counts"] = dict(zip(RELATIONS, votes, strict=True))
+        goals = {
+            agent: {
+                goal: n for goal, n in zip(GOALS, self.counts[question].tolist(), strict=True) if n
+            }
+            for agent, question in GOAL_QUESTIONS.items()
+            if question in self.counts
+        }
+        if goals:
+            record["goal_counts"] = goals
+        if self.responses:
+            record["responses"] = [
+                {"participant": who, **row} for who, row in self.responses.items()
+            ]
+        return record
+
+
+def event_judgments(event: Event) -> Judgments | None:
+    """Return the judgments that an event carries; None where there are none.
+
+    Raises:
+        InvalidEventError, UnknownNameError: as for :meth:`Judgments.from_record`; the message
+            begins with the event.
+    """
+    if event.judgments is None:
+        return None
+    try:
+        return Judgments.from_record(event.judgments)
+    except PhasePPLError as error:
+        raise type(error)(f"event {event.id}: judgments: {error}") from None
+
+
+def checked_answer(question: str, answer: object) -> str:
+    """Return ``answer`` as the labels of ``question`` spell it; case and spaces do not matter.
+
+    Raises:
+        UnknownNameError: there is no such question or answer; the message names close matches.
+    """
+    if question not in QUESTIONS:
+        raise unknown_name("question", question, QUESTIONS)
+    if question != "relation":
+        return GOALS[goal_index(str(answer))]
+    relation = str(answer).strip().lower()
+    if relation not in RELATIONS:
+        raise unknown_name("relation", answer, RELATIONS)
+    return relation
+
+
+def _counts(record: Mapping[str, Any]) -> dict[str, IntArray]:
+    given: dict[str, object] = {}
+    goals = record.get("goal_counts")
+    if goals is not None:
+        for agent in _mapping("goal_counts", goals):
+            if agent not in AGENTS:
+                raise unknown_name("agent in goal_counts", agent, AGENTS)
+        given = {GOAL_QUESTIONS[agent]: votes for agent, votes in goals.items()}
+    given["relation"] = record.get("relation_counts")
+    counts = {}
+    for question, votes in given.items():
+        if votes is not None:
+            values = np.zeros(len(QUESTIONS[question]), np.int64)
+            for answer, n in _mapping(f"the counts of {question}", votes).items():
+                place = QUESTIONS[question].index(checked_answer(question, answer))
+                values[place] += _votes(f"{question}: {answer!r}", n)
+            if values.sum() > MAX_VOTES:
+                raise InvalidEventError(f"{question} has more than {MAX_VOTES} votes")
+            if values.any():
+                counts[question] = values
+    return counts
+
+
+def _n_raters(record: Mapping[str, Any], totals: Sequence[int]) -> int | None:
+    if record.get("n_raters") is None:
+        return None
+    number = _votes("n_raters", record["n_raters"])
+    for total in totals:
+        if total > number:
+            raise InvalidEventError(f"n_raters is {number}, but a question has {total} votes")
+    if number > sum(totals):
+        raise InvalidEventError(f"n_raters is {number}, but there are {sum(totals)} votes in all")
+    return number
+
+
+def _responses(listed: object) -> dict[str, dict[str, str]]:
+    if not isinstance(listed, list):
+        raise InvalidEventError(f"responses is {shown(listed)}, expected a list")
+    rows: dict[str, dict[str, str]] = {}
+    for index, entry in enumerate(listed):
+        row = dict(_mapping(f"responses[{index}]", entry))
+        who = row.pop("participant", None)
+        if not isinstance(who, str) or not who.strip():
+            raise InvalidEventError(f"responses[{index}] has the participant {shown(who)}")
+        if who in rows:
+            raise InvalidEventError(f"responses names the participant {shown(who)} twice")
+        rows[who] = {question: answer for question, answer in row.items() if answer is not None}
+    return rows
+
+
+def _mapping(name: str, value: object) -> Mapping[str, Any]:
+    if not isinstance(value, Mapping):
+        raise InvalidEventError(f"{name} is {shown(value)}, expected an object")
+    return value
+
+
+def _votes(name: str, value: object) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= MAX_VOTES:
+        raise InvalidEventError(f"{name} has {shown(value)}, expected a number of people")
+    return value

@@ -1,0 +1,217 @@
+"""Monte-Carlo errors: how they print, and that they are as large as runs differ."""
+
+from __future__ import annotations
+
+import json
+import math
+import pickle
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from phase_ppl.analysis import Posterior
+from phase_ppl.analysis.estimate import Estimate, Mode, sets_to_leave_out
+from phase_ppl.world.goals import GOALS
+
+from .factory import BLUE_TO_RED, PINK_TO_BLUE, Simulation, hypothesis, make_tree, random_tree
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "printed"),
+    [
+        (0.8312, 0.041, "0.83 ± 0.04"),
+        (0.8312, 0.0123, "0.831 ± 0.012"),
+        (0.75, 0.25, "0.75 ± 0.25"),
+        (0.75, 0.36, "0.8 ± 0.4"),
+        (442.3, 8.6, "442 ± 9"),
+        (442.3, 14.2, "442 ± 14"),
+        (442.3, 140.0, "442 ± 140"),
+        (1.0, 0.0, "1 ± 0"),
+        (0.25, math.nan, "0.25 ± ?"),
+        (0.99999, 2e-7, "1 ± 2e-07"),
+        (0.0000375, 4e-5, "4e-05 ± 4e-05"),
+        (0.0, 4e-5, "0 ± 4e-05"),
+        (0.5, 0.0999, "0.50 ± 0.10"),
+    ],
+)
+def test_an_estimate_prints_with_the_digits_that_are_certain(
+    value: float, error: float, printed: str
+) -> None:
+    assert str(Estimate(value, error)) == printed
+    assert f"{Estimate(value, error)}" == printed
+
+
+def test_an_estimate_is_a_float_in_all_else() -> None:
+    estimate = Estimate(0.25, 0.1)
+    assert estimate == 0.25
+    assert f"{estimate:.1%}" == "25.0%"
+    assert json.dumps([estimate]) == "[0.25]"
+    assert type(estimate + 1) is float
+    assert np.array([estimate]).dtype == float
+    copied = pickle.loads(pickle.dumps(estimate))
+    assert (copied, copied.error) == (0.25, 0.1)
+    label = pickle.loads(pickle.dumps(Mode("friendly", 0.1)))
+    assert (label, label.error) == ("friendly", 0.1)
+
+
+def test_with_single_chains_left_out_the_error_of_a_mean_is_sd_over_root_n() -> None:
+    strengths = [200.0, 260.0, 320.0, 500.0]
+    simulations = [Simulation(hypothesis(strengths=(s, 300)), i) for i, s in enumerate(strengths)]
+    post = Posterior(make_tree(simulations, [[i] for i in range(4)]))
+    assert post.mean("strength_red").error == pytest.approx(np.std(strengths, ddof=1) / 2)
+    indicator = np.std([1, 1, 0, 0], ddof=1) / 2
+    assert post.probability(strength_red=(0, 300)).error == pytest.approx(indicator)
+    assert post.mean("strength_green").error == 0
+
+
+def test_one_chain_knows_no_error() -> None:
+    post = Posterior(random_tree(1, n_chains=1))
+    results = [
+        post.probability(relation="neutral"),
+        post.mode("goal_red"),
+        post.top("goal_red")[0][1],
+        *(post.entropy("goal_red"), post.mean("strength_red"), post.sd("strength_red")),
+    ]
+    assert all(math.isnan(result.error) for result in results)
+    for table in (post.marginal("relation"), post.hdi("strength_red")):
+        assert np.isnan(table.error).all()
+
+
+def test_no_error_is_known_where_a_single_chain_meets_the_condition() -> None:
+    simulations = [Simulation(hypothesis(BLUE_TO_RED)), Simulation(hypothesis(PINK_TO_BLUE), 1)]
+    post = Posterior(make_tree(simulations, [[0, 0], [0, 0], [0, 1]]))
+    alone = post.probability({"goal_red": PINK_TO_BLUE}, relation="friendly")
+    assert math.isnan(alone.error)
+    assert np.isnan(post.marginal("relation", given={"goal_red": PINK_TO_BLUE}).error).all()
+    assert post.probability({"goal_red": BLUE_TO_RED}, relation="friendly").error == 0
+
+
+def test_all_questions_about_a_label_have_the_same_error() -> None:
+    post = Posterior(random_tree(3, n_chains=6))
+    label, estimate = post.top("goal_red")[0]
+    assert estimate.error == pytest.approx(post.probability(goal_red=label).error)
+    assert estimate.error == pytest.approx(
+        float(post.marginal("goal_red").error.sel(goal_red=label))
+    )
+    joint = post.joint("goal_red", "relation")
+    asked = post.probability(goal_red=label, relation="neutral").error
+    assert asked == pytest.approx(float(joint.error.sel(goal_red=label, relation="neutral")))
+
+
+def test_the_mode_doubts_itself_by_half_in_a_tie_and_not_at_all_where_all_agree() -> None:
+    simulations = [Simulation(hypothesis(g), i) for i, g in enumerate((2, 5))]
+    tied = Posterior(make_tree(simulations, [[0], [0], [1], [1]])).mode("goal_red")
+    assert (tied, tied.error) == (GOALS[2], 0.5)
+    agreed = Posterior(make_tree(simulations, [[1], [1], [1]])).mode("goal_red")
+    assert (agreed, agreed.error) == (GOALS[5], 0)
+    # of 8 chains 6 lead: the difference 0.5 has the error 2 sd / sqrt(8), sd^2 = 6 / 28
+    leads = Posterior(make_tree(simulations, [[0]] * 6 + [[1]] * 2)).mode("goal_red")
+    z = 0.5 / (2 * math.sqrt(6 / 28) / math.sqrt(8))
+    assert leads.error == pytest.approx(0.5 * math.erfc(z / math.sqrt(2)))
+
+
+def test_more_chains_than_can_be_left_out_singly_are_left_out_in_groups() -> None:
+    simulations = [Simulation(hypothesis(strengths=(200.0 + i, 300)), i) for i in range(320)]
+    post = Posterior(
+        make_tree(simulations, [[i] for i in np.random.default_rng(0).permutation(320)])
+    )
+    expected = np.std(np.arange(320), ddof=1) / math.sqrt(320)
+    assert post.mean("strength_red").error == pytest.approx(expected, rel=0.3)
+
+
+@pytest.mark.parametrize("n", [2, 3, 5, 6, 15, 32])
+def test_random_sets_leave_out_a_third(n: int) -> None:
+    sets, factor = sets_to_leave_out(n, 1 / 3)
+    sizes = set(sets.sum(axis=1).tolist())
+    assert sizes == {max(1, n // 3)}
+    assert factor == (n - max(1, n // 3)) / max(1, n // 3)
+
+
+# --- errors against repetitions -----------------------------------------------------------------
+
+STATISTICS: dict[str, Callable[[Posterior], tuple[float, float]]] = {
+    "probability": lambda post: pair(post.probability(relation="friendly")),
+    "conditional": lambda post: pair(
+        post.probability({"goal_red": GOALS[5]}, strength_red=(0, 350))
+    ),
+    "marginal": lambda post: pair(post.top("goal_red", 3)[0][1]),
+    "entropy": lambda post: pair(post.entropy("goal_red", "goal_green")),
+    "mean": lambda post: pair(post.mean("strength_red")),
+    "sd": lambda post: pair(post.sd("strength_red")),
+    "lower end": lambda post: end(post, 0),
+    "upper end": lambda post: end(post, 1),
+}
+
+
+def pair(estimate: Estimate) -> tuple[float, float]:
+    return float(estimate), estimate.error
+
+
+def end(post: Posterior, which: int) -> tuple[float, float]:
+    found = post.hdi("strength_red", 0.8)
+    return float(found[which]), float(found.error[which])
+
+
+def sticky_chains(rng: np.random.Generator) -> Posterior:
+    """15 chains of 6 draws that often stay where they are."""
+    simulations: list[Simulation] = []
+    draws: list[list[int]] = []
+    for _ in range(15):
+        row: list[int] = []
+        for _ in range(6):
+            if row and rng.random() < 0.6:
+                row.append(row[-1])
+                continue
+            goal = int(rng.choice([2, 5, 9], p=[0.5, 0.35, 0.15]))
+            green = goal if rng.random() < 0.4 else 12
+            strength = float(rng.normal(300 + 10 * goal, 60))
+            row.append(len(simulations))
+            simulations.append(Simulation(hypothesis(goal, green, strengths=(strength, 300))))
+        draws.append(row)
+    return Posterior(make_tree(simulations, draws, n_frames=2))
+
+
+@pytest.fixture(scope="module")
+def repetitions() -> Sequence[Posterior]:
+    rng = np.random.default_rng(0)
+    return [sticky_chains(rng) for _ in range(80)]
+
+
+@pytest.mark.parametrize("name", STATISTICS)
+def test_errors_of_equal_draws_are_as_large_as_runs_differ(
+    repetitions: Sequence[Posterior], name: str
+) -> None:
+    results = np.array([STATISTICS[name](post) for post in repetitions])
+    check(results, least=0.75, most=1.35)
+
+
+def check(results: NDArray[np.float64], least: float, most: float) -> None:
+    """Compare the errors (repetition, [value, error]) with the spread of the values."""
+    ratio = math.sqrt((results[:, 1] ** 2).mean()) / results[:, 0].std()
+    assert least < ratio < most
+
+
+def test_errors_under_weights_visited_are_as_large_as_runs_differ() -> None:
+    """Chains try three pairs of goals at random, with noisy likelihoods, and stop some early."""
+    rng = np.random.default_rng(1)
+    results = []
+    for _ in range(80):
+        simulations = []
+        for chain in range(15):
+            for _ in range(7):
+                goal = int(rng.choice([2, 5, 9]))
+                simulations.append(
+                    Simulation(
+                        hypothesis(goal, 12),
+                        seed=len(simulations),
+                        log_likelihood=float(rng.normal(-goal / 5, 0.5)),
+                        completed=bool(rng.random() < 0.9),
+                        chain=chain,
+                    )
+                )
+        simulations[0] = Simulation(hypothesis(2, 12), seed=0)
+        tree = make_tree(simulations, [[0]] * 15, n_frames=2)
+        results.append(pair(Posterior(tree, "visited").probability(goal_red=GOALS[2])))
+    check(np.array(results), least=0.75, most=1.35)

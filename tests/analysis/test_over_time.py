@@ -1,0 +1,153 @@
+"""The posterior over time: by hand, against weights "visited", and what later frames can change."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from matplotlib.figure import Figure
+
+from phase_ppl.analysis import Posterior, plots
+from phase_ppl.analysis.over_time import FOLLOWED
+from phase_ppl.analysis.weights import aborted_mass_bound
+from phase_ppl.world.errors import InvalidEventError
+
+from .factory import (
+    BLUE_TO_RED,
+    PINK_TO_BLUE,
+    TO_GREEN,
+    TO_RED,
+    Simulation,
+    hypothesis,
+    make_tree,
+    random_tree,
+)
+
+
+def tree_by_frame(seed: int = 0) -> xr.DataTree:
+    """Return a random tree with a likelihood for each frame, which add up."""
+    tree = random_tree(seed)
+    rng = np.random.default_rng(seed)
+    simulations = tree["simulations"].dataset
+    by_frame = np.full(
+        (simulations.sizes["simulation"], tree["observed_data"].sizes["time"]), np.nan
+    )
+    for row, (total, frames) in enumerate(
+        zip(
+            simulations["log_likelihood"].values,
+            simulations["frames_simulated"].values,
+            strict=True,
+        )
+    ):
+        by_frame[row, :frames] = total * rng.dirichlet(np.ones(frames))
+    tree["simulations"]["step_log_likelihood"] = xr.DataArray(by_frame, dims=("simulation", "time"))
+    return tree
+
+
+def test_prefixes_worked_out_by_hand() -> None:
+    one, other = hypothesis(BLUE_TO_RED, PINK_TO_BLUE), hypothesis(TO_GREEN, TO_RED)
+    by_frame = np.array([[-1, -1, -1], [0, -2, -4], [-1, -1, np.nan]], float)
+    simulations = [
+        Simulation(one, 0, np.log(0.6), -3.0),
+        Simulation(other, 1, np.log(0.4), -6.0),
+        Simulation(other, 2, np.log(0.4), -2.0, completed=False, frames=2),
+    ]
+    tree = make_tree(simulations, [[0, 1]], n_frames=3, by_frame=by_frame)
+    found = Posterior(tree).over_time()
+    mass_one = 0.6 * np.exp([-1.0, -2.0, -3.0])
+    # the mean of its two simulations; the second is stopped before the last frame
+    mass_other = 0.4 * (np.exp([0.0, -2.0, -6.0]) + np.exp([-1.0, -2.0, -np.inf])) / 2
+    expected = mass_one / (mass_one + mass_other)
+    np.testing.assert_allclose(found["goal_red"].sel(goal_red_is=BLUE_TO_RED), expected)
+    np.testing.assert_allclose(found["goal_green"].sel(goal_green_is=PINK_TO_BLUE), expected)
+    np.testing.assert_allclose(found["relation"].sel(relation_is="neutral"), expected)
+    np.testing.assert_allclose(found["scenario"].sel(scenario_is="collaborative"), 1 - expected)
+    hidden = 0.2 * np.exp(-2)
+    everything = mass_one[-1] + mass_other[-1] + hidden
+    np.testing.assert_allclose(found["aborted_mass_bound"], [0, 0, hidden / everything])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_at_the_last_frame_it_is_the_posterior_of_the_visited(seed: int) -> None:
+    tree = tree_by_frame(seed)
+    # the same simulation again, as when two particles ask for it, counts once
+    first = np.append(np.arange(tree["simulations"].sizes["simulation"]), 0)
+    tree["simulations"] = tree["simulations"].isel(simulation=first)
+    found, post = Posterior(tree).over_time(), Posterior(tree, "visited")
+    for name in FOLLOWED:
+        np.testing.assert_allclose(found[name].isel(time=-1), post.marginal(name), atol=1e-12)
+        np.testing.assert_allclose(found[name].sum(f"{name}_is"), 1)
+    bound = found["aborted_mass_bound"].values
+    assert bound[-1] == pytest.approx(aborted_mass_bound(tree))
+    assert bound[0] == 0 < bound[-1]
+
+
+def test_later_frames_change_nothing_before_them() -> None:
+    tree = tree_by_frame()
+    before = Posterior(tree).over_time()
+    later = tree["simulations"]["step_log_likelihood"].copy()
+    later[:, 5:] += np.random.default_rng(1).normal(size=later[:, 5:].shape)
+    tree["simulations"]["step_log_likelihood"] = later
+    after = Posterior(tree).over_time()
+    for name in FOLLOWED:
+        np.testing.assert_array_equal(before[name][:5], after[name][:5])
+        assert not np.allclose(before[name][5:], after[name][5:])
+
+
+def test_a_failed_simulation_counts_for_nothing() -> None:
+    simulations = [
+        Simulation(hypothesis(BLUE_TO_RED), 0),
+        Simulation(hypothesis(PINK_TO_BLUE), 1, 0.0, -np.inf, False, True, 2),
+    ]
+    by_frame = np.zeros((2, 5))
+    by_frame[1, 2:] = np.nan
+    found = Posterior(make_tree(simulations, [[0]], by_frame=by_frame)).over_time()
+    np.testing.assert_array_equal(found["goal_red"].sel(goal_red_is=BLUE_TO_RED), 1)
+
+
+def test_it_says_that_it_is_hindsight_and_in_which_units_time_is() -> None:
+    tree = tree_by_frame()
+    found = Posterior(tree).over_time()
+    assert "proposed from the whole video" in found.attrs["hindsight"]
+    assert found["time"].attrs["units"] == "s"
+    np.testing.assert_array_equal(found["time"], tree["observed_data"]["time"])
+
+
+def test_a_users_scenario_is_followed() -> None:
+    found = Posterior(tree_by_frame(), scenario=lambda red, green: "opposing").over_time()
+    np.testing.assert_allclose(found["relation"].sel(relation_is="adversarial"), 1)
+
+
+def test_a_file_without_the_likelihood_of_each_frame_is_refused() -> None:
+    with pytest.raises(InvalidEventError, match="step_log_likelihood"):
+        Posterior(random_tree()).over_time()
+
+
+def test_it_survives_the_file(tmp_path: Path) -> None:
+    post = Posterior(tree_by_frame())
+    again = Posterior.load(post.save(tmp_path / "a b.nc")).over_time()
+    xr.testing.assert_equal(again, post.over_time())
+
+
+def test_likelihoods_of_another_shape_are_named() -> None:
+    tree = tree_by_frame()
+    renamed = tree["simulations"]["step_log_likelihood"].rename(time="frame")
+    tree["simulations"]["step_log_likelihood"] = renamed
+    with pytest.raises(InvalidEventError, match="simulations/step_log_likelihood has dimensions"):
+        Posterior(tree)
+
+
+def test_the_figure_draws_what_is_probable_and_names_it(tmp_path: Path) -> None:
+    post = Posterior(tree_by_frame())
+    figure = plots.over_time(post, tmp_path / "over time.png")
+    assert (tmp_path / "over time.png").read_bytes().startswith(b"\x89PNG")
+    assert "Hindsight" in figure.texts[1].get_text()
+    assert drawn(figure, 2) == {"friendly", "neutral", "adversarial"}
+    peak = post.over_time()["goal_red"].max("time").to_series()
+    assert drawn(figure, 0) - {"all other goals"} == set(peak.nlargest(5)[lambda p: p >= 0.1].index)
+
+
+def drawn(figure: Figure, panel: int) -> set[str]:
+    return {text.get_text() for text in figure.axes[panel].texts}

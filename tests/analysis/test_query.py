@@ -1,0 +1,292 @@
+"""Questions in words: what they mean, and that wrong ones point at the place."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import pickle
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from phase_ppl.analysis import Posterior
+from phase_ppl.world.errors import QueryError
+
+from .factory import (
+    BLUE_TO_RED,
+    PINK_TO_BLUE,
+    TO_GREEN,
+    Simulation,
+    hypothesis,
+    make_tree,
+    random_tree,
+)
+
+
+@pytest.fixture(scope="module")
+def small() -> Posterior:
+    simulations = [
+        Simulation(hypothesis(BLUE_TO_RED, BLUE_TO_RED, strengths=(200, 300)), 0),
+        Simulation(hypothesis(PINK_TO_BLUE, BLUE_TO_RED, (1, 0), strengths=(250, 300)), 1),
+        Simulation(hypothesis(TO_GREEN, PINK_TO_BLUE, strengths=(400, 300)), 2),
+        Simulation(hypothesis(BLUE_TO_RED, PINK_TO_BLUE, strengths=(600, 300)), 3),
+    ]
+    post = Posterior(make_tree(simulations, [[0, 1], [2, 3]]))
+    post.define("same_goal", lambda h: h.goal_red == h.goal_green)
+    return post.define("mood", lambda h: "keen, or not" if h.same_goal else "it's = {fine}")
+
+
+@pytest.mark.parametrize(
+    ("question", "answer"),
+    [
+        ("P(relation=friendly)", 1 / 2),
+        ("P(relation=friendly | goal_red=Get blue item to red lm)", 2 / 3),
+        ("  p [ relation = FRIENDLY|goal_red=get  BLUE item to red lm ] ", 2 / 3),
+        ("P relation=friendly", 1 / 2),
+        ("P(relation != friendly)", 1 / 2),
+        ("P(relation in {friendly, neutral})", 1.0),
+        ("P(relation=friendly, alpha=(1, 0))", 1 / 4),
+        ("P(alpha in {(1,0), (0, 1)})", 1 / 4),
+        ("P(strength_red > 250)", 1 / 2),
+        ("P(strength_red >= 250)", 3 / 4),
+        ("P(strength_red < 250)", 1 / 4),
+        ("P(strength_red <= 2.5e2)", 1 / 2),
+        ("P(strength_red in [250, 400])", 1 / 2),
+        ("P(strength_red > 200, strength_red < 600)", 1 / 2),
+        ("P(strength_red in [-1, .5])", 0.0),
+        ("P(same_goal = true | relation = friendly)", 1.0),
+        ("P(same_goal > 0)", 1 / 2),
+        ("P(mood = 'keen, or not')", 1 / 2),
+        ('P("mood" = "it\'s = {fine}")', 1 / 2),
+        ("E[strength_red]", 362.5),
+        ("E[strength_red | relation=friendly]", 225.0),
+        ("E same_goal", 1 / 2),
+        ("sd(strength_green)", 0.0),
+        ("H(same_goal)", math.log(2)),
+        ("H(same_goal, strength_red)", None),
+    ],
+)
+def test_numbers(small: Posterior, question: str, answer: float | None) -> None:
+    if answer is None:
+        with pytest.raises(QueryError, match="real number"):
+            small.query(question)
+    else:
+        assert small.query(question) == pytest.approx(answer)
+
+
+def test_tables_labels_and_intervals(small: Posterior) -> None:
+    xr.testing.assert_identical(small.query("P(goal_red)"), small.marginal("goal_red"))
+    joint = small.query("P goal_red, relation | strength_red < 500")
+    expected = small.joint("goal_red", "relation", given={"strength_red": (0, 499)})
+    xr.testing.assert_identical(joint, expected)
+    assert small.query("mode(goal_red)") == BLUE_TO_RED
+    assert small.query("top goal_red") == small.top("goal_red")
+    assert small.query("top 1 (relation | strength_red > 300)") == [("neutral", 1.0)]
+    assert small.query("hdi 50% strength_red").values.tolist() == [200, 250]
+    assert small.query("hdi 0.5 (strength_red)").values.tolist() == [200, 250]
+    assert small.query("hdi strength_red").values.tolist() == [200, 600]
+
+
+WRONG = {
+    "": (0, "expected one of P, E, sd"),
+    "   ": (3, "expected one of P, E, sd"),
+    "relation=friendly": (0, "expected one of P"),
+    "P": (1, "the name of a quantity"),
+    "P()": (2, "the name of a quantity"),
+    "P(relation=)": (11, "a value of 'relation'"),
+    "P(relation=friendly": (19, "',' or '|' or ')'"),
+    "P(relation=friendly]": (19, "')'"),
+    "P[relation=friendly)": (19, "']'"),
+    "P(relation=friendly))": (20, "the end"),
+    "P(relation=friendly) x": (21, "the end"),
+    "P relation=friendly)": (19, "',' or '|' or the end"),
+    "P(relation=freindly)": (11, "did you mean 'friendly'"),
+    "P(relatoin=friendly)": (2, "did you mean 'relation'"),
+    "P(relation~friendly)": (10, "',' or '|' or ')'"),
+    "P(relation=friendly goal_red=x)": (28, "',' or '|' or ')'"),
+    "P(relation=friendly, goal_red)": (29, "=, !=, <"),
+    "P(goal_red, relation=friendly)": (20, "names only or conditions only"),
+    "P(goal_red, goal_red)": (12, "named twice"),
+    "P(relation=friendly | )": (22, "the name of a quantity"),
+    "P(relation=friendly | goal_red)": (30, "=, !=, <"),
+    "P(relation=friendly | alpha=(1,0) | x)": (34, "',' or ')'"),
+    "P(relation in friendly)": (14, "{ and labels"),
+    "P(relation in {friendly)": (23, "',' or '}'"),
+    "P(relation in {})": (15, "a value of 'relation'"),
+    "P(relation < 3)": (11, "has categories"),
+    "P(relation=friendly, relation=neutral)": (21, "no value of relation"),
+    "P(alpha=(1, 0)": (14, "')'"),
+    "P(alpha=(1, 0": (13, "')'"),
+    "P(strength_red=300)": (14, "is a real number"),
+    "P(strength_red in {300})": (15, "is a real number"),
+    "P(strength_red)": (2, "without categories"),
+    "P(strength_red < )": (17, "a number"),
+    "P(strength_red < 1e999)": (17, "a finite number"),
+    "P(strength_red in [400, 300])": (19, "lower end comes first"),
+    "P(strength_red in [400])": (22, "','"),
+    "P(strength_red > 400, strength_red < 300)": (22, "no value of strength_red"),
+    "P(mood='keen)": (13, "a closing '"),
+    "P(relation=friendly | goal_red=Get pink item to red lm)": (22, "probability 0"),
+    "E(goal_red)": (2, "has categories"),
+    "E[strength_red, strength_green]": (14, "'|' or ']'"),
+    "hdi 94 strength_red": (4, "a share in (0, 1]"),
+    "hdi 0% strength_red": (4, "a share in (0, 1]"),
+    "hdi(goal_red)": (4, "has categories"),
+    "top 0 goal_red": (4, "a whole number from 1"),
+    "top 2.5 goal_red": (4, "a whole number from 1"),
+    "top (strength_red)": (5, "without categories"),
+    "mode 3 goal_red": (5, "the name of a quantity"),
+    "((((((((((": (0, "expected one of P"),
+    "P((relation=friendly))": (2, "the name of a quantity"),
+    "P(goal_red,goal_green,stated_goal_red,stated_goal_green,alpha,relation)": (2, "at most"),
+}
+
+
+@pytest.mark.parametrize("question", WRONG)
+def test_a_wrong_question_points_at_the_place_and_says_what_is_expected(
+    small: Posterior, question: str
+) -> None:
+    place, said = WRONG[question]
+    with pytest.raises(QueryError) as caught:
+        small.query(question)
+    assert said in caught.value.reason
+    assert caught.value.position == place
+    reason, line, caret = str(caught.value).split("\n")
+    assert reason == caught.value.reason
+    assert line == "  " + question
+    assert caret == " " * (2 + place) + "^"
+    assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "question",
+    [
+        "P(" * 50_000,
+        "P(relation in {" + "friendly, " * 800 + "freindly})",
+        "P(relation=\x00\x1b[31m\n\r\tfriendly)",
+        "P(relation=" + "a" * 9_000 + ")",
+        "top " + "9" * 9_000 + " goal_red",
+        "P(\u202erelation)",
+        "P(relation='" + "\n" * 500,
+        "\ud800",
+    ],
+    ids=range(8),
+)
+def test_hostile_questions_get_one_short_clear_error(small: Posterior, question: str) -> None:
+    with pytest.raises(QueryError) as caught:
+        small.query(question)
+    lines = str(caught.value).split("\n")
+    assert len(lines) == 3
+    assert all(len(line) < 250 for line in lines)
+    assert all(character.isprintable() for line in lines for character in line)
+
+
+def test_a_question_is_text(small: Posterior) -> None:
+    with pytest.raises(QueryError, match="a question is text, not 3"):
+        small.query(3)  # type: ignore[arg-type]
+
+
+# --- any question ------------------------------------------------------------------------------
+
+POST = Posterior(random_tree(5, n_chains=5))
+CATEGORICAL = [name for name, labels in POST.quantities.items() if labels is not None]
+REAL = ["strength_red", "strength_green"]
+
+spaces = st.sampled_from(["", " ", "  "])
+
+
+@st.composite
+def conditions(draw: st.DrawFn) -> tuple[str, dict[str, Any]]:
+    """Return conditions as text, and as the mapping that says the same."""
+    texts, wanted = [], {}
+    names = draw(st.lists(st.sampled_from(CATEGORICAL + REAL), min_size=1, max_size=3, unique=True))
+    for name in names:
+        labels = POST.quantities[name]
+        if labels is None:
+            low, high = sorted(draw(st.tuples(*[st.integers(100, 700)] * 2)))
+            kind = draw(st.sampled_from(["in", "<=", ">="]))
+            ends = {"in": (low, high), "<=": (-math.inf, high), ">=": (low, math.inf)}
+            wanted[name] = ends[kind]
+            written = [f"[{low},{draw(spaces)}{high}]", str(high), str(low)]
+            number = dict(zip(ends, written, strict=True))[kind]
+        else:
+            chosen = draw(st.lists(st.sampled_from(labels), min_size=1, max_size=4, unique=True))
+            written = [draw(spelled(label)) for label in chosen]
+            kind = draw(st.sampled_from(["=", "!=", "in"]))
+            wanted[name] = {
+                "=": chosen[:1],
+                "!=": [label for label in labels if label != chosen[0]],
+                "in": chosen,
+            }[kind]
+            number = "{" + ", ".join(written) + "}" if kind == "in" else written[0]
+        texts.append(f"{name} {kind}{draw(spaces)}{number}")
+    return f"{draw(spaces)},".join(texts), wanted
+
+
+@st.composite
+def spelled(draw: st.DrawFn, label: str) -> str:
+    """Return a label in some case, spacing and quotes."""
+    text = draw(st.sampled_from([label, label.upper(), label.replace(" ", "  ")]))
+    quote = draw(st.sampled_from(["", "'", '"']))
+    return f"{quote}{text}{quote}"
+
+
+def outcome(ask: Any) -> Any:
+    """Return the answer as comparable data, or that there is none."""
+    try:
+        found = ask()
+    except ValueError:
+        return "error"
+    if isinstance(found, xr.DataArray):
+        return found.dims, found.values.tolist(), np.nan_to_num(found.error.values, nan=-1).tolist()
+    if isinstance(found, list):
+        return [(label, *outcome(lambda p=p: p)) for label, p in found]
+    return found, "unknown" if math.isnan(found.error) else found.error
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.data(), conditions(), st.none() | conditions())
+def test_any_valid_question_is_answered_as_by_its_method(
+    data: st.DataObject, event: tuple[str, dict[str, Any]], condition: Any
+) -> None:
+    text, given = condition or ("", None)
+    bar = f"| {text}" if condition else ""
+    name, real = data.draw(st.sampled_from(CATEGORICAL)), data.draw(st.sampled_from(REAL))
+    question, ask = data.draw(
+        st.sampled_from(
+            [
+                (f"P({event[0]}{bar})", lambda: POST.probability(given, **event[1])),
+                (f"P({name} {bar})", lambda: POST.marginal(name, given=given)),
+                (f"H {name}, relation {bar}", lambda: POST.entropy(name, "relation", given=given))
+                if name != "relation"
+                else (f"H[{name}{bar}]", lambda: POST.entropy(name, given=given)),
+                (f"E[{real}{bar}]", lambda: POST.mean(real, given=given)),
+                (f"sd {real}{bar}", lambda: POST.sd(real, given=given)),
+                (f"hdi 80%({real}{bar})", lambda: POST.hdi(real, 0.8, given=given)),
+                (f"MODE({name}{bar})", lambda: POST.mode(name, given=given)),
+                (f"top 2 {name}{bar}", lambda: POST.top(name, 2, given=given)),
+            ]
+        )
+    )
+    assert outcome(lambda: POST.query(question)) == outcome(ask)
+
+
+PIECES = st.sampled_from(
+    [
+        *("P", "E", "H", "top", "hdi", "mode", "in", "(", ")", "[", "]", "{", "}", ",", "|"),
+        *("=", "!=", "<", ">=", "3", "50%", "'", '"', ".", " ", "\n", "\x00"),
+        *("relation", "friendly", "goal_red", "strength_red", "alpha", "(1, 0)", "to red lm"),
+    ]
+)
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.text(max_size=60) | st.lists(PIECES, max_size=14).map("".join))
+def test_whatever_is_asked_only_a_question_error_is_raised(text: str) -> None:
+    for question in (text, "P(" + text, "P(goal_red|" + text + ")"):
+        with contextlib.suppress(QueryError):
+            POST.query(question)

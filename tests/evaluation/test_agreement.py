@@ -1,0 +1,255 @@
+"""Agreement of models with people's answers, and of people with each other."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.distance import jensenshannon
+from scipy.stats import entropy, pearsonr
+
+from phase_ppl.evaluation import agreement
+from phase_ppl.evaluation.bootstrap import correlation, resampled
+from phase_ppl.evaluation.metrics import evaluate_predictions, paired_difference
+from phase_ppl.evaluation.prediction import Prediction
+from phase_ppl.evaluation.votes import Judgments
+from phase_ppl.world.event import Event
+from phase_ppl.world.goals import GOALS
+from tests.evaluation.judged import (
+    BLUE_TO_GREEN,
+    BLUE_TO_RED,
+    COLLABORATIVE,
+    COMPETING,
+    INDEPENDENT,
+    OPPOSING,
+    PINK_TO_BLUE,
+    by_id,
+    make_event,
+    shares,
+)
+
+VOTES = [[8, 2, 0], [4, 4, 2], [1, 0, 9], [0, 5, 5], [10, 0, 0], [3, 1, 6]]
+MODEL = [[0.9, 0.1, 0], [0.5, 0.2, 0.3], [0, 0, 1], [0.3, 0.3, 0.4], [0.6, 0.4, 0], [0.2, 0, 0.8]]
+TRUTH = [COLLABORATIVE, COLLABORATIVE, COMPETING, INDEPENDENT, COLLABORATIVE, OPPOSING]
+PEOPLE = np.array(VOTES) / 10
+
+
+def events(truth: list[tuple[str, str]] = TRUTH) -> list[Event]:
+    return [make_event(str(i), goals, VOTES[i]) for i, goals in enumerate(truth)]
+
+
+def model(probabilities: list[list[float]] = MODEL) -> dict[str, Prediction]:
+    return by_id(*(shares(str(i), relation=row) for i, row in enumerate(probabilities)))
+
+
+def test_relation_r_is_pearsons_of_the_concatenated_shares() -> None:
+    human = evaluate_predictions(events(), model())["human"]
+    expected = pearsonr(np.ravel(MODEL), PEOPLE.ravel()).statistic
+    assert human["relation_r"]["value"] == pytest.approx(expected, abs=1e-12)
+    assert human["relation_r"]["ci_low"] < expected < human["relation_r"]["ci_high"]
+    assert human["goal_r"] is None
+
+
+def test_resampled_r_is_that_of_the_drawn_events() -> None:
+    weights = resampled(6, seed=3, resamples=20)
+    found = correlation(weights, np.array(MODEL), PEOPLE)
+    for row, value in zip(weights.astype(int), found, strict=True):
+        drawn = np.repeat(np.arange(6), row)
+        expected = pearsonr(np.array(MODEL)[drawn].ravel(), PEOPLE[drawn].ravel()).statistic
+        assert value == pytest.approx(expected, abs=1e-12)
+
+
+def test_goal_r_is_over_both_agents_and_all_36_goals() -> None:
+    counts = [
+        {"red agent": {BLUE_TO_RED: 3, PINK_TO_BLUE: 1}, "green agent": {BLUE_TO_RED: 4}},
+        {"red agent": {BLUE_TO_RED: 2}, "green agent": {BLUE_TO_GREEN: 1, PINK_TO_BLUE: 3}},
+    ]
+    said = [
+        [{BLUE_TO_RED: 0.5, BLUE_TO_GREEN: 0.5}, {BLUE_TO_RED: 1.0}],
+        [{PINK_TO_BLUE: 0.8, BLUE_TO_RED: 0.2}, {BLUE_TO_GREEN: 0.6, PINK_TO_BLUE: 0.4}],
+    ]
+    watched = [
+        make_event(str(i), COLLABORATIVE, judgments={"goal_counts": one})
+        for i, one in enumerate(counts)
+    ]
+    made = by_id(*(shares(str(i), goal_red=r, goal_green=g) for i, (r, g) in enumerate(said)))
+
+    def flat(rows: list[list[dict[str, float]]]) -> NDArray[np.float64]:
+        parts = [[row.get(goal, 0) for goal in GOALS] for pair in rows for row in pair]
+        return np.array([np.array(part) / sum(part) for part in parts]).ravel()
+
+    x, y = flat(said), flat([list(one.values()) for one in counts])  # type: ignore[arg-type]
+    assert x.shape == (72 * 2,)
+    human = evaluate_predictions(watched, made)["human"]
+    assert human["goal_r"]["value"] == pytest.approx(pearsonr(x, y).statistic, abs=1e-12)
+    assert human["relation_r"] is None
+    mixed = 0.99 * x + 0.01 / 36
+    assert human["goal_log_score"]["value"] == pytest.approx((y * np.log(mixed)).sum() / 4)
+    pairs = zip(x.reshape(4, 36), y.reshape(4, 36), strict=True)
+    distances = [jensenshannon(*pair, base=2) for pair in pairs]
+    assert human["goal_js"]["value"] == pytest.approx(np.mean(np.square(distances)))
+
+
+def test_js_is_the_squared_distance_of_scipy_in_bits() -> None:
+    human = evaluate_predictions(events(), model())["human"]
+    distances = [jensenshannon(m, h, base=2) for m, h in zip(MODEL, PEOPLE, strict=True)]
+    assert human["js"]["value"] == pytest.approx(np.mean(np.square(distances)), abs=1e-12)
+    apart = agreement.jensen_shannon(np.array([[1.0, 0, 0]]), np.array([[0, 0.5, 0.5]]))
+    assert apart == pytest.approx(1)
+
+
+def test_log_score_is_the_mean_log_probability_of_an_answer() -> None:
+    human = evaluate_predictions(events(), model())["human"]
+    scores = [
+        np.mean(np.repeat(np.log(0.99 * np.array(m) + 0.01 / 3), v))
+        for m, v in zip(MODEL, VOTES, strict=True)
+    ]
+    assert human["log_score"]["value"] == pytest.approx(np.mean(scores), abs=1e-12)
+
+
+def test_peoples_own_entropy_bounds_the_log_score() -> None:
+    bound = -np.mean([entropy(h) for h in PEOPLE])
+    human = evaluate_predictions(events(), model())["human"]
+    assert human["log_score_people"]["value"] == pytest.approx(bound, abs=1e-12)
+    themselves = evaluate_predictions(events(), model(PEOPLE.tolist()))["human"]
+    assert bound - 0.05 < themselves["log_score"]["value"] < bound
+    assert themselves["js"]["value"] == pytest.approx(0, abs=1e-12)
+    assert themselves["relation_r"]["value"] == pytest.approx(1)
+
+
+def test_r_given_truth_is_that_of_deviations_from_the_mean_of_the_same_relation() -> None:
+    human = evaluate_predictions(events(), model())["human"]
+    relation = np.array(["f", "f", "a", "n", "f", "a"])
+    x, y = np.array(MODEL), PEOPLE.copy()
+    for name in "fna":
+        x[relation == name] -= x[relation == name].mean(axis=0)
+        y[relation == name] -= y[relation == name].mean(axis=0)
+    expected = pearsonr(x.ravel(), y.ravel()).statistic
+    assert human["relation_r_given_truth"]["value"] == pytest.approx(expected, abs=1e-12)
+
+
+def test_r_given_truth_does_not_reward_being_right() -> None:
+    truth = [[1, 0, 0], [1, 0, 0], [0, 0, 1], [0, 1, 0], [1, 0, 0], [0, 0, 1]]
+    human = evaluate_predictions(events(), model(truth))["human"]
+    assert human["relation_r"]["value"] > 0.8
+    assert human["relation_r_given_truth"] is None
+    # the groups of a resample have means of their own
+    groups = np.argmax(truth, axis=1)[:, None] * 3 + np.arange(3)
+    weights = resampled(6, seed=1, resamples=10)
+    for row, value in zip(
+        weights.astype(int), correlation(weights, np.array(MODEL), PEOPLE, groups), strict=True
+    ):
+        drawn = np.repeat(np.arange(6), row)
+        x, y = np.array(MODEL)[drawn], PEOPLE[drawn]
+        for group in range(3):
+            member = np.argmax(truth, axis=1)[drawn] == group
+            if member.any():
+                x[member] -= x[member].mean(axis=0)
+                y[member] -= y[member].mean(axis=0)
+        assert value == pytest.approx(pearsonr(x.ravel(), y.ravel()).statistic, abs=1e-9)
+
+
+def test_r_of_a_constant_vector_is_none() -> None:
+    flat = model([[1 / 3] * 3] * 6)
+    human = evaluate_predictions(events(), flat)["human"]
+    assert human["relation_r"] is None
+    assert human["relation_r_given_truth"] is None
+    assert human["log_score"]["value"] == pytest.approx(np.log(1 / 3))
+
+
+def test_events_without_probabilities_or_judgments_do_not_count() -> None:
+    watched = events()
+    watched[0] = make_event("0", COLLABORATIVE)
+    made = {**model(), "1": Prediction("1", answers={"relation": "friendly"})}
+    metrics = evaluate_predictions(watched, made)
+    expected = pearsonr(np.ravel(MODEL[2:]), PEOPLE[2:].ravel()).statistic
+    assert metrics["human"]["relation_r"]["value"] == pytest.approx(expected, abs=1e-12)
+    assert metrics["n"]["relation_judgments"] == 5
+    bound = -np.mean([entropy(h) for h in PEOPLE[2:]])
+    assert metrics["human"]["log_score_people"]["value"] == pytest.approx(bound)
+
+
+def test_differences_of_agreement_are_paired() -> None:
+    found = paired_difference(events(), model(PEOPLE.tolist()), model())["human"]
+    of_one, of_other = (
+        evaluate_predictions(events(), made)["human"] for made in (model(PEOPLE.tolist()), model())
+    )
+    for name in ("relation_r", "relation_r_given_truth", "log_score", "js"):
+        expected = of_one[name]["value"] - of_other[name]["value"]
+        assert found[name]["value"] == pytest.approx(expected, abs=1e-12)
+        assert found[name]["ci_low"] <= found[name]["ci_high"]
+    assert found["js"]["ci_high"] < 0
+    assert "split_half_r" not in found
+    assert found["goal_r"] is None
+
+
+# --- people with each other --------------------------------------------------------------------
+
+
+def split(judged: list[Judgments | None], *, by_participant: bool, splits: int = 4000) -> float:
+    values, _ = agreement.split_half(
+        judged,
+        ["relation"],
+        np.ones((1, len(judged))),
+        by_participant=by_participant,
+        splits=splits,
+    )
+    return float(values[0])
+
+
+def votes(*counts: int) -> Judgments:
+    return Judgments({"relation": np.array(counts)}, sum(counts))
+
+
+def test_split_half_is_the_mean_over_all_ways_to_split_the_votes() -> None:
+    """Two videos with four votes each: all 6 x 6 splits, by hand."""
+    ballots = [[0, 0, 0, 1], [0, 1, 2, 2]]
+    found = []
+    for chosen in itertools.product(itertools.combinations(range(4), 2), repeat=2):
+        halves = np.zeros((2, 2, 3))
+        for video, (ballot, first) in enumerate(zip(ballots, chosen, strict=True)):
+            for rater, answer in enumerate(ballot):
+                halves[0 if rater in first else 1, video, answer] += 0.5
+        found.append(pearsonr(halves[0].ravel(), halves[1].ravel()).statistic)
+    judged = [votes(3, 1, 0), votes(1, 1, 2)]
+    assert split(judged, by_participant=False) == pytest.approx(np.mean(found), abs=0.02)
+
+
+def test_split_half_by_participants_keeps_the_answers_of_one_together() -> None:
+    """Two always see friends, two always foes: halves by people, 4 of 6 splits agree exactly."""
+    said = {"a": "friendly", "b": "friendly", "c": "adversarial", "d": "adversarial"}
+    video = Judgments.of_responses({who: {"relation": answer} for who, answer in said.items()})
+    other = Judgments.of_responses({who: {"relation": "neutral"} for who in said})
+    even = pearsonr([0.5, 0, 0.5, 0, 1, 0], [0.5, 0, 0.5, 0, 1, 0]).statistic
+    odd = pearsonr([1, 0, 0, 0, 1, 0], [0, 0, 1, 0, 1, 0]).statistic
+    expected = (4 * even + 2 * odd) / 6
+    assert split([video, other], by_participant=True) == pytest.approx(expected, abs=0.03)
+    # votes of eight such videos, split on their own, even out; those of people do not
+    assert split([video] * 8, by_participant=True) == pytest.approx(
+        (4 * 1 + 2 * -0.5) / 6, abs=0.03
+    )
+
+
+def test_unanimous_people_agree_and_single_raters_have_no_halves() -> None:
+    assert split([votes(6, 0, 0), votes(0, 6, 0)], by_participant=False) == pytest.approx(1)
+    assert np.isnan(split([votes(1, 0, 0), None], by_participant=False))
+    assert np.isnan(split([], by_participant=False))
+
+
+def test_metrics_say_how_the_raters_were_split() -> None:
+    human = evaluate_predictions(events(), model())["human"]
+    assert human["split_half_by"] == "votes"
+    assert human["split_half_r"]["ci_low"] < human["split_half_r"]["value"]
+    named = {
+        "responses": [
+            {"participant": who, "relation": answer}
+            for who, answer in (("a", "friendly"), ("b", "friendly"), ("c", "neutral"))
+        ]
+    }
+    watched = [make_event("0", judgments=named), make_event("1", judgments=named)]
+    assert evaluate_predictions(watched, model())["human"]["split_half_by"] == "participants"
+    watched[1] = make_event("1", COLLABORATIVE, VOTES[1])
+    assert evaluate_predictions(watched, model())["human"]["split_half_by"] == "votes"
+    assert evaluate_predictions([make_event("0")], model())["human"]["split_half_by"] is None

@@ -1,0 +1,332 @@
+"""People's judgments: studies in CSV files, and votes in event files."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import phase_ppl as ppl
+from phase_ppl.evaluation import judgments as studies
+from phase_ppl.evaluation.judgments import load_judgments, with_judgments
+from phase_ppl.evaluation.votes import Judgments, event_judgments
+from phase_ppl.world.errors import InvalidEventError, PhasePPLError, UnknownNameError
+from phase_ppl.world.goals import GOALS
+from tests.evaluation.judged import (
+    AWAY_FROM_RED,
+    BLUE_TO_GREEN,
+    BLUE_TO_RED,
+    COLLABORATIVE,
+    COMPETING,
+    TO_GREEN,
+    make_event,
+)
+
+HEADER = "participant,video,goal_red,goal_green,relation,response_time"
+STUDY = f"""{HEADER}
+p01,a,{BLUE_TO_RED},{BLUE_TO_RED},friendly,12.4
+p01,b,{TO_GREEN},{AWAY_FROM_RED},adversarial,8.1
+p02,a,{BLUE_TO_RED},,friendly,
+p03,a,,,neutral,3
+p03,b,,,,20
+"""
+EVENTS = [make_event("a", COLLABORATIVE), make_event("b", COMPETING), make_event("c")]
+
+
+def write(folder: Path, content: str | bytes, name: str = "study.csv") -> Path:
+    path = folder / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
+def test_study_holds_what_the_file_says_and_no_more(tmp_path: Path) -> None:
+    study = ppl.load_judgments(write(tmp_path, STUDY), EVENTS)
+    assert study.participants == ("p01", "p02", "p03")
+    assert list(study.table.columns) == HEADER.split(",")
+    assert study.table.loc[0].to_dict() == {
+        "participant": "p01",
+        "video": "a",
+        "goal_red": BLUE_TO_RED,
+        "goal_green": BLUE_TO_RED,
+        "relation": "friendly",
+        "response_time": 12.4,
+    }
+    assert study.table.loc[2, "goal_green"] is None
+    assert math.isnan(study.table.loc[2, "response_time"])
+
+
+def test_shares_are_of_those_who_answered_the_question(tmp_path: Path) -> None:
+    judgments = load_judgments(write(tmp_path, STUDY)).judgments["a"]
+    assert judgments.n_raters == 3
+    assert judgments.counts["relation"].tolist() == [2, 1, 0]
+    assert judgments.distribution("relation") == pytest.approx([2 / 3, 1 / 3, 0])
+    # two of three said what red wants, one what green wants
+    red = judgments.distribution("goal_red")
+    assert red is not None
+    assert red.shape == (36,)
+    assert red[GOALS.index(BLUE_TO_RED)] == 1
+    assert judgments.share("goal_green", BLUE_TO_RED) == 1
+    assert judgments.share("goal_green", BLUE_TO_GREEN) == 0
+    assert (judgments.majority("relation"), judgments.ties("relation")) == ("friendly", 1)
+
+
+def test_relations_alone_are_a_study(tmp_path: Path) -> None:
+    study = load_judgments(write(tmp_path, "video,relation,participant\na,friendly,p\n"))
+    judgments = study.judgments["a"]
+    assert list(judgments.counts) == ["relation"]
+    assert judgments.distribution("goal_red") is None
+    assert judgments.majority("goal_red") is None
+    assert judgments.ties("goal_red") == 0
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda text: "\ufeff" + text,
+        lambda text: text.replace("\n", "\r\n"),
+        lambda text: text.replace("\n", "\r"),
+        lambda text: text.replace("\n", "\n\n") + ",,,,,\n",
+        lambda text: text.replace(",", " , "),
+        lambda text: text.replace("friendly", "Friendly").replace("Get", "get"),
+        lambda text: text.replace("p01", '"p01"').rstrip(),
+    ],
+)
+def test_what_spreadsheets_make_of_it_is_read_alike(tmp_path: Path, change: Any) -> None:
+    expected = load_judgments(write(tmp_path, STUDY)).table
+    found = load_judgments(write(tmp_path, change(STUDY))).table
+    assert found.equals(expected)
+
+
+ROW = f"p01,a,{BLUE_TO_RED},{BLUE_TO_RED},friendly,12.4"
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("", "study.csv: is empty"),
+        ("\n\n", "study.csv: is empty"),
+        (HEADER, "study.csv: holds no judgments"),
+        (f"{HEADER}\np01,a,,,,3", "study.csv: holds no judgments"),
+        (HEADER.replace(",", ";"), "line 1: is 'participant;video.*separated by commas"),
+        (HEADER.replace("goal_red", "goal_rde"), "line 1: unknown column.*'goal_red'"),
+        (HEADER.replace("goal_red", "video"), "line 1: names the column video twice"),
+        (HEADER.replace("participant,", ""), "line 1: names no column participant"),
+        ("participant,video,response_time", "line 1: names none of the columns goal_red"),
+        (f"{HEADER}\n{ROW}\np02,a,x,,,", "line 3: goal_red: unknown goal 'x'"),
+        (
+            f"{HEADER}\n{ROW}\np02,a,,Get blu item to red lm,,",
+            "line 3: goal_green: unknown goal.*did you mean 'Get blue item to red lm'",
+        ),
+        (f"{HEADER}\np02,a,,,freindly,", "line 2: relation: .*did you mean 'friendly'"),
+        (f"{HEADER}\n{ROW}\n{ROW}", "line 3: participant 'p01' judges video 'a' a second time"),
+        (f"{HEADER}\n{ROW}\np02,a,,,friendly", "line 3: has 5 cells, expected 6"),
+        (f"{HEADER}\n{ROW},", "line 2: has 7 cells, expected 6"),
+        (f"{HEADER}\n,a,,,friendly,", "line 2: participant is '', expected printable text"),
+        (f"{HEADER}\np01,,,,friendly,", "line 2: video is ''"),
+        (f"{HEADER}\np\x1b[2J,a,,,friendly,", "line 2: participant is 'p.*printable"),
+        *(
+            (f"{HEADER}\np01,a,,,friendly,{time}", f"line 2: response_time is '{time}', expected")
+            for time in ("-1", "nan", "inf", "1e999", "soon", "1_0")
+        ),
+        (f'{HEADER}\n\n{ROW}\np02,a,,,"friendly,\n', "line 4: is no CSV: unexpected end of data"),
+        (f"{HEADER}\n{'x' * 200_000},a,,,friendly,", "line 2: is no CSV: field larger than"),
+        (b"PK\x03\x04\x00\x00", "is no CSV file in UTF-8: it holds zero bytes"),
+        (b"\x80\x04\x95\x10", "is no CSV file: byte 0 is not UTF-8"),
+        ((HEADER + "\n" + ROW).encode("utf-16"), "is no CSV file"),
+        (HEADER.encode() + b"\np\xe4,a,,,friendly,", "byte 62 is not UTF-8"),
+    ],
+)
+def test_bad_file_is_refused_with_its_line(
+    tmp_path: Path, content: str | bytes, message: str
+) -> None:
+    path = write(tmp_path, content)
+    with pytest.raises(PhasePPLError, match=message) as caught:
+        load_judgments(path)
+    assert str(caught.value).startswith(str(path))
+    assert len(str(caught.value)) < len(str(path)) + 250
+
+
+def test_line_is_counted_where_cells_have_lines_of_their_own(tmp_path: Path) -> None:
+    path = write(tmp_path, f'{HEADER}\n"p01",a,,,"friend\nly",\n')
+    with pytest.raises(UnknownNameError, match=r"line 2: relation: unknown relation 'friend\\nly'"):
+        load_judgments(path)
+    path = write(tmp_path, f'{HEADER}\np01,a,"Get blue item\nto red lm",,,\np02,a,,,foe,\n')
+    with pytest.raises(UnknownNameError, match="line 4: relation: unknown relation 'foe'"):
+        load_judgments(path)
+
+
+def test_missing_file_and_folder_are_refused(tmp_path: Path) -> None:
+    for path in (tmp_path / "none.csv", tmp_path):
+        with pytest.raises(InvalidEventError, match="no such file"):
+            load_judgments(path)
+
+
+def test_file_that_is_too_large_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(studies, "MAX_BYTES", 100)
+    with pytest.raises(InvalidEventError, match="is larger than"):
+        load_judgments(write(tmp_path, STUDY))
+
+
+def test_unknown_video_is_refused_where_events_are_given(tmp_path: Path) -> None:
+    events = [make_event("aa"), make_event("b")]
+    path = write(tmp_path, STUDY)
+    with pytest.raises(UnknownNameError, match="line 2: unknown video 'a'; did you mean 'aa'"):
+        load_judgments(path, events)
+    assert set(load_judgments(path).judgments) == {"a", "b"}
+
+
+# --- studies and events ------------------------------------------------------------------------
+
+
+def test_events_get_the_judgments_of_the_study_alone(tmp_path: Path) -> None:
+    study = load_judgments(write(tmp_path, STUDY))
+    before = [*EVENTS[:2], make_event("c", votes=[1, 2, 3])]
+    events = with_judgments(before, study)
+    assert [event.id for event in events] == ["a", "b", "c"]
+    assert events[2].judgments is None
+    assert before[0].judgments is None
+    judgments = event_judgments(events[0])
+    assert judgments is not None
+    assert judgments.responses == study.judgments["a"].responses
+    assert judgments.responses["p02"] == {"goal_red": BLUE_TO_RED, "relation": "friendly"}
+    with pytest.raises(InvalidEventError, match="of none of the 1 events, but of 'a', 'b'"):
+        with_judgments([EVENTS[2]], study)
+
+
+def test_judgments_survive_an_event_file(tmp_path: Path) -> None:
+    events = with_judgments(EVENTS, load_judgments(write(tmp_path, STUDY)))
+    ppl.save_events(events, tmp_path / "events.json")
+    for event, again in zip(events, ppl.load_events(tmp_path / "events.json"), strict=True):
+        assert again.judgments == event.judgments
+        one, other = event_judgments(event), event_judgments(again)
+        if one is None or other is None:
+            assert one is other is None
+        else:
+            assert (one.n_raters, one.responses) == (other.n_raters, other.responses)
+            for question, votes in one.counts.items():
+                assert np.array_equal(votes, other.counts[question])
+
+
+def test_accuracy_is_of_each_participant_then_averaged(tmp_path: Path) -> None:
+    """p01 has 3 of 4 goals, p02 all of 1; the four and one answers do not count alike."""
+    text = STUDY.replace(f"{TO_GREEN},{AWAY_FROM_RED}", f"{BLUE_TO_RED},{BLUE_TO_RED}")
+    found = load_judgments(write(tmp_path, text)).accuracy(EVENTS)
+    assert found["n_participants"] == 3
+    assert found["goal_accuracy"]["value"] == pytest.approx((3 / 4 + 1) / 2)
+    assert found["relation_accuracy"]["value"] == pytest.approx((1 + 1 + 0) / 3)
+    assert found["by_scenario"]["collaborative"]["goal_accuracy"]["value"] == 1
+    competing = found["by_scenario"]["competing"]
+    assert competing["goal_accuracy"] == {"value": 0.5, "ci_low": None, "ci_high": None}
+    assert competing["n"] == 1
+    assert found["by_scenario"]["opposing"]["relation_accuracy"] is None
+    # by participants: two draws of 3/4 or 1 (p03 named no goal)
+    assert found["goal_accuracy"]["ci_low"] == 0.75
+    assert found["goal_accuracy"]["ci_high"] == 1
+
+
+PAGE = Path(__file__).parents[2] / "docs" / "judgments.md"
+
+
+def test_examples_of_the_page_run_as_they_stand(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def example(language: str) -> str:
+        (block,) = re.findall(rf"```{language}\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
+        return str(block)
+
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path, example("csv"))
+    ppl.save_events([ppl.load_event("collaborate"), ppl.load_event("oppose")], "videos.json")
+    names: dict[str, Any] = {}
+    exec(compile(example("python"), str(PAGE), "exec"), names)
+    accuracy = names["study"].accuracy(names["events"])
+    assert accuracy["goal_accuracy"]["value"] == 1
+    assert names["events"][0].judgments["n_raters"] == 2
+    judgments = Judgments.from_record(json.loads(example("json")))
+    assert judgments is not None
+    assert set(judgments.responses) == {"p01", "p02"}
+
+
+# --- votes in event files ----------------------------------------------------------------------
+
+
+def test_counts_of_the_published_videos_are_read() -> None:
+    judgments = Judgments.from_record(
+        {
+            "relation_counts": {"friendly": 1, "neutral": 2, "adversarial": 9},
+            "n_raters": 12,
+            "majority": "adversarial",
+            "majority_is_tie": False,
+        }
+    )
+    assert judgments is not None
+    assert judgments.n_raters == 12
+    assert judgments.distribution("relation") == pytest.approx([1 / 12, 2 / 12, 9 / 12])
+    assert not judgments.responses
+
+
+def test_record_of_nobody_is_none() -> None:
+    nobody = {"relation_counts": {"friendly": 0, "neutral": 0, "adversarial": 0}, "n_raters": 0}
+    for record in ({}, nobody, {"responses": []}, {"relation_counts": None, "n_raters": None}):
+        assert Judgments.from_record(record) is None
+    assert event_judgments(make_event("a")) is None
+
+
+def test_a_majority_without_votes_is_no_vote() -> None:
+    assert Judgments.from_record({"majority": "friendly"}) is None
+
+
+@pytest.mark.parametrize(
+    ("record", "message"),
+    [
+        ({"relation_count": {"friendly": 3}}, "has .'relation_count'., expected one of"),
+        ({"relation_counts": [3, 0, 1]}, "the counts of relation is .3, 0, 1., expected an object"),
+        ({"relation_counts": {"friendly": -1}}, "relation: 'friendly' has -1, expected a number"),
+        ({"relation_counts": {"friendly": 1.5}}, "relation: 'friendly' has 1.5"),
+        ({"relation_counts": {"friendly": True}}, "relation: 'friendly' has True"),
+        ({"relation_counts": {"friendly": 10**12}}, "relation: 'friendly' has 1000000000000"),
+        ({"relation_counts": {"freindly": 1}}, "unknown relation 'freindly'; did you mean"),
+        ({"relation_counts": {"friendly": 3}, "n_raters": 2}, "n_raters is 2, .* has 3 votes"),
+        ({"relation_counts": {"friendly": 3}, "n_raters": 5}, "n_raters is 5, .* 3 votes in all"),
+        ({"relation_counts": {"friendly": 3}, "n_raters": "3"}, "n_raters has '3'"),
+        ({"n_raters": 4}, "n_raters is 4, but there are 0 votes"),
+        ({"goal_counts": {"blue agent": {}}}, "unknown agent in goal_counts 'blue agent'"),
+        ({"goal_counts": {"red agent": {"Get": 1}}}, "unknown goal 'Get'"),
+        ({"goal_counts": 3}, "goal_counts is 3, expected an object"),
+        ({"responses": {}}, "responses is {}, expected a list"),
+        ({"responses": [{"relation": "friendly"}]}, "responses.0. has the participant None"),
+        ({"responses": [{"participant": "a", "mood": "x"}]}, "unknown question 'mood'"),
+        (
+            {"responses": [{"participant": "a"}, {"participant": "a"}]},
+            "names the participant 'a' twice",
+        ),
+        (
+            {
+                "responses": [{"participant": "a", "relation": "friendly"}],
+                "relation_counts": {"neutral": 1},
+            },
+            "the counts of relation contradict the responses",
+        ),
+        (
+            {
+                "responses": [{"participant": "a", "relation": "friendly"}],
+                "goal_counts": {"red agent": {BLUE_TO_RED: 1}},
+            },
+            "the counts of goal_red contradict the responses",
+        ),
+        (
+            {"responses": [{"participant": "a", "relation": "friendly"}], "n_raters": 2},
+            "n_raters is 2",
+        ),
+    ],
+)
+def test_bad_votes_are_refused_and_the_event_is_named(record: dict[str, Any], message: str) -> None:
+    event = dataclasses.replace(make_event("film 7"), judgments=record)
+    with pytest.raises(PhasePPLError, match=f"event film 7: judgments: .*{message}"):
+        event_judgments(event)

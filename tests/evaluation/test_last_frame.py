@@ -1,0 +1,71 @@
+"""The baseline that looks at the last frame, on scenes worked out by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import phase_ppl as ppl
+from phase_ppl.evaluation.models.last_frame import last_frame
+from phase_ppl.world.observation import Observation
+from phase_ppl.world.scene import LANDMARK_CENTRES
+from tests.evaluation.toys import START, still
+from tests.world.examples import DEV, needs_dev
+
+BLUE, GREEN, RED, YELLOW = LANDMARK_CENTRES
+
+
+def answer(**ends: object) -> tuple[str, str, str]:
+    """Return what it says where entities (by number, as ``_2=(x, y)``) end somewhere else."""
+    end = START.copy()
+    for name, place in ends.items():
+        end[int(name[1:]), :2] = place
+    scene = still().scene
+    found = last_frame()(scene, Observation(np.stack([START, START, end])), 0)
+    return found.answers["goal_red"], found.answers["goal_green"], found.answers["relation"]
+
+
+def test_an_item_that_moved_to_a_landmark_is_what_both_want() -> None:
+    goals = answer(_2=RED)
+    assert goals == ("Get blue item to red lm", "Get blue item to red lm", "friendly")
+
+
+def test_an_agent_nearer_to_a_landmark_than_any_moved_item_wants_to_be_there() -> None:
+    goals = answer(_0=YELLOW + 0.1, _2=RED + 0.5)
+    assert goals == ("Get red agent to yellow lm", "Get blue item to red lm", "neutral")
+
+
+def test_an_item_that_lay_at_a_landmark_all_along_is_nobodys_goal() -> None:
+    scene = still().scene
+    start = START.copy()
+    start[3, :2] = GREEN
+    resting = ppl.Scene(start, scene.radius)
+    found = last_frame()(resting, Observation(np.stack([start, start])), 0)
+    assert found.answers["goal_red"].startswith("Get red agent to")
+
+
+def test_an_item_that_was_only_nudged_did_not_move() -> None:
+    start, scene = START.copy(), still().scene
+    start[3, :2] = GREEN
+    for nudge, moved in ((0.79, False), (0.81, True)):
+        end = start.copy()
+        end[3, 0] += nudge  # the radius is 0.8
+        found = last_frame()(ppl.Scene(start, scene.radius), Observation(np.stack([start, end])), 0)
+        assert (found.answers["goal_red"] == "Get pink item to green lm") is moved
+
+
+def test_ties_go_to_the_own_body_and_to_the_first_landmark() -> None:
+    middle = (BLUE + GREEN) / 2
+    goals = answer(_0=middle, _1=middle, _3=middle)
+    assert goals[:2] == ("Get red agent to blue lm", "Get green agent to blue lm")
+
+
+def test_it_gives_no_probabilities() -> None:
+    assert not last_frame()(still().scene, still().observation, 0).probabilities
+
+
+@needs_dev
+def test_it_finds_61_percent_of_the_goals_of_the_real_videos() -> None:
+    found = ppl.evaluate(DEV, "last_frame", progress=False).metrics
+    assert found["goal_accuracy"]["value"] == pytest.approx(0.61)
+    assert found["reference_models"]["simple_authors"]["goal_accuracy"]["value"] == 0.88

@@ -1,0 +1,276 @@
+"""Accuracy, rankings, confusion and ties of predictions, with error bars."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from phase_ppl.evaluation.metrics import evaluate_predictions, paired_difference
+from phase_ppl.evaluation.prediction import Prediction
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
+from phase_ppl.world.goals import GOALS
+from phase_ppl.world.relations import SCENARIOS
+from tests.evaluation.judged import (
+    BLUE_TO_GREEN,
+    BLUE_TO_RED,
+    COLLABORATIVE,
+    COMPETING,
+    INDEPENDENT,
+    OPPOSING,
+    PINK_TO_BLUE,
+    answers,
+    by_id,
+    make_event,
+    shares,
+)
+
+EVENTS = [
+    make_event("a", COLLABORATIVE),
+    make_event("b", COLLABORATIVE),
+    make_event("c", COMPETING),
+    make_event("d", INDEPENDENT),
+]
+ANSWERS = by_id(
+    answers("a", *COLLABORATIVE, relation="friendly"),
+    answers("b", BLUE_TO_RED, PINK_TO_BLUE, relation="friendly"),
+    answers("c", *COLLABORATIVE, relation="friendly"),
+    answers("d", PINK_TO_BLUE, BLUE_TO_RED, relation="neutral"),
+)
+
+
+def test_accuracies_are_shares_of_goals_and_of_relations() -> None:
+    metrics = evaluate_predictions(EVENTS, ANSWERS)
+    assert metrics["n_events"] == 4
+    assert metrics["goal_accuracy"]["value"] == (2 + 1 + 1 + 0) / 8
+    assert metrics["relation_accuracy"]["value"] == 3 / 4
+    by_scenario = metrics["by_scenario"]
+    assert list(by_scenario) == list(SCENARIOS)
+    assert by_scenario["collaborative"]["n"] == 2
+    assert by_scenario["collaborative"]["goal_accuracy"]["value"] == 3 / 4
+    assert by_scenario["collaborative"]["relation_accuracy"]["value"] == 1
+    assert by_scenario["competing"]["goal_accuracy"]["value"] == 1 / 2
+    assert by_scenario["independent"]["goal_accuracy"]["value"] == 0
+    assert by_scenario["opposing"] == {"goal_accuracy": None, "relation_accuracy": None, "n": 0}
+
+
+def test_confusion_counts_true_scenarios_against_those_of_the_goals_answered() -> None:
+    confusion = evaluate_predictions(EVENTS, ANSWERS)["confusion"]
+    nothing = dict.fromkeys(SCENARIOS, 0)
+    assert confusion == {
+        "collaborative": {**nothing, "collaborative": 1, "independent": 1},
+        "independent": {**nothing, "independent": 1},
+        "competing": {**nothing, "collaborative": 1},
+        "opposing": nothing,
+    }
+
+
+def test_interval_of_an_accuracy_is_that_of_resampled_events() -> None:
+    events = [make_event(str(i), COLLABORATIVE) for i in range(40)]
+    made = by_id(
+        *(answers(str(i), relation="friendly" if i < 30 else "neutral") for i in range(40))
+    )
+    found = evaluate_predictions(events, made, resamples=4000)["relation_accuracy"]
+    drawn = np.random.default_rng(7).binomial(40, 0.75, size=100_000) / 40
+    low, high = np.quantile(drawn, [0.025, 0.975])
+    assert found["value"] == 0.75
+    assert found["ci_low"] == pytest.approx(low, abs=0.026)
+    assert found["ci_high"] == pytest.approx(high, abs=0.026)
+
+
+def test_goals_of_an_event_are_resampled_together() -> None:
+    """Both goals right or both wrong: the interval is as wide as of one answer per event."""
+    events = [make_event(str(i), COLLABORATIVE) for i in range(40)]
+    made = by_id(
+        *(
+            answers(str(i), *(COLLABORATIVE if i < 20 else OPPOSING), relation=relation)
+            for i, relation in enumerate(["friendly"] * 20 + ["neutral"] * 20)
+        )
+    )
+    metrics = evaluate_predictions(events, made)
+    assert metrics["goal_accuracy"] == metrics["relation_accuracy"]
+
+
+def test_one_event_has_no_interval() -> None:
+    metrics = evaluate_predictions(EVENTS[:1], ANSWERS)
+    assert metrics["n_events"] == 1
+    assert metrics["goal_accuracy"] == {"value": 1, "ci_low": None, "ci_high": None}
+    # nor has a scenario that a single event has
+    of_all = evaluate_predictions(EVENTS, ANSWERS)["by_scenario"]
+    assert of_all["competing"]["goal_accuracy"]["ci_low"] is None
+    assert of_all["collaborative"]["goal_accuracy"]["ci_low"] is not None
+
+
+def test_top3_needs_a_probability() -> None:
+    events = [make_event("a", INDEPENDENT), make_event("b", INDEPENDENT)]
+    third = {BLUE_TO_GREEN: 0.5, PINK_TO_BLUE: 0.3, BLUE_TO_RED: 0.2}
+    fourth = {BLUE_TO_GREEN: 0.4, PINK_TO_BLUE: 0.3, GOALS[7]: 0.2, BLUE_TO_RED: 0.1}
+    made = by_id(
+        shares("a", goal_red=third, goal_green=third),
+        shares("b", goal_red=fourth, goal_green={BLUE_TO_GREEN: 1.0}),
+    )
+    metrics = evaluate_predictions(events, made)
+    assert metrics["goal_top3_accuracy"]["value"] == 2 / 4
+    assert metrics["goal_accuracy"]["value"] == 0
+    # the first goals in label order would be second and third, of probability 0
+    sure = by_id(shares("a", goal_red={PINK_TO_BLUE: 1.0}))
+    first = make_event("a", (GOALS[0], PINK_TO_BLUE))
+    assert evaluate_predictions([first], sure)["goal_top3_accuracy"]["value"] == 0
+
+
+def test_ties_go_to_the_first_in_label_order_and_are_counted() -> None:
+    events = [make_event("a", COLLABORATIVE), make_event("b", COMPETING)]
+    tied = [0.4, 0.2, 0.4]
+    metrics = evaluate_predictions(
+        events, by_id(shares("a", relation=tied), shares("b", relation=tied))
+    )
+    assert metrics["relation_accuracy"]["value"] == 1 / 2
+    assert metrics["ties"] == {"goal_red": None, "goal_green": None, "relation": 2}
+
+
+def test_log_score_of_the_truth_has_a_lapse_of_one_in_a_hundred() -> None:
+    events = [make_event("a", COLLABORATIVE), make_event("b", COMPETING)]
+    made = by_id(
+        shares("a", relation=[0.5, 0.3, 0.2], goal_red={BLUE_TO_RED: 1}),
+        shares("b", relation=[1, 0, 0], goal_red={BLUE_TO_RED: 0.25, BLUE_TO_GREEN: 0.75}),
+    )
+    metrics = evaluate_predictions(events, made)
+    relation = (np.log(0.99 * 0.5 + 0.01 / 3) + np.log(0.01 / 3)) / 2
+    goal = (np.log(0.99 + 0.01 / 36) + np.log(0.99 * 0.25 + 0.01 / 36)) / 2
+    assert metrics["relation_log_score_truth"]["value"] == pytest.approx(relation, abs=1e-12)
+    assert metrics["goal_log_score_truth"]["value"] == pytest.approx(goal, abs=1e-12)
+
+
+def test_only_events_with_a_prediction_count() -> None:
+    made = {name: ANSWERS[name] for name in ("b", "c")}
+    metrics = evaluate_predictions(EVENTS, made)
+    assert (metrics["n_events"], metrics["n"]["events"]) == (2, 4)
+    assert metrics["goal_accuracy"]["value"] == 2 / 4
+    assert metrics["by_scenario"]["independent"]["n"] == 0
+    assert metrics == {
+        **evaluate_predictions(EVENTS[1:3], ANSWERS),
+        "n": metrics["n"],
+    }
+
+
+def test_a_goal_that_is_not_given_is_not_wrong() -> None:
+    made = by_id(answers("a", BLUE_TO_RED), answers("b", PINK_TO_BLUE, BLUE_TO_RED))
+    metrics = evaluate_predictions(EVENTS, made)
+    assert metrics["goal_accuracy"]["value"] == 2 / 3
+    assert metrics["relation_accuracy"] is None
+    assert metrics["confusion"]["collaborative"]["independent"] == 1
+    assert sum(sum(row.values()) for row in metrics["confusion"].values()) == 1
+
+
+def test_without_truth_judgments_or_predictions_figures_are_none() -> None:
+    def figures(part: object) -> list[object]:
+        if isinstance(part, dict) and "value" not in part:
+            return [one for entry in part.values() for one in figures(entry)]
+        return [part]
+
+    unknown = [make_event("a", None), make_event("b", None)]
+    for events, made in ((unknown, ANSWERS), (EVENTS, {}), ([], {})):
+        metrics = evaluate_predictions(events, made)
+        of_counts = ("n", "n_events", "by_scenario", "ties")
+        assert set(figures({k: v for k, v in metrics.items() if k not in of_counts})) == {None}
+        assert all(
+            entry == {"goal_accuracy": None, "relation_accuracy": None, "n": 0}
+            for entry in metrics["by_scenario"].values()
+        )
+        json.dumps(metrics, allow_nan=False)
+
+
+def test_events_without_truth_do_not_count_in_accuracies() -> None:
+    events = [EVENTS[0], make_event("b", None)]
+    metrics = evaluate_predictions(events, ANSWERS)
+    assert (metrics["n_events"], metrics["n"]["truth"]) == (2, 1)
+    assert metrics["goal_accuracy"]["value"] == 1
+
+
+def test_seed_decides_the_interval_and_nothing_else() -> None:
+    first, again, other = (
+        evaluate_predictions(EVENTS, ANSWERS, seed=seed, resamples=50) for seed in (1, 1, 2)
+    )
+    assert first == again
+    assert first["goal_accuracy"] != other["goal_accuracy"]
+    assert first["goal_accuracy"]["value"] == other["goal_accuracy"]["value"]
+
+
+@pytest.mark.parametrize("wrong", [{"seed": -1}, {"resamples": 0}, {"resamples": 1.5}])
+def test_settings_out_of_range_are_refused(wrong: dict[str, int]) -> None:
+    with pytest.raises(InvalidSettingError, match=next(iter(wrong))):
+        evaluate_predictions(EVENTS, ANSWERS, **wrong)
+
+
+def test_what_belongs_to_another_event_is_refused() -> None:
+    with pytest.raises(InvalidSettingError, match="the prediction for 'a' is of the event 'b'"):
+        evaluate_predictions(EVENTS, {"a": ANSWERS["b"]})
+    with pytest.raises(InvalidEventError, match="two events with the id 'a'"):
+        evaluate_predictions([EVENTS[0], EVENTS[0]], ANSWERS)
+
+
+# --- differences -------------------------------------------------------------------------------
+
+
+def test_difference_is_that_of_the_two_figures() -> None:
+    better = {**ANSWERS, "c": answers("c", *COMPETING, relation="adversarial")}
+    found = paired_difference(EVENTS, better, ANSWERS)
+    assert found["n_events"] == 4
+    assert found["goal_accuracy"]["value"] == pytest.approx(1 / 8)
+    assert found["relation_accuracy"]["value"] == pytest.approx(1 / 4)
+    assert found["by_scenario"]["competing"]["goal_accuracy"]["value"] == 1 / 2
+    assert found["by_scenario"]["collaborative"]["n"] == 2
+    back = paired_difference(EVENTS, ANSWERS, better)["goal_accuracy"]
+    assert back["value"] == -found["goal_accuracy"]["value"]
+    assert back["ci_low"] == pytest.approx(-found["goal_accuracy"]["ci_high"])
+    assert back["p"] == found["goal_accuracy"]["p"]
+
+
+def test_difference_is_paired() -> None:
+    """Each model's accuracy varies with the events drawn; their difference here does not."""
+    events = [make_event(str(i), COLLABORATIVE) for i in range(20)]
+    one = by_id(
+        *(answers(str(i), BLUE_TO_RED, (PINK_TO_BLUE, BLUE_TO_RED)[i % 2]) for i in range(20))
+    )
+    other = by_id(
+        *(answers(str(i), PINK_TO_BLUE, (PINK_TO_BLUE, BLUE_TO_RED)[i % 2]) for i in range(20))
+    )
+    found = paired_difference(events, one, other, resamples=999)["goal_accuracy"]
+    assert [found[name] for name in ("value", "ci_low", "ci_high")] == pytest.approx([0.5] * 3)
+    assert found["p"] == pytest.approx(2 / 1000)
+
+
+def test_equal_models_do_not_differ() -> None:
+    found = paired_difference(EVENTS, ANSWERS, ANSWERS)
+    assert found["goal_accuracy"] == {"value": 0, "ci_low": 0, "ci_high": 0, "p": 1}
+
+
+def test_p_is_small_only_where_the_difference_is_clear() -> None:
+    events = [make_event(str(i), COLLABORATIVE) for i in range(30)]
+    wrong = by_id(*(answers(str(i), relation="neutral") for i in range(30)))
+
+    def right_in(n: int) -> dict[str, Prediction]:
+        return {**wrong, **by_id(*(answers(str(i), relation="friendly") for i in range(n)))}
+
+    clear = paired_difference(events, right_in(12), wrong)["relation_accuracy"]
+    unclear = paired_difference(events, right_in(2), wrong)["relation_accuracy"]
+    assert clear["p"] < 0.01
+    assert clear["ci_low"] > 0
+    # none of the two is drawn in (28 / 30) ** 30 = 13 % of the resamples
+    assert unclear["p"] == pytest.approx(2 * 0.126, abs=0.06)
+
+
+def test_difference_is_over_what_both_answer() -> None:
+    one = by_id(answers("a", BLUE_TO_RED, PINK_TO_BLUE), answers("b", BLUE_TO_RED))
+    other = by_id(
+        answers("a", BLUE_TO_RED, relation="friendly"),
+        answers("b", PINK_TO_BLUE, BLUE_TO_RED),
+        answers("c", *COMPETING),
+    )
+    found = paired_difference(EVENTS, one, other)
+    # red's goal in a (both right) and in b (one right, other wrong)
+    assert found["n_events"] == 2
+    assert found["goal_accuracy"]["value"] == 1 / 2
+    assert found["relation_accuracy"] is None
+    assert paired_difference(EVENTS, one, {})["goal_accuracy"] is None

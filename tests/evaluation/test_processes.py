@@ -1,0 +1,282 @@
+"""Evaluations in worker processes: the same results, and what survives a death, -9 and Ctrl-C."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import phase_ppl as ppl
+from phase_ppl.world.errors import InvalidSettingError
+from tests.evaluation.toys import Counted, FailsAt, guesses, right, several, still
+
+ROOT = Path(ppl.__file__).parents[1]
+PATIENCE = 60.0
+EVENTS = several(4)
+
+
+def evaluate(model: Any, events: Any = EVENTS, **more: Any) -> ppl.Evaluation:
+    return ppl.evaluate(events, model, **{"workers": 2, "progress": False, **more})
+
+
+def test_the_result_is_the_same_for_any_number_of_workers() -> None:
+    one, two = (evaluate(guesses, workers=workers) for workers in (1, 2))
+    assert list(one.predictions) == list(two.predictions) == list("abcd")
+    for name, given in one.predictions.items():
+        for question, values in given.probabilities.items():
+            again = two.predictions[name].probabilities[question]
+            assert values.tobytes() == again.tobytes()
+    assert one.settings == two.settings
+    assert (one.cost["workers"], two.cost["workers"]) == (1, 2)
+
+
+def test_models_from_anywhere_work_in_workers_and_their_files_come_back(tmp_path: Path) -> None:
+    label = "friendly"
+
+    def local(scene: Any, observation: Any, seed: int) -> Any:
+        def write(path: Path) -> None:
+            path.write_text(str(os.getpid()))
+
+        return ppl.Answer({"relation": label}, {"process.txt": write})
+
+    found = evaluate(local, out=tmp_path)
+    assert {given.answers["relation"] for given in found.predictions.values()} == {label}
+    processes = {int(path.read_text()) for path in tmp_path.glob("events/*/process.txt")}
+    assert os.getpid() not in processes
+
+
+def test_truth_judgments_ids_and_predictions_never_reach_a_worker() -> None:
+    def searches(scene: Any, observation: Any, seed: int) -> Any:
+        import gc
+
+        things = gc.get_objects()
+        found = [
+            repr(type(thing))
+            for thing in things
+            if type(thing).__module__ in ("phase_ppl.world.event", "phase_ppl.evaluation.work")
+            and type(thing).__name__ in ("Event", "Truth", "Job")
+        ]
+        for thing in things:
+            if type(thing) in (dict, list, tuple):
+                values = thing.values() if type(thing) is dict else thing
+                found += [v for v in values if type(v) is str and v[::-1].startswith("tneve-eht-")]
+        if found:
+            raise AssertionError(f"found {found}")
+        return {"relation": "friendly"}
+
+    names = ("name-1-of-the-event", "name-2-of-the-event")
+    given = {"predictions": {"someone": {"relation": "friendly"}}}
+    events = [still(name, 3 + i, **given) for i, name in enumerate(names)]
+    assert not evaluate(searches, events).failures
+
+
+def test_an_event_that_kills_its_process_is_tried_twice_and_costs_no_other(tmp_path: Path) -> None:
+    calls, out = tmp_path / "calls", tmp_path / "out"
+    calls.mkdir()
+    model = Counted(calls, FailsAt(5, lambda: os._exit(1)))
+    found = evaluate(model, out=out)
+    assert found.failures == {"c": "its worker process died, in 2 of 2 runs"}
+    assert list(found.predictions) == ["a", "b", "d"]
+    assert model.calls()[5] == 2
+    # one event is left: it must not take the evaluation itself with it
+    again = evaluate(model, out=out, resume=True)
+    assert list(again.failures) == ["c"]
+
+
+def test_an_event_whose_process_dies_once_is_made_good(tmp_path: Path) -> None:
+    died = tmp_path / "died"
+
+    def dies_once(scene: Any, observation: Any, seed: int) -> Any:
+        if observation.n_frames == 6 and not died.exists():
+            died.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return right(scene, observation, seed)
+
+    found = evaluate(dies_once)
+    assert died.exists()
+    assert not found.failures
+    assert len(found.predictions) == 4
+
+
+def test_a_model_that_cannot_be_sent_is_refused_and_one_process_needs_no_sending() -> None:
+    import threading
+
+    lock = threading.Lock()
+
+    def holds_a_lock(scene: Any, observation: Any, seed: int) -> Any:
+        with lock:
+            return {"relation": "friendly"}
+
+    with pytest.raises(InvalidSettingError, match=r"cannot be sent to worker.*workers=1"):
+        evaluate(holds_a_lock)
+    assert len(evaluate(holds_a_lock, workers=1).predictions) == 4
+
+
+class CannotLoad:
+    """Goes to a worker and falls apart there."""
+
+    def __call__(self, scene: Any, observation: Any, seed: int) -> Any:
+        raise AssertionError
+
+    def __reduce__(self) -> Any:
+        return _falls_apart, ()
+
+
+def _falls_apart() -> None:
+    raise ImportError("no module named elsewhere")
+
+
+def test_a_model_that_cannot_be_loaded_there_is_refused() -> None:
+    with pytest.raises(InvalidSettingError, match=r"cannot be loaded.*named elsewhere"):
+        evaluate(CannotLoad())
+
+
+def test_models_warm_up_once_before_the_first_event(tmp_path: Path) -> None:
+    class Warm:
+        def __call__(self, scene: Any, observation: Any, seed: int) -> Any:
+            assert (tmp_path / "warm").exists()
+            return {"relation": "friendly"}
+
+        def warm_up(self) -> None:
+            (tmp_path / "warm").touch(exist_ok=False)
+
+    assert not evaluate(Warm()).failures
+    (tmp_path / "warm").unlink()
+    assert not evaluate(Warm(), workers=1).failures
+
+
+def test_a_script_without_a_guard_works_and_leaves_nothing_behind(tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(
+        textwrap.dedent("""
+        import phase_ppl as ppl
+        from phase_ppl.inference.runs.progress import Progress
+        from tests.evaluation.toys import several
+
+        def has_a_bar(scene, observation, seed):
+            with Progress(1, shown=False):
+                return {"relation": "friendly"}
+
+        print(len(ppl.evaluate(several(4), has_a_bar, workers=2, progress=False).predictions))
+        """)
+    )
+    done = subprocess.run(
+        [sys.executable, str(script)],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+    )
+    assert (done.stdout, done.stderr) == ("4\n", "")
+
+
+# --- -9 and Ctrl-C -----------------------------------------------------------------------------
+
+SCRIPT = """
+    import sys, time
+    from pathlib import Path
+    import phase_ppl as ppl
+    from tests.evaluation.toys import Counted, several, guesses
+
+    folder = Path(sys.argv[1])
+
+    def slow(scene, observation, seed):
+        # events of fewer frames come later, and wait
+        while observation.n_frames < 5 and not (folder / "go").exists():
+            time.sleep(0.05)
+        return guesses(scene, observation, seed)
+
+    ppl.evaluate(several(4), Counted(folder / "calls", slow), out=folder / "out",
+                 workers=int(sys.argv[2]), resume=True, progress=False)
+"""
+
+
+def started(folder: Path, workers: int) -> subprocess.Popen[str]:
+    """Start the script; return it once two events are finished and others have begun."""
+    (folder / "calls").mkdir(exist_ok=True)
+    (folder / "script.py").write_text(textwrap.dedent(SCRIPT))
+    run = subprocess.Popen(
+        [sys.executable, str(folder / "script.py"), str(folder), str(workers)],
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    wait_until(lambda: run.poll() is not None or (finished(folder) == 2 and begun(folder) > 2))
+    assert run.poll() is None, run.communicate()[1]
+    return run
+
+
+def finished(folder: Path) -> int:
+    return len(list(folder.glob("out/events/*/prediction.json")))
+
+
+def begun(folder: Path) -> int:
+    return len(list((folder / "calls").iterdir()))
+
+
+def wait_until(happened: Callable[[], bool]) -> None:
+    end = time.monotonic() + PATIENCE
+    while not happened():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+def is_gone(pid: int) -> bool:
+    with contextlib.suppress(ProcessLookupError):
+        os.kill(pid, 0)
+        return Path(f"/proc/{pid}/stat").read_text().split()[2] == "Z"
+    return True
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for processes in /proc")
+@pytest.mark.parametrize(("signal_", "workers"), [(signal.SIGKILL, 2), (signal.SIGINT, 2)])
+def test_a_run_that_is_stopped_goes_on_without_repeating_what_is_finished(
+    signal_: signal.Signals, workers: int, tmp_path: Path
+) -> None:
+    run = started(tmp_path, workers)
+    os.kill(run.pid, signal_)
+    _, errors = run.communicate(timeout=PATIENCE)
+    assert run.returncode != 0
+    if signal_ == signal.SIGINT:
+        assert "EvaluationInterrupted: the evaluation was interrupted; 2 of 4 events" in errors
+    processes = {int(path.name.split("-")[2]) for path in (tmp_path / "calls").iterdir()}
+    wait_until(lambda: all(map(is_gone, processes)))
+    assert finished(tmp_path) == 2
+    assert not (tmp_path / "out" / "metrics.json").exists()
+
+    (tmp_path / "go").touch()
+    model = Counted(tmp_path / "calls", guesses)
+    before = model.calls()
+    assert (before[6], before[5]) == (1, 1)
+    subprocess.run(run.args, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, check=True)
+    after = model.calls()
+    assert (after[6], after[5]) == (1, 1)
+    assert (after[4], after[3]) == (before.get(4, 0) + 1, before.get(3, 0) + 1)
+    found = ppl.Evaluation.load(tmp_path / "out")
+    assert found.metrics["n_events"] == 4
+    whole = evaluate(guesses, workers=1).predictions
+    for name, given in found.predictions.items():
+        assert given.answers == whole[name].answers
+
+
+def test_ctrl_c_in_this_process_keeps_what_was_done(tmp_path: Path) -> None:
+    def stops() -> Any:
+        raise KeyboardInterrupt
+
+    with pytest.raises(ppl.EvaluationInterrupted, match=r"2 of 4 events.*kept in") as caught:
+        evaluate(FailsAt(4, stops), workers=1, out=tmp_path)
+    assert list(caught.value.evaluation.predictions) == ["c", "d"]
+    assert caught.value.evaluation.metrics["n_events"] == 2
+    assert not (tmp_path / "metrics.json").exists()

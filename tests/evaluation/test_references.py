@@ -1,0 +1,152 @@
+"""Predictions that the events carry, and the published figures that follow from them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import phase_ppl as ppl
+from phase_ppl.evaluation.metrics import reference_models
+from phase_ppl.evaluation.people import human_accuracy
+from phase_ppl.evaluation.prediction import Prediction
+from phase_ppl.evaluation.references import reference_predictions
+from phase_ppl.world.errors import PhasePPLError
+from tests.evaluation.judged import (
+    BLUE_TO_RED,
+    COLLABORATIVE,
+    COMPETING,
+    PINK_TO_BLUE,
+    make_event,
+)
+from tests.world.examples import DEV, needs_dev
+
+SIMPLE = {
+    "goals": {"red agent": BLUE_TO_RED, "green agent": PINK_TO_BLUE},
+    "relation": "adversarial",
+    "relation_probs": {"friendly": 0.592055, "neutral": 0.0, "adversarial": 0.407944},
+}
+
+
+def test_what_a_file_gives_is_read_and_nothing_added() -> None:
+    events = [
+        make_event("a", predictions={"simple": SIMPLE, "gnn": {"relation": "neutral"}}),
+        make_event("b", predictions={"gnn": {"relation": "friendly"}, "simple": None}),
+        make_event("c"),
+    ]
+    found = reference_predictions(events)
+    assert {model: list(made) for model, made in found.items()} == {
+        "simple": ["a"],
+        "gnn": ["a", "b"],
+    }
+    simple = found["simple"]["a"]
+    # the answer given stays, even where another is more probable
+    assert simple.answers == {
+        "goal_red": BLUE_TO_RED,
+        "goal_green": PINK_TO_BLUE,
+        "relation": "adversarial",
+    }
+    assert list(simple.probabilities) == ["relation"]
+    assert simple.probabilities["relation"].sum() == pytest.approx(1, abs=1e-15)
+    assert found["gnn"]["a"].answers == {"relation": "neutral"}
+    assert found["gnn"]["a"].scenario is None
+
+
+def test_predictions_of_the_package_are_read_back(tmp_path: Path) -> None:
+    made = Prediction("a", {"relation": [0.5, 0.25, 0.25]}, {"goal_red": BLUE_TO_RED})
+    record = made.to_dict()
+    ppl.save_event(make_event("a", predictions={"mine": record}), tmp_path / "a.json")
+    events = [
+        ppl.load_event(tmp_path / "a.json"),
+        make_event("b", predictions={"mine": {"answers": {"relation": "neutral"}}}),
+    ]
+    found = reference_predictions(events)["mine"]
+    assert found["a"].to_dict() == record
+    assert found["b"].answers == {"relation": "neutral"}
+
+
+def test_probabilities_of_goals_may_be_given_for_one_agent() -> None:
+    record = {"goal_probs": {"green agent": {BLUE_TO_RED: 0.75, PINK_TO_BLUE: 0.25}}, "goals": None}
+    found = reference_predictions([make_event("a", predictions={"m": record})])["m"]["a"]
+    assert found.answers == {"goal_green": BLUE_TO_RED}
+    assert found.top("goal_green", 2) == (BLUE_TO_RED, PINK_TO_BLUE)
+
+
+@pytest.mark.parametrize(
+    ("record", "message"),
+    [
+        (3, "it is 3, expected an object"),
+        ({"relations": "friendly"}, "unknown field 'relations'; did you mean 'relation'"),
+        ({"relation": "freindly"}, "unknown relation 'freindly'"),
+        ({"relation": ["friendly"]}, "unknown relation"),
+        ({"goals": {"red": BLUE_TO_RED}}, "unknown agent in goals 'red'; did you mean 'red agent'"),
+        ({"goals": {"red agent": "win"}}, "unknown goal 'win'"),
+        ({"goals": [BLUE_TO_RED, BLUE_TO_RED]}, "goals is .*, expected an object"),
+        ({"relation_probs": {"friendly": 0.4}}, "relation has probabilities of sum 0.4"),
+        ({"relation_probs": {"friendly": -1, "neutral": 2}}, "relation has the probability -1"),
+        ({"relation_probs": [1, 0, 0]}, "relation is .1, 0, 0., expected answers with numbers"),
+        ({"relation_probs": {"friendly": "1"}}, "'friendly' has '1', expected a number"),
+        ({"answers": {}, "relation": "friendly"}, "unknown field 'relation'"),
+        ({"event": "z", "answers": {"relation": "friendly"}}, "is of the event 'z'"),
+        ({"probabilities": [0.1, 0.2, 0.7]}, "probabilities of a prediction is .*an object"),
+    ],
+)
+def test_bad_prediction_is_refused_with_event_and_model(record: Any, message: str) -> None:
+    event = make_event("film 7", predictions={"m": record})
+    with pytest.raises(PhasePPLError, match=f"event film 7: predictions: m: .*{message}"):
+        reference_predictions([event])
+
+
+def test_models_that_predict_other_events_are_measured_on_theirs() -> None:
+    right, wrong = {"relation": "friendly"}, {"relation": "neutral"}
+    events = [
+        make_event("a", COLLABORATIVE, [3, 1, 0], predictions={"one": right, "two": right}),
+        make_event("b", COLLABORATIVE, [2, 1, 1], predictions={"one": wrong, "two": wrong}),
+        make_event("c", COMPETING, [0, 1, 4], predictions={"two": wrong}),
+    ]
+    found = reference_models(events)
+    assert [found[name]["n_events"] for name in ("one", "two")] == [2, 3]
+    assert found["one"]["relation_accuracy"]["value"] == 1 / 2
+    assert found["two"]["relation_accuracy"]["value"] == 1 / 3
+    assert found["one"]["human"]["split_half_r"] != found["two"]["human"]["split_half_r"]
+
+
+@needs_dev
+def test_published_figures_of_the_authors_models() -> None:
+    events = ppl.load_events(DEV)
+    found = reference_models(events)
+    simple = found["simple_authors"]
+    assert simple["n_events"] == 50
+    assert simple["goal_accuracy"]["value"] == pytest.approx(0.88)
+    by_scenario = {
+        name: (entry["n"], round(entry["goal_accuracy"]["value"], 3))
+        for name, entry in simple["by_scenario"].items()
+    }
+    assert by_scenario == {
+        "collaborative": (19, 0.974),
+        "independent": (14, 0.929),
+        "competing": (5, 0.6),
+        "opposing": (12, 0.792),
+    }
+    assert simple["relation_accuracy"]["value"] == pytest.approx(0.9)
+    assert simple["human"]["relation_r"]["value"] == pytest.approx(0.645, abs=5e-4)
+    assert simple["human"]["split_half_r"]["value"] == pytest.approx(0.90, abs=0.01)
+    assert simple["human"]["goal_r"] is None
+    assert simple["goal_top3_accuracy"] is None
+    assert found["socialgnn_2023"]["relation_accuracy"]["value"] == pytest.approx(0.68)
+    assert found["socialgnn_2023"]["human"]["relation_r"] is None
+    assert found["socialgnn_2023"]["confusion"] is None
+    # what people agree on least bounds how well they are predicted
+    human = simple["human"]
+    assert human["log_score"]["value"] < human["log_score_people"]["value"]
+
+
+@needs_dev
+def test_people_see_the_relations_of_the_authors_videos() -> None:
+    found = human_accuracy(ppl.load_events(DEV))
+    assert found["n_events"] == 50
+    assert found["goal_accuracy"] is None
+    assert 0.7 < found["relation_accuracy"]["value"] < 0.9
+    assert found["majority"]["relation_accuracy"]["value"] > found["relation_accuracy"]["value"]
+    assert found["by_participant"] is None

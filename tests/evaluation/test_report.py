@@ -1,0 +1,224 @@
+"""The report: one page that holds everything, fetches nothing and believes no file."""
+
+from __future__ import annotations
+
+import html.parser
+import itertools
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+import phase_ppl as ppl
+from phase_ppl.cli import main
+from phase_ppl.evaluation.folder import POSTERIOR, write_json
+from phase_ppl.evaluation.report.html import tag
+from phase_ppl.world.errors import InvalidEventError, OutputError
+
+from .small import HOSTILE, events, make_folder, make_posterior, prediction, with_posterior
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
+needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="there is no chromium here")
+
+
+class Page(html.parser.HTMLParser):
+    """The elements of a page, its text, and whether they are well nested."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.open: list[str] = []
+        self.text = ""
+        self.feed(text)
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+        if tag not in ("meta", "img", "input", "br"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if self.open and self.open[-1] not in ("style", "script"):
+            self.text += data
+
+    def all(self, name: str) -> list[dict[str, str | None]]:
+        return [attributes for tag, attributes in self.elements if tag == name]
+
+
+@pytest.fixture(scope="module")
+def evaluation(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = make_folder(tmp_path_factory.mktemp("report") / "a folder")
+    folder.add(prediction("one"), with_posterior)
+    write_json(folder.path / "failures.json", {"four": "<b>SimulationError</b>: no"})
+    assert ppl.report(folder.path) == folder.path / "report.html"
+    return folder.path / "report.html"
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("run")
+    post = make_posterior(HOSTILE)
+    post.save(folder / POSTERIOR)
+    ppl.render.video(post.observed(), folder / "replay.mp4", events()[0].scene)
+    return ppl.report(folder)
+
+
+def test_the_report_of_an_evaluation_has_all_its_parts(evaluation: Path) -> None:
+    page = Page(evaluation.read_text("utf-8"))
+    for words in ("Evaluation of SIMPLE", "3 of 3 events", "Summary", "Figures", "Failures",
+                  "Settings", "Accuracy by scenario", "With one particle"):  # fmt: skip
+        assert words in page.text
+    videos = [d for d in page.all("details") if "data-name" in d]
+    assert [d["data-name"] for d in videos] == ["one", HOSTILE, "three"]
+    assert [d["data-outcome"] for d in videos] == ["wrong", "right", "unknown"]
+    assert [d["data-scenario"] for d in videos] == ["competing", "collaborative", ""]
+    # what the model gives to the true answers: 0.9 x 0.4 x 0.25, and 0.9 x 0.6 x 0.5
+    assert [d.get("data-belief") for d in videos] == ["0.090000", "0.270000", None]
+    assert page.text.count("Best hypothesis, simulated") == 1
+    assert page.all("video") == []
+
+
+def test_the_report_of_a_run_has_all_its_parts(run: Path) -> None:
+    page = Page(run.read_text("utf-8"))
+    for words in ("What happens", "Posterior", "Can it be trusted?", "Settings", "Cost",
+                  "Get blue item to red lm", "With one particle"):  # fmt: skip
+        assert words in page.text
+    assert len(page.all("video")) == 1
+
+
+@pytest.mark.parametrize("which", ["evaluation", "run"])
+def test_nothing_is_fetched_and_nothing_of_a_file_becomes_html(
+    which: str, request: pytest.FixtureRequest
+) -> None:
+    text = request.getfixturevalue(which).read_text("utf-8")
+    page = Page(text)
+    assert "<script>alert" not in text
+    assert HOSTILE in page.text
+    assert len(page.all("script")) == 1
+    assert page.all("b") == []
+    sources = [a[k] for _, a in page.elements for k in ("src", "href", "srcset") if k in a]
+    assert sources
+    assert all(str(source).startswith("data:") for source in sources)
+    assert not re.search(r"url\(|@import|https?://", text)
+    policy = str(page.all("meta")[1]["content"])
+    assert policy.startswith("default-src 'none'")
+    assert "unsafe-inline" not in policy.split("script-src")[1]
+
+
+@pytest.mark.parametrize("which", ["evaluation", "run"])
+def test_pictures_and_tables_say_what_they_are(which: str, request: pytest.FixtureRequest) -> None:
+    page = Page(request.getfixturevalue(which).read_text("utf-8"))
+    assert page.all("html")[0]["lang"] == "en"
+    assert len(page.all("h1")) == len(page.all("main")) == len(page.all("title")) == 1
+    assert all(image["alt"] for image in page.all("img"))
+    assert len(page.all("caption")) == len(page.all("table")) > 2
+    assert all(head["scope"] in ("row", "col") for head in page.all("th"))
+    levels = [int(name[1]) for name, _ in page.elements if re.fullmatch("h[1-6]", name)]
+    assert all(after <= before + 1 for before, after in itertools.pairwise(levels))
+
+
+def test_an_unfinished_evaluation_compares_what_is_finished(tmp_path: Path) -> None:
+    folder = make_folder(tmp_path / "results", predicted=lambda name: name == "one")
+    text = Page(ppl.report(folder.path).read_text("utf-8")).text
+    assert "1 of 3 events predicted; not finished" in text
+    assert text.count("no prediction") == 3  # a choice of the menu, and two events
+
+
+def test_an_evaluation_without_truth_judgments_and_predictions_is_reported_too(
+    tmp_path: Path,
+) -> None:
+    bare = events(truth=None, judgments=None, predictions=None)
+    folder = make_folder(tmp_path / "results", bare, predicted=lambda _: False)
+    page = Page(ppl.report(folder.path).read_text("utf-8"))
+    assert "nothing to compare" in page.text
+    assert "Not drawn." in page.text
+    assert len(page.all("img")) == 1 + 3
+
+
+def test_films_of_events_are_made_on_demand(tmp_path: Path) -> None:
+    folder = make_folder(tmp_path / "results", events()[:1])
+    page = Page(ppl.report(folder.path, tmp_path / "films.html", videos=True).read_text("utf-8"))
+    assert str(page.all("video")[0]["src"]).startswith("data:video/mp4;base64,")
+
+
+def test_bad_folders_and_places_are_named(tmp_path: Path) -> None:
+    with pytest.raises(InvalidEventError, match="no such folder"):
+        ppl.report(tmp_path / "nowhere")
+    with pytest.raises(InvalidEventError, match=r"neither a run .* nor an evaluation"):
+        ppl.report(tmp_path)
+    folder = make_folder(tmp_path / "results")
+    with pytest.raises(OutputError, match=r"expected a name in \.html"):
+        ppl.report(folder.path, tmp_path / "report.txt")
+    (folder.path / "metrics.json").write_text('{"goal_accuracy": ')
+    with pytest.raises(InvalidEventError, match=r"metrics\.json"):
+        ppl.report(folder.path)
+    (tmp_path / POSTERIOR).write_bytes(b"cut")
+    with pytest.raises(InvalidEventError, match=r"posterior\.nc"):
+        ppl.report(tmp_path)
+    assert not list(tmp_path.glob("**/*.html"))
+
+
+def test_the_command_writes_the_report_and_says_where(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    target = tmp_path / "a report.html"
+    assert main(["report", str(run.parent), "--out", str(target)]) == 0
+    assert capsys.readouterr().out.strip().endswith(str(target))
+    assert target.read_text("utf-8") == run.read_text("utf-8")
+    assert main(["report", str(tmp_path)]) == 2
+    assert capsys.readouterr().err.startswith("phase-ppl: error: ")
+
+
+def test_text_and_attributes_are_escaped() -> None:
+    made = tag("p", '<i>"&', tag("b", "x"), None, ["y", "<"], title='"><i>', hidden=True, id=None)
+    assert made == '<p title="&quot;&gt;&lt;i&gt;" hidden>&lt;i&gt;&quot;&amp;<b>x</b>y&lt;</p>'
+
+
+# --- in a browser ------------------------------------------------------------------------------
+
+
+def opened(path: Path, folder: Path) -> tuple[str, str]:
+    """Return what the page has become in a browser, and what its console says."""
+    options = ["--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", "--v=0"]
+    options += [f"--user-data-dir={folder / 'profile'}", "--virtual-time-budget=2000"]
+    command = [str(CHROMIUM), *options, "--dump-dom", path.as_uri()]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=180, check=True)
+    return done.stdout, "\n".join(line for line in done.stderr.splitlines() if "CONSOLE" in line)
+
+
+@needs_chromium
+@pytest.mark.parametrize("which", ["evaluation", "run"])
+def test_a_browser_shows_the_page_without_complaint(
+    which: str, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    text, console = opened(request.getfixturevalue(which), tmp_path)
+    assert console == ""
+    page = Page(text)
+    if which == "evaluation":
+        assert "3 of 3 videos" in page.text
+        assert "hidden" not in page.all("form")[0]
+
+
+@needs_chromium
+def test_menus_filter_and_sort_the_videos(evaluation: Path, tmp_path: Path) -> None:
+    # what a reader does with the menus, done by a script, which the page's policy would not run
+    choose = """<script>
+      const form = document.getElementById("filters");
+      form.elements.outcome.value = OUTCOME;
+      form.elements.order.value = "surprise";
+      form.dispatchEvent(new Event("input"));
+    </script></body>"""
+    text = re.sub(r'<meta http-equiv="Content[^>]*>', "", evaluation.read_text("utf-8"))
+    for outcome, count, hidden in (("", "3 of 3", 0), ("wrong", "1 of 3", 2)):
+        copy = tmp_path / f"chosen{count[0]}.html"
+        copy.write_text(text.replace("</body>", choose.replace("OUTCOME", repr(outcome))), "utf-8")
+        page = Page(opened(copy, tmp_path)[0])
+        videos = [d for d in page.all("details") if "data-name" in d]
+        assert f"{count} videos" in page.text
+        assert [d["data-name"] for d in videos] == ["one", HOSTILE, "three"]
+        assert sum("hidden" in d for d in videos) == hidden
