@@ -49,6 +49,7 @@ _WHERE = {
     "evaluate_predictions": "phase_ppl.evaluation.metrics",
     "event_dataset": "phase_ppl.dataset.xarrays",
     "event_from_dataset": "phase_ppl.dataset.xarrays",
+    "export_events": "phase_ppl.dataset.export",
     "generate": "phase_ppl.dataset.generation.generate",
     "human_accuracy": "phase_ppl.evaluation.people",
     "infer": "phase_ppl.inference.infer",
@@ -92,6 +93,7 @@ if TYPE_CHECKING:
     from phase_ppl.analysis.estimate import Estimate as Estimate
     from phase_ppl.analysis.posterior import Posterior as Posterior
     from phase_ppl.dataset.bundled import bundled_events as bundled_events
+    from phase_ppl.dataset.export import export_events as export_events
     from phase_ppl.dataset.generation.generate import (
         GenerationInterrupted as GenerationInterrupted,
     )

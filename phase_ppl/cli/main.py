@@ -14,6 +14,7 @@ from phase_ppl.cli import (
     describe,
     diagnose,
     evaluate,
+    export,
     generate,
     infer,
     query,
@@ -141,4 +142,5 @@ def _parser() -> argparse.ArgumentParser:
     diagnose.add_to(commands)
     generate.add_to(commands)
     describe.add_to(commands)
+    export.add_to(commands)
     return parser
