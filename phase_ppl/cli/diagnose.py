@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import textwrap
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -12,13 +11,9 @@ from typing import Any, Final
 import numpy as np
 
 import phase_ppl
-from phase_ppl.analysis.summary import plain
+from phase_ppl.analysis.summary import LABEL, plain, wrapped
 from phase_ppl.cli.shared import posterior, writable_folder
 
-WIDTH: Final = 88
-"""Columns of the table."""
-
-_LABEL: Final = 13
 _NAME: Final = 38
 _BLOCKS: Final = 10
 """Stretches of iterations whose acceptance is printed, at most."""
@@ -77,19 +72,19 @@ def table(event_id: str, found: Mapping[str, Any]) -> str:
         f"{found['kernel']} ({found['validity']}), weights {found['weights']}"
     )
     lines = [
-        *_wrapped("diagnostics", head),
+        *wrapped("diagnostics", head),
         "",
-        *_wrapped("accepted", _accepted(found)),
-        *_wrapped("moved", _moved(found)),
-        *_wrapped("windows", _windows(found["windows"])),
-        *_wrapped("simulations", _simulations(found)),
+        *wrapped("accepted", _accepted(found)),
+        *wrapped("moved", _moved(found)),
+        *wrapped("windows", _windows(found["windows"])),
+        *wrapped("simulations", _simulations(found)),
         "",
         _row("", ("R-hat", "bulk ESS", "tail ESS"), 12),
         *_scalars(found["scalars"]),
         "",
         _row("", ("P", "draws", "MCSE", "ESS", "R-hat"), 7),
         *_categories(found),
-        *_wrapped("verdict", found["verdict"]),
+        *wrapped("verdict", found["verdict"]),
     ]
     return "\n".join(lines)
 
@@ -106,11 +101,11 @@ def _categories(found: Mapping[str, Any]) -> Iterator[str]:
         for category, entry in categories.items():
             numbers = (_two(entry["probability"]), _two(entry["share"]), _two(entry["mcse"]))
             cells = (*numbers, _whole(entry["ess"]), _two(entry["r_hat"]))
-            yield _row(f"{label:<{_LABEL}}{category}", cells, 7)
+            yield _row(f"{label:<{LABEL}}{category}", cells, 7)
             label = ""
         apart = found["between_chain_tv"].get(name)
         if apart is not None:
-            yield from _wrapped(
+            yield from wrapped(
                 "",
                 f"the same goal leads in {found['agreement'][name]:.0%} of the particles; two "
                 f"differ by {apart['mean']:.2f} on average, by {apart['max']:.2f} at most "
@@ -120,7 +115,7 @@ def _categories(found: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _row(label: str, cells: tuple[str, ...], width: int) -> str:
-    room = _LABEL + _NAME
+    room = LABEL + _NAME
     return (f"{label[: room - 1]:<{room}}" + "".join(f"{cell:>{width}}" for cell in cells)).rstrip()
 
 
@@ -171,8 +166,3 @@ def _two(value: float | None) -> str:
 
 def _whole(value: float | None) -> str:
     return "-" if value is None else f"{value:.0f}"
-
-
-def _wrapped(label: str, text: str) -> list[str]:
-    indent = " " * _LABEL
-    return textwrap.wrap(text, WIDTH, initial_indent=f"{label:<{_LABEL}}", subsequent_indent=indent)

@@ -20,6 +20,7 @@ from phase_ppl.cli.shared import (
     writable_folder,
 )
 from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.files import write_json
 
 if TYPE_CHECKING:
     from phase_ppl.evaluation.evaluation import Evaluation
@@ -178,7 +179,6 @@ def _model_options(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def _write_difference(found: Evaluation, options: argparse.Namespace) -> None:
-    from phase_ppl.evaluation.folder import write_json
     from phase_ppl.evaluation.printed import difference_table
 
     difference = found.against(options.against)
@@ -189,11 +189,10 @@ def _write_difference(found: Evaluation, options: argparse.Namespace) -> None:
 
 def _draw(folder: ResultsFolder, quiet: bool) -> list[str]:
     """Draw figures and pages; return in words what could not be drawn."""
-    from tqdm import tqdm
-
     from phase_ppl.evaluation.figures import draw_figures
     from phase_ppl.evaluation.folder import PAGE
     from phase_ppl.evaluation.pages import draw_page
+    from phase_ppl.inference.runs.progress import counted
 
     problems = []
     try:
@@ -201,7 +200,7 @@ def _draw(folder: ResultsFolder, quiet: bool) -> list[str]:
     except Exception as error:  # the results are there, whatever becomes of their pictures
         problems.append(f"the figures cannot be drawn: {one_line(error)}")
     finished = [event.id for event in folder.events if folder.is_finished(event.id)]
-    for event_id in tqdm(finished, desc="pages", unit="page", disable=quiet):
+    for event_id in counted(finished, not quiet, "page", "drawing"):
         try:
             draw_page(folder, event_id, folder.folder_of(event_id) / PAGE)
         except Exception as error:

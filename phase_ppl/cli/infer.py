@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import functools
 import inspect
-import json
 import shlex
 import sys
 from collections.abc import Callable, Sequence
@@ -25,9 +24,9 @@ from phase_ppl.cli.shared import (
     report_hint,
     whole,
     writable_folder,
-    write_text,
 )
 from phase_ppl.world.errors import InvalidSettingError, OutputError, PhasePPLError
+from phase_ppl.world.files import write_json
 
 if TYPE_CHECKING:
     from phase_ppl.analysis.posterior import Posterior
@@ -191,8 +190,7 @@ def _kernel_options(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
 def _write_results(post: Posterior, event: Event, out: Path) -> None:
     """Write posterior.nc, summary.json, posterior.png and replay.mp4 into ``out``."""
     post.save(out / POSTERIOR)
-    text = json.dumps(post.summary(), indent=2, ensure_ascii=False, allow_nan=False)
-    write_text(out / "summary.json", text + "\n")
+    write_json(out / "summary.json", post.summary())
     phase_ppl.plot.posterior(post, path=out / "posterior.png")
     phase_ppl.render.video(event, out / "replay.mp4", compare=post.replay())
     print(f"\nWritten to {out}: {POSTERIOR}, summary.json, posterior.png, replay.mp4")

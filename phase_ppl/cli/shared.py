@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import shlex
 import tempfile
 from collections.abc import Sequence
@@ -46,7 +45,7 @@ def posterior(path: Path, weights: str | None = None) -> Posterior:
     if not path.is_dir():
         return phase_ppl.Posterior.load(path, weights)
     if not (path / POSTERIOR).is_file():
-        kept = next(path.glob(f"events/*/{POSTERIOR}"), None)
+        kept = min(path.glob(f"events/*/{POSTERIOR}"), default=None)
         hint = f"; it holds an evaluation, with one such as {kept}" if kept else ""
         raise InvalidEventError(f"{path} holds no {POSTERIOR}{hint}")
     return phase_ppl.Posterior.load(path / POSTERIOR, weights)
@@ -78,16 +77,6 @@ def writable_folder(folder: Path) -> Path:
     except OSError as error:
         raise OutputError(f"cannot write into folder {folder}: {error.strerror or error}") from None
     return folder
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write ``text`` to ``path``, whole or not at all."""
-    part = path.with_name(path.name + ".part")
-    try:
-        part.write_text(text, encoding="utf-8")
-        os.replace(part, path)
-    except OSError as error:
-        raise OutputError(f"cannot write {path}: {error.strerror or error}") from None
 
 
 class Parser(argparse.ArgumentParser):

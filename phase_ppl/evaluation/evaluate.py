@@ -17,7 +17,7 @@ from phase_ppl.analysis.tree import name_event
 from phase_ppl.dataset.hdf5 import is_hdf5
 from phase_ppl.evaluation.answer import Predict
 from phase_ppl.evaluation.evaluation import Evaluation, cost_of
-from phase_ppl.evaluation.folder import METRICS, POSTERIOR, ResultsFolder, write_json
+from phase_ppl.evaluation.folder import METRICS, POSTERIOR, ResultsFolder
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.progress import Progress
 from phase_ppl.evaluation.registry import ReadyModel, ready
@@ -27,6 +27,7 @@ from phase_ppl.evaluation.work import Job, Outcome, outcomes
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import Event
+from phase_ppl.world.files import write_json
 
 if TYPE_CHECKING:
     from phase_ppl.evaluation.judgments import Study

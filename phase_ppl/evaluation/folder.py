@@ -19,7 +19,6 @@ goes on with the events that are missing.
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import secrets
@@ -34,7 +33,7 @@ from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.stored import check_metrics
 from phase_ppl.world.errors import InvalidEventError, OutputError, PhasePPLError
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import atomic_output
+from phase_ppl.world.files import write_json
 
 SCHEMA: Final = "phase-ppl-evaluation-1"
 """Value of ``schema`` in settings.json."""
@@ -230,14 +229,3 @@ def read_json(path: Path) -> dict[str, Any]:
         return read_document(path)
     except InvalidEventError as error:
         raise InvalidEventError(f"{path}: {error}") from None
-
-
-def write_json(path: Path, record: Mapping[str, Any]) -> None:
-    """Write a JSON object, whole or not at all.
-
-    Raises:
-        OutputError: it cannot be written.
-    """
-    with atomic_output(path, (".json",)) as part:
-        text = json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False)
-        part.write_text(text + "\n", encoding="utf-8")

@@ -13,7 +13,7 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.cli import main
-from phase_ppl.evaluation.folder import POSTERIOR, write_json
+from phase_ppl.evaluation.folder import POSTERIOR
 from phase_ppl.evaluation.report.html import tag
 from phase_ppl.world.errors import InvalidEventError, OutputError
 

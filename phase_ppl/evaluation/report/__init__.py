@@ -18,7 +18,7 @@ def report(
     path: str | os.PathLike[str] | None = None,
     *,
     videos: bool = False,
-    progress: bool = False,
+    progress: bool | None = None,
 ) -> Path:
     """Write one self-contained HTML page about a run or an evaluation; return its path.
 
@@ -29,7 +29,8 @@ def report(
         path: of the page, ending in .html; default ``report.html`` in the folder.
         videos: film every event of an evaluation as well, some seconds and 0.1 MB each. A film
             that a run has is always there.
-        progress: show a bar over the events of an evaluation.
+        progress: whether to show a bar over the events of an evaluation on stderr; by default
+            where that is a terminal.
 
     Raises:
         InvalidEventError: the folder is neither, or a file in it is damaged.

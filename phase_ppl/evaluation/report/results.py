@@ -51,13 +51,15 @@ ALTS: Final = {
 """Name of a figure -> what stands in its place for those who do not see it."""
 
 
-def results_report(folder: ResultsFolder, *, videos: bool = False, progress: bool = False) -> str:
+def results_report(
+    folder: ResultsFolder, *, videos: bool = False, progress: bool | None = None
+) -> str:
     """Return the page of an evaluation.
 
     Args:
         folder: of the evaluation, finished or not.
         videos: film every event.
-        progress: show a bar over the events.
+        progress: show a bar over the events; None: where stderr is a terminal.
 
     Raises:
         InvalidEventError, UnknownNameError: a file in the folder is damaged.
