@@ -14,7 +14,7 @@ import pandas as pd
 
 from phase_ppl.analysis.summary import plain
 from phase_ppl.world.errors import InvalidEventError
-from phase_ppl.world.files import atomic_output, existing_file
+from phase_ppl.world.files import existing_file, write_json
 
 SCHEMA: Final = "phase-ppl-comparison-1"
 
@@ -92,9 +92,7 @@ class Comparison:
             "runs": self.runs.to_dict("list"),
             "curve": self.curve.to_dict("list"),
         }
-        text = json.dumps(plain(record), indent=1, ensure_ascii=False, allow_nan=False)
-        with atomic_output(path, (".json",)) as part:
-            part.write_text(text + "\n", encoding="utf-8")
+        write_json(path, plain(record))
         return Path(path)
 
     @classmethod

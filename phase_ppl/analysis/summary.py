@@ -16,7 +16,10 @@ if TYPE_CHECKING:
 WIDTH: Final = 88
 """Columns of the table."""
 
-_LABEL, _NAME, _BAR = 13, 38, 28
+LABEL: Final = 13
+"""Columns of what stands before a line."""
+
+_NAME, _BAR = 38, 28
 _GOALS: Final = dict(zip(AGENTS, ("goal_red", "goal_green"), strict=True))
 _STRENGTHS: Final = dict(zip(AGENTS, ("strength_red", "strength_green"), strict=True))
 
@@ -74,7 +77,7 @@ def table(post: Posterior) -> str:
         f"{found['particles']} particles x {found['iterations']} iterations, "
         f"{found['kernel']}, weights {found['weights']}"
     )
-    lines = [*_wrapped("posterior", f"{post.event_id}: {head}"), ""]
+    lines = [*wrapped("posterior", f"{post.event_id}: {head}"), ""]
     for agent, name in _GOALS.items():
         lines += _bars(agent, [entry for entry in post.top(name, 3) if entry[1] > 0])
     lines += _bars("relation", post.top("relation", 3))
@@ -82,15 +85,15 @@ def table(post: Posterior) -> str:
     for agent, name in _STRENGTHS.items():
         low, high = post.hdi(name).values
         text = f"{agent}: {post.mean(name):.0f} N (94 % interval {low:.0f} to {high:.0f} N)"
-        lines.append(f"{'strength' if agent == AGENTS[0] else '':<{_LABEL}}{text}")
-    lines += ["", *_wrapped("fit", _fit(found)), *_wrapped("cost", _cost(post.cost, found))]
-    return "\n".join([*lines, *_wrapped("verdict", found["verdict"])])
+        lines.append(f"{'strength' if agent == AGENTS[0] else '':<{LABEL}}{text}")
+    lines += ["", *wrapped("fit", _fit(found)), *wrapped("cost", _cost(post.cost, found))]
+    return "\n".join([*lines, *wrapped("verdict", found["verdict"])])
 
 
 def _bars(label: str, entries: Sequence[tuple[str, float]]) -> Iterator[str]:
     for name, probability in entries:
         bar = "#" * round(probability * _BAR)
-        yield f"{label:<{_LABEL}}{name:<{_NAME}}{probability:5.3f}  {bar}".rstrip()
+        yield f"{label:<{LABEL}}{name:<{_NAME}}{probability:5.3f}  {bar}".rstrip()
         label = ""
 
 
@@ -121,6 +124,7 @@ def _cost(cost: Mapping[str, Any], found: Mapping[str, Any]) -> str:
     return f"{words}, {cost['retries']} run again" if cost.get("retries") else words
 
 
-def _wrapped(label: str, text: str) -> list[str]:
-    indent = " " * _LABEL
-    return textwrap.wrap(text, WIDTH, initial_indent=f"{label:<{_LABEL}}", subsequent_indent=indent)
+def wrapped(label: str, text: str) -> list[str]:
+    """Return ``text`` as lines of a table, the first of which begins with the label."""
+    indent = " " * LABEL
+    return textwrap.wrap(text, WIDTH, initial_indent=f"{label:<{LABEL}}", subsequent_indent=indent)

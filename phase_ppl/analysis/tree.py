@@ -195,6 +195,14 @@ def write_tree(tree: xr.DataTree, path: str | os.PathLike[str]) -> Path:
     return Path(path)
 
 
+def name_event(path: str | os.PathLike[str], event_id: str) -> None:
+    """Write into the file of a posterior of which event it is; all else stays."""
+    import h5py
+
+    with h5py.File(path, "r+") as file:
+        file.attrs["event_id"] = event_id
+
+
 def read_tree(path: str | os.PathLike[str]) -> xr.DataTree:
     """Read the tree of draws that :func:`write_tree` wrote, fully into memory.
 

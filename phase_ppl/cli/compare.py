@@ -59,7 +59,7 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--checkpoint", metavar="FILE", type=Path, help=".json; keeps and takes up finished runs"
     )
-    parser.add_argument("--out", metavar="DIR", type=Path)
+    parser.add_argument("--out", metavar="DIR", type=Path, help="for the runs and a figure")
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
 
 

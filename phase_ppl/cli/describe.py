@@ -9,11 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import phase_ppl
-from phase_ppl.cli.shared import writable_folder, write_text
+from phase_ppl.cli.shared import writable_folder
 from phase_ppl.dataset.generation.store import MANIFEST, read_manifest
 from phase_ppl.dataset.phase_statistics import PHASE
 from phase_ppl.evaluation.sources import all_events
 from phase_ppl.world.event import Event
+from phase_ppl.world.files import write_json
 
 
 def add_to(commands: Any) -> None:
@@ -51,11 +52,13 @@ def _describe(options: argparse.Namespace) -> int:
     out = None if options.out is None else writable_folder(options.out)
     events, found = _statistics(options.events)
     beside = PHASE if options.beside is None else _statistics(options.beside)[1]
-    text = json.dumps(found, indent=1, ensure_ascii=False, allow_nan=False)
-    print(text if options.json else data_table(found, beside))
+    if options.json:
+        print(json.dumps(found, indent=1, ensure_ascii=False, allow_nan=False))
+    else:
+        print(data_table(found, beside))
     if out is None:
         return 0
-    write_text(out / "statistics.json", text + "\n")
+    write_json(out / "statistics.json", found)
     phase_ppl.plot.data_card(found, out / "data_card.png", beside=beside)
     sheets = phase_ppl.render.contact_sheet(
         events, out / "contact_sheet.png", progress=False if options.quiet else None

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import textwrap
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -12,16 +11,9 @@ from typing import Any, Final
 import numpy as np
 
 import phase_ppl
-from phase_ppl.analysis.summary import plain
-from phase_ppl.cli.shared import writable_folder
+from phase_ppl.analysis.summary import LABEL, plain, wrapped
+from phase_ppl.cli.shared import posterior, writable_folder
 
-RESULT: Final = "posterior.nc"
-"""Name of a posterior in the folder that ``infer`` writes."""
-
-WIDTH: Final = 88
-"""Columns of the table."""
-
-_LABEL: Final = 13
 _NAME: Final = 38
 _BLOCKS: Final = 10
 """Stretches of iterations whose acceptance is printed, at most."""
@@ -38,22 +30,17 @@ def add_to(commands: Any) -> None:
     )
     parser.set_defaults(run=_diagnose)
     parser.add_argument(
-        "posterior",
-        metavar="RUN",
-        type=Path,
-        help=f"a posterior's .nc file, or a folder with {RESULT}",
+        "file", metavar="FILE", type=Path, help="a posterior's .nc file, or the folder of infer"
     )
     parser.add_argument(
-        "--weights", metavar="NAME", help="count, visited or likelihood; default: the run's"
+        "--weights", metavar="NAME", help="count, visited or likelihood; default: the file's"
     )
-    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    parser.add_argument("--json", action="store_true", help="JSON instead of a table")
     parser.add_argument("--out", metavar="DIR", type=Path, help="for the figures")
 
 
 def _diagnose(options: argparse.Namespace) -> int:
-    path = options.posterior
-    path = path / RESULT if path.is_dir() else path
-    post = phase_ppl.Posterior.load(path, options.weights)
+    post = posterior(options.file, options.weights)
     found = post.diagnostics()
     written = [] if options.out is None else _figures(post, writable_folder(options.out))
     if options.json:
@@ -85,19 +72,19 @@ def table(event_id: str, found: Mapping[str, Any]) -> str:
         f"{found['kernel']} ({found['validity']}), weights {found['weights']}"
     )
     lines = [
-        *_wrapped("diagnostics", head),
+        *wrapped("diagnostics", head),
         "",
-        *_wrapped("accepted", _accepted(found)),
-        *_wrapped("moved", _moved(found)),
-        *_wrapped("windows", _windows(found["windows"])),
-        *_wrapped("simulations", _simulations(found)),
+        *wrapped("accepted", _accepted(found)),
+        *wrapped("moved", _moved(found)),
+        *wrapped("windows", _windows(found["windows"])),
+        *wrapped("simulations", _simulations(found)),
         "",
         _row("", ("R-hat", "bulk ESS", "tail ESS"), 12),
         *_scalars(found["scalars"]),
         "",
         _row("", ("P", "draws", "MCSE", "ESS", "R-hat"), 7),
         *_categories(found),
-        *_wrapped("verdict", found["verdict"]),
+        *wrapped("verdict", found["verdict"]),
     ]
     return "\n".join(lines)
 
@@ -114,11 +101,11 @@ def _categories(found: Mapping[str, Any]) -> Iterator[str]:
         for category, entry in categories.items():
             numbers = (_two(entry["probability"]), _two(entry["share"]), _two(entry["mcse"]))
             cells = (*numbers, _whole(entry["ess"]), _two(entry["r_hat"]))
-            yield _row(f"{label:<{_LABEL}}{category}", cells, 7)
+            yield _row(f"{label:<{LABEL}}{category}", cells, 7)
             label = ""
         apart = found["between_chain_tv"].get(name)
         if apart is not None:
-            yield from _wrapped(
+            yield from wrapped(
                 "",
                 f"the same goal leads in {found['agreement'][name]:.0%} of the particles; two "
                 f"differ by {apart['mean']:.2f} on average, by {apart['max']:.2f} at most "
@@ -128,7 +115,7 @@ def _categories(found: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _row(label: str, cells: tuple[str, ...], width: int) -> str:
-    room = _LABEL + _NAME
+    room = LABEL + _NAME
     return (f"{label[: room - 1]:<{room}}" + "".join(f"{cell:>{width}}" for cell in cells)).rstrip()
 
 
@@ -179,8 +166,3 @@ def _two(value: float | None) -> str:
 
 def _whole(value: float | None) -> str:
     return "-" if value is None else f"{value:.0f}"
-
-
-def _wrapped(label: str, text: str) -> list[str]:
-    indent = " " * _LABEL
-    return textwrap.wrap(text, WIDTH, initial_indent=f"{label:<{_LABEL}}", subsequent_indent=indent)

@@ -15,10 +15,12 @@ from phase_ppl.cli.shared import (
     budget,
     named_value,
     one_line,
+    report_hint,
     whole,
     writable_folder,
 )
 from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.files import write_json
 
 if TYPE_CHECKING:
     from phase_ppl.evaluation.evaluation import Evaluation
@@ -30,6 +32,9 @@ AGAINST: Final = "against.json"
 _SHORT_FOR: Final = ("planner", "kernel", "budget", "weights", "prior")
 """Options of models that have options of the command of their own."""
 
+_OF_WORK: Final = ("model", "resume", "limit", "seed", "judgments", *_SHORT_FOR, "option")
+"""Options that say nothing where an evaluation is only shown again."""
+
 
 def add_to(commands: Any) -> None:
     """Add the command."""
@@ -37,7 +42,8 @@ def add_to(commands: Any) -> None:
         "evaluate",
         help="ask a model about many events, and score what it answers",
         description="Ask a model about many events, longest first, and score what it answers. "
-        "Without EVENTS, the evaluation in --out is read and shown again.",
+        "Without EVENTS, the evaluation in --out is read and shown again, to be compared by "
+        "--against.",
         epilog="example: phase-ppl evaluate videos.json --model simple --planner fast --out out",
     )
     parser.set_defaults(run=_evaluate)
@@ -50,13 +56,15 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--model",
         metavar="NAME",
-        default="simple",
         help="simple (the default), last_frame or another",
     )
-    parser.add_argument("--out", metavar="DIR", type=Path)
+    parser.add_argument(
+        "--out", metavar="DIR", type=Path, help="for predictions, metrics, figures and pages"
+    )
     parser.add_argument(
         "--resume",
         action="store_true",
+        default=None,
         help="go on with what is in --out; events may have been added at the end",
     )
     parser.add_argument("--split", metavar="NAME", help="of a generated set, such as test")
@@ -64,7 +72,7 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--workers", metavar="N", type=whole(1), help="processes; default one per usable core"
     )
-    parser.add_argument("--seed", metavar="N", type=whole(0), default=0, help="default 0")
+    parser.add_argument("--seed", metavar="N", type=whole(0), help="default 0")
     parser.add_argument(
         "--judgments", metavar="FILE", type=Path, help="people's judgments, a .csv file"
     )
@@ -95,8 +103,6 @@ def add_to(commands: Any) -> None:
 
 
 def _evaluate(options: argparse.Namespace) -> int:
-    if options.against is not None and Path(options.against).is_dir():
-        phase_ppl.Evaluation.load(options.against)  # what is wrong with it is said now
     found = _again(options) if options.events is None else _anew(options)
     if found is None:
         return INTERRUPTED
@@ -109,7 +115,7 @@ def _evaluate(options: argparse.Namespace) -> int:
     if found.folder is None:
         print("\nNothing was saved; --out DIR keeps predictions, metrics and figures.")
     else:
-        print(f"\nKept in {found.folder.path}")
+        print(f"\nKept in {found.folder.path}\n{report_hint(found.folder.path)}")
     if options.against is not None:
         _write_difference(found, options)
     return code
@@ -117,20 +123,26 @@ def _evaluate(options: argparse.Namespace) -> int:
 
 def _anew(options: argparse.Namespace) -> Evaluation | None:
     """Evaluate; None where it was interrupted."""
+    from phase_ppl.evaluation.evaluation import opponent
+    from phase_ppl.evaluation.sources import all_events
+
     if options.resume and options.out is None:
         raise InvalidSettingError("--resume needs --out, the folder to go on in")
+    events = all_events(options.events)
+    if options.against is not None:
+        opponent(events[: options.limit], options.against)  # what is wrong with it is said now
     if options.out is not None:
         writable_folder(options.out)
     try:
         return phase_ppl.evaluate(
-            options.events,
-            options.model,
+            events,
+            options.model or "simple",
             out=options.out,
             workers=options.workers,
-            resume=options.resume,
             split=options.split,
+            resume=bool(options.resume),
             limit=options.limit,
-            seed=options.seed,
+            seed=options.seed or 0,
             judgments=options.judgments,
             progress=not options.quiet,
             **_model_options(options),
@@ -144,8 +156,14 @@ def _anew(options: argparse.Namespace) -> Evaluation | None:
 
 def _again(options: argparse.Namespace) -> Evaluation:
     """Read an evaluation that is there."""
-    if options.out is None or options.resume:
-        raise InvalidSettingError("EVENTS is missing; only an evaluation that is there needs none")
+    given = vars(options)
+    nothing: tuple[Any, ...] = (None, [])
+    of_work = [f"--{name}" for name in _OF_WORK if given[name] not in nothing]
+    if options.out is None or of_work:
+        needed = f" with {', '.join(of_work)}" if of_work else ""
+        raise InvalidSettingError(
+            f"EVENTS is missing{needed}; only to show the evaluation in --out again needs none"
+        )
     return phase_ppl.Evaluation.load(options.out)
 
 
@@ -163,7 +181,6 @@ def _model_options(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def _write_difference(found: Evaluation, options: argparse.Namespace) -> None:
-    from phase_ppl.evaluation.folder import write_json
     from phase_ppl.evaluation.printed import difference_table
 
     difference = found.against(options.against)
@@ -174,11 +191,10 @@ def _write_difference(found: Evaluation, options: argparse.Namespace) -> None:
 
 def _draw(folder: ResultsFolder, quiet: bool) -> list[str]:
     """Draw figures and pages; return in words what could not be drawn."""
-    from tqdm import tqdm
-
     from phase_ppl.evaluation.figures import draw_figures
     from phase_ppl.evaluation.folder import PAGE
     from phase_ppl.evaluation.pages import draw_page
+    from phase_ppl.inference.runs.progress import counted
 
     problems = []
     try:
@@ -186,7 +202,7 @@ def _draw(folder: ResultsFolder, quiet: bool) -> list[str]:
     except Exception as error:  # the results are there, whatever becomes of their pictures
         problems.append(f"the figures cannot be drawn: {one_line(error)}")
     finished = [event.id for event in folder.events if folder.is_finished(event.id)]
-    for event_id in tqdm(finished, desc="pages", unit="page", disable=quiet):
+    for event_id in counted(finished, not quiet, "page", "drawing"):
         try:
             draw_page(folder, event_id, folder.folder_of(event_id) / PAGE)
         except Exception as error:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import functools
 import inspect
-import json
+import shlex
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -21,11 +21,12 @@ from phase_ppl.cli.shared import (
     load,
     named_value,
     one_line,
+    report_hint,
     whole,
     writable_folder,
-    write_text,
 )
 from phase_ppl.world.errors import InvalidSettingError, OutputError, PhasePPLError
+from phase_ppl.world.files import write_json
 
 if TYPE_CHECKING:
     from phase_ppl.analysis.posterior import Posterior
@@ -56,7 +57,9 @@ def add_to(commands: Any) -> None:
         default=[],
         help="of the kernel, such as rule=paper; may be given several times",
     )
-    infer.add_argument("--out", metavar="DIR", type=Path)
+    infer.add_argument(
+        "--out", metavar="DIR", type=Path, help="for the posterior, a figure and a film"
+    )
     _add_means(infer)
 
     resume = commands.add_parser(
@@ -158,7 +161,7 @@ def _finish(
         _write_results(post, event, out)
     if kept is not None and kept.exists():
         if code:
-            print(f"Go on with: phase-ppl resume {kept}")
+            print(f"Go on with: phase-ppl resume {shlex.quote(str(kept))}")
         elif not options.keep_checkpoint:
             kept.unlink()
     return code
@@ -187,8 +190,8 @@ def _kernel_options(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
 def _write_results(post: Posterior, event: Event, out: Path) -> None:
     """Write posterior.nc, summary.json, posterior.png and replay.mp4 into ``out``."""
     post.save(out / POSTERIOR)
-    text = json.dumps(post.summary(), indent=2, ensure_ascii=False, allow_nan=False)
-    write_text(out / "summary.json", text + "\n")
+    write_json(out / "summary.json", post.summary())
     phase_ppl.plot.posterior(post, path=out / "posterior.png")
     phase_ppl.render.video(event, out / "replay.mp4", compare=post.replay())
     print(f"\nWritten to {out}: {POSTERIOR}, summary.json, posterior.png, replay.mp4")
+    print(report_hint(out))

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import phase_ppl
+from phase_ppl.cli.shared import check_suffix, writable_folder
 
 
 def add_to(commands: Any) -> None:
@@ -31,6 +32,9 @@ def add_to(commands: Any) -> None:
 
 
 def _report(options: argparse.Namespace) -> int:
+    if options.out is not None:
+        check_suffix(options.out, (".html",))
+        writable_folder(options.out.parent)
     path = phase_ppl.report(
         options.folder, options.out, videos=options.videos, progress=not options.quiet
     )

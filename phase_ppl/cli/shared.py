@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
+import shlex
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import phase_ppl
-from phase_ppl.world.errors import OutputError
+from phase_ppl.world.errors import InvalidEventError, OutputError
 from phase_ppl.world.event import Event
 
 if TYPE_CHECKING:
@@ -37,8 +37,23 @@ def load(options: argparse.Namespace) -> Event:
 
 
 def posterior(path: Path, weights: str | None = None) -> Posterior:
-    """Return the posterior of a file, or of the folder of results that holds posterior.nc."""
-    return phase_ppl.Posterior.load(path / POSTERIOR if path.is_dir() else path, weights)
+    """Return the posterior of a file, or of the folder of results that holds posterior.nc.
+
+    Raises:
+        InvalidEventError: there is no such file, or none in the folder.
+    """
+    if not path.is_dir():
+        return phase_ppl.Posterior.load(path, weights)
+    if not (path / POSTERIOR).is_file():
+        kept = min(path.glob(f"events/*/{POSTERIOR}"), default=None)
+        hint = f"; it holds an evaluation, with one such as {kept}" if kept else ""
+        raise InvalidEventError(f"{path} holds no {POSTERIOR}{hint}")
+    return phase_ppl.Posterior.load(path / POSTERIOR, weights)
+
+
+def report_hint(out: Path) -> str:
+    """Return how to make a page of what is in the folder ``out``."""
+    return f"For one page of it all: phase-ppl report {shlex.quote(str(out))}"
 
 
 def check_suffix(out: Path, suffixes: Sequence[str]) -> str:
@@ -62,16 +77,6 @@ def writable_folder(folder: Path) -> Path:
     except OSError as error:
         raise OutputError(f"cannot write into folder {folder}: {error.strerror or error}") from None
     return folder
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write ``text`` to ``path``, whole or not at all."""
-    part = path.with_name(path.name + ".part")
-    try:
-        part.write_text(text, encoding="utf-8")
-        os.replace(part, path)
-    except OSError as error:
-        raise OutputError(f"cannot write {path}: {error.strerror or error}") from None
 
 
 class Parser(argparse.ArgumentParser):

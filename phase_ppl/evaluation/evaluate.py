@@ -13,9 +13,11 @@ from typing import TYPE_CHECKING, Any
 
 import loky
 
+from phase_ppl.analysis.tree import name_event
+from phase_ppl.dataset.hdf5 import is_hdf5
 from phase_ppl.evaluation.answer import Predict
 from phase_ppl.evaluation.evaluation import Evaluation, cost_of
-from phase_ppl.evaluation.folder import METRICS, ResultsFolder, write_json
+from phase_ppl.evaluation.folder import METRICS, POSTERIOR, ResultsFolder
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.progress import Progress
 from phase_ppl.evaluation.registry import ReadyModel, ready
@@ -25,6 +27,7 @@ from phase_ppl.evaluation.work import Job, Outcome, outcomes
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import Event
+from phase_ppl.world.files import write_json
 
 if TYPE_CHECKING:
     from phase_ppl.evaluation.judgments import Study
@@ -195,7 +198,9 @@ class _Session:
         if outcome.prediction is not None:
             prediction = dataclasses.replace(outcome.prediction, event_id=job.key)
             if self._folder is not None:
-                self._folder.add(prediction, lambda folder: _write(folder, outcome.artefacts))
+                self._folder.add(
+                    prediction, lambda folder: _write(folder, outcome.artefacts, job.key)
+                )
             self._done[job.key] = prediction
             bar.one_more(job.key, prediction.cost["seconds"])
             return
@@ -209,6 +214,9 @@ class _Session:
         bar.one_more(job.key, None)
 
 
-def _write(folder: Path, artefacts: Mapping[str, bytes]) -> None:
+def _write(folder: Path, artefacts: Mapping[str, bytes], event_id: str) -> None:
     for name, content in artefacts.items():
         (folder / name).write_bytes(content)
+    posterior = folder / POSTERIOR
+    if is_hdf5(posterior):  # the model did not know of which event it is
+        name_event(posterior, event_id)

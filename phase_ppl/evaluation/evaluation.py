@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from phase_ppl.analysis.summary import plain
-from phase_ppl.evaluation.folder import ResultsFolder
+from phase_ppl.evaluation.folder import SETTINGS, ResultsFolder
 from phase_ppl.evaluation.metrics import evaluate_predictions, paired_difference, reference_models
 from phase_ppl.evaluation.people import human_accuracy
 from phase_ppl.evaluation.prediction import Prediction
@@ -72,6 +72,9 @@ class Evaluation:
             InvalidEventError: it is no such folder, or a file in it is damaged.
         """
         folder = ResultsFolder.open(path)
+        for name in ("model", "seed"):
+            if name not in folder.settings:
+                raise InvalidEventError(f"{folder.path / SETTINGS} has no {name}")
         predictions = folder.predictions()
         stored = (folder.metrics() or {}).get("cost") or {}
         cost = cost_of(predictions, stored.get("workers"), stored.get("wall_seconds"))
@@ -92,32 +95,12 @@ class Evaluation:
             InvalidEventError: there is no such folder; or an event is not the same in both.
             InvalidSettingError: there is no event that both predict.
         """
-        name, predictions = self._predictions_of(other)
+        name, predictions = opponent(self.events, other)
         if not set(predictions) & set(self.predictions):
             raise InvalidSettingError(f"there is no event that {self.name} and {name} both predict")
         found = paired_difference(self.events, self.predictions, predictions)
         return {name: plain(value) for name, value in
                 {"one": self.name, "other": name, **found}.items()}  # fmt: skip
-
-    def _predictions_of(
-        self, other: Evaluation | str | os.PathLike[str]
-    ) -> tuple[str, Mapping[str, Prediction]]:
-        if not isinstance(other, Evaluation):
-            references = reference_predictions(self.events)
-            if isinstance(other, str) and other in references:
-                return other, references[other]
-            if not Path(other).exists():
-                known = f", and no reference model ({', '.join(references)})" if references else ""
-                raise InvalidEventError(f"{other}: no such folder{known}")
-            other = Evaluation.load(other)
-        mine = {event.id: event for event in self.events}
-        for event in other.events:
-            if event.id in mine and event_digest(event) != event_digest(mine[event.id]):
-                raise InvalidEventError(
-                    f"event {event.id!r} is not the same in both evaluations: its scene or "
-                    "observation differ"
-                )
-        return other.name, other.predictions
 
     @property
     def name(self) -> str:
@@ -134,15 +117,53 @@ class Evaluation:
         )
 
 
+def opponent(
+    events: Sequence[Event], other: Evaluation | str | os.PathLike[str]
+) -> tuple[str, Mapping[str, Prediction]]:
+    """Return name and predictions of what a model is compared with.
+
+    Args:
+        events: that the model is asked about.
+        other: as of :meth:`Evaluation.against`.
+
+    Raises:
+        As :meth:`Evaluation.against`.
+    """
+    name: str
+    predictions: Mapping[str, Prediction]
+    references = reference_predictions(events)
+    if isinstance(other, str) and other in references:
+        name, predictions = other, references[other]
+    else:
+        if not isinstance(other, Evaluation):
+            if not Path(other).exists():
+                known = f", and no reference model ({', '.join(references)})" if references else ""
+                raise InvalidEventError(f"{other}: no such folder{known}")
+            other = Evaluation.load(other)
+        mine = {event.id: event for event in events}
+        for event in other.events:
+            if event.id in mine and event_digest(event) != event_digest(mine[event.id]):
+                raise InvalidEventError(
+                    f"event {event.id!r} is not the same in both evaluations: its scene or "
+                    "observation differ"
+                )
+        name, predictions = other.name, other.predictions
+    if not any(event.id in predictions for event in events):
+        raise InvalidSettingError(f"{name} predicts none of the {len(events)} events")
+    return name, predictions
+
+
 def cost_of(
     predictions: Mapping[str, Prediction], workers: int | None, wall_seconds: float | None
 ) -> dict[str, Any]:
     """Return what predictions cost, together and each."""
     each = {name: dict(prediction.cost) for name, prediction in predictions.items()}
-    given = [cost.get("simulations") for cost in each.values()]
-    counts = [count for count in given if isinstance(count, int | float)]
+    counts, seconds = (
+        [cost[name] for cost in each.values() if isinstance(cost.get(name), int | float)]
+        for name in ("simulations", "seconds")
+    )
     return {
-        "seconds": sum(cost.get("seconds", 0.0) for cost in each.values()),
+        "seconds": sum(seconds),
         "simulations": sum(counts) if counts else None,
         "workers": workers,
         "wall_seconds": wall_seconds,

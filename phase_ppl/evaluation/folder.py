@@ -19,7 +19,6 @@ goes on with the events that are missing.
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import secrets
@@ -31,13 +30,16 @@ from typing import Any, Final
 from phase_ppl.dataset.documents import read_document
 from phase_ppl.dataset.load import load_events, save_events
 from phase_ppl.evaluation.prediction import Prediction
+from phase_ppl.evaluation.stored import check_metrics
 from phase_ppl.world.errors import InvalidEventError, OutputError, PhasePPLError
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import atomic_output
+from phase_ppl.world.files import write_json
 
 SCHEMA: Final = "phase-ppl-evaluation-1"
 """Value of ``schema`` in settings.json."""
 
+SETTINGS: Final = "settings.json"
+EVENTS: Final = "events.json"
 PREDICTION: Final = "prediction.json"
 POSTERIOR: Final = "posterior.nc"
 PAGE: Final = "page.png"
@@ -70,7 +72,7 @@ class ResultsFolder:
             OutputError: it cannot be written, or already holds the predictions of an evaluation.
         """
         folder = Path(path)
-        if any(folder.glob(f"events/*/{PREDICTION}")):
+        if holds_predictions(folder):
             raise OutputError(f"{folder} already holds an evaluation; resume it or name another")
         try:
             (folder / "events").mkdir(parents=True, exist_ok=True)
@@ -96,11 +98,11 @@ class ResultsFolder:
                 shutil.rmtree(part, ignore_errors=True)
         except OSError as error:
             raise OutputError(f"cannot write into {self.path}: {error.strerror or error}") from None
-        save_events(events, self.path / "events.json")
+        save_events(events, self.path / EVENTS)
         self.settings = {"schema": SCHEMA, **settings}
         self.events = list(events)
         self._place = {event.id: index for index, event in enumerate(self.events)}
-        write_json(self.path / "settings.json", self.settings)
+        write_json(self.path / SETTINGS, self.settings)
 
     @classmethod
     def open(cls, path: str | os.PathLike[str]) -> ResultsFolder:
@@ -110,15 +112,15 @@ class ResultsFolder:
             InvalidEventError: it is no such folder, or a file in it is damaged.
         """
         folder = Path(path)
-        if not (folder / "settings.json").is_file():
-            raise InvalidEventError(f"{folder} holds no evaluation: it has no settings.json")
-        settings = read_json(folder / "settings.json")
+        if not (folder / SETTINGS).is_file():
+            raise InvalidEventError(f"{folder} holds no evaluation: it has no {SETTINGS}")
+        settings = read_json(folder / SETTINGS)
         if settings.get("schema") != SCHEMA:
             raise InvalidEventError(
                 f"{folder / 'settings.json'}: its schema is {settings.get('schema')!r}, "
                 f"not {SCHEMA!r}"
             )
-        return cls(folder, settings, load_events(folder / "events.json"))
+        return cls(folder, settings, load_events(folder / EVENTS))
 
     def folder_of(self, event_id: str) -> Path:
         """Return the folder of an event, whether it is there or not."""
@@ -196,9 +198,25 @@ class ResultsFolder:
         return read_json(source) if source.is_file() else {}
 
     def metrics(self) -> dict[str, Any] | None:
-        """Return the content of metrics.json; None where the evaluation is not finished."""
+        """Return the content of metrics.json; None where the evaluation is not finished.
+
+        Raises:
+            InvalidEventError: it is damaged; the message names the file and the field.
+        """
         source = self.path / METRICS
-        return read_json(source) if source.is_file() else None
+        if not source.is_file():
+            return None
+        found = read_json(source)
+        try:
+            check_metrics(found)
+        except InvalidEventError as error:
+            raise InvalidEventError(f"{source}: {error}") from None
+        return found
+
+
+def holds_predictions(folder: Path) -> bool:
+    """Whether an evaluation in ``folder`` has finished any event."""
+    return any(folder.glob(f"events/*/{PREDICTION}"))
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -211,14 +229,3 @@ def read_json(path: Path) -> dict[str, Any]:
         return read_document(path)
     except InvalidEventError as error:
         raise InvalidEventError(f"{path}: {error}") from None
-
-
-def write_json(path: Path, record: Mapping[str, Any]) -> None:
-    """Write a JSON object, whole or not at all.
-
-    Raises:
-        OutputError: it cannot be written.
-    """
-    with atomic_output(path, (".json",)) as part:
-        text = json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False)
-        part.write_text(text + "\n", encoding="utf-8")

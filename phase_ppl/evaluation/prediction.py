@@ -112,10 +112,12 @@ class Prediction:
             InvalidEventError, UnknownNameError: as for the class; or a field is missing or of
                 another type.
         """
-        for name, kind in (("event", str), ("probabilities", dict), ("answers", dict)):
-            if not isinstance(record.get(name), kind):
+        given = {**record, "cost": record.get("cost") or {}}
+        fields = {"event": str, "probabilities": dict, "answers": dict, "cost": dict}
+        for name, kind in fields.items():
+            if not isinstance(given.get(name), kind):
                 raise InvalidEventError(
-                    f"{name} of a prediction is {shown(record.get(name))}, "
+                    f"{name} of a prediction is {shown(given.get(name))}, "
                     f"expected {'text' if kind is str else 'an object'}"
                 )
         return cls(
@@ -125,7 +127,7 @@ class Prediction:
                 for question, shares in record["probabilities"].items()
             },
             answers=record["answers"],
-            cost=record.get("cost") or {},
+            cost=given["cost"],
         )
 
 

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
-from types import TracebackType
-from typing import Self
 
-from phase_ppl.inference.runs.progress import SteadyBar, is_shown
+from phase_ppl.inference.runs.progress import Bar
 
 
-class Progress:
+class Progress(Bar):
     """A bar on stderr that counts events.
 
     Long events come first and take longer, so the time left rests on the seconds per frame.
@@ -29,25 +27,7 @@ class Progress:
         self._workers = workers
         self._frames = 0
         self._seconds = 0.0
-        self._bar = SteadyBar(
-            total=done + len(frames),
-            initial=done,
-            disable=not is_shown(shown),
-            file=sys.stderr,
-            unit="event",
-            desc="predicting",
-        )
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._bar.close()
+        super().__init__(done + len(frames), done, shown, "event", "predicting")
 
     def one_more(self, event_id: str, seconds: float | None) -> None:
         """Count an event that took so many seconds; None: it failed."""

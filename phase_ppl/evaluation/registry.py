@@ -15,12 +15,8 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import importlib
-import importlib.metadata
 import importlib.util
 import inspect
-import pkgutil
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
@@ -28,6 +24,7 @@ from phase_ppl.analysis.summary import plain
 from phase_ppl.evaluation.answer import Predict
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.identity import qualified_name, source_hash, stable
+from phase_ppl.world.plugins import load_registered
 
 if TYPE_CHECKING:
     from phase_ppl.models.model import Model
@@ -119,15 +116,7 @@ def _is_installed(module: str) -> bool:
 
 @functools.cache
 def _load_all() -> None:
-    """Import every model file of ours, then those of other packages."""
-    package = importlib.import_module("phase_ppl.evaluation.models")
-    for module in pkgutil.iter_modules(package.__path__):
-        importlib.import_module(f"{package.__name__}.{module.name}")
-    for entry in importlib.metadata.entry_points(group=ENTRY_POINTS):
-        try:
-            entry.load()
-        except Exception as error:  # somebody else's package must not break ours
-            warnings.warn(f"model {entry.name!r} cannot be loaded: {error}", stacklevel=2)
+    load_registered("model", "phase_ppl.evaluation.models", ENTRY_POINTS)
 
 
 def available_models() -> list[str]:

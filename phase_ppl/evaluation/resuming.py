@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from phase_ppl.evaluation.folder import ResultsFolder
+from phase_ppl.evaluation.folder import ResultsFolder, holds_predictions
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.registry import ReadyModel
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
@@ -41,7 +41,7 @@ def open_folder(
         InvalidSettingError: the evaluation has other settings or events.
         InvalidEventError: it is damaged.
     """
-    if not resume or not (Path(path) / "settings.json").exists():
+    if not resume or not holds_predictions(Path(path)):
         return ResultsFolder.create(path, settings, events), {}, []
     folder = ResultsFolder.open(path)
     _check_same(folder, settings)
@@ -68,6 +68,8 @@ def _check_same(folder: ResultsFolder, settings: Mapping[str, Any]) -> None:
         {name: given.get(name) for name in _DETERMINE} for given in (folder.settings, settings)
     )
     found = differences(before, now)
+    if before["model"] != now["model"]:  # of which the rest follows
+        found = found[:1]
     if found:
         raise InvalidSettingError(
             f"{folder.path} holds an evaluation with other settings: {'; '.join(found)}"

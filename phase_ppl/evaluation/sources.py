@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 from phase_ppl.dataset.generation.store import MANIFEST, PLAN, GeneratedEvents
 from phase_ppl.dataset.load import load_events
+from phase_ppl.evaluation.folder import EVENTS, SETTINGS
 from phase_ppl.evaluation.references import reference_predictions
 from phase_ppl.evaluation.votes import event_judgments
 from phase_ppl.world.errors import InvalidEventError, shown
@@ -62,8 +63,10 @@ def _files(path: str | os.PathLike[str]) -> list[Path]:
     source = Path(path)
     if not source.is_dir() or any((source / name).is_file() for name in GENERATED):
         return [source]
-    if (source / "settings.json").is_file():  # an evaluation's folder, with its events
-        return [source / "events.json"]
+    if (source / SETTINGS).is_file() and (source / EVENTS).is_file():
+        raise InvalidEventError(
+            f"{source} holds an evaluation; its events are in {source / EVENTS}"
+        )
     files = sorted(file for file in source.iterdir() if file.suffix.lower() in EVENT_FILES)
     if not files:
         endings = ", ".join(EVENT_FILES)

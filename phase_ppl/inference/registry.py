@@ -20,11 +20,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import importlib
-import importlib.metadata
 import inspect
-import pkgutil
-import warnings
 from collections.abc import Callable, Sequence
 from typing import Any, Final, Literal
 
@@ -32,6 +28,8 @@ from numpyro.infer.mcmc import MCMCKernel
 
 from phase_ppl.models.program import EventProgram
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
+from phase_ppl.world.identity import qualified_name
+from phase_ppl.world.plugins import load_registered
 
 Validity = Literal["exact", "consistent", "approximate"]
 Keeps = Literal["all", "last", "start"]
@@ -121,8 +119,10 @@ def register_kernel(
 
     def register(factory: Factory) -> Factory:
         known = _KERNELS.get(name)
-        if known is not None and _origin(known.factory) != _origin(factory):
-            raise InvalidSettingError(f"a kernel named {name!r} exists: {_origin(known.factory)}")
+        if known is not None and qualified_name(known.factory) != qualified_name(factory):
+            raise InvalidSettingError(
+                f"a kernel named {name!r} exists: {qualified_name(known.factory)}"
+            )
         summary = (inspect.getdoc(factory) or "").split("\n")[0]
         _KERNELS[name] = KernelInfo(
             name,
@@ -141,21 +141,9 @@ def register_kernel(
     return register
 
 
-def _origin(factory: Factory) -> str:
-    return f"{factory.__module__}.{getattr(factory, '__qualname__', factory)}"
-
-
 @functools.cache
 def _load_all() -> None:
-    """Import every kernel file of ours, then those of other packages."""
-    package = importlib.import_module("phase_ppl.inference.kernels")
-    for module in pkgutil.iter_modules(package.__path__):
-        importlib.import_module(f"{package.__name__}.{module.name}")
-    for entry in importlib.metadata.entry_points(group=ENTRY_POINTS):
-        try:
-            entry.load()
-        except Exception as error:  # somebody else's package must not break ours
-            warnings.warn(f"kernel {entry.name!r} cannot be loaded: {error}", stacklevel=2)
+    load_registered("kernel", "phase_ppl.inference.kernels", ENTRY_POINTS)
 
 
 def available_kernels() -> list[str]:

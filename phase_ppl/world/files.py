@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import secrets
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from phase_ppl.world.errors import InvalidEventError, OutputError
 
@@ -29,6 +31,17 @@ def atomic_output(path: str | os.PathLike[str], suffixes: Sequence[str]) -> Iter
     with _part_of(target, suffixes) as part:
         yield part
         os.replace(part, target)
+
+
+def write_json(path: str | os.PathLike[str], record: Mapping[str, Any]) -> None:
+    """Write a JSON object, whole or not at all.
+
+    Raises:
+        OutputError: it cannot be written there, or its name does not end in .json.
+    """
+    with atomic_output(path, (".json",)) as part:
+        text = json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False)
+        part.write_text(text + "\n", encoding="utf-8")
 
 
 def existing_file(path: str | os.PathLike[str]) -> Path:

@@ -12,6 +12,7 @@ import pytest
 import phase_ppl as ppl
 from phase_ppl.cli import main
 from phase_ppl.evaluation import figures, pages, registry
+from tests.evaluation.small import make_folder, prediction, with_posterior
 from tests.evaluation.toys import FailsAt, right, several, still, wrong
 
 QUIET = ["--workers", "1", "--quiet"]
@@ -128,9 +129,8 @@ def test_ctrl_c_says_how_to_go_on_and_resume_does(
     assert "1 of 3 events are finished" in errors
     assert "--resume" in errors
     assert "already holds" in fails(capsys, events, "--model", "stops", "--out", out)
-    assert "model is 'right', was 'stops'" in fails(
-        capsys, events, "--model", "right", "--out", out, "--resume"
-    )
+    other = fails(capsys, events, "--model", "right", "--out", out, "--resume")
+    assert other.endswith("with other settings: model is 'right', was 'stops'\n")
     assert evaluate(events, "--model", "stops", "--out", out, "--resume") == 130
 
 
@@ -159,6 +159,50 @@ def test_a_folder_to_compare_with_that_is_none_is_refused_before_the_work(
     assert "holds no evaluation" in error
 
 
+def test_a_model_to_compare_with_that_nobody_knows_is_refused_before_the_work(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, out = tmp_path / "events.json", tmp_path / "out"
+    ppl.save_events([still("a", predictions={"theirs": {"relation": "neutral"}})], path)
+    error = fails(capsys, path, "--model", "stops", "--against", "thiers", "--out", out)
+    assert "thiers: no such folder, and no reference model (theirs)" in error
+    assert not out.exists()
+
+
+def test_what_is_compared_with_must_predict_one_of_the_events_at_least(
+    events: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, other = tmp_path / "others.json", tmp_path / "other"
+    ppl.save_events([still("x")], path)
+    assert evaluate(path, "--model", "wrong", "--out", other, "--no-figures") == 0
+    capsys.readouterr()
+    error = fails(capsys, events, "--model", "stops", "--against", other)
+    assert "wrong predicts none of the 3 events" in error
+
+
+def test_a_finished_evaluation_leads_to_its_report_and_is_no_folder_of_events(
+    events: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out put"
+    assert evaluate(events, "--model", "right", "--out", out, "--no-figures") == 0
+    assert f"phase-ppl report '{out}'" in capsys.readouterr().out
+    error = fails(capsys, out, "--model", "right")
+    assert f"its events are in {out / 'events.json'}" in error
+    assert main(["query", str(out), "P(goal_red)"]) == 2
+    assert f"{out} holds no posterior.nc\n" in capsys.readouterr().err
+
+
+def test_asked_for_a_posterior_an_evaluation_names_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = make_folder(tmp_path / "out")
+    folder.add(prediction("one"), with_posterior)
+    assert main(["diagnose", str(folder.path)]) == 2
+    error = capsys.readouterr().err
+    assert "holds an evaluation, with one such as" in error
+    assert main(["diagnose", error.rsplit("such as ", 1)[1].strip()]) == 0
+
+
 def test_options_reach_the_model(events: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert evaluate(events, "--model", "right", "--option", "size=3", "--out", out) == 0
@@ -181,6 +225,7 @@ def test_judgments_come_from_a_file(events: Path, tmp_path: Path) -> None:
         ("", "EVENTS is missing"),
         ("--out nowhere --resume", "EVENTS is missing"),
         ("--out nowhere", "nowhere holds no evaluation"),
+        ("--out nowhere --limit 2 --seed 0", "EVENTS is missing with --limit, --seed"),
         ("collaborate --model last_fram", "'last_frame'"),
         ("collaborate --model last_frame --planner fast", "planner"),
         ("collaborate --model right --option seed=3", "seed: no option of a model"),

@@ -405,6 +405,12 @@ def test_other_versions_are_refused_while_there_is_something_left(tmp_path: Path
         evaluate(out=tmp_path, resume=True)
 
 
+def test_settings_may_change_while_nothing_is_finished(tmp_path: Path) -> None:
+    evaluate(model=lambda *_: raises(), out=tmp_path)
+    assert evaluate(out=tmp_path, seed=3, resume=True).settings["seed"] == 3
+    assert not (tmp_path / "failures.json").exists()
+
+
 def test_results_are_not_overwritten(tmp_path: Path) -> None:
     evaluate(out=tmp_path)
     with pytest.raises(OutputError, match="already holds an evaluation; resume it"):
@@ -418,7 +424,10 @@ def test_a_folder_that_cannot_be_written_is_found_out_first(tmp_path: Path) -> N
         evaluate(model=lambda *given: pytest.fail("it was asked"), out=file)
 
 
-@pytest.mark.parametrize("content", ["", '{"event": "b", "proba', "[]", '{"event": "a"}'])
+NO_COST = '{"event": "b", "probabilities": {}, "answers": {}, "cost": 7}'
+
+
+@pytest.mark.parametrize("content", ["", '{"event": "b", "proba', "[]", '{"event": "a"}', NO_COST])
 def test_a_damaged_prediction_is_made_again_with_a_note(content: str, tmp_path: Path) -> None:
     calls, out = tmp_path / "calls", tmp_path / "out"
     calls.mkdir()
@@ -457,6 +466,52 @@ def test_a_damaged_folder_is_refused_with_the_file(
         (tmp_path / file).write_text(content)
     with pytest.raises((InvalidEventError, InvalidSettingError), match=message):
         evaluate(out=tmp_path, resume=True)
+
+
+FIGURE = {"value": 0.5, "ci_low": None, "ci_high": None}
+
+
+@pytest.mark.parametrize(
+    ("record", "message"),
+    [
+        ({"goal_accuracy": 3}, "goal_accuracy is 3, expected an object or null"),
+        ({"goal_accuracy": {"value": 1}}, "goal_accuracy has no ci_low"),
+        ({"goal_accuracy": {**FIGURE, "value": "1"}}, "goal_accuracy.value is '1', expected"),
+        ({"by_scenario": []}, r"by_scenario is \[\]"),
+        ({"by_scenario": {"opposing": {"relation_accuracy": True}}}, "opposing.relation_accuracy"),
+        ({"human": {"js": [1]}}, r"human.js is \[1\]"),
+        ({"reference_models": {"other": 4}}, "reference_models.other is 4"),
+        ({"reference_models": {"other": {"human": ""}}}, "reference_models.other.human is ''"),
+        ({"cost": 7}, "cost is 7"),
+        ({"cost": {"wall_seconds": "long"}}, "cost.wall_seconds is 'long'"),
+    ],
+)
+def test_damaged_metrics_are_refused_with_file_and_field(
+    record: dict[str, Any], message: str, tmp_path: Path
+) -> None:
+    evaluate(out=tmp_path)
+    (tmp_path / "metrics.json").write_text(json.dumps(record))
+    for read in (ppl.Evaluation.load, ppl.report):
+        with pytest.raises(InvalidEventError, match=rf"metrics\.json: .*{message}"):
+            read(tmp_path)
+
+
+def test_metrics_may_lack_what_is_not_known(tmp_path: Path) -> None:
+    evaluate(out=tmp_path)
+    record = {"goal_accuracy": FIGURE, "human": None, "reference_models": {"other": None}}
+    (tmp_path / "metrics.json").write_text(json.dumps(record))
+    assert ppl.Evaluation.load(tmp_path).name == "right"
+
+
+@pytest.mark.parametrize("name", ["model", "seed"])
+def test_settings_that_lack_something_are_refused(name: str, tmp_path: Path) -> None:
+    evaluate(out=tmp_path)
+    path = tmp_path / "settings.json"
+    settings = json.loads(path.read_text())
+    del settings[name]
+    path.write_text(json.dumps(settings))
+    with pytest.raises(InvalidEventError, match=rf"settings\.json has no {name}"):
+        ppl.Evaluation.load(tmp_path)
 
 
 def test_settings_and_events_that_do_not_belong_together_are_refused(tmp_path: Path) -> None:
@@ -500,7 +555,7 @@ def test_a_model_whose_predictions_the_events_carry_is_an_opponent() -> None:
 
 def test_opponents_must_have_seen_the_same() -> None:
     one = evaluate(EVENTS[:2])
-    with pytest.raises(InvalidSettingError, match="no event that right and right both predict"):
+    with pytest.raises(InvalidSettingError, match="right predicts none of the 2 events"):
         one.against(evaluate(EVENTS[2:]))
     with pytest.raises(InvalidEventError, match="'a' is not the same in both"):
         one.against(evaluate([still("a", shift=0.7)]))

@@ -13,9 +13,10 @@ import phase_ppl as ppl
 from phase_ppl.evaluation import figures
 from phase_ppl.evaluation.figures import DRAWN, NothingToDrawError, draw_figures
 from phase_ppl.evaluation.figures.results import Results
-from phase_ppl.evaluation.folder import ResultsFolder, write_json
+from phase_ppl.evaluation.folder import ResultsFolder
 from phase_ppl.evaluation.metrics import evaluate_predictions
 from phase_ppl.world.errors import InvalidEventError, OutputError
+from phase_ppl.world.files import write_json
 
 from .small import COMPETING, events, make_folder
 

@@ -13,9 +13,10 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.cli import main
-from phase_ppl.evaluation.folder import POSTERIOR, write_json
+from phase_ppl.evaluation.folder import POSTERIOR
 from phase_ppl.evaluation.report.html import tag
 from phase_ppl.world.errors import InvalidEventError, OutputError
+from phase_ppl.world.files import write_json
 
 from .small import HOSTILE, events, make_folder, make_posterior, prediction, with_posterior
 
@@ -166,7 +167,7 @@ def test_bad_folders_and_places_are_named(tmp_path: Path) -> None:
 def test_the_command_writes_the_report_and_says_where(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    target = tmp_path / "a report.html"
+    target = tmp_path / "a new folder" / "a report.html"
     assert main(["report", str(run.parent), "--out", str(target)]) == 0
     assert capsys.readouterr().out.strip().endswith(str(target))
     assert target.read_text("utf-8") == run.read_text("utf-8")

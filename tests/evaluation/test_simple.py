@@ -52,6 +52,15 @@ def test_weights_are_those_asked_for_also_in_the_file(tmp_path: Path) -> None:
     assert given == pytest.approx(kept.marginal("goal_red").values, abs=1e-12)
 
 
+def test_the_posterior_it_keeps_is_of_the_event_though_the_model_never_knew_its_name(
+    tmp_path: Path,
+) -> None:
+    found = evaluate(out=tmp_path)
+    assert found.folder is not None
+    path = found.folder.folder_of("walk") / "posterior.nc"
+    assert ppl.Posterior.load(path).event_id == "walk"
+
+
 def test_a_model_of_ones_own_is_explained_by_simple() -> None:
     own = ppl.Model(prior="relation_first", simulator=walkers)
     made = ready(own, {"chains": 4})

@@ -13,11 +13,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import importlib
-import importlib.metadata
 import inspect
-import pkgutil
-import warnings
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
@@ -26,6 +22,7 @@ import numpy as np
 from phase_ppl.dataset.generation.situation import CannotDraw, Draw, Situation
 from phase_ppl.dataset.generation.tables import LAYOUTS
 from phase_ppl.world.errors import InvalidSettingError, unknown_name
+from phase_ppl.world.plugins import load_registered
 from phase_ppl.world.relations import RELATION_OF_SCENARIO, SCENARIOS, scenario
 from phase_ppl.world.scene import Turning
 
@@ -130,14 +127,7 @@ def _origin(function: Any) -> str:
 
 @functools.cache
 def _load_all() -> None:
-    package = importlib.import_module("phase_ppl.dataset.generation.families")
-    for module in pkgutil.iter_modules(package.__path__):
-        importlib.import_module(f"{package.__name__}.{module.name}")
-    for entry in importlib.metadata.entry_points(group=ENTRY_POINTS):
-        try:
-            entry.load()
-        except Exception as error:  # somebody else's package must not break ours
-            warnings.warn(f"family {entry.name!r} cannot be loaded: {error}", stacklevel=2)
+    load_registered("family", "phase_ppl.dataset.generation.families", ENTRY_POINTS)
 
 
 def available_families() -> list[str]:

@@ -16,7 +16,6 @@ missing; the finished set is the same.
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -30,7 +29,7 @@ from phase_ppl.dataset.generation.plan import Plan, Slot
 from phase_ppl.dataset.load import load_events, save_events
 from phase_ppl.world.errors import InvalidEventError, OutputError, PhasePPLError, shown
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import atomic_output
+from phase_ppl.world.files import write_json
 from phase_ppl.world.identity import differences, versions
 
 PLAN_SCHEMA: Final = "phase-ppl-plan-1"
@@ -178,7 +177,7 @@ class Workshop:
             raise OutputError(f"cannot write into {self.path}: {error.strerror or error}") from None
         self._keep_rejected = keep_rejected
         if not target.exists():
-            _write(target, record)
+            write_json(target, record)
 
     def part(self, slot: Slot) -> Path:
         """Return the file of a slot."""
@@ -199,7 +198,7 @@ class Workshop:
                 event = event_of(draw.recording, f"{made.name}-{draw.attempt}")
                 record["event"] = event_record(event)
             rejected.append(record)
-        _write(
+        write_json(
             self.part(made.slot),
             {
                 "name": made.name,
@@ -250,8 +249,8 @@ class Workshop:
         save_events(events, self.path / EVENTS)
         if refused:
             save_events(refused, self.path / f"{REJECTED}.nc")
-            _write(self.path / f"{REJECTED}.json", {"rejected": reasons})
-        _write(
+            write_json(self.path / f"{REJECTED}.json", {"rejected": reasons})
+        write_json(
             self.path / MANIFEST,
             {
                 "schema": MANIFEST_SCHEMA,
@@ -271,9 +270,3 @@ def _read(path: Path) -> dict[str, Any]:
         return read_document(path)
     except InvalidEventError as error:
         raise InvalidEventError(f"{path}: {error}") from None
-
-
-def _write(path: Path, record: Mapping[str, Any]) -> None:
-    with atomic_output(path, (".json",)) as part:
-        text = json.dumps(record, ensure_ascii=False, allow_nan=False)
-        part.write_text(text + "\n", encoding="utf-8")

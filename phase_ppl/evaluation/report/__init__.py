@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import Final
 
-from phase_ppl.evaluation.folder import POSTERIOR, ResultsFolder
+from phase_ppl.evaluation.folder import POSTERIOR, SETTINGS, ResultsFolder
 from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.files import atomic_output, check_output
 
@@ -18,7 +18,7 @@ def report(
     path: str | os.PathLike[str] | None = None,
     *,
     videos: bool = False,
-    progress: bool = False,
+    progress: bool | None = None,
 ) -> Path:
     """Write one self-contained HTML page about a run or an evaluation; return its path.
 
@@ -29,7 +29,8 @@ def report(
         path: of the page, ending in .html; default ``report.html`` in the folder.
         videos: film every event of an evaluation as well, some seconds and 0.1 MB each. A film
             that a run has is always there.
-        progress: show a bar over the events of an evaluation.
+        progress: whether to show a bar over the events of an evaluation on stderr; by default
+            where that is a terminal.
 
     Raises:
         InvalidEventError: the folder is neither, or a file in it is damaged.
@@ -39,11 +40,11 @@ def report(
     target = source / NAME if path is None else Path(path)
     if not source.is_dir():
         raise InvalidEventError(f"{source}: no such folder")
-    of_evaluation = (source / "settings.json").is_file()
+    of_evaluation = (source / SETTINGS).is_file()
     if not of_evaluation and not (source / POSTERIOR).is_file():
         raise InvalidEventError(
             f"{source} holds neither a run (it has no {POSTERIOR}) nor an evaluation (it has no "
-            "settings.json)"
+            f"{SETTINGS})"
         )
     check_output(target, (".html",))
     if of_evaluation:

@@ -8,7 +8,7 @@ from typing import Any, Final
 import phase_ppl
 from phase_ppl.evaluation.figures import DRAWN, TITLES
 from phase_ppl.evaluation.figures.results import NothingToDrawError, Results
-from phase_ppl.evaluation.folder import ResultsFolder, read_json
+from phase_ppl.evaluation.folder import ResultsFolder
 from phase_ppl.evaluation.observers import Observer, label_of
 from phase_ppl.evaluation.report import parts
 from phase_ppl.evaluation.report.html import (
@@ -51,13 +51,15 @@ ALTS: Final = {
 """Name of a figure -> what stands in its place for those who do not see it."""
 
 
-def results_report(folder: ResultsFolder, *, videos: bool = False, progress: bool = False) -> str:
+def results_report(
+    folder: ResultsFolder, *, videos: bool = False, progress: bool | None = None
+) -> str:
     """Return the page of an evaluation.
 
     Args:
         folder: of the evaluation, finished or not.
         videos: film every event.
-        progress: show a bar over the events.
+        progress: show a bar over the events; None: where stderr is a terminal.
 
     Raises:
         InvalidEventError, UnknownNameError: a file in the folder is damaged.
@@ -162,8 +164,7 @@ def _figures(results: Results) -> list[Html]:
 
 
 def _failures(folder: ResultsFolder) -> Html | None:
-    source = folder.path / "failures.json"
-    found = read_json(source) if source.is_file() else {}
+    found = folder.failures()
     if not found:
         return None
     pairs = [(event, parts.in_words(what)) for event, what in found.items()]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -26,6 +26,7 @@ from phase_ppl.evaluation.report.html import (
     tag,
 )
 from phase_ppl.evaluation.tables import true_answer
+from phase_ppl.inference.runs.progress import counted
 from phase_ppl.render.video import video
 from phase_ppl.world.event import Event
 from phase_ppl.world.relations import SCENARIOS
@@ -47,17 +48,17 @@ ORDERS: Final = {
 _SHORT: Final = {"goal_red": "red's goal", "goal_green": "green's goal", "relation": "relation"}
 
 
-def videos_section(results: Results, *, films: bool, progress: bool) -> Html:
+def videos_section(results: Results, *, films: bool, progress: bool | None) -> Html:
     """Return a folded part per event, which a line of menus sorts and filters.
 
     Args:
         results: of the evaluation.
         films: film every event.
-        progress: show a bar over the events.
+        progress: show a bar over the events; None: where stderr is a terminal.
     """
     items = [
         _item(event, results, films=films)
-        for event in _with_progress(results.events, show=progress)
+        for event in counted(results.events, progress, "event", "showing")
     ]
     return section("Videos", _filters(results), tag("div", items, id="videos"))
 
@@ -189,12 +190,3 @@ def _film(event: Event, replay: Any) -> bytes:
         path = Path(folder) / "film.mp4"
         video(event, path, compare=replay)
         return path.read_bytes()
-
-
-def _with_progress(events: Sequence[Event], *, show: bool) -> Iterable[Event]:
-    if not show:
-        return events
-    from tqdm import tqdm
-
-    bar: Iterable[Event] = tqdm(events, unit="event")
-    return bar

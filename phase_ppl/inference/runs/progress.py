@@ -6,8 +6,9 @@ import sys
 import threading
 import time
 from collections import deque
+from collections.abc import Iterator, Sequence
 from types import TracebackType
-from typing import Any, ClassVar, Final, Self
+from typing import Any, ClassVar, Final, Self, TypeVar
 
 from tqdm import tqdm
 
@@ -15,6 +16,8 @@ WARMING_UP: Final = "warming up (compiles the first time)"
 
 clock = time.monotonic
 """Seconds of wall time."""
+
+Item = TypeVar("Item")
 
 _ROUNDS: Final = 2
 
@@ -39,7 +42,45 @@ class SteadyBar(tqdm):
         return {**super().format_dict, "rate": self.steady_rate}
 
 
-class Progress:
+class Bar:
+    """What a bar on stderr counts with; it is closed at the end of a ``with``.
+
+    Args:
+        total: to be done.
+        done: before.
+        shown: True or False; None: where stderr is a terminal, and in notebooks.
+        unit, what: as the bar calls it, and what is done.
+    """
+
+    def __init__(self, total: int, done: int, shown: bool | None, unit: str, what: str) -> None:
+        self._bar = SteadyBar(
+            total=total,
+            initial=done,
+            disable=not is_shown(shown),
+            file=sys.stderr,
+            unit=unit,
+            desc=what,
+        )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._bar.close()
+
+
+def counted(items: Sequence[Item], shown: bool | None, unit: str, what: str) -> Iterator[Item]:
+    """Yield the items, and count them with a bar on stderr; arguments as of :class:`Bar`."""
+    bar = SteadyBar(items, disable=not is_shown(shown), file=sys.stderr, unit=unit, desc=what)
+    yield from bar
+
+
+class Progress(Bar):
     """A bar on stderr that counts simulations.
 
     Simulations are uneven: those stopped early end first, others come in bursts as workers end
@@ -59,25 +100,7 @@ class Progress:
         self._times = deque([(clock(), done)], maxlen=_ROUNDS * batch + 1)
         self._batch = batch
         self._began = False
-        self._bar = SteadyBar(
-            total=total,
-            initial=done,
-            disable=not is_shown(shown),
-            file=sys.stderr,
-            unit="sim",
-            desc=WARMING_UP,
-        )
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._bar.close()
+        super().__init__(total, done, shown, "sim", WARMING_UP)
 
     def one_more(self, *_: object) -> None:
         """Count one simulation, stopped early or not."""
