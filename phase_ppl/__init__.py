@@ -21,6 +21,8 @@ _WHERE = {
     "EvaluationInterrupted": "phase_ppl.evaluation.evaluate",
     "Event": "phase_ppl.world.event",
     "GOALS": "phase_ppl.world.goals",
+    "GeneratedEvents": "phase_ppl.dataset.generation.store",
+    "GenerationInterrupted": "phase_ppl.dataset.generation.generate",
     "Hypothesis": "phase_ppl.world.hypothesis",
     "Interrupted": "phase_ppl.inference.infer",
     "JointSimulator": "phase_ppl.simulator.joint",
@@ -38,6 +40,7 @@ _WHERE = {
     "SimulationError": "phase_ppl.world.errors",
     "Study": "phase_ppl.evaluation.judgments",
     "Truth": "phase_ppl.world.event",
+    "available_families": "phase_ppl.dataset.generation.registry",
     "available_kernels": "phase_ppl.inference.registry",
     "available_models": "phase_ppl.evaluation.registry",
     "bundled_events": "phase_ppl.dataset.bundled",
@@ -46,6 +49,8 @@ _WHERE = {
     "evaluate_predictions": "phase_ppl.evaluation.metrics",
     "event_dataset": "phase_ppl.dataset.xarrays",
     "event_from_dataset": "phase_ppl.dataset.xarrays",
+    "export_events": "phase_ppl.dataset.export",
+    "generate": "phase_ppl.dataset.generation.generate",
     "human_accuracy": "phase_ppl.evaluation.people",
     "infer": "phase_ppl.inference.infer",
     "kernel_info": "phase_ppl.inference.registry",
@@ -56,6 +61,7 @@ _WHERE = {
     "paired_difference": "phase_ppl.evaluation.metrics",
     "reference_models": "phase_ppl.evaluation.metrics",
     "reference_predictions": "phase_ppl.evaluation.references",
+    "register_family": "phase_ppl.dataset.generation.registry",
     "register_kernel": "phase_ppl.inference.registry",
     "register_model": "phase_ppl.evaluation.registry",
     "report": "phase_ppl.evaluation.report",
@@ -65,6 +71,7 @@ _WHERE = {
     "seconds": "phase_ppl.inference.infer",
     "simulate": "phase_ppl.simulator.simulate",
     "simulations": "phase_ppl.inference.infer",
+    "statistics": "phase_ppl.dataset.statistics",
     "with_judgments": "phase_ppl.evaluation.judgments",
 }
 
@@ -86,10 +93,19 @@ if TYPE_CHECKING:
     from phase_ppl.analysis.estimate import Estimate as Estimate
     from phase_ppl.analysis.posterior import Posterior as Posterior
     from phase_ppl.dataset.bundled import bundled_events as bundled_events
+    from phase_ppl.dataset.export import export_events as export_events
+    from phase_ppl.dataset.generation.generate import (
+        GenerationInterrupted as GenerationInterrupted,
+    )
+    from phase_ppl.dataset.generation.generate import generate as generate
+    from phase_ppl.dataset.generation.registry import available_families as available_families
+    from phase_ppl.dataset.generation.registry import register_family as register_family
+    from phase_ppl.dataset.generation.store import GeneratedEvents as GeneratedEvents
     from phase_ppl.dataset.load import load_event as load_event
     from phase_ppl.dataset.load import load_events as load_events
     from phase_ppl.dataset.load import save_event as save_event
     from phase_ppl.dataset.load import save_events as save_events
+    from phase_ppl.dataset.statistics import statistics as statistics
     from phase_ppl.dataset.xarrays import event_dataset as event_dataset
     from phase_ppl.dataset.xarrays import event_from_dataset as event_from_dataset
     from phase_ppl.evaluation import figures as figures

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.analysis.comparison_plot import comparison as comparison
+from phase_ppl.analysis.data_card import data_card as data_card
 from phase_ppl.analysis.diagnostic_plots import chains as chains
 from phase_ppl.analysis.diagnostic_plots import diagnostics as diagnostics
 from phase_ppl.analysis.diagnostic_plots import errors as errors

@@ -67,6 +67,7 @@ def add_to(commands: Any) -> None:
         default=None,
         help="go on with what is in --out; events may have been added at the end",
     )
+    parser.add_argument("--split", metavar="NAME", help="of a generated set, such as test")
     parser.add_argument("--limit", metavar="N", type=whole(1), help="the first N events only")
     parser.add_argument(
         "--workers", metavar="N", type=whole(1), help="processes; default one per usable core"
@@ -138,6 +139,7 @@ def _anew(options: argparse.Namespace) -> Evaluation | None:
             options.model or "simple",
             out=options.out,
             workers=options.workers,
+            split=options.split,
             resume=bool(options.resume),
             limit=options.limit,
             seed=options.seed or 0,

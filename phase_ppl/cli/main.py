@@ -9,7 +9,18 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import phase_ppl
-from phase_ppl.cli import compare, diagnose, evaluate, infer, query, render, report
+from phase_ppl.cli import (
+    compare,
+    describe,
+    diagnose,
+    evaluate,
+    export,
+    generate,
+    infer,
+    query,
+    render,
+    report,
+)
 from phase_ppl.cli.shared import (
     BAD_INPUT,
     BROKEN_PIPE,
@@ -129,4 +140,7 @@ def _parser() -> argparse.ArgumentParser:
     evaluate.add_to(commands)
     report.add_to(commands)
     diagnose.add_to(commands)
+    generate.add_to(commands)
+    describe.add_to(commands)
+    export.add_to(commands)
     return parser

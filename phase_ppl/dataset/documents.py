@@ -14,7 +14,7 @@ from phase_ppl.world.errors import InvalidEventError, shown
 MAX_BYTES: Final = 512 * 2**20
 """Largest event file that is read."""
 
-PICKLE_SUFFIXES: Final = (".pkl", ".pickle", ".pck", ".p")
+PICKLE_SUFFIXES: Final = (".pkl", ".pickle", ".pik", ".pck", ".p")
 _HEAD_BYTES: Final = 64
 _OLD_PICKLE: Final = re.compile(rb"\([dli]|[\]}]q|c[A-Za-z_][\w.]*\n")
 """How pickles of the text protocols begin; JSON never does."""
@@ -86,7 +86,8 @@ def parse_document(content: bytes) -> dict[str, Any]:
 
 _REFUSED_PICKLE: Final = (
     "is a pickle, which is never loaded as an event because loading one can run any code; "
-    "expected a JSON file"
+    "expected a JSON file; for a pickle of PHASE's authors say so by format='phase-pickle', or "
+    "convert it by 'phase-ppl export --from phase-pickle'"
 )
 
 

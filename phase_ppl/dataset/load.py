@@ -42,8 +42,17 @@ _READERS: Final[Mapping[str, Callable[[Mapping[str, Any]], Entries]]] = {
 }
 """Per format tag the function that lists the events of a document."""
 
+PHASE_PICKLE: Final = "phase-pickle"
+"""The format of the authors' pickles, which are read only where this is said."""
 
-def load_event(path: PathLike, video: str | None = None, turning: Turning | None = None) -> Event:
+
+def load_event(
+    path: PathLike,
+    video: str | None = None,
+    turning: Turning | None = None,
+    *,
+    format: str | None = None,
+) -> Event:
     """Read one event.
 
     Args:
@@ -53,6 +62,9 @@ def load_event(path: PathLike, video: str | None = None, turning: Turning | None
             ".json", where no file of that name exists.
         video: id of the wanted event; must be given if the file holds several.
         turning: "both", "ccw" or "cw" instead of what the file says or shows.
+        format: "phase-pickle" for a pickle of PHASE's authors
+            (:mod:`phase_ppl.dataset.authors.videos`), of which only plain data are read; no code
+            in it is run. All other files say themselves what they are.
 
     Raises:
         InvalidEventError: the file cannot be read as an event; the message names file and value.
@@ -60,25 +72,41 @@ def load_event(path: PathLike, video: str | None = None, turning: Turning | None
         InvalidSettingError: the file holds several events and none was named.
     """
     _check_turning(turning)
-    entries = _entries(path)
+    entries = _entries(path, format)
     ids = [name for name, _ in entries]
     if video is None and len(ids) > 1:
         some = ", ".join(repr(name) for name in ids[:3]) + (", ..." if len(ids) > 3 else "")
         raise InvalidSettingError(f"{path} holds {len(ids)} videos; name one of them: {some}")
     if video is not None and video not in ids:
-        with _naming(path):
+        with naming(path):
             raise unknown_name("video", video, ids)
     index = 0 if video is None else ids.index(video)
     return _read(path, entries[index], turning)
 
 
-def load_events(path: PathLike, turning: Turning | None = None) -> list[Event]:
-    """Read all events of a file, in the order of the file.
+def load_events(
+    path: PathLike, turning: Turning | None = None, *, format: str | None = None
+) -> Sequence[Event]:
+    """Read all events of a file, in the order of the file, or of a generated data set.
 
-    Arguments and errors as for :func:`load_event`.
+    Args:
+        path: as for :func:`load_event`, or the folder of a generated data set, which comes as
+            :class:`~phase_ppl.dataset.generation.store.GeneratedEvents`.
+        turning, format: as for :func:`load_event`.
+
+    Raises:
+        InvalidEventError, InvalidSettingError: as for :func:`load_event`.
     """
     _check_turning(turning)
-    return [_read(path, entry, turning) for entry in _entries(path)]
+    folder = Path(path)
+    if folder.is_dir() and any(
+        (folder / name).is_file() for name in ("plan.json", "manifest.json")
+    ):
+        from phase_ppl.dataset.generation.store import GeneratedEvents
+
+        generated = GeneratedEvents(folder)
+        return generated if turning is None else [_turned(event, turning) for event in generated]
+    return [_read(path, entry, turning) for entry in _entries(path, format)]
 
 
 def save_event(event: Event, path: PathLike) -> None:
@@ -91,7 +119,7 @@ def save_event(event: Event, path: PathLike) -> None:
         InvalidEventError: judgments or predictions hold something that JSON has no form for, or
             the id is no printable text.
     """
-    with _naming(path):
+    with naming(path):
         content = _netcdf().one(event) if _is_netcdf(path) else events_json.event_record(event)
     _write(content, path)
 
@@ -103,8 +131,8 @@ def save_events(events: Sequence[Event], path: PathLike) -> None:
         OutputError: the file cannot be written.
         InvalidEventError: no events, an id given twice, or as for :func:`save_event`.
     """
-    with _naming(path):
-        _check_ids([event.id for event in events])
+    with naming(path):
+        check_ids([event.id for event in events])
         content = _netcdf().many(events) if _is_netcdf(path) else events_json.events_record(events)
     _write(content, path)
 
@@ -121,25 +149,36 @@ def _netcdf() -> ModuleType:
 def _write(content: Any, path: PathLike) -> None:
     """Write a JSON object, or a Dataset for NetCDF."""
     if _is_netcdf(path):
-        with _naming(path), atomic_output(path, (_NETCDF,)) as part:
+        with naming(path), atomic_output(path, (_NETCDF,)) as part:
             _netcdf().write(content, part)
         return
-    with _naming(path):
+    with naming(path):
         text = events_json.to_text(content)
     with atomic_output(path, SUFFIXES) as part:
         part.write_text(text, encoding="utf-8")
 
 
-def _entries(path: PathLike) -> Entries:
+def _entries(path: PathLike, format: str | None) -> Entries:
+    if format is not None:
+        return _authors_entries(path, format)
     bundled = _bundled_name(path)
     if bundled is not None:
         return [(bundled, functools.partial(load_bundled, bundled))]
-    with _naming(path):
+    with naming(path):
         if is_hdf5(path) or (_is_netcdf(path) and Path(path).is_file()):
             entries: Entries = _netcdf().read(path)
         else:
             entries = _of_document(read_document(path))
-        _check_ids([name for name, _ in entries])
+        check_ids([name for name, _ in entries])
+    return entries
+
+
+def _authors_entries(path: PathLike, format: str) -> Entries:
+    if format != PHASE_PICKLE:
+        raise unknown_name("format", format, [PHASE_PICKLE])
+    with naming(path):
+        entries: Entries = importlib.import_module("phase_ppl.dataset.authors.videos").read(path)
+        check_ids([name for name, _ in entries])
     return entries
 
 
@@ -155,7 +194,8 @@ def _of_document(document: Mapping[str, Any]) -> Entries:
 _FORMATS = ", ".join(repr(tag) for tag in _READERS)
 
 
-def _check_ids(ids: Sequence[str]) -> None:
+def check_ids(ids: Sequence[str]) -> None:
+    """Raise InvalidEventError if there are no ids, or one is there twice."""
     if not ids:
         raise InvalidEventError("holds no videos: the list is empty")
     seen: set[str] = set()
@@ -167,10 +207,12 @@ def _check_ids(ids: Sequence[str]) -> None:
 
 def _read(path: PathLike, entry: tuple[str, Callable[[], Event]], turning: Turning | None) -> Event:
     name, read = entry
-    with _naming(path, name):
+    with naming(path, name):
         event = read()
-    if turning is None:
-        return event
+    return event if turning is None else _turned(event, turning)
+
+
+def _turned(event: Event, turning: Turning) -> Event:
     return dataclasses.replace(event, scene=dataclasses.replace(event.scene, turning=turning))
 
 
@@ -194,7 +236,7 @@ def _check_turning(turning: str | None) -> None:
 
 
 @contextlib.contextmanager
-def _naming(path: PathLike, video: str | None = None) -> Iterator[None]:
+def naming(path: PathLike, video: str | None = None) -> Iterator[None]:
     """Put the file, and the video where there is one, in front of an error's message."""
     try:
         yield

@@ -5,6 +5,9 @@ video, ``observed`` holds what an observer may use (walls, landmarks, sizes, tra
 ``truth`` the generating parameters, ``human`` counts of people's relation judgments, ``models``
 the predictions of other models. Goals in ``truth`` are effective ones: helper and helpee share a
 goal, a hinderer holds the negation. ``mirror_of_original`` is not read.
+
+Any events of one arena can be written in this format. It has no place for a start other than the
+first frame, or for ``turning``, which is read off the angles.
 """
 
 from __future__ import annotations
@@ -28,9 +31,15 @@ from phase_ppl.dataset.fields import (
 from phase_ppl.dataset.turning import observed_turning
 from phase_ppl.world.errors import InvalidEventError, shown
 from phase_ppl.world.event import Event, Truth
+from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS
 from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS
-from phase_ppl.world.observation import Observation
+from phase_ppl.world.observation import (
+    FRAMES_PER_SECOND,
+    SHOWN_SECONDS_PER_FRAME,
+    Observation,
+)
+from phase_ppl.world.relations import RELATIONS, SCENARIOS
 from phase_ppl.world.scene import LANDMARK_HALF_WIDTH, Scene, finite_array
 
 FORMAT: Final = "phase-test-1"
@@ -125,9 +134,97 @@ def _truth(record: Mapping[str, Any]) -> Truth:
     )
 
 
-def _newtons(level: Any) -> float:
+def _newtons(level: Any) -> float | None:
+    if level is None:
+        return None
     if isinstance(level, bool) or level not in range(len(STRENGTH_LEVELS)):
         raise InvalidEventError(
             f"truth.strength_id is {shown(level)}, expected one of 0..{len(STRENGTH_LEVELS) - 1}"
         )
     return STRENGTH_LEVELS[int(level)]
+
+
+# --- writing ----------------------------------------------------------------------------------
+
+
+def document(videos: Sequence[Mapping[str, Any]], scene: Scene) -> dict[str, Any]:
+    """Return the JSON object of events, each as :func:`video` writes it, in the arena of one."""
+    x0, x1, y0, y1 = scene.arena
+    return {
+        "format": FORMAT,
+        "n_videos": len(videos),
+        "arena": {"x": [x0, x1], "y": [y0, y1]},
+        "landmark_half_width": scene.landmark_half_width,
+        "physics_seconds_per_frame": 1 / FRAMES_PER_SECOND,
+        "display_seconds_per_frame": SHOWN_SECONDS_PER_FRAME,
+        "trajectory_columns": ["x", "y", "angle"],
+        "goal_labels": list(GOALS),
+        "relation_labels": list(RELATIONS),
+        "scenario_types": list(SCENARIOS),
+        "videos": list(videos),
+    }
+
+
+def video(event: Event, like: Scene) -> dict[str, Any]:
+    """Return the JSON object of one event of a document, in the arena of the scene ``like``.
+
+    Raises:
+        InvalidEventError: the event has something that the format has no place for.
+    """
+    scene, truth, trajectory = event.scene, event.truth, event.observation.trajectory
+    check_start(event)
+    if (scene.arena, scene.landmark_half_width) != (like.arena, like.landmark_half_width):
+        raise InvalidEventError("its arena is not that of the first event")
+    record: dict[str, Any] = {
+        "id": event_id({"id": event.id}),
+        "observed": {
+            "n_frames": len(trajectory),
+            "wall_segments": scene.walls.tolist(),
+            "landmarks": [
+                {"name": name, "colour": name.split()[0], "centre": centre}
+                for name, centre in zip(LANDMARKS, scene.landmark_centres.tolist(), strict=True)
+            ],
+            "entities": [
+                {"name": name, "kind": name.split()[1], "colour": name.split()[0], "radius": size}
+                for name, size in zip(ENTITIES, scene.radius.tolist(), strict=True)
+            ],
+            "trajectories": {
+                name: trajectory[:, entity].tolist() for entity, name in enumerate(ENTITIES)
+            },
+        },
+    }
+    if truth is not None:
+        levels = [strength_level(force) for force in (truth.strength_red, truth.strength_green)]
+        record["truth"] = {
+            "goals": dict(zip(AGENTS, (truth.goal_red, truth.goal_green), strict=True)),
+            "relation": truth.relation,
+            "scenario": truth.scenario,
+            "strength_id": dict(zip(AGENTS, levels, strict=True)),
+        }
+    if event.judgments is not None:
+        record["human"] = dict(event.judgments)
+    if event.predictions is not None:
+        record["models"] = dict(event.predictions)
+    return record
+
+
+def check_start(event: Event) -> None:
+    """Raise InvalidEventError unless the event starts as its first frame shows."""
+    if not np.array_equal(event.scene.start, event.observation.trajectory[0]):
+        raise InvalidEventError(
+            "it does not start as its first frame shows, and the format has no place for that"
+        )
+
+
+def strength_level(force: float | None) -> int | None:
+    """Return the original id of a strength in newtons; None for None.
+
+    Raises:
+        InvalidEventError: it has none.
+    """
+    if force is None:
+        return None
+    if force not in STRENGTH_LEVELS:
+        levels = ", ".join(f"{level:g}" for level in STRENGTH_LEVELS)
+        raise InvalidEventError(f"a strength is {force:g} N, expected one of {levels}")
+    return STRENGTH_LEVELS.index(force)

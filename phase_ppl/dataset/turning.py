@@ -56,11 +56,13 @@ def count_turns(trajectory: NDArray[np.float64], radius: NDArray[np.float64]) ->
     counts = [0, 0]
     low, high = FIRST_PART
     for agent in range(len(AGENTS)):
-        steps = np.diff(trajectory[:, agent, 2]) / full_turn(float(radius[agent]))
+        with np.errstate(over="ignore", invalid="ignore"):  # an impossible jump is no turn
+            steps = np.diff(trajectory[:, agent, 2]) / full_turn(float(radius[agent]))
+            both = steps[:-1] + steps[1:]
         for way, sign in enumerate((1.0, -1.0)):
             part = sign * steps
             whole = np.abs(part - 1) < RATE_TOLERANCE
-            lone = np.abs(part[:-1] + part[1:] - 1) < RATE_TOLERANCE
+            lone = np.abs(sign * both - 1) < RATE_TOLERANCE
             lone &= (low < part[:-1]) & (part[:-1] < high)
             counts[way] += int(whole.sum() + lone.sum())
     return counts[0], counts[1]

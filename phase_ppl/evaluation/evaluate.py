@@ -58,6 +58,7 @@ def evaluate(
     out: str | os.PathLike[str] | None = None,
     workers: int | None = None,
     resume: bool = False,
+    split: str | None = None,
     limit: int | None = None,
     seed: int = 0,
     judgments: str | os.PathLike[str] | Study | None = None,
@@ -76,7 +77,8 @@ def evaluate(
     events.
 
     Args:
-        events: an event file, a folder of event files, the name of a bundled event, or events.
+        events: an event file, a folder of event files or of a generated data set, the name of a
+            bundled event, or events.
         model: a name (:func:`phase_ppl.available_models`); a :class:`phase_ppl.Model`, for SIMPLE
             with that prior, simulator and likelihood; or a function ``(scene, observation, seed)``
             that returns a :class:`phase_ppl.Prediction` or a mapping such as
@@ -88,6 +90,7 @@ def evaluate(
         resume: go on with the evaluation in ``out``, if there is one. Finished events are not
             predicted again, failed ones are. Settings and events must be the same, but there may
             be more events after those; truth and judgments may have changed.
+        split: only the events of that split of a generated data set, such as "test".
         limit: only the first so many events.
         seed: a whole number >= 0.
         judgments: people's judgments, a file (:func:`phase_ppl.load_judgments`) or a study, in
@@ -106,7 +109,7 @@ def evaluate(
     clock = time.monotonic()
     whole_number("seed", seed, minimum=0)
     slots = loky.cpu_count() if workers is None else whole_number("workers", workers)
-    chosen = judged(all_events(events), judgments)
+    chosen = judged(all_events(events, split), judgments)
     if limit is not None:
         chosen = chosen[: whole_number("limit", limit)]
     asked = ready(model, options)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from phase_ppl.dataset.generation.store import MANIFEST, PLAN, GeneratedEvents
 from phase_ppl.dataset.load import load_events
 from phase_ppl.evaluation.folder import EVENTS, SETTINGS
 from phase_ppl.evaluation.references import reference_predictions
@@ -17,18 +18,29 @@ from phase_ppl.world.event import Event
 if TYPE_CHECKING:
     from phase_ppl.evaluation.judgments import Study
 
+GENERATED: Final = (MANIFEST, PLAN)
+"""Files by which the folder of a generated data set is known."""
+
 EVENT_FILES: Final = (".json", ".nc")
 """Endings of the files that are read from a folder of events."""
 
 
-def all_events(events: str | os.PathLike[str] | Event | Sequence[Event]) -> list[Event]:
-    """Return the events of a file or folder, or those given.
+def all_events(
+    events: str | os.PathLike[str] | Event | Sequence[Event], split: str | None = None
+) -> list[Event]:
+    """Return the events of a file or folder, or those given; or a split of a generated data set.
 
     Raises:
-        InvalidEventError: there are none, or two with the same id.
+        InvalidEventError: there are none, or two with the same id; or no such split.
     """
+    if split is not None:
+        path = events if isinstance(events, str | os.PathLike) else None
+        generated = events if path is None else load_events(path)
+        if not isinstance(generated, GeneratedEvents):
+            raise InvalidEventError(f"split {split!r}: only generated data sets have splits")
+        return generated.split(split)
     if isinstance(events, Event):
-        sources = [("", [events])]
+        sources: list[tuple[str, Sequence[Event]]] = [("", [events])]
     elif isinstance(events, str | os.PathLike):
         sources = [(f" in {file}", load_events(file)) for file in _files(events)]
     else:
@@ -49,7 +61,7 @@ def all_events(events: str | os.PathLike[str] | Event | Sequence[Event]) -> list
 
 def _files(path: str | os.PathLike[str]) -> list[Path]:
     source = Path(path)
-    if not source.is_dir():
+    if not source.is_dir() or any((source / name).is_file() for name in GENERATED):
         return [source]
     if (source / SETTINGS).is_file() and (source / EVENTS).is_file():
         raise InvalidEventError(

@@ -24,6 +24,9 @@ MAX_VOTES: Final = 10**9 - 1
 
 _COUNTS: Final = ("relation_counts", "goal_counts", "responses")
 
+_WITHOUT_VOTES: Final = ("n_raters", "majority")
+"""What may be all that is known of people: the authors' pickles have the majority only."""
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Judgments:
@@ -98,7 +101,7 @@ class Judgments:
                 the record has fields, but none of those that hold votes.
             UnknownNameError: no such agent, goal, relation or question.
         """
-        if record and not any(name in record for name in (*_COUNTS, "n_raters")):
+        if record and not any(name in record for name in (*_COUNTS, *_WITHOUT_VOTES)):
             raise InvalidEventError(
                 f"has {shown(sorted(map(str, record)))}, expected one of {', '.join(_COUNTS)}"
             )

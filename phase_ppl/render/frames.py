@@ -22,7 +22,7 @@ from phase_ppl.world.scene import Scene, finite_array
 Colour = tuple[int, int, int]
 Pixels = NDArray[np.uint8]
 FloatArray = NDArray[np.float64]
-Fine = list[tuple[float, float]]
+Points = list[tuple[float, float]]
 
 WIDTH: Final = 640
 HEIGHT: Final = 480
@@ -66,8 +66,11 @@ EYES: Final = np.array([[-0.24, 0.62], [0.24, 0.62]])
 
 EYE_RADIUS: Final = 0.14
 
-_FINE = 8
-"""Subpixels per pixel and axis in which shapes are drawn before they are averaged."""
+FINE: Final = 8
+"""Subpixels per pixel and axis."""
+
+_FAINT: Final = 0.7
+"""How much of the floor shows through what is drawn faintly."""
 
 _SIGHT_FINE = 4
 """The same for fields of view, which are large."""
@@ -81,20 +84,35 @@ class Painter:
     Args:
         scene: arena, walls, landmarks and sizes.
         fields_of_view: whether to show what each agent can see.
+        fine: subpixels per pixel and axis in which shapes are drawn before they are averaged;
+            fewer are faster, and enough for a picture that is made smaller.
+        pale: how far the landmarks are mixed with white, so that more can be seen on them.
     """
 
-    def __init__(self, scene: Scene, fields_of_view: bool = False) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        fields_of_view: bool = False,
+        *,
+        fine: int = FINE,
+        pale: float = 0.0,
+    ) -> None:
         self._scene = scene
         self._fields_of_view = fields_of_view
+        self._fine = fine
+        self._pale = pale
         x0, x1, _, _ = scene.arena
         self._scale = ARENA_PIXELS / (x1 - x0)
 
-    def draw(self, poses: ArrayLike, trail: FloatArray | None = None) -> Image.Image:
+    def draw(
+        self, poses: ArrayLike, trail: FloatArray | None = None, faint: FloatArray | None = None
+    ) -> Image.Image:
         """Return the frame with the entities at ``poses``.
 
         Args:
             poses: (entity, coord) with coord = x, y [units], angle [rad].
             trail: (time, entity, coord) of the way there, drawn as thin lines.
+            faint: (entity, coord) of other poses, drawn faintly below all that.
 
         Raises:
             InvalidEventError: ``poses`` has another shape or is not finite.
@@ -104,10 +122,14 @@ class Painter:
         if self._fields_of_view:
             for agent, colour in enumerate(SIGHT_COLOURS):
                 self._tint(picture, colour, self.pixel(field_of_view(self._scene, pose, agent)))
+        if faint is not None:
+            for entity in _DRAWING_ORDER:
+                self._draw_entity(picture, entity, faint[entity])
+            picture = Image.blend(picture, self._floor, _FAINT)
         if trail is not None and len(trail) > 1:
             for entity in _DRAWING_ORDER:
                 points = self.pixel(trail[:, entity, :2])
-                _paste_line(picture, TRAIL_COLOURS[entity], points, TRAIL_PIXELS)
+                _paste_line(picture, TRAIL_COLOURS[entity], points, TRAIL_PIXELS, self._fine)
         for entity in _DRAWING_ORDER:
             self._draw_entity(picture, entity, pose[entity])
         picture.paste(WALL_COLOUR, mask=self._walls)
@@ -126,7 +148,9 @@ class Painter:
         half = self._scene.landmark_half_width
         for centre, colour in zip(self._scene.landmark_centres, LANDMARK_COLOURS, strict=True):
             corners = self.pixel(centre + half * np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]]))
-            _paste_polygon(picture, colour, corners)
+            _paste_polygon(picture, colour, corners, self._fine)
+        if self._pale:
+            return Image.blend(picture, Image.new("RGB", picture.size, BACKGROUND), self._pale)
         return picture
 
     @functools.cached_property
@@ -139,7 +163,7 @@ class Painter:
             # walls run along an axis; those that meet overlap in a square, so no corner is open
             low, high = ends.min(axis=0) - half, ends.max(axis=0) + half
             corners = np.array([low, (low[0], high[1]), high, (high[0], low[1])])
-            _paste_polygon(mask, 255, corners)
+            _paste_polygon(mask, 255, corners, self._fine)
         return mask
 
     def _tint(self, picture: Image.Image, colour: Colour, corners: FloatArray) -> None:
@@ -167,12 +191,13 @@ class Painter:
     def _draw_entity(self, picture: Image.Image, entity: int, pose: FloatArray) -> None:
         radius, colour = float(self._scene.radius[entity]), ENTITY_COLOURS[entity]
         if not is_agent(entity):
-            _paste_disc(picture, colour, self.pixel(pose[:2]), radius * self._scale)
+            _paste_disc(picture, colour, self.pixel(pose[:2]), radius * self._scale, self._fine)
             return
         turn = radius * rotation(pose[2]).T
-        _paste_polygon(picture, colour, self.pixel(pose[:2] + UNIT_TRAPEZOID @ turn))
+        _paste_polygon(picture, colour, self.pixel(pose[:2] + UNIT_TRAPEZOID @ turn), self._fine)
         for eye in self.pixel(pose[:2] + EYES @ turn):
-            _paste_disc(picture, EYE_COLOUR, eye, EYE_RADIUS * radius * self._scale)
+            eye_radius = EYE_RADIUS * radius * self._scale
+            _paste_disc(picture, EYE_COLOUR, eye, eye_radius, self._fine)
 
 
 def draw_frame(scene: Scene, poses: ArrayLike, fields_of_view: bool = False) -> Pixels:
@@ -189,27 +214,34 @@ def draw_frame(scene: Scene, poses: ArrayLike, fields_of_view: bool = False) -> 
     return np.asarray(Painter(scene, fields_of_view).draw(poses), np.uint8)
 
 
-def _paste_polygon(picture: Image.Image, colour: Colour | int, corners: FloatArray) -> None:
-    _paste(picture, colour, corners, lambda draw, fine: draw.polygon(fine, fill=255))
+def _paste_polygon(
+    picture: Image.Image, colour: Colour | int, corners: FloatArray, fine: int
+) -> None:
+    _paste(picture, colour, corners, lambda draw, at: draw.polygon(at, fill=255), fine)
 
 
-def _paste_disc(picture: Image.Image, colour: Colour, centre: FloatArray, radius: float) -> None:
+def _paste_disc(
+    picture: Image.Image, colour: Colour, centre: FloatArray, radius: float, fine: int
+) -> None:
     box = centre + radius * np.array([[-1.0, -1.0], [1.0, 1.0]])
-    _paste(picture, colour, box, lambda draw, fine: draw.ellipse(fine, fill=255))
+    _paste(picture, colour, box, lambda draw, at: draw.ellipse(at, fill=255), fine)
 
 
-def _paste_line(picture: Image.Image, colour: Colour, points: FloatArray, width: float) -> None:
-    def paint(draw: ImageDraw.ImageDraw, fine: Fine) -> None:
-        draw.line(fine, fill=255, width=round(width * _FINE), joint="curve")
+def _paste_line(
+    picture: Image.Image, colour: Colour, points: FloatArray, width: float, fine: int
+) -> None:
+    def paint(draw: ImageDraw.ImageDraw, at: Points) -> None:
+        draw.line(at, fill=255, width=round(width * fine), joint="curve")
 
-    _paste(picture, colour, points, paint, margin=width)
+    _paste(picture, colour, points, paint, fine, margin=width)
 
 
 def _paste(
     picture: Image.Image,
     colour: Colour | int,
     points: FloatArray,
-    paint: Callable[[ImageDraw.ImageDraw, Fine], None],
+    paint: Callable[[ImageDraw.ImageDraw, Points], None],
+    fine: int,
     margin: float = 0.0,
 ) -> None:
     """Let ``paint`` draw a shape through ``points``, (n, 2) pixels, and paste it smoothly.
@@ -221,8 +253,8 @@ def _paste(
     high = np.ceil(points.max(axis=0) + margin).clip(0, picture.size).astype(int)
     if (low >= high).any():
         return
-    mask = Image.new("L", (int(high[0] - low[0]) * _FINE, int(high[1] - low[1]) * _FINE), 0)
+    mask = Image.new("L", (int(high[0] - low[0]) * fine, int(high[1] - low[1]) * fine), 0)
     # a fine pixel is named by its index; its centre lies half a fine pixel further
-    fine = [(float(x), float(y)) for x, y in (points - low) * _FINE - 0.5]
-    paint(ImageDraw.Draw(mask), fine)
-    picture.paste(colour, (int(low[0]), int(low[1])), mask.reduce(_FINE))
+    at = [(float(x), float(y)) for x, y in (points - low) * fine - 0.5]
+    paint(ImageDraw.Draw(mask), at)
+    picture.paste(colour, (int(low[0]), int(low[1])), mask.reduce(fine))

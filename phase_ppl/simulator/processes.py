@@ -16,17 +16,23 @@ from typing import Any, Final
 
 import loky
 
-ENVIRONMENT: Final = dict.fromkeys(
-    (
-        "MKL_NUM_THREADS",
-        "NUMBA_NUM_THREADS",
-        "NUMEXPR_NUM_THREADS",
-        "OMP_NUM_THREADS",
-        "OPENBLAS_NUM_THREADS",
-        "VECLIB_MAXIMUM_THREADS",
+GROWTH_BYTES: Final = 2_000_000_000
+"""How much a worker may grow before a fresh one takes its place; compiled programs take room."""
+
+ENVIRONMENT: Final = {
+    **dict.fromkeys(
+        (
+            "MKL_NUM_THREADS",
+            "NUMBA_NUM_THREADS",
+            "NUMEXPR_NUM_THREADS",
+            "OMP_NUM_THREADS",
+            "OPENBLAS_NUM_THREADS",
+            "VECLIB_MAXIMUM_THREADS",
+        ),
+        "1",
     ),
-    "1",
-)
+    "LOKY_MAX_MEMORY_LEAK_SIZE": str(GROWTH_BYTES),
+}
 """Of our workers: the cores are shared out among processes, not threads."""
 
 _PARENT_CHECK_SECONDS: Final = 1.0

@@ -22,6 +22,9 @@ ARENA: Final = (6.0, 26.0, 2.0, 22.0)
 
 LANDMARK_CENTRES: Final = np.array([[8.5, 19.5], [23.5, 19.5], [23.5, 4.5], [8.5, 4.5]])
 LANDMARK_HALF_WIDTH: Final = 2.5
+MIN_RADIUS: Final = 0.01
+"""Smallest size of an entity, units: masses and inertias of smaller ones are next to nothing."""
+
 OUTSIDE_TOLERANCE: Final = 0.25
 """How far beyond the border a body's origin may lie before it counts as outside, units."""
 
@@ -103,9 +106,10 @@ class Scene:
         width, height = arena[1] - arena[0], arena[3] - arena[2]
         if width <= 0 or abs(width - height) > 1e-6:
             raise InvalidEventError(f"scene.arena {self.arena} is not a square x0, x1, y0, y1")
-        if (self.radius <= 0).any() or (self.radius > width / 4).any():
+        if (self.radius < MIN_RADIUS).any() or (self.radius > width / 4).any():
             raise InvalidEventError(
-                f"scene.radius {self.radius.tolist()}: sizes must lie in (0, {width / 4:g}]"
+                f"scene.radius {self.radius.tolist()}: sizes must lie in [{MIN_RADIUS:g}, "
+                f"{width / 4:g}]"
             )
         check_inside(self.start[None], self, "scene.start")
         rooms = self.rooms  # refuses impossible walls now, not during a run

@@ -278,6 +278,10 @@ def test_record_of_nobody_is_none() -> None:
     assert event_judgments(make_event("a")) is None
 
 
+def test_a_majority_without_votes_is_no_vote() -> None:
+    assert Judgments.from_record({"majority": "friendly"}) is None
+
+
 @pytest.mark.parametrize(
     ("record", "message"),
     [

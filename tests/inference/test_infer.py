@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import numpyro
 import numpyro.distributions as dist
@@ -192,9 +193,14 @@ def test_printed_rule_is_recorded_as_approximate() -> None:
 
 
 def moody() -> None:
+    """A hierarchy, of one number above alpha, and sites on which nothing depends."""
     numpyro.sample("mood", dist.Bernoulli(0.5))
     numpyro.sample("traits", dist.Normal().expand([2]).to_event(1))
-    ppl.priors.uniform()
+    share = numpyro.sample("social", dist.Beta(1.0, 3.0))
+    probs = jnp.stack([1 - share, *[share / 4] * 4])
+    numpyro.sample("alpha", dist.Categorical(probs=probs))
+    ppl.sites.goals()
+    ppl.sites.strengths()
 
 
 def test_sites_of_ones_own_are_inferred_and_stored() -> None:
@@ -205,6 +211,7 @@ def test_sites_of_ones_own_are_inferred_and_stored() -> None:
     assert found.tree["posterior"]["traits"].shape == (CHAINS, ITERATIONS, 2)
     assert found.tree["simulations"]["traits"].shape == (CHAINS * (1 + ITERATIONS), 2)
     assert sum(found.marginal("mood").values) == pytest.approx(1)
+    assert 0 < found.mean("social") < 1
 
 
 # --- what goes wrong ---------------------------------------------------------------------------

@@ -116,7 +116,8 @@ def test_relation_first_reaches_the_enumerated_posterior() -> None:
         assert total_variation(found, exact) < limit
 
 
-def guide_density(prior: Any, window: int, strengths: Any) -> np.ndarray:
+def guide_density(prior: Any, windows: Sequence[int], strengths: Any) -> np.ndarray:
+    """Return (window, pair of strengths) the density, at one choice of goals."""
     n_windows = window_count(N_FRAMES, SETTINGS.window)
     strength = np.full((n_windows + 1, 2), np.nan)
     strength[1] = 300.0, 450.0
@@ -125,22 +126,23 @@ def guide_density(prior: Any, window: int, strengths: Any) -> np.ndarray:
     guide = bottom_up_guide(prior, Model(prior=prior).sites, tables, prior_share=0.1)
     fixed = {"goal_red": jnp.array(0), "goal_green": jnp.array(0), "alpha": jnp.array(0)}
 
-    def density(pair: jax.Array) -> jax.Array:
+    def density(window: jax.Array, pair: jax.Array) -> jax.Array:
         z = fixed | {"strength_red": pair[0], "strength_green": pair[1]}
-        return log_density(guide, z, jnp.array(window))
+        return log_density(guide, z, window)
 
-    return np.exp(np.asarray(compiled(jax.vmap(density))(jnp.asarray(strengths)), float))
+    of_all = jax.vmap(jax.vmap(density, (None, 0)), (0, None))
+    return np.exp(np.asarray(compiled(of_all)(jnp.array(windows), jnp.asarray(strengths)), float))
 
 
 def test_guide_proposes_just_the_values_that_the_prior_allows() -> None:
     grid = np.array(list(itertools.product((*STRENGTH_LEVELS, 310.0), repeat=2)), np.float32)
-    for window in (0, 1):
-        density = guide_density(ppl.priors.strength_levels, window, grid).reshape(5, 5)
+    densities = guide_density(ppl.priors.strength_levels, (0, 1), grid).reshape(2, 5, 5)
+    for density in densities:
         assert (density[:4, :4] > 0).all()
         assert (density[4] == 0).all()
         assert (density[:, 4] == 0).all()
     # the estimates of window 1 are 300 N and 450 N
-    assert np.unravel_index(density.argmax(), density.shape) == (1, 2)
+    assert np.unravel_index(densities[1].argmax(), (5, 5)) == (1, 2)
 
 
 @pytest.mark.slow
@@ -163,18 +165,3 @@ def test_infer_runs_with_each_ready_made_prior(name: str, kernel: str) -> None:
     assert np.isfinite(post.tree["simulations"]["log_prior_effective"]).all()
     if name == "strength_levels":
         assert np.isin(post.tree["posterior"]["strength_red"], STRENGTH_LEVELS).all()
-
-
-def test_hierarchical_prior_is_inferred_with_its_own_site() -> None:
-    def social() -> None:
-        share = numpyro.sample("social", dist.Beta(1.0, 3.0))
-        probs = jnp.stack([1 - share, *[share / 4] * 4])
-        numpyro.sample("alpha", dist.Categorical(probs=probs))
-        ppl.sites.goals()
-        ppl.sites.strengths()
-
-    model = ppl.Model(prior=social, simulator=walkers)
-    post = ppl.infer(
-        walking_event(), model, kernel="prior_mh", chains=3, iterations=1, workers=1, progress=False
-    )
-    assert 0 < post.mean("social") < 1

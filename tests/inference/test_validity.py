@@ -41,21 +41,39 @@ BLOCK = 100
 BLOCKS = 7
 """Steps are compiled a block at a time."""
 
+EXACT = (
+    "enumerated_gibbs",
+    "local_mh",
+    "mixture",
+    "prior_mh",
+    "random_walk_mh",
+    "single_site_mh",
+)
+
 ERRORS = table_errors()
 KEYS = random.split(random.key(0), CHAINS)
-MODEL = Model(prior=characters, simulator=never_called)
-NEEDS = {"guide": table_guide(characters), "settings": SETTINGS}
 
 START = {
-    "goal_red": jnp.zeros(CHAINS, jnp.int32),
-    "goal_green": jnp.full(CHAINS, 3, jnp.int32),
-    "outgoing": jnp.zeros((CHAINS, 2), jnp.int32),
-    "sociability": jnp.full(CHAINS, 0.2, jnp.float32),
-    "alpha": jnp.zeros(CHAINS, jnp.int32),
-    "haste": jnp.zeros(CHAINS, jnp.float32),
-    "strength_red": jnp.full(CHAINS, 300.0, jnp.float32),
-    "strength_green": jnp.full(CHAINS, 300.0, jnp.float32),
+    "goal_red": np.zeros(CHAINS, np.int32),
+    "goal_green": np.full(CHAINS, 3, np.int32),
+    "outgoing": np.zeros((CHAINS, 2), np.int32),
+    "sociability": np.full(CHAINS, 0.2, np.float32),
+    "alpha": np.zeros(CHAINS, np.int32),
+    "haste": np.zeros(CHAINS, np.float32),
+    "strength_red": np.full(CHAINS, 300.0, np.float32),
+    "strength_green": np.full(CHAINS, 300.0, np.float32),
 }
+
+
+@functools.cache
+def model() -> Model:
+    return Model(prior=characters, simulator=never_called)
+
+
+@functools.cache
+def supplies() -> dict[str, Any]:
+    """What kernels ask for; not made on import, which every process pays for."""
+    return {"guide": table_guide(characters), "settings": SETTINGS}
 
 
 class Run(NamedTuple):
@@ -67,26 +85,16 @@ class Run(NamedTuple):
     bridge: SimulatorBridge
 
 
-def kernel(name: str, bridge: jax.Array | int, model: Model = MODEL, **options: Any) -> Any:
+def kernel(name: str, bridge: jax.Array | int, **options: Any) -> Any:
     info = kernel_info(name)
-    needs = {need: NEEDS[need] for need in info.needs}
-    return info.make(EventProgram(model, bridge, N_FRAMES), **needs, **options)
-
-
-def is_tested(name: str) -> bool:
-    if kernel_info(name).validity != "exact":
-        return False
-    try:
-        return isinstance(kernel(name, 0), ParticleKernel)
-    except InvalidSettingError:
-        return False
-
-
-EXACT = [name for name in available_kernels() if is_tested(name)]
+    needs = {need: supplies()[need] for need in info.needs}
+    return info.make(EventProgram(model(), bridge, N_FRAMES), **needs, **options)
 
 
 @functools.cache
 def programs(name: str) -> tuple[Any, Any]:
+    supplies()  # made here, so that no part of it is a tracer
+
     def init(keys: jax.Array, sites: dict[str, jax.Array], bridge: jax.Array) -> Any:
         return kernel(name, bridge).init(keys, 0, sites, (), {})
 
@@ -122,9 +130,18 @@ def by_chain(values: Any) -> Any:
     return np.asarray(values, float)[BLOCK:].mean(axis=0)
 
 
-def test_the_kernels_are_tested() -> None:
-    ours = {"prior_mh", "single_site_mh", "random_walk_mh", "local_mh", "mixture"}
-    assert ours | {"enumerated_gibbs"} <= set(EXACT)
+def can_be_tested(name: str) -> bool:
+    info = kernel_info(name)
+    if info.validity != "exact" or not info.factory.__module__.startswith("phase_ppl."):
+        return False
+    try:
+        return isinstance(kernel(name, 0), ParticleKernel)
+    except InvalidSettingError:
+        return False
+
+
+def test_no_exact_kernel_is_left_out() -> None:
+    assert {name for name in available_kernels() if can_be_tested(name)} == set(EXACT)
 
 
 @pytest.mark.parametrize("name", EXACT)
@@ -189,12 +206,12 @@ class Watched(EventProgram):
 
 @pytest.mark.parametrize("name", EXACT)
 def test_a_single_particle_is_stopped_early_only_where_that_is_wanted(name: str) -> None:
-    watched = Watched(MODEL, 0, N_FRAMES)
+    watched = Watched(model(), 0, N_FRAMES)
     sites = {site: values[0] for site, values in START.items()}
     state: Any = None
     for early_reject in (True, False):
         single = kernel(name, 0, early_reject=early_reject)
-        single = single.bound_to(watched, NEEDS["guide"], SETTINGS)
+        single = single.bound_to(watched, supplies()["guide"], SETTINGS)
         watched.ceilings = []
         if state is None:
             state = jax.eval_shape(functools.partial(single.init, KEYS[0], 0, sites))
@@ -244,8 +261,11 @@ def test_a_particle_stays_with_its_simulation_until_it_accepts_another(name: str
     states = run(name).states
     stayed = ~states.accepted[1:]
     assert 0.05 < stayed.mean() < 0.95
-    for field in ("sim_seed", "step_error", "log_joint"):
+    for field in ("sim_seed", "step_error"):
         values = getattr(states, field)
         np.testing.assert_array_equal(values[1:][stayed], values[:-1][stayed], field)
+    # a sum, which may be computed anew, and compiled so that it rounds otherwise
+    joint = states.log_joint
+    np.testing.assert_allclose(joint[1:][stayed], joint[:-1][stayed], 1e-6)
     assert (states.sim_seed[1:] != states.sim_seed[:-1])[~stayed].all()
     np.testing.assert_array_equal(states.n_accepted[-1], states.accepted.sum(axis=0))

@@ -47,7 +47,7 @@ BAD_SCENES = {
         "the blue item is at (12, 1) in frame 0, outside the arena x 6..26, y 2..22",
     ),
     "radius_zero": ({"radius": [0, 1, 1, 1]}, "scene.radius [0.0, 1.0, 1.0, 1.0]"),
-    "radius_large": ({"radius": [1, 1, 1, 6]}, "sizes must lie in (0, 5]"),
+    "radius_large": ({"radius": [1, 1, 1, 6]}, "sizes must lie in [0.01, 5]"),
     "radius_count": ({"radius": RADIUS[:3]}, "scene.radius has shape (3,)"),
     "wall_slanted": ({"walls": [[[16, 12], [20, 16]]]}, "does not run from the arena's centre"),
     "wall_shape": ({"walls": [[16, 12], [16, 22]]}, "scene.walls has shape (2, 2)"),

@@ -1,0 +1,139 @@
+"""The commands ``generate`` and ``verify``."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any, Final
+
+import phase_ppl
+from phase_ppl.cli.shared import FAILED, INTERRUPTED, whole
+from phase_ppl.dataset.generation.generate import PRESETS, GenerationInterrupted, generate
+from phase_ppl.dataset.generation.plan import PHASE500
+from phase_ppl.dataset.generation.store import GeneratedEvents, verify
+
+VIDEOS: Final = "videos"
+"""The folder of the films in that of the data set."""
+
+
+def add_to(commands: Any) -> None:
+    """Add the commands."""
+    command = commands.add_parser(
+        "generate",
+        help="make a data set of simulated social events",
+        description="Make a data set like PHASE: draw situations, simulate them, keep those that "
+        "show what they should.",
+        epilog="example: phase-ppl generate --n 20 --seed 1 --out events",
+    )
+    command.set_defaults(run=_generate)
+    size = command.add_mutually_exclusive_group()
+    size.add_argument("--n", metavar="N", type=whole(1), help="events, in the paper's proportions")
+    size.add_argument("--preset", choices=tuple(PRESETS), help="the paper's 500 events; default")
+    size.add_argument(
+        "--cell",
+        metavar="FAMILY=N",
+        type=_cell,
+        action="append",
+        help="events of a family, such as chasing=10 or hinder:LMA=5; may be given several times",
+    )
+    command.add_argument("--out", metavar="DIR", type=Path, required=True)
+    command.add_argument("--planner", choices=("fast", "paper"), default="fast")
+    command.add_argument("--seed", metavar="N", type=whole(0), default=0, help="default 0")
+    command.add_argument(
+        "--copies",
+        metavar="K",
+        type=whole(0),
+        default=0,
+        help="of each event, with other reflections and colours; default 0",
+    )
+    command.add_argument(
+        "--turning",
+        choices=("both", "ccw", "cw"),
+        default="both",
+        help="which way agents can turn, before any reflection; default both",
+    )
+    command.add_argument("--workers", metavar="N", type=whole(1), help="default one per core")
+    command.add_argument(
+        "--keep-rejected", action="store_true", help="keep the draws that were not good enough"
+    )
+    command.add_argument(
+        "--videos", action="store_true", help="film every event, and draw all on one picture"
+    )
+    command.add_argument("--resume", action="store_true", help="go on with what DIR holds")
+    command.add_argument("--quiet", action="store_true", help="no progress bar")
+
+    check = commands.add_parser(
+        "verify",
+        help="compare a generated data set with its checksums",
+        description="Compare a generated data set with its checksums.",
+        epilog="example: phase-ppl verify events",
+    )
+    check.set_defaults(run=_verify)
+    check.add_argument("folder", metavar="DIR", type=Path)
+
+
+def _generate(options: argparse.Namespace) -> int:
+    cells = dict(options.cell) if options.cell else PRESETS.get(options.preset, PHASE500)
+    try:
+        made = generate(
+            options.out,
+            options.n,
+            cells=cells,
+            planner=options.planner,
+            seed=options.seed,
+            copies=options.copies,
+            turning=options.turning,
+            workers=options.workers,
+            keep_rejected=options.keep_rejected,
+            resume=options.resume,
+            progress=False if options.quiet else None,
+        )
+    except GenerationInterrupted as stopped:
+        print(f"phase-ppl: {stopped}: phase-ppl generate ... --resume", file=sys.stderr)
+        return INTERRUPTED
+    _print(made)
+    if options.videos:
+        shown = False if options.quiet else None
+        sheet, folder = made.path / "contact_sheet.png", made.path / VIDEOS
+        phase_ppl.render.videos(made, folder, workers=options.workers, progress=shown)
+        sheets = phase_ppl.render.contact_sheet(made, sheet, progress=shown)
+        print(f"{len(made)} films in {folder}; {', '.join(file.name for file in sheets)}")
+    given_up = made.manifest["given_up"]
+    if given_up:
+        print(f"Given up after too many draws: {', '.join(given_up)}", file=sys.stderr)
+    return FAILED if given_up else 0
+
+
+def _print(made: GeneratedEvents) -> None:
+    """Print how many draws of each kind were kept, and why others were not."""
+    manifest = made.manifest
+    for cell, kept in manifest["kept"].items():
+        if not kept:
+            continue
+        refused = manifest["rejected"][cell]
+        draws = kept + sum(refused.values())
+        why = "; ".join(f"{reason} {n}" for reason, n in refused.items())
+        print(f"{cell:<22}{kept:>4} of {draws:>4} draws{'   ' + why if why else ''}")
+    splits: dict[str, int] = {}
+    for entry in made.entries:
+        splits[entry["split"]] = splits.get(entry["split"], 0) + 1
+    parts = ", ".join(f"{n} {name}" for name, n in splits.items())
+    print(f"{len(made)} events ({parts}) in {made.path}")
+
+
+def _verify(options: argparse.Namespace) -> int:
+    wrong = verify(options.folder)
+    for line in wrong:
+        print(line)
+    if wrong:
+        return FAILED
+    print(f"{options.folder}: all events are as they were made")
+    return 0
+
+
+def _cell(text: str) -> tuple[str, int]:
+    name, equals, number = text.partition("=")
+    if not (name and equals):
+        raise argparse.ArgumentTypeError(f"{text!r} is not of the form FAMILY=N")
+    return name, whole(1)(number)

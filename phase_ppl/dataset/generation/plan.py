@@ -1,0 +1,163 @@
+"""What is to be generated: how many events of which kind, how they are split, how they look.
+
+A *slot* is one event to be made. Everything about it follows from the plan and its number, so it
+comes out the same whatever else is made, in whatever order.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.dataset.generation.registry import family_and_variant
+from phase_ppl.world.checks import whole_number
+from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
+from phase_ppl.world.scene import TURNINGS, Turning
+
+PHASE500: Final[Mapping[str, int]] = {
+    "collab": 55,
+    "help_lift": 35,
+    "help_blocked": 104,
+    "help_move": 6,
+    "compete": 54,
+    "hinder:LMA": 68,
+    "hinder:LMO": 7,
+    "chasing": 63,
+    "independent:LMO+LMO": 15,
+    "independent:LMO+LMA": 51,
+    "independent:LMA+LMA": 42,
+}
+"""Cell, FAMILY or FAMILY:VARIANT -> number of events of the paper's 500.
+
+200 friendly, 192 adversarial, 108 neutral; goals: item to a landmark 584, agent to a landmark 215,
+agent away from one 68, to and away from the other agent 63 each, item away from a landmark 7. The
+shares of the collaborative families are about those of the original test videos."""
+
+SPLITS: Final[Mapping[str, int]] = {"train": 320, "validation": 80, "test": 100}
+"""Shares of the splits, the paper's."""
+
+UNCHANGED: Final = "none"
+
+REFLECTION_SHARES: Final[Mapping[str, float]] = {
+    UNCHANGED: 0.25, "up-down": 0.12, "left-right": 0.18, "about y=x": 0.21, "about y=-x": 0.24,
+}  # fmt: skip
+"""How often the original test videos are reflected, and how."""
+
+FRAMES: Final = 101
+MAX_TRIES: Final = 200
+
+
+class Slot(NamedTuple):
+    """An event to be made, with its copies.
+
+    Attributes:
+        number: of the slot, from 0.
+        cell: FAMILY or FAMILY:VARIANT.
+        split: name of the split that it and its copies belong to.
+    """
+
+    number: int
+    cell: str
+    split: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """What is to be generated.
+
+    Attributes:
+        cells: FAMILY or FAMILY:VARIANT -> number of events.
+        splits: name -> share, in any unit.
+        copies: further copies of each event, with other reflections and colours; they stay in
+            its split.
+        reflect, recolour: whether events are reflected, and colours exchanged, at random.
+        turning: which way agents can turn before any reflection; the original ones only "ccw".
+        frames: length before the cut after the last motion.
+        planner: "fast", "paper" or a ``PlannerConfig``.
+        seed: of everything random.
+        max_tries: draws after which a slot is given up.
+
+    Raises:
+        UnknownNameError: an unknown family, variant, turning or planner.
+        InvalidSettingError: a number that is not allowed.
+    """
+
+    cells: Mapping[str, int] = dataclasses.field(default_factory=lambda: dict(PHASE500))
+    splits: Mapping[str, float] = dataclasses.field(default_factory=lambda: dict(SPLITS))
+    copies: int = 0
+    reflect: bool = True
+    recolour: bool = True
+    turning: Turning = "both"
+    frames: int = FRAMES
+    planner: str | PlannerConfig = "fast"
+    seed: int = 0
+    max_tries: int = MAX_TRIES
+
+    def __post_init__(self) -> None:
+        for cell, n in self.cells.items():
+            family_and_variant(cell)
+            whole_number(cell, n, 0)
+        if not sum(self.cells.values()):
+            raise InvalidSettingError("the plan holds no events")
+        for name, share in self.splits.items():
+            if isinstance(share, bool) or not isinstance(share, int | float) or not share >= 0:
+                raise InvalidSettingError(f"split {name}={shown(share)}, expected a share >= 0")
+        if not sum(self.splits.values()) > 0:
+            raise InvalidSettingError("the splits have no shares")
+        if self.turning not in TURNINGS:
+            raise unknown_name("turning", self.turning, TURNINGS)
+        whole_number("copies", self.copies, 0)
+        whole_number("frames", self.frames, 2)
+        whole_number("seed", self.seed, 0)
+        whole_number("max_tries", self.max_tries, 1)
+        object.__setattr__(self, "planner", PlannerConfig.named(self.planner))
+        most = len(REFLECTION_SHARES) * 4 - 1
+        if self.copies > most:
+            raise InvalidSettingError(f"copies={self.copies}, but there are only {most} of a kind")
+
+    @property
+    def n_events(self) -> int:
+        """Number of events, copies included."""
+        return sum(self.cells.values()) * (1 + self.copies)
+
+    def slots(self) -> list[Slot]:
+        """Return the events to be made; in each split about the same shares of every cell."""
+        rng = np.random.default_rng([self.seed, 1])
+        cells = [cell for cell, n in self.cells.items() for _ in range(n)]
+        # neighbours are of a kind: dealing the splits out along the row stratifies them
+        names = [name for name in self.splits]
+        counts = apportioned(len(cells), self.splits)
+        place = np.concatenate(
+            [(np.arange(counts[name]) + rng.random()) / max(counts[name], 1) for name in names]
+        )
+        split_of_row = np.repeat(names, [counts[name] for name in names])[np.argsort(place)]
+        order = rng.permutation(len(cells))  # numbers say nothing about kinds
+        return [
+            Slot(number, cells[row], str(split_of_row[row])) for number, row in enumerate(order)
+        ]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain data, fit for JSON."""
+        record = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        record["planner"] = self.planner.to_dict()  # type: ignore[union-attr]
+        return dict(json.loads(json.dumps(record, default=dict)))
+
+
+def apportioned(total: int, shares: Mapping[str, float]) -> dict[str, int]:
+    """Return whole numbers of sum ``total`` in proportion to shares (largest remainders)."""
+    exact = {name: total * share / sum(shares.values()) for name, share in shares.items()}
+    counts = {name: int(value) for name, value in exact.items()}
+    left = sorted(exact, key=lambda name: counts[name] - exact[name])
+    for name in left[: total - sum(counts.values())]:
+        counts[name] += 1
+    return counts
+
+
+def scaled(cells: Mapping[str, int], n: int) -> dict[str, int]:
+    """Return numbers of events in the proportions of ``cells``, ``n`` in all."""
+    return apportioned(whole_number("n", n, 1), cells)

@@ -1,0 +1,217 @@
+"""A situation: what a family draws, and what it draws it with."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Iterable, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phase_ppl.dataset.generation.tables import NARROW, SIZES, SPOTS, walls_of
+from phase_ppl.world.geometry import agent_outline, is_agent, shapes_meet
+from phase_ppl.world.goals import literal_goal
+from phase_ppl.world.hypothesis import STRENGTH_LEVELS, Hypothesis
+from phase_ppl.world.literals import Literal, Predicate
+from phase_ppl.world.names import AGENTS, ENTITIES
+from phase_ppl.world.rooms import N_ROOMS, ROOMS_OF_RAY, Rooms
+from phase_ppl.world.scene import Scene, Turning
+
+FloatArray = NDArray[np.float64]
+
+_ARRANGEMENTS: Final = 50
+"""Tries at places and angles without an overlap before a draw is given up."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Situation:
+    """What is to be simulated.
+
+    Attributes:
+        scene: layout, sizes and start.
+        hypothesis: stated goals, alpha, strengths.
+        layout: number of the layout.
+    """
+
+    scene: Scene
+    hypothesis: Hypothesis
+    layout: int
+
+
+class CannotDraw(Exception):  # control flow within this package, never seen by users
+    """The layout does not allow what the family wants: draw again."""
+
+
+class Draw:
+    """One draw of a situation in a layout, with the choices that families are made of.
+
+    Rooms and landmarks share their numbers 0..3. Agents are red 0 and green 1, items blue 2 and
+    pink 3; the colours are shuffled later.
+
+    Args:
+        rng: of this draw.
+        layout: number of the layout, of ``tables.LAYOUTS``.
+        turning: which way agents can turn by themselves.
+    """
+
+    def __init__(self, rng: np.random.Generator, layout: int, turning: Turning = "both") -> None:
+        self.rng = rng
+        self.layout = layout
+        self.turning: Turning = turning
+        self.walls = walls_of(layout)
+        self.rooms = Rooms.from_walls(self.walls, np.array([16.0, 12.0]), 10.0)
+
+    def one_of(self, options: Iterable[int]) -> int:
+        """Return one of some numbers, all equally likely.
+
+        Raises:
+            CannotDraw: there is none.
+        """
+        choices = list(options)
+        if not choices:
+            raise CannotDraw
+        return choices[int(self.rng.integers(len(choices)))]
+
+    def room(self, *, but: Sequence[int] = ()) -> int:
+        """Return a room (or landmark) other than ``but``."""
+        return self.one_of(room for room in range(N_ROOMS) if room not in but)
+
+    @property
+    def chain(self) -> tuple[int, ...]:
+        """The rooms in a row, from one side of the closed wall to the other.
+
+        An arena without a closed wall is cut at the upper one.
+        """
+        closed = next((ray for ray in range(N_ROOMS) if not self.rooms.door_width[ray]), 0)
+        order = [ROOMS_OF_RAY[closed][0]]
+        while len(order) < N_ROOMS:
+            order += [
+                room
+                for ray, pair in enumerate(ROOMS_OF_RAY)
+                if ray != closed and order[-1] in pair
+                for room in pair
+                if room not in order
+            ]
+        return tuple(order)
+
+    def sides_of(self, door: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Return the rooms on either side of a door, which is the only way between them.
+
+        Raises:
+            CannotDraw: there is another way.
+        """
+        chain = self.chain
+        cut = sorted(chain.index(room) for room in ROOMS_OF_RAY[door])
+        if cut[1] - cut[0] != 1 or self.rooms.door_width.all():
+            raise CannotDraw
+        return chain[: cut[1]], chain[cut[1] :]
+
+    def narrow_door(self) -> int:
+        """Return a door through which only the smallest agents drive."""
+        width = self.rooms.door_width
+        return self.one_of(ray for ray in range(N_ROOMS) if 0 < width[ray] <= NARROW)
+
+    def is_free(self, start: int, end: int) -> bool:
+        """Whether bodies of any size can pass between two rooms; not so of a room and itself."""
+        return start != end and self.rooms.narrowest(start, end) > NARROW
+
+    def size(self, *ways: tuple[int, int]) -> float:
+        """Return any size where all ways between rooms are free, else the smallest."""
+        free = all(self.is_free(*way) for way in ways)
+        return SIZES[int(self.rng.integers(len(SIZES)))] if free else SIZES[0]
+
+    def any_size(self, *, but: Sequence[float] = ()) -> float:
+        """Return a size other than ``but``."""
+        return SIZES[self.one_of(i for i, size in enumerate(SIZES) if size not in but)]
+
+    def strength(self, *levels: int) -> float:
+        """Return the force of one of some levels 0..3, newtons; of any if none is given."""
+        return STRENGTH_LEVELS[self.one_of(levels or range(len(STRENGTH_LEVELS)))]
+
+    def situation(
+        self,
+        goals: tuple[int, int],
+        alpha: tuple[int, int],
+        rooms: Sequence[int],
+        sizes: Sequence[float],
+        strengths: tuple[float, float],
+        *,
+        at: dict[int, tuple[float, float]] | None = None,
+    ) -> Situation:
+        """Return the situation with places and angles drawn, nothing overlapping.
+
+        Args:
+            goals: stated goals of red and green.
+            alpha: of red and of green.
+            rooms: where each of the four entities starts.
+            sizes: R of each of the four entities, units.
+            strengths: of red and green, newtons.
+            at: entity -> fixed place, units.
+
+        Raises:
+            CannotDraw: no arrangement without an overlap was found.
+        """
+        radius = np.array(sizes, np.float64)
+        for _ in range(_ARRANGEMENTS):
+            start = np.zeros((len(ENTITIES), 3))
+            for entity, room in enumerate(rooms):
+                spot = (at or {}).get(entity) or SPOTS[room][self.one_of(range(len(SPOTS[room])))]
+                angle = self.rng.uniform(-2 * np.pi, 2 * np.pi) if is_agent(entity) else 0.0
+                start[entity] = *spot, round(angle, 2)
+            if not overlaps(start, radius, self.walls):
+                scene = Scene(start, radius, self.walls, self.turning)
+                return Situation(scene, Hypothesis(*goals, alpha, *strengths), self.layout)
+        raise CannotDraw
+
+
+def item_to(item: int, landmark: int) -> int:
+    """Return the goal to get an item (2 or 3) to a landmark."""
+    return literal_goal(Literal(Predicate.ON, item, landmark))
+
+
+def agent_to(agent: int, landmark: int) -> int:
+    """Return the goal to get an agent to a landmark."""
+    return literal_goal(Literal(Predicate.ON, agent, landmark))
+
+
+def approach(agent: int) -> int:
+    """Return the goal of an agent to get to the other one."""
+    return literal_goal(Literal(Predicate.TOUCH, agent, len(AGENTS) - 1 - agent))
+
+
+def overlaps(start: FloatArray, radius: FloatArray, walls: FloatArray) -> bool:
+    """Whether any two shapes overlap, or one a wall.
+
+    Args:
+        start: (entity, coord) x, y [units], angle [rad].
+        radius: (entity,) sizes, units.
+        walls: (n, 2, 2) inner walls along the axes.
+    """
+    pairs = itertools.combinations(range(len(ENTITIES)), 2)
+    if any(shapes_meet(first, second, start, radius) for first, second in pairs):
+        return True
+    return any(
+        _meets_wall(entity, start[entity], float(radius[entity]), wall)
+        for entity in range(len(ENTITIES))
+        for wall in walls
+    )
+
+
+def _meets_wall(entity: int, pose: FloatArray, radius: float, wall: FloatArray) -> bool:
+    """Whether a shape meets a wall, taken as a segment."""
+    low, high = wall.min(axis=0), wall.max(axis=0)
+    if not is_agent(entity):
+        nearest = np.clip(pose[:2], low, high)
+        return bool(np.linalg.norm(nearest - pose[:2]) < radius)
+    outline = agent_outline(pose, radius)
+    if (outline.max(axis=0) < low).any() or (outline.min(axis=0) > high).any():
+        return False
+    # two convex shapes are apart if an edge of one of them separates them
+    edges = np.roll(outline, -1, axis=0) - outline
+    for axis in np.column_stack([-edges[:, 1], edges[:, 0]]):
+        along, of_wall = outline @ axis, wall @ axis
+        if along.max() < of_wall.min() or of_wall.max() < along.min():
+            return False
+    return True

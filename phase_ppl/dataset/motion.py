@@ -1,0 +1,94 @@
+"""What the tracks of an event say about how its bodies move."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phase_ppl.world.geometry import GRAB_POINTS
+from phase_ppl.world.names import AGENTS, BLUE_ITEM, ENTITIES
+from phase_ppl.world.observation import FRAMES_PER_SECOND
+
+FloatArray = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+SLOW: Final = 0.5
+"""Units per simulated second below which a body is said to be at rest."""
+
+TAIL: Final = 5
+"""A track whose last motion is fewer frames than this before its end was not cut after it: the
+original ones that were cut go on for 5 to 9 frames."""
+
+_MOVING: Final = 0.02
+"""Units per frame that count as motion where the end of it is looked for."""
+
+_HELD_WITHIN: Final = 0.05
+"""How far a held item may be from its place at a grab point, units: frames are means over a step,
+in which a body that turns blurs."""
+
+_HELD_FRAMES: Final = 3
+_GAP_FRAMES: Final = 3
+
+
+def speeds(trajectory: FloatArray) -> FloatArray:
+    """Return (time - 1, entity): how fast each body goes from frame to frame, units/s simulated."""
+    steps = np.linalg.norm(np.diff(trajectory[..., :2], axis=0), axis=2)
+    return np.asarray(steps * FRAMES_PER_SECOND)
+
+
+def moves_to_the_end(trajectory: FloatArray) -> bool:
+    """Whether something still moves in the last frames, so that no rest was cut off."""
+    steps = np.abs(np.diff(trajectory[..., :2], axis=0)).max(axis=(1, 2))
+    moving = np.flatnonzero(steps > _MOVING)
+    return bool(len(moving)) and len(steps) - 1 - int(moving[-1]) < TAIL
+
+
+def seems_to_hold(trajectory: FloatArray, radius: FloatArray) -> Flags:
+    """Return (time, agent): whether the agent seems to hold an item.
+
+    A held item is fixed in front of, behind or beside its holder, the two shapes touching at a
+    grab point. An item that stays there for three frames counts as held. So do one pushed dead
+    centre and one left where it was let go of; one held for a moment does not. Of simulated
+    events it tells the share of time with an error of some 0.015.
+
+    Args:
+        trajectory: (time, entity, coord) x, y [units], angle [rad].
+        radius: (entity,) sizes, units.
+    """
+    held = np.zeros((len(trajectory), len(AGENTS)), bool)
+    for agent in range(len(AGENTS)):
+        cos, sin = np.cos(trajectory[:, agent, 2]), np.sin(trajectory[:, agent, 2])
+        for item in range(BLUE_ITEM, len(ENTITIES)):
+            x, y = (trajectory[:, item, :2] - trajectory[:, agent, :2]).T
+            local = np.column_stack([cos * x + sin * y, cos * y - sin * x])
+            for point in GRAB_POINTS:
+                place = point * (radius[agent] + radius[item])
+                there = np.linalg.norm(local - place, axis=1) < _HELD_WITHIN
+                held[:, agent] |= _lasting(_closed(there))
+    return held
+
+
+def _runs(flags: Flags) -> list[tuple[int, int]]:
+    """Return (start, end) of the runs of true values."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.int8), [0]])))
+    return [(int(start), int(end)) for start, end in edges.reshape(-1, 2)]
+
+
+def _closed(flags: Flags) -> Flags:
+    """Return the flags with short gaps between true values closed."""
+    result = flags.copy()
+    for start, end in _runs(~flags):
+        if start > 0 and end < len(flags) and end - start <= _GAP_FRAMES:
+            result[start:end] = True
+    return result
+
+
+def _lasting(flags: Flags) -> Flags:
+    """Return the flags without short runs of true values."""
+    result = np.zeros_like(flags)
+    for start, end in _runs(flags):
+        if end - start >= _HELD_FRAMES:
+            result[start:end] = True
+    return result

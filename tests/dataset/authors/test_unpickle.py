@@ -1,0 +1,322 @@
+"""Pickles of plain data are read; all else that a pickle asks for is refused, and never run."""
+
+from __future__ import annotations
+
+import collections
+import copyreg
+import os
+import pickle
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from phase_ppl.dataset.authors.unpickle import unpickled
+from tests.dataset.authors.traps import (
+    EIGHT,
+    EMPTY,
+    F8,
+    SPRUNG,
+    Trap,
+    array,
+    is_sprung,
+    refused,
+)
+
+PROTOCOLS = range(pickle.HIGHEST_PROTOCOL + 1)
+
+
+@pytest.fixture(autouse=True)
+def _nothing_is_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.chdir(tmp_path)
+    yield
+    assert not is_sprung()
+
+
+# --- what is read ----------------------------------------------------------------------------
+
+
+def same(one: Any, other: Any) -> bool:
+    if isinstance(one, np.ndarray):
+        return isinstance(other, np.ndarray) and np.array_equal(one, other)
+    if isinstance(one, dict):
+        return list(one) == list(other) and all(same(one[key], other[key]) for key in one)
+    if isinstance(one, (list, tuple)):
+        parts = zip(one, other, strict=True)
+        return type(one) is type(other) and all(same(*pair) for pair in parts)
+    return type(one) is type(other) and one == other
+
+
+plain = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers(-(2**63), 2**64 - 1)
+    | st.floats(allow_nan=False)
+    | st.text(max_size=300)
+    | st.binary(max_size=300),
+    lambda inner: (
+        st.lists(inner, max_size=5)
+        | st.lists(inner, max_size=5).map(tuple)
+        | st.dictionaries(st.text(max_size=5) | st.integers(-9, 9), inner, max_size=5)
+    ),
+    max_leaves=20,
+)
+
+
+@settings(max_examples=300, deadline=None)
+@given(value=plain, protocol=st.sampled_from(PROTOCOLS))
+def test_plain_data_are_read_as_they_were(value: Any, protocol: int) -> None:
+    assert same(unpickled(pickle.dumps(value, protocol)), value)
+
+
+ARRAYS = [
+    np.arange(3.0),
+    np.arange(6).reshape(2, 3).T,
+    np.arange(24, dtype=np.float32).reshape(2, 3, 4).transpose(1, 0, 2),
+    np.arange(12.0).reshape(3, 4)[:, ::2],
+    np.array([True, False]),
+    np.arange(3, dtype=">f8"),
+    np.array([-1, 0, 1], np.int16),
+    np.zeros((0, 5)),
+    np.array(4.5),
+]
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_arrays_are_read_as_they_were(protocol: int) -> None:
+    for one, back in zip(ARRAYS, unpickled(pickle.dumps(ARRAYS, protocol)), strict=True):
+        np.testing.assert_array_equal(one, back)
+        assert one.dtype == back.dtype
+        assert not back.flags.writeable
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_numbers_of_numpy_become_plain_ones(protocol: int) -> None:
+    numbers = [np.float64(0.1), np.int32(-7), np.uint8(200), np.bool_(True), np.float32(0.5)]
+    assert same(unpickled(pickle.dumps(numbers, protocol)), [0.1, -7, 200, True, 0.5])
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_what_is_shared_is_there_every_time(protocol: int) -> None:
+    goal, array = ["LMO", 0, 1, 1], np.arange(4.0)
+    shared = {"one": [goal, array], "two": [goal, array], (0, "x"): (goal, goal)}
+    assert same(unpickled(pickle.dumps(shared, protocol)), shared)
+
+
+OLD = (
+    b"(dp0\nS'name'\np1\nS'a\\n\\'b\\\\'\np2\nsS'long'\np3\nL5L\nsS'yes'\nI01\nsS'track'\np4\n"
+    b"cnumpy.core.multiarray\n_reconstruct\np5\n(cnumpy\nndarray\np6\n(I0\ntp7\nS'b'\np8\ntp9\n"
+    b"Rp10\n(I1\n(I2\ntp11\ncnumpy\ndtype\np12\n(S'f8'\np13\nI0\nI1\ntp14\nRp15\n(I3\nS'<'\np16\n"
+    b"NNNI-1\nI-1\nI0\ntp17\nbI00\nS'\\x00\\x00\\x00\\x00\\x00\\x00\\xf0?\x9a\x99\x99\x99\x99\x99"
+    b"\xb9?'\np18\ntp19\nbs."
+)
+OLD_BINARY = (
+    b"\x80\x02cnumpy.core.multiarray\n_reconstruct\nq\x00cnumpy\nndarray\nq\x01K\x00\x85U\x01b\x87"
+    b"R(K\x01K\x02\x85cnumpy\ndtype\nU\x02f8K\x00K\x01\x87R(K\x03U\x01<NNNJ\xff\xff\xff\xffJ\xff"
+    b"\xff\xff\xffK\x00tb\x89U\x10\x00\x00\x00\x00\x00\x00\xf0?\x9a\x99\x99\x99\x99\x99\xb9?tb."
+)
+
+
+def test_pickles_of_python_2_are_read() -> None:
+    value = {"name": "a\n'b\\", "long": 5, "yes": True, "track": np.array([1.0, 0.1])}
+    assert same(unpickled(OLD), value)
+    assert same(unpickled(OLD_BINARY), np.array([1.0, 0.1]))
+
+
+def test_python_2_wrote_bytes_as_texts_of_256_characters() -> None:
+    assert unpickled(b"S'\\xe9\xe9'\n.") == "éé"
+    assert unpickled(b"U\x02\xe9\xff.") == "éÿ"
+
+
+# --- what asks for code ----------------------------------------------------------------------
+
+
+class Own:
+    def __init__(self) -> None:
+        self.x = 1
+
+
+class OwnArray(np.ndarray):
+    pass
+
+
+SET = f"__import__('os').environ.__setitem__({SPRUNG!r}, '1')"
+OBJECTS: dict[str, tuple[Any, str]] = {
+    "system": (Trap(os.system, f"mkdir {SPRUNG}"), "asks for 'posix.system'"),
+    "mkdir": (Trap(os.mkdir, SPRUNG), "asks for 'posix.mkdir'"),
+    "eval": (Trap(eval, SET), "eval', which is refused"),
+    "exec": (Trap(exec, SET), "exec', which is refused"),
+    "getattr": (Trap(getattr, "x", "upper"), "getattr', which is refused"),
+    "import": (Trap(__import__, "os"), "__import__', which is refused"),
+    "load": (Trap(np.load, "x.npy"), "asks for 'numpy.load'"),
+    "loads": (Trap(pickle.loads, b"N."), "loads', which is refused"),
+    "fromfile": (Trap(np.memmap, "x"), "memmap', which is refused"),
+    "inside": ([1, {"a": [Trap(os.mkdir, SPRUNG)]}], "asks for 'posix.mkdir'"),
+    "own": (Own(), "refused"),
+    "class": (Own, "Own', which is refused"),
+    "function": (np.mean, "mean', which is refused"),
+    "range": (range(3), "range', which is refused"),
+    "complex": (1j, "complex', which is refused"),
+    "set": ({1, 2}, "refused"),
+    "frozenset": (frozenset((1,)), "refused"),
+    "ordered": (collections.OrderedDict(a=1), "OrderedDict', which is refused"),
+    "bytearray": ([bytearray(b"ab"), Own()], "refused"),
+    "subclass": (np.arange(3.0).view(OwnArray), "refused"),
+    "masked": (np.ma.array([1.0], mask=[True]), "refused"),
+    "objects": (np.array([Trap(os.mkdir, SPRUNG)], object), "something else than plain numbers"),
+    "plain_objects": (np.array([1, "a", None], object), "something else than plain numbers"),
+    "texts": (np.array(["a", "b"]), "something else than plain numbers"),
+    "fields": (np.zeros(2, [("a", "f8")]), "something else than plain numbers"),
+    "dates": (np.zeros(2, "M8[s]"), "something else than plain numbers"),
+    "complexes": (np.zeros(2, complex), "something else than plain numbers"),
+    "dtype": (np.dtype("f8"), "a function or a class in place of data"),
+}
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+@pytest.mark.parametrize("case", OBJECTS)
+def test_objects_are_refused(case: str, protocol: int) -> None:
+    value, message = OBJECTS[case]
+    assert message in refused(pickle.dumps(value, protocol))
+
+
+def text(value: str) -> bytes:
+    return b"\x8c" + bytes([len(value)]) + value.encode()
+
+
+CALLS: dict[str, tuple[bytes, str]] = {
+    "dotted": (b"cnumpy.core.multiarray\n_reconstruct.__globals__\n.", "_reconstruct.__globals__"),
+    "dotted_stack": (
+        b"\x80\x04" + text("numpy") + text("ndarray.__reduce__") + b"\x93.",
+        "asks for 'numpy.ndarray.__reduce__'",
+    ),
+    "module_of_numpy": (b"cnumpy\nos\n.", "asks for 'numpy.os'"),
+    "our_own": (b"cphase_ppl.dataset.authors.arrays\nPickledArray\n.", "asks for"),
+    "list_as_name": (b"\x80\x04]" + text("x") + b"\x93.", "makes no sense"),
+    "no_names": (b"\x80\x04\x93.", "makes no sense"),
+    "long_names": (b"c" + b"x" * 5000 + b"\ny\n.", "asks for 'xxxx"),
+    "no_text": (b"c\xff\n\xfe\n.", "is damaged"),
+    "instance": (b"(S'x'\nios\nsystem\n.", "holds an object of a class"),
+    "object": (b"(cnumpy\nndarray\nS'x'\no.", "holds an object of a class"),
+    "newobj": (b"\x80\x02cnumpy\nndarray\n)\x81.", "holds an object of a class"),
+    "newobj_ex": (b"\x80\x04cnumpy\nndarray\n)}\x92.", "holds an object of a class"),
+    "extension": (b"\x80\x02\x82\x01.", "a number that stands for a class"),
+    "extension_2": (b"\x80\x02\x83\x01\x00.", "a number that stands for a class"),
+    "extension_4": (b"\x80\x02\x84\x01\x00\x00\x00.", "a number that stands for a class"),
+    "persistent": (b"Pother\n.", "a reference to something outside the file"),
+    "persistent_binary": (b"K\x01Q.", "a reference to something outside the file"),
+    "out_of_band": (b"\x80\x05\x97.", "a buffer outside the file"),
+    "readonly": (b"\x80\x05C\x01a\x98.", "a buffer outside the file"),
+    "set": (b"\x80\x04\x8f.", "holds a set"),
+    "reconstructor": (b"ccopy_reg\n_reconstructor\n.", "asks for 'copy_reg._reconstructor'"),
+    "call_data": (b"]K\x01\x85R.", "calls what is no function"),
+    "call_class": (b"cnumpy\nndarray\nK\x01\x85R.", "calls what is no function"),
+    "call_array": (b"cnumpy.core.multiarray\n_reconstruct\ncnumpy\nndarray\n)C\x01b\x87R)R.", ""),
+    "call_list": (b"c_codecs\nencode\n]R.", "makes no sense"),
+    "state_of_dict": (b"}}b.", "sets the state of what is no array"),
+    "state_of_function": (b"c_codecs\nencode\n}b.", "sets the state of what is no array"),
+    "state_of_class": (b"cnumpy\nndarray\n}b.", "sets the state of what is no array"),
+    "function": (b"c_codecs\nencode\n.", "a function or a class in place of data"),
+    "nested_class": (b"]cnumpy\nndarray\na.", "a function or a class in place of data"),
+    "other_codec": (b"c_codecs\nencode\nVab\nVrot13\n\x86R.", "as NumPy never does"),
+    "codec_of_data": (b"c_codecs\nencode\nK\x01Vlatin1\n\x86R.", "as NumPy never does"),
+    "codec_of_others": (b"c_codecs\nencode\nV\\u0394\nVlatin1\n\x86R.", "as NumPy never does"),
+    "bytes_of": (b"c__builtin__\nbytes\nK\x05\x85R.", "as NumPy never does"),
+    "no_class": (b"cnumpy.core.multiarray\n_reconstruct\n)R.", "as NumPy never does"),
+    "other_class": (
+        b"cnumpy.core.multiarray\n_reconstruct\nNK\x00\x85C\x01b\x87R.",
+        "as NumPy never does",
+    ),
+    "dtype_of_class": (b"cnumpy\ndtype\ncnumpy\nndarray\n\x85R.", "something else than plain"),
+    "dtype_of_list": (b"cnumpy\ndtype\n](]e\x85R.", "something else than plain"),
+    "dtype_empty": (b"cnumpy\ndtype\n)R.", "something else than plain"),
+}
+
+
+@pytest.mark.parametrize("case", CALLS)
+def test_what_no_array_needs_is_refused(case: str) -> None:
+    content, message = CALLS[case]
+    assert message in refused(content)
+
+
+def test_an_extension_that_python_knows_is_refused_too() -> None:
+    copyreg.add_extension("os", "mkdir", 200)
+    try:
+        content = b"\x80\x02\x82\xc8V" + SPRUNG.encode() + b"\n\x85R."
+        assert "a number that stands for a class" in refused(content)
+    finally:
+        copyreg.remove_extension("os", "mkdir", 200)
+
+
+# --- arrays that cannot be -------------------------------------------------------------------
+
+
+def long(value: int) -> bytes:
+    return b"L%dL\n" % value
+
+
+def from_buffer(*arguments: bytes) -> bytes:
+    return b"cnumpy._core.numeric\n_frombuffer\n(" + b"".join(arguments) + b"tR."
+
+
+STATES: dict[str, tuple[bytes, str]] = {
+    "huge": (array(long(2**30) + b"\x85"), "in 8 bytes, expected 8589934592"),
+    "huger": (array(long(2**60) + b"\x85"), "an impossible shape"),
+    "product": (array(b"(" + long(2**31) * 8 + b"t"), "in 8 bytes, expected"),
+    "nothing_of_much": (array(b"(" + long(2**40) + b"K\x00t", content=b"C\x00"), "impossible"),
+    "negative": (array(long(-1) + b"\x85"), "an impossible shape"),
+    "two_negative": (array(long(-1) + long(-1) + b"\x86"), "an impossible shape"),
+    "fraction": (array(b"F1.0\n\x85"), "an impossible shape"),
+    "true": (array(b"I01\n\x85"), "an impossible shape"),
+    "dimensions": (array(b"(" + b"K\x01" * 9 + b"t"), "an impossible shape"),
+    "list": (array(b"](K\x01e"), "an impossible shape"),
+    "too_much": (array(b"K\x01\x85", content=b"C\x10" + bytes(16)), "in 16 bytes, expected 8"),
+    "no_dtype": (array(b"K\x01\x85", b"Vf8\n"), "something else than plain numbers"),
+    "objects": (array(b"K\x01\x85", content=b"](Ne"), "something else than plain numbers"),
+    "array": (array(b"K\x01\x85", content=EMPTY), "something else than plain numbers"),
+    "letters": (array(b"K\x01\x85", content=b"V\\u0394\n"), "as NumPy never does"),
+    "short_state": (EMPTY + b"K\x01\x85b.", "as NumPy never does"),
+    "no_state": (EMPTY + b".", "an array without content"),
+    "dict_state": (EMPTY + b"}b.", "makes no sense"),
+    "long_state": (EMPTY + b"(" + b"N" * 10 + b"tb.", "makes no sense"),
+    "dtype_state": (
+        b"cnumpy\ndtype\nVf8\n\x85R(K\x03V<\nNVx\nNK\x00K\x00K\x00tb.",
+        "plain numbers",
+    ),
+    "dtype_order": (b"cnumpy\ndtype\nVf8\n\x85R(K\x03VX\nNNNK\x00K\x00K\x00tb.", "plain numbers"),
+    "buffer_order": (from_buffer(EIGHT, F8, b"K\x01\x85", b"VX\n"), "as NumPy never does"),
+    "buffer_short": (from_buffer(EIGHT, F8), "as NumPy never does"),
+    "buffer_axes": (from_buffer(EIGHT, F8, b"K\x01\x85", b"VK\n", b"K\x05\x85"), "never does"),
+    "buffer_twice": (from_buffer(EIGHT, F8, b"K\x01\x85", b"VK\n", b"K\x00K\x00\x86"), "never"),
+    "buffer_words": (from_buffer(EIGHT, F8, b"K\x01\x85", b"VK\n", b"Vab\n\x85"), "never does"),
+    "scalar": (
+        b"cnumpy.core.multiarray\nscalar\n" + F8 + b"C\x02ab\x86R.",
+        "in 2 bytes, expected 8",
+    ),
+    "scalar_alone": (b"cnumpy.core.multiarray\nscalar\n" + F8 + b"\x85R.", "as NumPy never does"),
+}
+
+
+@pytest.mark.parametrize("case", STATES)
+def test_an_array_that_cannot_be_is_refused(case: str) -> None:
+    content, message = STATES[case]
+    assert message in refused(content)
+
+
+def test_the_parts_of_those_arrays_are_right() -> None:
+    assert unpickled(array(b"K\x01\x85")).tolist() == [0.0]
+    made = from_buffer(EIGHT, F8, b"K\x01K\x01\x86", b"VK\n", b"K\x01K\x00\x86")
+    assert unpickled(made).tolist() == [[0.0]]
+
+
+def test_the_traps_work() -> None:
+    pickle.loads(pickle.dumps(Trap(os.mkdir, SPRUNG)))
+    assert is_sprung()
+    os.rmdir(SPRUNG)
+    pickle.loads(pickle.dumps(Trap(eval, SET)))
+    assert is_sprung()
+    del os.environ[SPRUNG]

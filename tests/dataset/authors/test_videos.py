@@ -1,0 +1,227 @@
+"""The authors' files, as they are described, become the events that they show."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from phase_ppl.dataset import load_event, load_events
+from phase_ppl.world.errors import InvalidEventError, PhasePPLError, UnknownNameError
+from phase_ppl.world.event import Event
+from phase_ppl.world.goals import GOALS as ALL_GOALS
+from tests.dataset.authors.pickles import (
+    FRAMES,
+    KINDS,
+    SHORT,
+    SHUFFLED,
+    STAMP,
+    averaged,
+    changed,
+    expected,
+    name_of,
+    processed,
+    record,
+)
+
+
+def write(folder: Path, content: Any, name: str = "videos.pkl", protocol: int = 3) -> Path:
+    path = folder / name
+    path.write_bytes(pickle.dumps(content, protocol))
+    return path
+
+
+def load(path: Path) -> list[Event]:
+    return load_events(path, format="phase-pickle")
+
+
+def assert_shows(event: Event, copy: int | None) -> None:
+    made = expected(copy)
+    got, wanted = event.observation.trajectory, made.trajectory
+    np.testing.assert_allclose(got[..., :2], wanted[..., :2], atol=1e-9)
+    turns = np.round((got[0, :, 2] - wanted[0, :, 2]) / (2 * np.pi))  # where the first was wrapped
+    np.testing.assert_allclose(got[..., 2], wanted[..., 2] + 2 * np.pi * turns, atol=1e-9)
+    assert (turns == 0).all() or copy in (2, 3)
+    np.testing.assert_array_equal(event.scene.start, got[0])
+    np.testing.assert_array_equal(event.scene.radius, made.scene.radius)
+    assert event.scene.rooms.wall_length.tolist() == made.scene.rooms.wall_length.tolist()
+    assert event.truth is not None
+    red, green = made.hypothesis.effective_goals
+    assert (event.truth.goal_red, event.truth.goal_green) == (ALL_GOALS[red], ALL_GOALS[green])
+    assert (event.truth.strength_red, event.truth.strength_green) == (600.0, 150.0)
+
+
+@pytest.mark.parametrize("code", [SHUFFLED, SHORT], ids=["four keys", "three keys"])
+@pytest.mark.parametrize("copy", KINDS)
+def test_a_processed_video_becomes_what_it_shows(
+    tmp_path: Path, copy: int | None, code: dict[int, int]
+) -> None:
+    (event,) = load(write(tmp_path, [processed(copy, code)]))
+    assert_shows(event, copy)
+    assert event.id == f"{STAMP}_E8" + ("" if copy is None else f".{copy}")
+    assert event.observation.n_frames == FRAMES
+    assert event.judgments == {"majority": "neutral"}
+
+
+@pytest.mark.parametrize("copy", KINDS)
+def test_a_record_of_the_generator_becomes_what_it_shows(tmp_path: Path, copy: int | None) -> None:
+    (event,) = load(write(tmp_path, record(copy), name_of(copy) + ".pik"))
+    assert_shows(event, copy)
+    assert event.judgments is None
+
+
+def test_the_made_up_angles_are_spoiled_before_they_are_repaired() -> None:
+    spoiled = np.array(processed(3)["trajectories"][1])[:, 4]
+    made = np.unwrap(spoiled) - expected(3).trajectory[:, 0, 2]
+    assert np.ptp(made) > 1
+
+
+def test_a_record_that_was_renamed_is_read_without_its_truth(tmp_path: Path) -> None:
+    event = load_event(write(tmp_path, record(None), "mine.pik"), format="phase-pickle")
+    assert (event.id, event.truth) == ("mine", None)
+
+
+def test_one_of_several_videos_is_read_by_its_id(tmp_path: Path) -> None:
+    path = write(tmp_path, [processed(copy) for copy in KINDS])
+    assert [event.id for event in load(path)] == [
+        f"{STAMP}_E8{suffix}" for suffix in ("", ".0", ".1", ".2", ".3")
+    ]
+    event = load_event(path, f"{STAMP}_E8.2", "both", format="phase-pickle")
+    assert_shows(event, 2)
+    assert event.scene.turning == "both"
+    with pytest.raises(UnknownNameError, match=r"videos.pkl: unknown video 'other'"):
+        load_event(path, "other", format="phase-pickle")
+
+
+def test_videos_of_one_stamp_and_place_go_by_their_whole_names(tmp_path: Path) -> None:
+    first, second = processed(0), processed(0)
+    second["name"] = second["name"].replace("_e0", "_e1")
+    ids = [event.id for event in load(write(tmp_path, [first, second, processed(1)]))]
+    assert ids == [first["name"], second["name"], f"{STAMP}_E8.1"]
+
+
+def test_the_way_agents_turn_is_read_off_their_angles(tmp_path: Path) -> None:
+    video = processed(None)
+    turns = np.zeros(1 + 5 * (FRAMES - 1))
+    steps = np.cumsum(np.tile(np.arange(1, 6) / 15, 10)) * 1.0617  # full turns of size 0.8
+    turns[1:51], turns[51:] = steps, steps[-1]
+    video["trajectories"][1][:, 4] = averaged(turns[:, None], 1)[:, 0]
+    video["trajectories"][0][:, 4] = 0.0
+    (event,) = load(write(tmp_path, [video]))
+    assert event.scene.turning == "ccw"
+
+
+def test_a_pickle_is_read_only_when_asked_for(tmp_path: Path) -> None:
+    path = write(tmp_path, [processed(None)])
+    with pytest.raises(InvalidEventError, match=r"is a pickle.*format='phase-pickle'"):
+        load_events(path)
+    with pytest.raises(UnknownNameError, match=r"unknown format 'pickle'.*'phase-pickle'"):
+        load_events(path, format="pickle")
+
+
+def test_a_bundled_name_stands_for_no_pickle() -> None:
+    with pytest.raises(InvalidEventError, match="collaborate: no such file"):
+        load_events("collaborate", format="phase-pickle")
+
+
+TRACKS = processed(None)["trajectories"]
+NAN = [np.where(np.arange(5) == 1, np.nan, track) for track in TRACKS]
+BAD: dict[str, tuple[Any, str]] = {
+    "text": ("videos", "holds 'videos', expected a list of videos"),
+    "number": (3.5, "holds 3.5, expected a list of videos"),
+    "empty": ([], "the list is empty"),
+    "no_dict": ([[1, 2]], "videos[0] is list, expected a dict"),
+    "no_name": ([{}], "has no videos[0].name"),
+    "name": ([{"name": 7}], "videos[0].name is 7, expected a string"),
+    "control": ([{"name": "a\nb"}], "id is 'a\\nb', expected printable"),
+}
+FIELDS: dict[str, tuple[dict[str, Any], str]] = {
+    "no_tracks": ({"trajectories": ...}, "has no trajectories"),
+    "tracks": ({"trajectories": {0: 1}}, "trajectories is dict, expected a list of tracks"),
+    "three": ({"trajectories": TRACKS[:3]}, "trajectories has 3 tracks, expected 4"),
+    "channels": (
+        {"trajectories": [track[:, :4] for track in TRACKS]},
+        "trajectories[1] has shape (40, 4), expected ('n', 5)",
+    ),
+    "nan": ({"trajectories": NAN}, "trajectories[1][0, 1] is nan, expected a finite number"),
+    "flags": ({"trajectories": [track > 0 for track in TRACKS]}, "trajectories[1] holds"),
+    "words": ({"trajectories": ["abcd"] * 4}, "trajectories[1] holds 'abcd', expected numbers"),
+    "ragged": ({"trajectories": [[[1, 2, 3, 4, 5], [1]]] * 4}, "trajectories[1] is ragged"),
+    "no_rows": ({"trajectories": [np.zeros((0, 5))] * 4}, "trajectory has 0 frame(s)"),
+    "one_row": ({"trajectories": [track[:1] for track in TRACKS]}, "has 1 frame(s)"),
+    "agents": (
+        {"trajectories": [TRACKS[0][:9], *TRACKS[1:]]},
+        "trajectories have 40 of body 1, 9 of body 0, 47 of body 3",
+    ),
+    "items": ({"trajectories": [*TRACKS[:3], TRACKS[3][:9]]}, "no fewer of items"),
+    "outside": (
+        {"trajectories": [track + 20 for track in TRACKS]},
+        "the red agent is at (34, 28) in frame 0, outside",
+    ),
+    "sizes": ({"entity_sizes": [1, 2]}, "entity_sizes has shape (2,), expected (4,)"),
+    "size": ({"entity_sizes": [0, 1, 1, 1]}, "sizes must lie in"),
+    "tiny": ({"entity_sizes": [1e-300, 1, 1, 1]}, "sizes must lie in"),
+    "no_code": ({"entity_color_code": ...}, "has no entity_color_code"),
+    "code": ({"entity_color_code": [0, 1]}, "entity_color_code is [0, 1], expected an object"),
+    "keys": ({"entity_color_code": {0: 0, 1: 1}}, "is {0: 0, 1: 1}, expected a code such as"),
+    "colours": ({"entity_color_code": {0: 0, 1: 1, 3: 2, 4: 5}}, "expected a code such as"),
+    "same": ({"entity_color_code": {0: 1, 1: 1, 3: 2, 4: 3}}, "expected a code such as"),
+    "odd_short": ({"entity_color_code": {0: 2, 1: 2, 2: 3}}, "expected a code such as"),
+    "colour_names": ({"entity_color_code": {0: "red", 1: 2, 2: 3}}, "expected a code such as"),
+    "walls": ({"wall_segs": [[1, 2, 3]]}, "wall_segs has shape (1, 3), expected"),
+    "wall": ({"wall_segs": [[(1, 2), (3, 4)]]}, "does not run from the arena's centre"),
+    "landmarks": ({"landmark_centers": [[1, 2]]}, "landmark_centers has shape (1, 2)"),
+    "moved": ({"landmark_centers": [[8.5, 4.5]] * 4}, "expected blue lm, green lm"),
+    "social": ({"social_goals": "friends"}, "unknown relation in social_goals"),
+    "social_array": ({"social_goals": np.arange(3)}, "unknown relation in social_goals 'ndarray'"),
+    "goal": (
+        {"name": name_of(None).replace("'TE', 1, 0", "'TE', 1, 2")},
+        "goal ['TE', 1, 2, 1] is none of the paper's 36 goals",
+    ),
+    "goal_type": ({"name": name_of(None).replace("LMO", "LMX")}, "goal ['LMX', 0, 2, 1] is none"),
+    "landmark": ({"name": name_of(None).replace("0, 2, 1", "0, 4, 1")}, "is none of the paper's"),
+    "one_goal": (
+        {"name": name_of(None).replace("['TE', 1, 0, 1]", "['stop']")},
+        "expected one per agent",
+    ),
+    "long": ({"name": "x" * 2000}, "of more than 1000 characters"),
+}
+
+
+@pytest.mark.parametrize("case", [*BAD, *FIELDS])
+def test_what_is_no_video_is_refused_in_one_line(tmp_path: Path, case: str) -> None:
+    if case in BAD:
+        content, message = BAD[case]
+    else:
+        values, message = FIELDS[case]
+        content = [changed(processed(None), **values)]
+    path = write(tmp_path, content)
+    with pytest.raises(PhasePPLError) as raised:
+        load(path)
+    said = str(raised.value)
+    assert said.startswith(str(path))
+    assert "\n" not in said
+    assert message in said
+
+
+def test_a_record_of_an_odd_number_of_substeps_is_refused(tmp_path: Path) -> None:
+    made = record(None)
+    made["trajectories"] = [rows[:-2] for rows in made["trajectories"]]
+    with pytest.raises(InvalidEventError, match="has 194 rows, expected a multiple of 5, or one"):
+        load(write(tmp_path, made))
+
+
+def test_colours_that_were_never_shuffled_have_all_four_keys(tmp_path: Path) -> None:
+    code = {0: 1, 1: 0, 2: 3, 3: 2}
+    (event,) = load(write(tmp_path, [processed(None, code)]))
+    assert_shows(event, None)
+
+
+def test_all_tracks_may_be_one_array(tmp_path: Path) -> None:
+    video = processed(1)
+    video["trajectories"] = np.stack([track[:FRAMES] for track in video["trajectories"]])
+    (event,) = load(write(tmp_path, [video], protocol=5))
+    assert_shows(event, 1)

@@ -1,0 +1,277 @@
+"""Data sets: made, interrupted, resumed, checked."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import phase_ppl as ppl
+from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.cli import main
+from phase_ppl.dataset.generation import generate as module
+from phase_ppl.dataset.generation import making
+from phase_ppl.dataset.generation.generate import GenerationInterrupted, generate
+from phase_ppl.dataset.generation.plan import PHASE500, SPLITS, Plan, apportioned, scaled
+from phase_ppl.dataset.generation.registry import family_and_variant
+from phase_ppl.dataset.generation.store import GeneratedEvents, verify
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    InvalidSettingError,
+    OutputError,
+    SimulationError,
+    UnknownNameError,
+)
+from phase_ppl.world.goals import goal_literal
+from phase_ppl.world.literals import Predicate
+
+QUICK: dict[str, Any] = {
+    "planner": PlannerConfig(particles=5, simulations=2, rollout_length=1),
+    "frames": 34,
+    "workers": 1,
+    "progress": False,
+}
+CELLS = {"chasing": 3, "independent:LMA+LMA": 2}
+
+
+@pytest.fixture
+def anything_goes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every third draw is refused, all others are kept."""
+    calls = iter(range(10**6))
+    monkeypatch.setattr(
+        making, "reason_against", lambda *_: "the third" if next(calls) % 3 == 2 else None
+    )
+
+
+def test_the_preset_is_the_papers_set() -> None:
+    relations: Counter[str] = Counter()
+    goals: Counter[str] = Counter()
+    for cell, n in PHASE500.items():
+        family, variant = family_and_variant(cell)
+        relations[family.relation] += n
+        drawn = family.draw(np.random.default_rng(0), variant).hypothesis
+        for agent, goal in enumerate(drawn.effective_goals):
+            literal = goal_literal(goal, agent)
+            kind = "TE" if literal.predicate is Predicate.TOUCH else "LMA"
+            kind = "LMO" if literal.predicate is Predicate.ON and literal.subject > 1 else kind
+            goals[kind + ("+" if literal.positive else "-")] += n
+    assert relations == {"friendly": 200, "adversarial": 192, "neutral": 108}
+    assert goals == {"LMO+": 584, "LMA+": 215, "LMA-": 68, "TE+": 63, "TE-": 63, "LMO-": 7}
+
+
+def test_splits_are_the_papers_and_the_same_in_every_cell() -> None:
+    slots = Plan().slots()
+    assert [slot.number for slot in slots] == list(range(500))
+    assert Counter(slot.split for slot in slots) == SPLITS
+    assert Counter(slot.cell for slot in slots) == PHASE500
+    for cell, n in PHASE500.items():
+        of_cell = Counter(slot.split for slot in slots if slot.cell == cell)
+        for split, size in SPLITS.items():
+            assert abs(of_cell[split] - n * size / 500) < 2.01
+    assert Plan().slots() == slots
+    assert Plan(seed=1).slots() != slots
+
+
+@pytest.mark.parametrize(("total", "expected"), [(10, [6, 2, 2]), (1, [1, 0, 0]), (3, [2, 0, 1])])
+def test_numbers_are_shared_out_by_largest_remainders(total: int, expected: list[int]) -> None:
+    assert list(apportioned(total, SPLITS).values()) == expected
+
+
+def test_a_set_of_any_size_has_the_papers_proportions() -> None:
+    cells = scaled(PHASE500, 50)
+    assert sum(cells.values()) == 50
+    assert all(abs(n - PHASE500[cell] / 10) < 1 for cell, n in cells.items())
+
+
+def test_a_set_is_the_same_for_any_number_of_workers_and_passes_its_filters(
+    tmp_path: Path,
+) -> None:
+    cells = {"chasing": 1, "hinder:LMA": 1}
+    one = generate(tmp_path / "one", cells=cells, seed=5, **QUICK)
+    two = generate(tmp_path / "two", cells=cells, seed=5, **{**QUICK, "workers": 2})
+    assert [event.id for event in one] == [event.id for event in two]
+    for first, second in zip(one, two, strict=True):
+        np.testing.assert_array_equal(first.observation.trajectory, second.observation.trajectory)
+    assert one.entries == two.entries
+    for entry in one.entries:
+        assert entry["measures"]["closest"] < 1.5
+        assert entry["relation"] == "adversarial"
+
+
+@pytest.mark.usefixtures("anything_goes")
+def test_the_manifest_says_how_each_event_was_made(tmp_path: Path) -> None:
+    made = generate(tmp_path / "set", cells=CELLS, seed=2, keep_rejected=True, **QUICK)
+    assert len(made) == 5
+    assert made.manifest["kept"] == CELLS
+    refused = made.manifest["rejected"]
+    assert sum(refused[cell].get("the third", 0) for cell in CELLS) == 2
+    assert len(ppl.load_events(tmp_path / "set" / "rejected.nc")) == 2
+    for event, entry in zip(made, made.entries, strict=True):
+        assert event.id == entry["id"]
+        assert event.truth is not None
+        assert event.truth.scenario == entry["scenario"]
+        stated = ppl.Hypothesis(
+            **{**entry["hypothesis"], "alpha": tuple(entry["hypothesis"]["alpha"])}
+        )
+        red, green = stated.effective_goals
+        assert (event.truth.goal_red, event.truth.goal_green) == (ppl.GOALS[red], ppl.GOALS[green])
+        assert entry["split"] in SPLITS
+    assert not (tmp_path / "set" / "parts").exists()
+
+
+@pytest.mark.usefixtures("anything_goes")
+def test_copies_differ_in_looks_and_stay_in_the_split(tmp_path: Path) -> None:
+    made = generate(tmp_path / "set", cells={"chasing": 2}, copies=3, **QUICK)
+    assert len(made) == 8
+    for group in {entry["group"] for entry in made.entries}:
+        of_group = [entry for entry in made.entries if entry["group"] == group]
+        assert len({entry["split"] for entry in of_group}) == 1
+        looks = {(e["reflection"], e["agents_exchanged"], e["items_exchanged"]) for e in of_group}
+        assert len(looks) == 4
+        ways = [np.sort(np.ptp(event.observation.positions, axis=0).max(axis=1))
+                for event, entry in zip(made, made.entries, strict=True)
+                if entry["group"] == group]  # fmt: skip
+        np.testing.assert_allclose(ways, np.broadcast_to(ways[0], (4, 4)))
+
+
+@pytest.mark.usefixtures("anything_goes")
+def test_interrupted_generation_goes_on_to_the_same_set(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(making, "reason_against", lambda *_: None)
+    whole = generate(tmp_path / "whole", cells=CELLS, **QUICK)
+    make, calls = module.make, []
+
+    def interrupted(plan: Plan, slot: Any) -> Any:
+        calls.append(slot)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return make(plan, slot)
+
+    monkeypatch.setattr(module, "make", interrupted)
+    with pytest.raises(GenerationInterrupted, match="3 of 5"):
+        generate(tmp_path / "part", cells=CELLS, **QUICK)
+    with pytest.raises(InvalidEventError, match="can be resumed"):
+        ppl.load_events(tmp_path / "part")
+    with pytest.raises(OutputError, match="resume"):
+        generate(tmp_path / "part", cells=CELLS, **QUICK)
+    with pytest.raises(OutputError, match="seed is 1, was 0"):
+        generate(tmp_path / "part", cells=CELLS, seed=1, resume=True, **QUICK)
+    resumed = generate(tmp_path / "part", cells=CELLS, resume=True, **QUICK)
+    assert len(calls) == 3 + 3
+    assert resumed.entries == whole.entries
+    again = generate(tmp_path / "part", cells=CELLS, resume=True, **QUICK)
+    assert len(calls) == 3 + 3
+    assert again.entries == whole.entries
+
+
+@pytest.mark.usefixtures("anything_goes")
+def test_a_set_is_loaded_by_its_folder_and_checked(tmp_path: Path) -> None:
+    generate(tmp_path / "set", cells=CELLS, **QUICK)
+    found = ppl.load_events(tmp_path / "set")
+    assert isinstance(found, GeneratedEvents)
+    assert found[0].id == found.entries[0]["id"]
+    assert sum(len(found.split(name)) for name in {e["split"] for e in found.entries}) == 5
+    with pytest.raises(InvalidEventError, match="no events in split 'training'"):
+        found.split("training")
+    assert verify(tmp_path / "set") == []
+    manifest = json.loads((tmp_path / "set" / "manifest.json").read_text())
+    manifest["entries"][1]["checksum"] = "0" * 64
+    (tmp_path / "set" / "manifest.json").write_text(json.dumps(manifest))
+    assert verify(tmp_path / "set") == [f"{found[1].id}: its content is not what the manifest says"]
+    (tmp_path / "set" / "manifest.json").write_text("{")
+    with pytest.raises(InvalidEventError, match=r"manifest\.json"):
+        ppl.load_events(tmp_path / "set")
+
+
+def test_a_slot_that_no_draw_fills_is_given_up_and_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(making, "reason_against", lambda scenario, *_: scenario
+                        if scenario == "independent" else None)  # fmt: skip
+    cells = {"chasing": 1, "independent:LMA+LMA": 1}
+    made = generate(tmp_path / "set", cells=cells, max_tries=2, **QUICK)
+    assert len(made) == 1
+    assert len(made.manifest["given_up"]) == 1
+    assert made.manifest["rejected"]["independent:LMA+LMA"] == {"independent": 2}
+
+
+def test_an_event_that_cannot_be_made_is_named_and_the_rest_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make = module.make
+
+    def fails(plan: Plan, slot: Any) -> Any:
+        if slot.number == 1:
+            raise RuntimeError("no more ideas")
+        return make(plan, slot)
+
+    monkeypatch.setattr(module, "make", fails)
+    monkeypatch.setattr(making, "reason_against", lambda *_: None)
+    with pytest.raises(SimulationError, match=r"chasing, number 1: RuntimeError: no more ideas"):
+        generate(tmp_path / "set", cells={"chasing": 3}, **QUICK)
+    assert len(list((tmp_path / "set" / "parts").iterdir())) == 2
+    monkeypatch.setattr(module, "make", make)
+    assert len(generate(tmp_path / "set", cells={"chasing": 3}, resume=True, **QUICK)) == 3
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"cells": {"chase": 1}}, UnknownNameError, "chasing"),
+        ({"cells": {"hinder": 1}}, UnknownNameError, "hinder:LMA"),
+        ({"cells": {"chasing": -1}}, InvalidSettingError, "chasing=-1"),
+        ({"cells": {"chasing": 0}}, InvalidSettingError, "no events"),
+        ({"n": 0}, InvalidSettingError, "n=0"),
+        ({"planner": "slow"}, UnknownNameError, "slow"),
+        ({"turning": "left"}, UnknownNameError, "ccw"),
+        ({"splits": {"train": -1}}, InvalidSettingError, "train=-1"),
+        ({"splits": {"train": 0}}, InvalidSettingError, "no shares"),
+        ({"copies": 99}, InvalidSettingError, "copies=99"),
+        ({"frames": 1}, InvalidSettingError, "frames=1"),
+        ({"workers": 0}, InvalidSettingError, "workers=0"),
+    ],
+)
+def test_bad_settings_are_named_before_anything_is_written(
+    tmp_path: Path, options: dict[str, Any], error: type[Exception], message: str
+) -> None:
+    with pytest.raises(error, match=message):
+        generate(tmp_path / "set", **options)
+    assert not (tmp_path / "set").exists()
+
+
+@pytest.mark.usefixtures("anything_goes")
+def test_models_are_evaluated_on_a_split(tmp_path: Path) -> None:
+    made = generate(tmp_path / "set", cells={"chasing": 5}, **QUICK)
+    found = ppl.evaluate(tmp_path / "set", "last_frame", split="test", workers=1, progress=False)
+    assert found.metrics["n_events"] == len(made.split("test")) == 1
+    everything = ppl.evaluate(made, "last_frame", workers=1, progress=False)
+    assert everything.metrics["n_events"] == 5
+    with pytest.raises(InvalidEventError, match="'dev'"):
+        ppl.evaluate(made, "last_frame", split="dev", workers=1)
+    with pytest.raises(InvalidEventError, match="only generated"):
+        ppl.evaluate(list(made), "last_frame", split="test", workers=1)
+
+
+@pytest.mark.usefixtures("anything_goes")
+def test_the_terminal_makes_films_checks_and_says_what_was_kept(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "a set"
+    monkeypatch.setattr(
+        "phase_ppl.cli.generate.generate",
+        lambda folder, n, **options: generate(folder, n, **{**options, **QUICK}),
+    )
+    arguments = ["generate", "--cell", "chasing=2", "--videos", "--quiet", "--workers", "1"]
+    assert main([*arguments, "--out", str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert "chasing                  2 of    2 draws" in printed
+    assert len(list((out / "videos").glob("*.mp4"))) == 2
+    assert (out / "contact_sheet.png").stat().st_size > 1000
+    assert main(["verify", str(out)]) == 0
+    assert main([*arguments, "--out", str(out)]) == 2
+    assert "resume" in capsys.readouterr().err
