@@ -32,7 +32,10 @@ AGAINST: Final = "against.json"
 _SHORT_FOR: Final = ("planner", "kernel", "budget", "weights", "prior")
 """Options of models that have options of the command of their own."""
 
-_OF_WORK: Final = ("model", "resume", "limit", "seed", "judgments", *_SHORT_FOR, "option")
+_OF_WORK: Final = (
+    *("model", "resume", "split", "limit", "seed", "judgments", "option"),
+    *_SHORT_FOR,
+)
 """Options that say nothing where an evaluation is only shown again."""
 
 
@@ -128,7 +131,7 @@ def _anew(options: argparse.Namespace) -> Evaluation | None:
 
     if options.resume and options.out is None:
         raise InvalidSettingError("--resume needs --out, the folder to go on in")
-    events = all_events(options.events)
+    events = all_events(options.events, options.split)
     if options.against is not None:
         opponent(events[: options.limit], options.against)  # what is wrong with it is said now
     if options.out is not None:
@@ -139,7 +142,6 @@ def _anew(options: argparse.Namespace) -> Evaluation | None:
             options.model or "simple",
             out=options.out,
             workers=options.workers,
-            split=options.split,
             resume=bool(options.resume),
             limit=options.limit,
             seed=options.seed or 0,

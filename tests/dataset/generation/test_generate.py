@@ -245,10 +245,16 @@ def test_bad_settings_are_named_before_anything_is_written(
 
 
 @pytest.mark.usefixtures("anything_goes")
-def test_models_are_evaluated_on_a_split(tmp_path: Path) -> None:
+def test_models_are_evaluated_on_a_split(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     made = generate(tmp_path / "set", cells={"chasing": 5}, **QUICK)
     found = ppl.evaluate(tmp_path / "set", "last_frame", split="test", workers=1, progress=False)
     assert found.metrics["n_events"] == len(made.split("test")) == 1
+    arguments = ["evaluate", str(tmp_path / "set"), "--model", "last_frame", "--split"]
+    assert main([*arguments, "test", "--quiet"]) == 0
+    assert "1 of 1 events" in capsys.readouterr().out
+    assert main([*arguments, "dev", "--quiet"]) == 2
     everything = ppl.evaluate(made, "last_frame", workers=1, progress=False)
     assert everything.metrics["n_events"] == 5
     with pytest.raises(InvalidEventError, match="'dev'"):
