@@ -409,7 +409,7 @@ class TestQuery:
         self, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:
         assert "no such file" in fails(capsys, "query", str(tmp_path / "x.nc"), "P(goal_red)")
-        assert "posterior.nc: no such file" in fails(capsys, "query", str(tmp_path), "P(goal_red)")
+        assert "holds no posterior.nc" in fails(capsys, "query", str(tmp_path), "P(goal_red)")
         assert "QUESTION" in fails(capsys, "query", str(folder))
         wrong = ["--weights", "visitde"]
         assert "'visited'" in fails(capsys, "query", str(folder), "P(goal_red)", *wrong)
