@@ -124,11 +124,14 @@ def test_a_failed_simulation_that_ends_the_run_leaves_results_and_a_file(
 
 
 def test_compare_writes_table_and_figure(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    tiny = ["--budget", "4", "--repeats", "1", "--chains", "2", "--workers", "1", "--quiet"]
+    monkeypatch.setattr(phase_ppl.Model, "build_simulator", lambda self: walkers)
+    event = tmp_path / "walk.json"
+    phase_ppl.save_event(walking_event(), event)
+    tiny = ["--budget", "8", "--repeats", "1", "--chains", "4", "--workers", "1", "--quiet"]
     kernels = ["--kernels", "prior_mh", "--reference", "prior_mh"]
-    assert main(["compare", "collaborate", *kernels, *tiny, "--out", str(tmp_path)]) == 0
+    assert main(["compare", str(event), *kernels, *tiny, "--out", str(tmp_path)]) == 0
     assert "TV goals" in capsys.readouterr().out
     assert (tmp_path / "comparison.png").stat().st_size > 1000
     record = json.loads((tmp_path / "comparison.json").read_text())
