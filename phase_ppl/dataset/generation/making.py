@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-import itertools
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from phase_ppl.dataset.generation.copies import recoloured, reflected
 from phase_ppl.dataset.generation.filters import reason_against
 from phase_ppl.dataset.generation.measures import measures
-from phase_ppl.dataset.generation.plan import REFLECTION_SHARES, UNCHANGED, Plan, Slot
+from phase_ppl.dataset.generation.plan import REFLECTION_SHARES, UNCHANGED, Look, Plan, Slot
 from phase_ppl.dataset.generation.recording import Recording, record
 from phase_ppl.dataset.generation.registry import family_and_variant
 from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.event import Event, Truth
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.observation import Observation
-
-_LOOKS: Final = tuple(itertools.product(REFLECTION_SHARES, (False, True), (False, True)))
-"""(reflection, agents' colours exchanged, items' colours exchanged)."""
 
 
 class Rejected(NamedTuple):
@@ -83,24 +79,17 @@ def make(plan: Plan, slot: Slot) -> Made:
     return Made(slot, name, [], [], rejected)
 
 
-def _looks(plan: Plan, rng: np.random.Generator) -> list[tuple[str, bool, bool]]:
+def _looks(plan: Plan, rng: np.random.Generator) -> list[Look]:
     """Return how the event and its copies look, all different."""
-    allowed = [
-        look
-        for look in _LOOKS
-        if (plan.reflect or look[0] == UNCHANGED) and (plan.recolour or not any(look[1:]))
-    ]
-    shares = np.array([REFLECTION_SHARES[look[0]] for look in allowed])
-    n = min(1 + plan.copies, len(allowed))
-    chosen = rng.choice(len(allowed), n, replace=False, p=shares / shares.sum())
-    return [allowed[index] for index in chosen]
+    shares = np.array([REFLECTION_SHARES[look.reflection] for look in plan.looks])
+    chosen = rng.choice(len(shares), 1 + plan.copies, replace=False, p=shares / shares.sum())
+    return [plan.looks[index] for index in chosen]
 
 
-def _with_look(recording: Recording, look: tuple[str, bool, bool]) -> Recording:
-    reflection, agents, items = look
-    if reflection != UNCHANGED:
-        recording = reflected(recording, reflection)
-    return recoloured(recording, agents=agents, items=items)
+def _with_look(recording: Recording, look: Look) -> Recording:
+    if look.reflection != UNCHANGED:
+        recording = reflected(recording, look.reflection)
+    return recoloured(recording, agents=look.agents, items=look.items)
 
 
 def event_of(recording: Recording, id: str) -> Event:
@@ -116,12 +105,11 @@ def _entry(
     id: str,
     group: str,
     attempt: int,
-    look: tuple[str, bool, bool],
+    look: Look,
     recording: Recording,
     found: dict[str, Any],
 ) -> dict[str, Any]:
     family, variant = family_and_variant(slot.cell)
-    reflection, agents, items = look
     stated = _with_look(recording, look).hypothesis
     return {
         "id": id,
@@ -131,9 +119,9 @@ def _entry(
         "variant": variant,
         "layout": recording.layout,
         "attempt": attempt,
-        "reflection": reflection,
-        "agents_exchanged": agents,
-        "items_exchanged": items,
+        "reflection": look.reflection,
+        "agents_exchanged": look.agents,
+        "items_exchanged": look.items,
         "hypothesis": stated.to_dict(),
         "scenario": stated.scenario,
         "relation": stated.relation,

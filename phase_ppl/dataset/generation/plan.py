@@ -7,7 +7,9 @@ comes out the same whatever else is made, in whatever order.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
+import math
 from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
@@ -50,6 +52,19 @@ REFLECTION_SHARES: Final[Mapping[str, float]] = {
 
 FRAMES: Final = 101
 MAX_TRIES: Final = 200
+
+
+class Look(NamedTuple):
+    """How a recording is shown.
+
+    Attributes:
+        reflection: a name of :data:`REFLECTION_SHARES`.
+        agents, items: whether the colours of the agents, of the items are exchanged.
+    """
+
+    reflection: str
+    agents: bool
+    items: bool
 
 
 class Slot(NamedTuple):
@@ -105,7 +120,8 @@ class Plan:
         if not sum(self.cells.values()):
             raise InvalidSettingError("the plan holds no events")
         for name, share in self.splits.items():
-            if isinstance(share, bool) or not isinstance(share, int | float) or not share >= 0:
+            number = isinstance(share, int | float) and not isinstance(share, bool)
+            if not (number and 0 <= share < math.inf):
                 raise InvalidSettingError(f"split {name}={shown(share)}, expected a share >= 0")
         if not sum(self.splits.values()) > 0:
             raise InvalidSettingError("the splits have no shares")
@@ -116,21 +132,26 @@ class Plan:
         whole_number("seed", self.seed, 0)
         whole_number("max_tries", self.max_tries, 1)
         object.__setattr__(self, "planner", PlannerConfig.named(self.planner))
-        most = len(REFLECTION_SHARES) * 4 - 1
+        most = len(self.looks) - 1
         if self.copies > most:
-            raise InvalidSettingError(f"copies={self.copies}, but there are only {most} of a kind")
+            raise InvalidSettingError(
+                f"copies={self.copies}, but with reflect={self.reflect} and "
+                f"recolour={self.recolour} an event has only {most} other looks"
+            )
 
     @property
-    def n_events(self) -> int:
-        """Number of events, copies included."""
-        return sum(self.cells.values()) * (1 + self.copies)
+    def looks(self) -> list[Look]:
+        """What events can look like."""
+        swaps = (False, True) if self.recolour else (False,)
+        reflections = REFLECTION_SHARES if self.reflect else (UNCHANGED,)
+        return [Look(*look) for look in itertools.product(reflections, swaps, swaps)]
 
     def slots(self) -> list[Slot]:
         """Return the events to be made; in each split about the same shares of every cell."""
         rng = np.random.default_rng([self.seed, 1])
         cells = [cell for cell, n in self.cells.items() for _ in range(n)]
         # neighbours are of a kind: dealing the splits out along the row stratifies them
-        names = [name for name in self.splits]
+        names = list(self.splits)
         counts = apportioned(len(cells), self.splits)
         place = np.concatenate(
             [(np.arange(counts[name]) + rng.random()) / max(counts[name], 1) for name in names]

@@ -232,6 +232,8 @@ def test_an_event_that_cannot_be_made_is_named_and_the_rest_kept(
         ({"splits": {"train": -1}}, InvalidSettingError, "train=-1"),
         ({"splits": {"train": 0}}, InvalidSettingError, "no shares"),
         ({"copies": 99}, InvalidSettingError, "copies=99"),
+        ({"copies": 1, "reflect": False, "recolour": False}, InvalidSettingError, "only 0 other"),
+        ({"splits": {"train": float("inf")}}, InvalidSettingError, "train=inf"),
         ({"frames": 1}, InvalidSettingError, "frames=1"),
         ({"workers": 0}, InvalidSettingError, "workers=0"),
     ],
