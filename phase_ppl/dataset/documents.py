@@ -45,6 +45,18 @@ def read_document(path: str | os.PathLike[str]) -> dict[str, Any]:
     return parse_document(content)
 
 
+def read_json(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Return the JSON object in the file ``path``, as :func:`read_document`.
+
+    Raises:
+        InvalidEventError: as there; the message names the file.
+    """
+    try:
+        return read_document(path)
+    except InvalidEventError as error:
+        raise InvalidEventError(f"{path}: {error}") from None
+
+
 def parse_document(content: bytes) -> dict[str, Any]:
     """Return the JSON object that ``content`` spells.
 

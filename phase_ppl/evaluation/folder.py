@@ -27,7 +27,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from phase_ppl.dataset.documents import read_document
+from phase_ppl.dataset.documents import read_json
 from phase_ppl.dataset.load import load_events, save_events
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.stored import check_metrics
@@ -217,15 +217,3 @@ class ResultsFolder:
 def holds_predictions(folder: Path) -> bool:
     """Whether an evaluation in ``folder`` has finished any event."""
     return any(folder.glob(f"events/*/{PREDICTION}"))
-
-
-def read_json(path: Path) -> dict[str, Any]:
-    """Read a JSON object.
-
-    Raises:
-        InvalidEventError: there is none; the message names the file.
-    """
-    try:
-        return read_document(path)
-    except InvalidEventError as error:
-        raise InvalidEventError(f"{path}: {error}") from None

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from phase_ppl.dataset.generation.tables import LAYOUTS, SIZES
 from phase_ppl.inference.proposals.strength.examples import (
     VALIDATION_JITTER,
     VALIDATION_LENGTHS,
@@ -18,8 +19,6 @@ from phase_ppl.inference.proposals.strength.examples import (
 from phase_ppl.inference.proposals.strength.features import N_FEATURES
 from phase_ppl.inference.proposals.strength.network import SHAPES, StrengthNetwork
 from phase_ppl.inference.proposals.strength.scenes import (
-    LAYOUTS,
-    SIZES,
     Simulated,
     cached_events,
     draw_hypothesis,
@@ -54,7 +53,7 @@ def test_drawn_scenes_and_hypotheses_have_the_variety_of_phase() -> None:
     rng = np.random.default_rng(0)
     scenes = [draw_scene(rng) for _ in range(400)]
     lengths = {tuple(scene.rooms.wall_length) for scene in scenes}
-    assert lengths == {tuple(map(float, layout)) for layout in LAYOUTS}
+    assert lengths == {tuple(map(float, layout)) for layout in LAYOUTS.values()}
     assert set(np.concatenate([scene.radius for scene in scenes])) == set(SIZES)
     assert {scene.turning for scene in scenes} == {"both", "ccw", "cw"}
     drawn = [draw_hypothesis(rng) for _ in range(400)]

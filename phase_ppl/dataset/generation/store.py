@@ -21,7 +21,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, overload
 
-from phase_ppl.dataset.documents import read_document
+from phase_ppl.dataset.documents import read_json
 from phase_ppl.dataset.events_json import event_from_record, event_record
 from phase_ppl.dataset.events_netcdf import checksum
 from phase_ppl.dataset.generation.making import Made, event_of
@@ -109,7 +109,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     if not source.is_file():
         unfinished = " yet: its generation can be resumed" if (folder / PLAN).is_file() else ""
         raise InvalidEventError(f"{folder} holds no generated data set{unfinished}")
-    manifest = _read(source)
+    manifest = read_json(source)
     if manifest.get("schema") != MANIFEST_SCHEMA:
         raise InvalidEventError(
             f"{source}: its schema is {shown(manifest.get('schema'))}, not {MANIFEST_SCHEMA!r}"
@@ -166,7 +166,7 @@ class Workshop:
                 raise OutputError(
                     f"{self.path} holds a data set already; resume it, or name another"
                 )
-            apart = differences(_read(target), record)
+            apart = differences(read_json(target), record)
             if apart:
                 raise OutputError(
                     f"{self.path} holds a data set of another plan: {'; '.join(apart)}"
@@ -227,7 +227,7 @@ class Workshop:
         kept = dict.fromkeys(self.plan.cells, 0)
         given_up = []
         for slot in self.plan.slots():
-            part = _read(self.part(slot))
+            part = read_json(self.part(slot))
             try:
                 events += [event_from_record(record) for record in part["events"]]
                 entries += part["entries"]
@@ -263,10 +263,3 @@ class Workshop:
                 "entries": entries,
             },
         )
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        return read_document(path)
-    except InvalidEventError as error:
-        raise InvalidEventError(f"{path}: {error}") from None

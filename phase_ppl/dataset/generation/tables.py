@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -40,10 +40,14 @@ NARROW: Final = 2.5
 
 
 def walls_of(layout: int) -> NDArray[np.float64]:
-    """Return the (n, 2, 2) inner walls of a layout."""
+    """Return the (n, 2, 2) inner walls of a layout, units."""
+    return walls_of_lengths(LAYOUTS[layout])
+
+
+def walls_of_lengths(lengths: Sequence[float]) -> NDArray[np.float64]:
+    """Return the (n, 2, 2) inner walls of lengths up, left, down and right of the centre, units."""
     x0, x1, y0, y1 = ARENA
     centre = np.array([(x0 + x1) / 2, (y0 + y1) / 2])
-    lengths = np.array(LAYOUTS[layout], np.float64)
     walls = [
         np.stack([centre, centre + length * ray])
         for length, ray in zip(lengths, RAY_DIRECTIONS, strict=True)

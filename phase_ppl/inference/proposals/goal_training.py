@@ -27,6 +27,7 @@ from jax.scipy.special import logsumexp
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from phase_ppl.dataset.generation.situation import agent_to, approach, item_to
 from phase_ppl.inference.proposals.goal_features import FEATURES, GOAL_PARTS, KINDS, goal_features
 from phase_ppl.inference.proposals.strength.scenes import draw_scene
 from phase_ppl.inference.proposals.tables import WEIGHTS_FILE, window_length
@@ -35,9 +36,8 @@ from phase_ppl.models.effective import log_prior_of_effective
 from phase_ppl.models.sites import IMPOSSIBLE
 from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.simulator.simulate import simulate
-from phase_ppl.world.goals import N_GOALS, goal_literal, literal_goal, opposed_goal
+from phase_ppl.world.goals import N_GOALS, goal_literal, opposed_goal
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS, Hypothesis
-from phase_ppl.world.literals import Literal, Predicate
 from phase_ppl.world.names import AGENTS, BLUE_ITEM, LANDMARKS, PINK_ITEM
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
@@ -97,25 +97,22 @@ def draw_goals(rng: np.random.Generator) -> tuple[str, tuple[int, int]]:
             if about == 0
             else _self_goal(rng, first)
             if about == 1
-            else literal_goal(Literal(Predicate.TOUCH, first, 1 - first, True))
+            else approach(first)
         )
         against = opposed_goal(goal, first)
         return scenario, (goal, against) if first == 0 else (against, goal)
     item = int(rng.choice((BLUE_ITEM, PINK_ITEM)))
-    red, green = (
-        literal_goal(Literal(Predicate.ON, item, int(landmark), True))
-        for landmark in rng.permutation(len(LANDMARKS))[:2]
-    )
+    red, green = (item_to(item, int(landmark)) for landmark in rng.permutation(len(LANDMARKS))[:2])
     return scenario, (red, green)
 
 
 def _item_goal(rng: np.random.Generator) -> int:
     item = int(rng.choice((BLUE_ITEM, PINK_ITEM)))
-    return literal_goal(Literal(Predicate.ON, item, int(rng.integers(len(LANDMARKS))), True))
+    return item_to(item, int(rng.integers(len(LANDMARKS))))
 
 
 def _self_goal(rng: np.random.Generator, agent: int) -> int:
-    return literal_goal(Literal(Predicate.ON, agent, int(rng.integers(len(LANDMARKS))), True))
+    return agent_to(agent, int(rng.integers(len(LANDMARKS))))
 
 
 def draw_event(seed: int, index: int) -> Drawn | None:

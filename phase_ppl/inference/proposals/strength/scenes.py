@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from phase_ppl.dataset.generation.tables import LAYOUTS, SIZES, SPOTS, walls_of
 from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.simulator.simulate import simulate
 from phase_ppl.world.errors import InvalidSettingError
@@ -23,28 +24,12 @@ from phase_ppl.world.goals import goal_literal, literal_goal
 from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_LEVELS, STRENGTH_RANGE, Hypothesis
 from phase_ppl.world.literals import Literal, Predicate
 from phase_ppl.world.names import BLUE_ITEM, GREEN, LANDMARKS, PINK_ITEM, RED
-from phase_ppl.world.rooms import RAY_DIRECTIONS
 from phase_ppl.world.scene import TURNINGS, Scene
 
 FloatArray = NDArray[np.float64]
 
-LAYOUTS: Final = (
-    (0, 0, 0, 0), (10, 5, 0, 0), (10, 7.5, 0, 0), (10, 0, 5, 0), (10, 5, 5, 0), (10, 7.5, 5, 0),
-    (5, 10, 5, 0), (7.5, 10, 5, 0), (10, 0, 7.5, 0), (10, 5, 7.5, 0), (10, 7.5, 7.5, 0),
-    (7.5, 10, 7.5, 0), (10, 5, 5, 5), (10, 7.5, 5, 5), (10, 5, 7.5, 5), (10, 7.5, 7.5, 5),
-    (7.5, 10, 7.5, 5), (10, 7.5, 7.5, 7.5),
-)  # fmt: skip
-"""Lengths of the walls up, left, down and right of the centre in PHASE's 18 layouts, units."""
-
-START_SPOTS: Final = np.array(
-    [[8, 20], [8, 14], [14, 16], [14, 20], [24, 20], [24, 14], [18, 16], [18, 20],
-     [24, 10], [24, 4], [18, 8], [18, 4], [8, 10], [8, 4], [14, 8], [14, 4]], np.float64
-)  # fmt: skip
-"""Where PHASE's entities start, units."""
-
-SIZES: Final = (0.8, 1.2, 1.6, 1.01)
 SIZE_SHARES: Final = (0.55, 0.16, 0.11, 0.18)
-"""PHASE's sizes, and how often they are drawn: about as often as there."""
+"""How often PHASE's sizes are drawn: about as often as there."""
 
 LEVEL_SHARE: Final = 0.5
 """Share of the strengths that are one of the original world's four levels; the rest is uniform
@@ -79,16 +64,14 @@ class Simulated(NamedTuple):
 
 def draw_scene(rng: np.random.Generator) -> Scene:
     """Return a scene with a layout, sizes and start positions of PHASE."""
-    lengths = np.array(LAYOUTS[rng.integers(len(LAYOUTS))], np.float64)
-    ends = lengths[:, None] * RAY_DIRECTIONS
-    centre = np.array([16.0, 12.0])
-    walls = [[centre, centre + end] for end in ends if end.any()]
-    spots = START_SPOTS[rng.choice(len(START_SPOTS), 4, replace=False)]
+    layout = list(LAYOUTS)[rng.integers(len(LAYOUTS))]
+    places = np.reshape(SPOTS, (-1, 2)).astype(np.float64)
+    spots = places[rng.choice(len(places), 4, replace=False)]
     angles = np.append(rng.uniform(-2 * np.pi, 2 * np.pi, 2), [0.0, 0.0])
     return Scene(
         start=np.column_stack([spots, angles]),
         radius=rng.choice(SIZES, 4, p=SIZE_SHARES),
-        walls=np.array(walls).reshape(-1, 2, 2),
+        walls=walls_of(layout),
         turning=TURNINGS[rng.integers(len(TURNINGS))],
     )
 
