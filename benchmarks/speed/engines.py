@@ -9,8 +9,9 @@ from typing import Any, NamedTuple
 import common
 import numpy as np
 
-from phase_ppl.agents.agent import Agent, Mind
+from phase_ppl.agents.agent import Agent
 from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.agents.mind import Mind
 from phase_ppl.agents.oracle import OracleAgent
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import N_ACTIONS

@@ -18,8 +18,9 @@ import common
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.agents.agent import Agent, Mind
+from phase_ppl.agents.agent import Agent
 from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.agents.mind import Mind
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import N_ACTIONS, Action, executed
 from phase_ppl.physics.pymunk_world import PymunkWorld

@@ -13,8 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.agents import rewards
-from phase_ppl.agents.agent import Agent, Mind
+from phase_ppl.agents.agent import Agent
+from phase_ppl.agents.choice import Root
 from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.agents.mind import Mind
 from phase_ppl.agents.pomcp import Search
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import NO_ACTION
@@ -140,9 +142,7 @@ class OracleAgent(Agent):
             mind, strengths, self.search, config.inner_steps, generator.spawn(1)[0]
         )
 
-    def _search_actions(
-        self, subgoal: Literal, agreeing: IntArray, actions: IntArray
-    ) -> tuple[int, IntArray, NDArray[np.float64]]:
+    def _search_actions(self, subgoal: Literal, agreeing: IntArray, actions: IntArray) -> Root:
         beliefs = self.beliefs
         particles = [
             compiled.to_state(
@@ -154,4 +154,4 @@ class OracleAgent(Agent):
         visits = np.array([child.visits if child else 0 for child in root.children], np.int64)
         values = np.array([child.value if child else math.nan for child in root.children])
         best = np.flatnonzero(visits == visits.max())
-        return int(self.slow_search.generator.choice(best)), visits, values
+        return Root(int(self.slow_search.generator.choice(best)), visits, values)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 from phase_ppl.agents.operators import Abilities, Node, Step, plan, start_node
 from phase_ppl.agents.symbols import SymbolicState
@@ -10,6 +11,27 @@ from phase_ppl.world.literals import STOP, Literal, Predicate
 from phase_ppl.world.names import NOTHING
 
 NodeTest = Callable[[Node], bool]
+
+
+class Stance(NamedTuple):
+    """All that matters to an agent of what the other one wants.
+
+    Attributes:
+        cooperative: both want the same.
+        contested: the other wants the opposite.
+        helps_along: the agent's goal is that the other one gets somewhere, so that it matters
+            whether the other is where it wants to be.
+    """
+
+    cooperative: bool
+    contested: bool
+    helps_along: bool
+
+
+def stance(agent: int, own: Literal, other: Literal) -> Stance:
+    """Return how an agent with goal ``own`` stands to the other one, with goal ``other``."""
+    to_place = own.predicate is Predicate.ON and own.positive
+    return Stance(other == own, other == own.negated(), to_place and own.subject == 1 - agent)
 
 
 class Planning:
@@ -28,6 +50,7 @@ class Planning:
         self.own = own
         self.other = other
         self.abilities = abilities
+        self.stance = stance(agent, own, other)
 
     # --- simple subgoals --------------------------------------------------------------------
 

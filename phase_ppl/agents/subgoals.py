@@ -98,19 +98,22 @@ class SubgoalPlanner(Hindering):
             return letting_go
         if self.abilities.is_open and holding:
             return self.own
-        cooperative = self.other == self.own
 
         def delivered(node: Node) -> bool:
             return node.rooms[item] == room and node.placed[item]
 
         steps = self._plan(state, (self.agent,), frozenset({item}), delivered)
         alone = steps is not None
-        if steps is None and cooperative:
+        if steps is None and self.stance.cooperative:
             steps = self._plan(state, (self.agent, self.opponent), frozenset({item}), delivered)
         own_step = self._first_own_step(steps)
         if own_step is not None and self._can_start(steps, own_step, state):
             return self._start(own_step.literal, alone, item, state, observed)
-        if cooperative and own_step is None and self._must_wait(state, item, room, bool(steps)):
+        if (
+            self.stance.cooperative
+            and own_step is None
+            and self._must_wait(state, item, room, bool(steps))
+        ):
             return STOP
         if holding:
             # too weak or too wide: keep pulling towards the goal
@@ -197,7 +200,7 @@ class SubgoalPlanner(Hindering):
         )
 
 
-@functools.lru_cache(maxsize=512)
+@functools.lru_cache(maxsize=4096)
 def subgoal_planner(
     agent: int, own: Literal, other: Literal, abilities: Abilities
 ) -> SubgoalPlanner:

@@ -32,6 +32,7 @@ NO_DOOR: Final = -1
 _ON, _TOUCH = int(Predicate.ON), int(Predicate.TOUCH)
 N_FACTS: Final = 14
 OWN_DONE: Final = 10
+OTHER_DONE: Final = 11
 
 
 class SymbolicState(NamedTuple):
@@ -162,3 +163,29 @@ def describe(
                 if dx * dx + dy * dy < (radius + params.radius[1 - agent]) ** 2:
                     facts[k, 12 + i] = door
         costs[k] = _cost_to_go(particle, held[k], agent, own_goal, params, ground)
+
+
+@bare_kernel
+def describe_goals(
+    bodies: FloatArray,
+    held: NDArray[np.int64],
+    agent: int,
+    goals: NDArray[np.int64],
+    params: Params,
+    ground: Ground,
+    done: NDArray[np.bool_],
+    costs: FloatArray,
+) -> None:
+    """Write, for many goals of an agent at once, what :func:`describe` tells of one.
+
+    Args:
+        bodies, held: (K, ...) particles.
+        agent: who plans.
+        goals: (G, 4) codes of goal literals.
+        done: (G, K) output, whether the positive form of each goal is reached.
+        costs: (G, K) output, the cost C to each goal.
+    """
+    for g in range(goals.shape[0]):
+        for k in range(bodies.shape[0]):
+            done[g, k] = _done(bodies[k], goals[g], params, ground)
+            costs[g, k] = _cost_to_go(bodies[k], held[k], agent, goals[g], params, ground)

@@ -77,6 +77,20 @@ def answer(post: Hypotheses, quantities: Mapping[str, Quantity], text: str) -> A
         raise QueryError(str(error), text, query.names[0].at) from None
 
 
+def conditions(quantities: Mapping[str, Quantity], text: str) -> Mapping[str, Any]:
+    """Return conditions in words, such as ``"relation=friendly"``, as quantity -> value.
+
+    Raises:
+        QueryError: they cannot be read, or name what does not exist.
+    """
+    question = f"P({text})"
+    query = parse(question)
+    if not query.event or query.given:
+        reason = "expected conditions, such as relation=friendly"
+        raise QueryError(reason, question, 2)
+    return _Meaning(quantities, question).conditions(query.event)
+
+
 def _ask(post: Hypotheses, query: Query, event: Mapping[str, Any], given: Mapping[str, Any]) -> Any:
     if event:
         return post.probability(given, **event)

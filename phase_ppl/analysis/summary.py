@@ -11,6 +11,7 @@ import numpy as np
 from phase_ppl.world.names import AGENTS
 
 if TYPE_CHECKING:
+    from phase_ppl.analysis.hypotheses import Hypotheses
     from phase_ppl.analysis.posterior import Posterior
 
 WIDTH: Final = 88
@@ -30,6 +31,18 @@ def summary(post: Posterior) -> dict[str, Any]:
     Keys: ``goals`` (agent -> all 36 goals), ``relation``, ``scenario``, ``strengths`` (agent ->
     mean, sd, hdi_low, hdi_high in newtons), ``map``, ``diagnostics``, ``settings``, ``cost``.
     """
+    record = {
+        **answers(post),
+        "map": post.map_record(),
+        "diagnostics": post.diagnostics(),
+        "settings": post.settings,
+        "cost": post.cost,
+    }
+    return {name: plain(value) for name, value in record.items()}
+
+
+def answers(post: Hypotheses) -> dict[str, Any]:
+    """Return the part of a summary that every table of hypotheses has."""
     strengths = {}
     for agent, name in _STRENGTHS.items():
         low, high = post.hdi(name).values
@@ -39,20 +52,15 @@ def summary(post: Posterior) -> dict[str, Any]:
             "hdi_low": low,
             "hdi_high": high,
         }
-    record = {
+    return {
         "goals": {agent: _as_dict(post, name) for agent, name in _GOALS.items()},
         "relation": _as_dict(post, "relation"),
         "scenario": _as_dict(post, "scenario"),
         "strengths": strengths,
-        "map": post.map_record(),
-        "diagnostics": post.diagnostics(),
-        "settings": post.settings,
-        "cost": post.cost,
     }
-    return {name: plain(value) for name, value in record.items()}
 
 
-def _as_dict(post: Posterior, name: str) -> dict[str, float]:
+def _as_dict(post: Hypotheses, name: str) -> dict[str, float]:
     marginal = post.marginal(name)
     return dict(zip(marginal[name].values.tolist(), marginal.values.tolist(), strict=True))
 
@@ -77,7 +85,14 @@ def table(post: Posterior) -> str:
         f"{found['particles']} particles x {found['iterations']} iterations, "
         f"{found['kernel']}, weights {found['weights']}"
     )
-    lines = [*wrapped("posterior", f"{post.event_id}: {head}"), ""]
+    lines = [*wrapped("posterior", f"{post.event_id}: {head}"), "", *answer_lines(post)]
+    lines += ["", *wrapped("fit", _fit(found)), *wrapped("cost", _cost(post.cost, found))]
+    return "\n".join([*lines, *wrapped("verdict", found["verdict"])])
+
+
+def answer_lines(post: Hypotheses) -> list[str]:
+    """Return the lines about goals, relation, scenario and strengths."""
+    lines: list[str] = []
     for agent, name in _GOALS.items():
         lines += _bars(agent, [entry for entry in post.top(name, 3) if entry[1] > 0])
     lines += _bars("relation", post.top("relation", 3))
@@ -86,8 +101,7 @@ def table(post: Posterior) -> str:
         low, high = post.hdi(name).values
         text = f"{agent}: {post.mean(name):.0f} N (94 % interval {low:.0f} to {high:.0f} N)"
         lines.append(f"{'strength' if agent == AGENTS[0] else '':<{LABEL}}{text}")
-    lines += ["", *wrapped("fit", _fit(found)), *wrapped("cost", _cost(post.cost, found))]
-    return "\n".join([*lines, *wrapped("verdict", found["verdict"])])
+    return lines
 
 
 def _bars(label: str, entries: Sequence[tuple[str, float]]) -> Iterator[str]:

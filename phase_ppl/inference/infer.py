@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from concurrent.futures import Executor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -10,12 +11,13 @@ from typing import TYPE_CHECKING, Any, Final
 from numpyro.infer.mcmc import MCMCKernel
 
 from phase_ppl.analysis.posterior import Posterior
+from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.inference.registry import Factory
 from phase_ppl.inference.runs import pace
 from phase_ppl.inference.runs.archive import SUFFIXES
 from phase_ppl.inference.runs.checkpoint import Checkpoint
 from phase_ppl.inference.runs.length import check_chains
-from phase_ppl.inference.runs.plan import Plan, complete_model, model_again
+from phase_ppl.inference.runs.plan import Plan, complete_model, model_again, no_event
 from phase_ppl.inference.runs.session import Interrupted, Means, carry_out
 from phase_ppl.inference.settings import (
     Budget,
@@ -24,7 +26,9 @@ from phase_ppl.inference.settings import (
     seconds,
     simulations,
 )
+from phase_ppl.inference.stepwise.enumerate import read_event
 from phase_ppl.models.model import Model
+from phase_ppl.models.stepwise import StepwiseLikelihood
 from phase_ppl.world.errors import InvalidSettingError, OutputError
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import check_output
@@ -52,7 +56,7 @@ def infer(
     event: Event,
     model: Model | None = None,
     *,
-    kernel: str | Factory | MCMCKernel = "local_mh",
+    kernel: str | Factory | MCMCKernel | None = None,
     chains: int = CHAINS,
     iterations: int | None = None,
     seed: int = 0,
@@ -66,8 +70,12 @@ def infer(
     progress: bool | None = None,
     settings: SimpleSettings | None = None,
     **kernel_options: Any,
-) -> Posterior:
+) -> Posterior | StepwisePosterior:
     """Return the posterior over goals, relation and strengths, given what was seen.
+
+    By sampling, with simulations; or, where the model's likelihood is a
+    :class:`phase_ppl.StepwiseLikelihood` and no kernel is named, exactly: the video is read once
+    under all hypotheses, and the result is a :class:`phase_ppl.StepwisePosterior`.
 
     Only ``event.scene`` and ``event.observation`` are read. The same seed gives the same result
     with any number of workers.
@@ -86,12 +94,14 @@ def infer(
         event: what to explain.
         model: prior, simulator and likelihood; by default the paper's.
         kernel: a name (:func:`phase_ppl.available_kernels`), a kernel class or a function that
-            makes a NumPyro kernel from the program of the event, or an instance of one of ours.
+            makes a NumPyro kernel from the program of the event, or an instance of one of ours;
+            by default "local_mh", and none for a stepwise likelihood.
         chains: particles M.
         iterations: L, the draws per particle; by default 6.
         seed: a whole number >= 0.
         planner: "fast" (the default), "paper" or a ``PlannerConfig``, for the joint simulator.
-        workers: processes; by default one per usable core. With an ``executor``, how many
+        workers: processes (threads, where a video is read step by step); by default one per
+            usable core. With an ``executor``, how many
             simulations to give it at a time; by default all.
         executor: any PEP 3148 executor to simulate in, such as that of a ``dask.distributed``
             client; it is not shut down.
@@ -117,8 +127,25 @@ def infer(
     run; None where the initial particles were not complete.
     """
     began = pace.clock()
+    given = {
+        "chains": None if chains == CHAINS else chains,
+        "iterations": iterations,
+        "budget": budget,
+        "executor": executor,
+        "on_failure": None if on_failure == "reject" else on_failure,
+        "retries": retries,
+        "checkpoint": checkpoint,
+        "settings": settings,
+        **kernel_options,
+    }
     settings = SimpleSettings() if settings is None else settings
     model = complete_model(model, planner, settings)
+    if kernel is None and isinstance(model.likelihood, StepwiseLikelihood):
+        _check_not_sampling(given)
+        if not isinstance(event, Event):
+            raise no_event(event)
+        return read_event(event, model, seed=seed, threads=workers, progress=progress)
+    kernel = "local_mh" if kernel is None else kernel
     plan = Plan(event, model, kernel, kernel_options, settings, chains, seed)
     check_chains(plan.info, chains)
     if checkpoint is not None:
@@ -225,6 +252,15 @@ def resume(
     check_output(path, SUFFIXES)
     means = Means(iterations, budget, on_failure, retries, workers, executor, progress, path, began)
     return carry_out(plan, means, saved)
+
+
+def _check_not_sampling(given: Mapping[str, Any]) -> None:
+    for name, value in given.items():
+        if value is not None:
+            raise InvalidSettingError(
+                f"{name}={value!r} is for sampling: a stepwise likelihood is summed over all "
+                "hypotheses, unless a kernel is named"
+            )
 
 
 def _check_new(path: str | os.PathLike[str]) -> None:

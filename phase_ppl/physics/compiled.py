@@ -48,6 +48,7 @@ __all__ = [
     "from_state",
     "make_params",
     "make_scratch",
+    "stay_apart",
     "step",
     "step_mean",
     "to_state",
@@ -62,7 +63,7 @@ _STOP, _ATTACH, _DETACH = int(Action.STOP), int(Action.ATTACH), int(Action.DETAC
 
 
 @inlined_kernel
-def _stay_apart(
+def stay_apart(
     bodies: FloatArray,
     held: IntArray,
     action_red: int,
@@ -226,7 +227,7 @@ def _begin(
             attach(bodies, held, weld, agent, params, scratch)
         elif action == _DETACH:
             held[agent] = NOTHING
-    return _stay_apart(bodies, held, action_red, action_green, params, scratch)
+    return stay_apart(bodies, held, action_red, action_green, params, scratch)
 
 
 @inlined_kernel

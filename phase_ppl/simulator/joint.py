@@ -8,8 +8,9 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.agents.agent import Agent, Decision, Mind
+from phase_ppl.agents.agent import Agent, Decision
 from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.agents.mind import Mind
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import executed
 from phase_ppl.physics.pymunk_world import PymunkWorld

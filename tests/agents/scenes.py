@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.agents import vision
-from phase_ppl.agents.agent import Mind
 from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.agents.mind import Mind
 from phase_ppl.physics import compiled
 from phase_ppl.world.scene import Scene
 from phase_ppl.world.state import State

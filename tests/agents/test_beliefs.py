@@ -7,8 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from phase_ppl.agents.agent import Agent, Mind
+from phase_ppl.agents.agent import Agent
 from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.agents.mind import Mind
 from phase_ppl.physics import compiled
 from phase_ppl.world.goals import goal_index
 from phase_ppl.world.scene import Scene

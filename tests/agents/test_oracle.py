@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from phase_ppl.agents.agent import Agent, Mind
+from phase_ppl.agents.agent import Agent
 from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.agents.mind import Mind
 from phase_ppl.agents.oracle import OracleAgent
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import N_ACTIONS, NO_ACTION, Action

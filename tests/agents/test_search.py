@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from phase_ppl.agents import pomcp, rewards
-from phase_ppl.agents.agent import Agent, Mind
+from phase_ppl.agents.agent import Agent
 from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.agents.mind import Mind
 from phase_ppl.agents.rng import below, make_rng, uniform
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import Action

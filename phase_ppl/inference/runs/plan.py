@@ -53,9 +53,7 @@ class Plan:
 
     def __post_init__(self) -> None:
         if not isinstance(self.event, Event):
-            raise InvalidEventError(
-                f"{shown(self.event)} is no event; phase_ppl.load_event reads one"
-            )
+            raise no_event(self.event)
         object.__setattr__(self, "info", described(self.kernel))
         whole_number("chains", self.chains)
         whole_number("seed", self.seed, minimum=0)
@@ -76,6 +74,11 @@ class Plan:
             "chains": self.chains,
             "seed": self.seed,
         }
+
+
+def no_event(given: object) -> InvalidEventError:
+    """Return the error for something that is no event."""
+    return InvalidEventError(f"{shown(given)} is no event; phase_ppl.load_event reads one")
 
 
 def fields_of(settings: SimpleSettings) -> dict[str, Any]:

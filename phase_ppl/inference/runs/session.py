@@ -19,9 +19,11 @@ from phase_ppl.inference.runs.length import run_length
 from phase_ppl.inference.runs.pace import Pace
 from phase_ppl.inference.runs.plan import Plan, fields_of
 from phase_ppl.inference.runs.progress import Progress
+from phase_ppl.inference.runs.reading import reading_runner
 from phase_ppl.inference.settings import Budget, SimpleSettings, TimeBudget
 from phase_ppl.models.bridge import SimulatorBridge
 from phase_ppl.models.program import event_salt
+from phase_ppl.models.stepwise import StepwiseLikelihood
 from phase_ppl.simulator.contract import Cancelled
 from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.errors import InvalidSettingError, OutputError
@@ -80,15 +82,7 @@ def carry_out(plan: Plan, means: Means, saved: Checkpoint | None = None) -> Post
         Interrupted: Ctrl-C.
         Exception: whatever ended the run, with what was done as its ``posterior``.
     """
-    with Runner(
-        plan.model.build_simulator(),
-        plan.event.scene,
-        plan.event.observation,
-        workers=means.workers,
-        executor=means.executor,
-        on_failure=means.on_failure,
-        retries=means.retries,
-    ) as runner:
+    with _runner(plan, means) as runner:
         session = Session(plan, means, runner, saved)
         ended = session.advance()
     if isinstance(ended, KeyboardInterrupt | Cancelled):
@@ -98,6 +92,20 @@ def carry_out(plan: Plan, means: Means, saved: Checkpoint | None = None) -> Post
     posterior = session.posterior(interrupted=False)
     assert posterior is not None, "a run that ended well has at least its initial particles"
     return posterior
+
+
+def _runner(plan: Plan, means: Means) -> Runner:
+    if isinstance(plan.model.likelihood, StepwiseLikelihood):
+        return reading_runner(plan, means.workers, means.executor, means.progress)
+    return Runner(
+        plan.model.build_simulator(),
+        plan.event.scene,
+        plan.event.observation,
+        workers=means.workers,
+        executor=means.executor,
+        on_failure=means.on_failure,
+        retries=means.retries,
+    )
 
 
 def with_posterior(error: BaseException, posterior: Posterior | None) -> BaseException:

@@ -1,0 +1,246 @@
+"""What one agent would do now, under every pair of goals at once.
+
+What an agent sees and believes does not depend on its goal, and a search depends on the subgoal,
+the particles that agree with it and the actions only. So there is one filter of beliefs, and each
+search is made once for all the goals that call for it.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+from collections import defaultdict
+from concurrent.futures import Executor
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phase_ppl.agents import pomcp, rewards, symbols
+from phase_ppl.agents.choice import best_subgoal, make_search, reflex, search_actions
+from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.agents.mind import Mind
+from phase_ppl.agents.perception import Perception
+from phase_ppl.agents.planning import stance
+from phase_ppl.agents.subgoals import subgoal_planner
+from phase_ppl.physics import compiled
+from phase_ppl.physics.actions import Action
+from phase_ppl.world.goals import N_GOALS, goal_literal, is_self_referring
+from phase_ppl.world.literals import Literal
+
+IntArray = NDArray[np.int64]
+FloatArray = NDArray[np.float64]
+
+NO_INTENT = -1
+"""Stands for a pair of goals that is none."""
+
+
+class Intent(NamedTuple):
+    """What an agent is about: all that its next action depends on.
+
+    Attributes:
+        subgoal: the literal that it serves.
+        agreeing: indices of the particles that agree with it.
+        contested: whether the other agent wants the opposite, which allows more actions.
+    """
+
+    subgoal: Literal
+    agreeing: tuple[int, ...]
+    contested: bool
+
+
+class Outlook(NamedTuple):
+    """What the planner makes of an intent.
+
+    Attributes:
+        actions: (A,) actions considered; one, where no search is needed.
+        visits: (A,) root visits of the search, or 1; values: (A,) mean returns there, NaN if
+            unvisited.
+        best: the action that the agent would take.
+    """
+
+    actions: IntArray
+    visits: IntArray
+    values: FloatArray
+    best: Action
+
+
+class Policies:
+    """One agent's beliefs, and its intents under every pair of effective goals.
+
+    Args:
+        agent: 0 red, 1 green.
+        mind: layout and imagined physics.
+        config: settings of the planner; trees are not reused.
+        seed: of beliefs and searches. A search's own seed follows from it, the step and the
+            intent, so that its result does not depend on what else is searched.
+
+    Attributes:
+        intents: those of the last observation.
+        of_pair: (goal_red, goal_green) -> index into ``intents``, or ``NO_INTENT`` where this
+            agent's goal names itself.
+    """
+
+    def __init__(self, agent: int, mind: Mind, config: PlannerConfig, seed: int) -> None:
+        self.agent = agent
+        self.config = config
+        self._seed = seed
+        self._perception = Perception(agent, mind, config, np.random.default_rng([seed, agent]))
+        self._search = make_search(config)
+        self._codes = _goal_codes(agent), _goal_codes(1 - agent)
+        particles = config.particles
+        self._facts = np.zeros((particles, symbols.N_FACTS), np.int8)
+        self._done = np.zeros((2, N_GOALS, particles), np.bool_)
+        self._costs = np.zeros((N_GOALS, particles))
+        self._step = 0
+        self.intents: list[Intent] = []
+        self.of_pair = np.full((N_GOALS, N_GOALS), NO_INTENT)
+
+    @property
+    def mind(self) -> Mind:
+        """Layout and imagined physics; may be exchanged between observations."""
+        return self._perception.mind
+
+    @mind.setter
+    def mind(self, mind: Mind) -> None:
+        self._perception.mind = mind
+
+    def done(self, action: Action) -> None:
+        """Say what the agent has just executed."""
+        self._perception.done(action)
+
+    def observe(self, bodies: FloatArray, held: IntArray, weld: FloatArray) -> None:
+        """Look at the true state; bring beliefs and intents up to date.
+
+        Args:
+            bodies, held, weld: the true state as ``physics.compiled.from_state`` gives it.
+        """
+        self._step += 1
+        self._perception.observe(bodies, held, weld)
+        self._describe()
+        found: dict[Intent, int] = {}
+        for own in range(N_GOALS):
+            if is_self_referring(own, self.agent):
+                continue
+            for others in _alike(self.agent, own):
+                intent = self._intent(own, others[0])
+                index = found.setdefault(intent, len(found))
+                if self.agent == 0:
+                    self.of_pair[own, others] = index
+                else:
+                    self.of_pair[others, own] = index
+        self.intents = list(found)
+
+    def _describe(self) -> None:
+        beliefs, mind = self._perception.beliefs, self.mind
+        own, other = self._codes
+        symbols.describe(
+            beliefs.bodies,
+            beliefs.held,
+            self.agent,
+            own[0],
+            other[0],
+            mind.params,
+            mind.ground,
+            self._facts,
+            np.empty(self.config.particles),
+        )
+        for which, codes in ((1, other), (0, own)):
+            symbols.describe_goals(
+                beliefs.bodies,
+                beliefs.held,
+                self.agent,
+                codes,
+                mind.params,
+                mind.ground,
+                self._done[which],
+                self._costs,
+            )
+        # particles that agree in all but the goals
+        self._facts[:, [symbols.OWN_DONE, symbols.OTHER_DONE]] = 0
+        rows, self._kind = np.unique(self._facts, axis=0, return_inverse=True)
+        self._kinds = [symbols.unpack(row) for row in rows]
+        self._observed = tuple(beliefs.observed.tolist())
+
+    def _intent(self, own: int, other: int) -> Intent:
+        """Return what the agent is about with its own goal and the other's."""
+        literal = goal_literal(own, self.agent)
+        planner = subgoal_planner(
+            self.agent, literal, goal_literal(other, 1 - self.agent), self.mind.abilities
+        )
+        own_done = self._done[0, own]
+        kinds = 4 * self._kind + 2 * own_done
+        if planner.stance.helps_along:
+            kinds += self._done[1, other]
+        agreeing: dict[Literal, list[int]] = defaultdict(list)
+        for kind in np.unique(kinds):
+            state = self._kinds[kind >> 2]._replace(
+                own_done=bool(kind & 2), other_done=bool(kind & 1)
+            )
+            agreeing[planner.subgoal(state, self._observed)] += np.flatnonzero(
+                kinds == kind
+            ).tolist()
+        best = best_subgoal(
+            agreeing, self._costs[own], float(own_done.mean()), self.agent, self.config
+        )
+        return Intent(best, tuple(sorted(agreeing[best])), planner.stance.contested)
+
+    def outlooks(self, executor: Executor | None = None) -> list[Outlook]:
+        """Return what the planner makes of each intent.
+
+        Args:
+            executor: of threads, among which to share the searches.
+        """
+        share = map if executor is None else executor.map
+        return list(share(self.outlook, self.intents))
+
+    def outlook(self, intent: Intent) -> Outlook:
+        """Return what the planner makes of one intent; only this much depends on chance."""
+        beliefs = self._perception.beliefs
+        first = intent.agreeing[0]
+        action = reflex(intent.subgoal, first, self.agent, beliefs, self.mind)
+        if action is not None:
+            return Outlook(np.array([action]), np.ones(1, np.int64), np.full(1, np.nan), action)
+        actions = rewards.actions_for(
+            intent.subgoal, self.agent, int(beliefs.held[first, self.agent]), intent.contested
+        )
+        tree = pomcp.make_tree(self.config.simulations)
+        found = search_actions(
+            tree,
+            intent.subgoal,
+            np.array(intent.agreeing, np.int64),
+            actions,
+            self.agent,
+            beliefs,
+            self.mind,
+            self._search,
+            compiled.make_scratch(),
+            self._rng(intent),
+        )
+        return Outlook(actions, found.visits, found.values, Action(int(actions[found.column])))
+
+    def _rng(self, intent: Intent) -> NDArray[np.uint64]:
+        text = repr((self._seed, self.agent, self._step, intent.subgoal, intent.agreeing))
+        digest = hashlib.blake2b(text.encode(), digest_size=8).digest()
+        return np.frombuffer(digest, np.uint64).copy()
+
+
+def _goal_codes(holder: int) -> IntArray:
+    return np.array([rewards.subgoal_code(goal_literal(g, holder)) for g in range(N_GOALS)])
+
+
+@functools.cache
+def _alike(agent: int, own: int) -> list[list[int]]:
+    """Return the other's goals in classes that make no difference to an agent with goal ``own``.
+
+    A subgoal depends on the other's goal only in whether it is the same, or the opposite; and,
+    when helping the other to get somewhere, in whether that is reached.
+    """
+    literal = goal_literal(own, agent)
+    classes: dict[object, list[int]] = defaultdict(list)
+    for other in range(N_GOALS):
+        if is_self_referring(other, 1 - agent):
+            continue
+        towards = stance(agent, literal, goal_literal(other, 1 - agent))
+        classes[towards, other if towards.helps_along else None].append(other)
+    return list(classes.values())

@@ -1,0 +1,252 @@
+"""The posterior of the closed-loop likelihood: exact over all hypotheses, at every frame."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from phase_ppl.analysis.hypotheses import Hypotheses
+from phase_ppl.analysis.quantities import (
+    ScenarioFunction,
+    part_codes,
+    quantities,
+    relation_codes,
+)
+from phase_ppl.analysis.stepwise_print import stepwise_summary, stepwise_table
+from phase_ppl.analysis.stepwise_table import SCHEMA, STRENGTHS, Table, check
+from phase_ppl.analysis.weights import log_sum_exp
+from phase_ppl.analysis.why import why
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
+from phase_ppl.world.files import atomic_output, existing_file
+from phase_ppl.world.goals import GOALS, N_GOALS
+from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
+
+FloatArray = NDArray[np.float64]
+
+FILTERING: Final = (
+    "Filtering: what can be believed at each frame from the frames so far; later frames change "
+    "nothing of it."
+)
+"""Goes with every result over time."""
+
+
+class StepwisePosterior(Hypotheses):
+    """Posterior over all pairs of goals, alphas and strengths, read step by step.
+
+    It is exact but for the noise of the planner and the filter of the hidden state, so that its
+    results have no Monte-Carlo error. What one can ask it is in
+    :class:`phase_ppl.analysis.hypotheses.Hypotheses`; beside that ``over_time``, ``why`` and
+    ``log_evidence``.
+
+    Args:
+        found: what was read (:mod:`phase_ppl.analysis.stepwise_table`).
+        frame: the posterior given the frames up to this one; by default all.
+        scenario: as of :class:`phase_ppl.analysis.posterior.Posterior`.
+
+    Raises:
+        InvalidEventError: ``found`` lacks something; the message names it.
+        InvalidSettingError: there is no such frame.
+    """
+
+    def __init__(
+        self,
+        found: xr.Dataset,
+        frame: int | None = None,
+        *,
+        scenario: ScenarioFunction | None = None,
+    ) -> None:
+        check(found)
+        self._found, self._scenario = found, scenario
+        self._table = Table(found)
+        last = self._table.n_frames - 1
+        self._frame = last if frame is None else frame
+        if not 0 <= self._frame <= last:
+            raise InvalidSettingError(f"frame={frame!r}, expected a number in 0..{last}")
+        rows = self._table.rows(self._frame)
+        columns = dict(rows.values)
+        goals = columns["goal_red"], columns["goal_green"]
+        columns |= relation_codes(*goals, scenario) | part_codes(*goals)
+        super().__init__(quantities(), dataclasses.replace(rows, values=columns), 1, _none_left_out)
+
+    @property
+    def dataset(self) -> xr.Dataset:
+        """What was read."""
+        return self._found
+
+    @property
+    def event_id(self) -> str:
+        """Name of the event that was explained."""
+        return str(self._found.attrs["event_id"])
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What determined the result."""
+        return dict(json.loads(self._found.attrs["settings"]))
+
+    @property
+    def cost(self) -> dict[str, Any]:
+        """What it cost: searches, seconds."""
+        return dict(json.loads(self._found.attrs["cost"]))
+
+    @property
+    def frame(self) -> int:
+        """The last frame that is counted."""
+        return self._frame
+
+    def at(self, frame: int) -> StepwisePosterior:
+        """Return the posterior given the frames up to ``frame`` only.
+
+        Raises:
+            InvalidSettingError: there is no such frame.
+        """
+        return StepwisePosterior(self._found, frame, scenario=self._scenario)
+
+    @property
+    def log_evidence(self) -> float:
+        """Log sum_h P(h) p(s_1..t | s_0, h)^weight over all hypotheses, in nats.
+
+        Of two models with the same weight and tracking, the one with more explains the video
+        better.
+        """
+        return log_sum_exp(self._table.log_mass(self._frame).ravel())
+
+    def map(self) -> Hypothesis:
+        """Return the most probable hypothesis; its goals are the stated ones."""
+        best = int(self._rows.weights.argmax())
+        values = {name: column[best] for name, column in self._rows.values.items()}
+        return Hypothesis(
+            int(values["stated_goal_red"]),
+            int(values["stated_goal_green"]),
+            ALPHAS[int(values["alpha"])],
+            *(float(values[name]) for name in STRENGTHS),
+        )
+
+    def over_time(self) -> xr.Dataset:
+        """Return the marginals at every frame, given the frames until then.
+
+        Returns:
+            ``goal_red``, ``goal_green``, ``relation``, ``scenario``: probabilities (time, label),
+            labels in ``goal_red_is`` and so on; ``time`` in seconds. The attribute ``filtering``
+            says what it is.
+        """
+        masses = self._table.pair_masses()[: self._frame + 1]
+        red, green = (codes.ravel() for codes in np.indices((N_GOALS, N_GOALS)))
+        codes = {"goal_red": red, "goal_green": green}
+        codes |= relation_codes(red, green, self._scenario)
+        known = quantities()
+        time = self._found["time"].values[: self._frame + 1]
+        result = xr.Dataset(
+            coords={"time": ("time", time, {"units": "s"})}, attrs={"filtering": FILTERING}
+        )
+        flat = masses.reshape(len(masses), -1)
+        for name, column in codes.items():
+            labels = list(known[name].categories())
+            table = np.stack([flat[:, column == code].sum(axis=1) for code in range(len(labels))])
+            result[name] = (("time", f"{name}_is"), table.T)
+            result = result.assign_coords({f"{name}_is": labels})
+        return result
+
+    def why(self, event: str, over: str | None = None) -> xr.Dataset:
+        """Return which frames speak for ``event``, and against what.
+
+        Args:
+            event: such as ``"relation=friendly"`` or ``"goal_red=get to green agent"``; several
+                conditions are joined by commas.
+            over: what to compare with, likewise; by default that ``event`` is false.
+
+        Returns:
+            ``log_odds`` (time,) of one over the other given the frames so far, in nats, and
+            ``change`` (time,) by each frame.
+
+        Raises:
+            QueryError, UnknownNameError: it cannot be read, or names something unknown.
+            InvalidSettingError: one of them is impossible under the prior.
+        """
+        return why(self._found, self._table, self._frame, event, over, self._scenario)
+
+    def observed(self) -> FloatArray:
+        """Return the trajectory (time, entity, [x, y, angle]) that was explained."""
+        return np.asarray(self._found["trajectory"].values, np.float64)[: self._frame + 1]
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write everything to ``path`` as NetCDF, whole or not at all.
+
+        Raises:
+            OutputError: the file cannot be written there, or its name does not end in .nc.
+        """
+        encoding = {
+            str(name): {"fletcher32": True, "zlib": True, "complevel": 4}
+            for name, variable in self._found.variables.items()
+            if variable.ndim and variable.size and variable.dtype.kind in "biuf"
+        }
+        with atomic_output(path, (".nc",)) as part:
+            self._found.to_netcdf(part, engine="h5netcdf", encoding=encoding)
+        return Path(path)
+
+    @classmethod
+    def load(
+        cls, path: str | os.PathLike[str], *, scenario: ScenarioFunction | None = None
+    ) -> StepwisePosterior:
+        """Read a posterior that :meth:`save` wrote.
+
+        Raises:
+            InvalidEventError: there is no such file, or it is damaged or of another kind.
+        """
+        source = existing_file(path)
+        try:
+            with xr.open_dataset(source, engine="h5netcdf", decode_times=False) as stored:
+                found = stored.load().drop_encoding()
+        except Exception as error:  # whatever a damaged file makes the reader stumble over
+            reason = " ".join(str(error).split())
+            raise InvalidEventError(f"{source} cannot be read as NetCDF: {reason}") from error
+        found.attrs = {k: v.item() if hasattr(v, "item") else v for k, v in found.attrs.items()}
+        try:
+            return cls(found, scenario=scenario)
+        except InvalidEventError as error:
+            raise InvalidEventError(f"{source}: {error}") from None
+
+    def summary(self) -> dict[str, Any]:
+        """Return the posterior as plain data, fit for JSON."""
+        return stepwise_summary(self)
+
+    def map_record(self) -> dict[str, Any]:
+        """Return :meth:`map` as plain data; ``goal_*`` are the effective goals."""
+        best = self.map()
+        record = best.to_dict()
+        red, green = best.effective_goals
+        return {
+            "goal_red": GOALS[red],
+            "goal_green": GOALS[green],
+            "stated_goal_red": record.pop("goal_red"),
+            "stated_goal_green": record.pop("goal_green"),
+            **record,
+        }
+
+    def __str__(self) -> str:
+        return stepwise_table(self)
+
+    def __repr__(self) -> str:
+        return f"<StepwisePosterior of {self.event_id} after frame {self._frame}>"
+
+
+def _none_left_out(sets: NDArray[np.bool_]) -> FloatArray:
+    raise AssertionError("one group of chains has nothing to leave out")
+
+
+def is_stepwise(path: str | os.PathLike[str]) -> bool:
+    """Whether a file holds a posterior that was read step by step."""
+    import h5py
+
+    try:
+        with h5py.File(path, "r") as file:
+            schema = file.attrs.get("schema", "")
+    except OSError:
+        return False
+    return str(schema.decode() if isinstance(schema, bytes) else schema) == SCHEMA
