@@ -14,11 +14,12 @@ compared when the file is read.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -46,21 +47,48 @@ def read(path: str | os.PathLike[str]) -> Entries:
         InvalidEventError: damaged, too large, or no file of events.
     """
     check_hdf5(path)
-    try:
-        with xr.open_dataset(path, engine="h5netcdf", decode_times=False) as stored:
-            dataset = stored.load()
-    except Exception as error:  # whatever a damaged file makes the reader stumble over
-        reason = " ".join(str(error).split())
-        raise InvalidEventError(f"cannot be read as NetCDF: {reason}") from error
-    tag = dataset.attrs.get("format")
-    if not isinstance(tag, str):
-        tag = None  # an array, which would compare element by element
+    with opened(path) as stored, _reading():
+        dataset = stored.load()
+    tag = _format(dataset)
     if tag == EVENT_FORMAT:
         return [(_id(dataset), functools.partial(_checked_event, dataset))]
     if tag == EVENTS_FORMAT:
-        return _unpacked(dataset)
+        ids, places = _listed(dataset)
+        return [
+            (name, functools.partial(_taken, dataset, place))
+            for name, place in zip(ids, places, strict=True)
+        ]
     what = "has no format" if tag is None else f"has format {shown(tag)}"
     raise InvalidEventError(f"{what}, expected {EVENT_FORMAT!r} or {EVENTS_FORMAT!r}")
+
+
+Place = dict[str, int | slice]
+"""Where an event is in a file of several: dimension -> index or slice."""
+
+
+def listing(path: str | os.PathLike[str]) -> tuple[list[str], list[Place]]:
+    """Return the ids of the events of a file of several, and where each of them is.
+
+    Raises:
+        InvalidEventError: damaged, too large, or no file of several events.
+    """
+    check_hdf5(path)
+    with opened(path) as dataset, _reading():
+        tag = _format(dataset)
+        if tag != EVENTS_FORMAT:
+            raise InvalidEventError(f"has format {shown(tag)}, expected {EVENTS_FORMAT!r}")
+        return _listed(dataset)
+
+
+def event_at(dataset: xr.Dataset, place: Place) -> Event:
+    """Return one event of an open file of several; nothing but it is read.
+
+    Raises:
+        InvalidEventError: it is damaged.
+    """
+    with _reading():
+        taken = dataset.isel(place).load()
+    return _checked_event(taken)
 
 
 def one(event: Event) -> xr.Dataset:
@@ -96,6 +124,35 @@ def write(dataset: xr.Dataset, path: Path) -> None:
             encoding[str(name)]["fletcher32"] = True
     dataset.to_netcdf(path, engine="h5netcdf", encoding=encoding)
     check_hdf5(path)
+
+
+@contextlib.contextmanager
+def opened(path: str | os.PathLike[str]) -> Iterator[xr.Dataset]:
+    """Open a file that :func:`listing` has found in order, to read parts of it; then close it.
+
+    Raises:
+        InvalidEventError: it cannot be opened.
+    """
+    with _reading():
+        dataset = xr.open_dataset(path, engine="h5netcdf", decode_times=False, cache=False)
+    with dataset:
+        yield dataset
+
+
+@contextlib.contextmanager
+def _reading() -> Iterator[None]:
+    try:
+        yield
+    except InvalidEventError:
+        raise
+    except Exception as error:  # whatever a damaged file makes the reader stumble over
+        reason = " ".join(str(error).split())
+        raise InvalidEventError(f"cannot be read as NetCDF: {reason}") from error
+
+
+def _format(dataset: xr.Dataset) -> str | None:
+    tag = dataset.attrs.get("format")
+    return tag if isinstance(tag, str) else None  # an array would compare element by element
 
 
 # --- checksums -------------------------------------------------------------------------------
@@ -143,19 +200,19 @@ def _packed(datasets: Sequence[xr.Dataset]) -> xr.Dataset:
     return xr.Dataset(packed, coords, {"format": EVENTS_FORMAT})
 
 
-def _unpacked(dataset: xr.Dataset) -> Entries:
-    """Return the events of a packed dataset, each still to be taken out of it."""
+def _listed(dataset: xr.Dataset) -> tuple[list[str], list[Place]]:
+    """Return the ids of the events of a packed dataset, and their places."""
     if "event" not in dataset.dims or "event" not in dataset.coords:
         raise InvalidEventError("has no coordinate event, which holds the ids")
     stops = {dim: _stops(dataset, dim) for dim in _RAGGED}
-    entries: Entries = []
+    places: list[Place] = []
     for index in range(dataset.sizes["event"]):
-        place: dict[str, int | slice] = {"event": index}
+        place: Place = {"event": index}
         for dim, ends in stops.items():
             place[dim] = slice(int(ends[index - 1]) if index else 0, int(ends[index]))
-        name = _id(dataset, index)
-        entries.append((name, functools.partial(_taken, dataset, place)))
-    return entries
+        places.append(place)
+    ids = dataset.variables["event"].values.tolist()
+    return [event_id({"id": name}) for name in ids], places
 
 
 def _stops(dataset: xr.Dataset, dim: str) -> NDArray[np.int64]:
@@ -171,13 +228,12 @@ def _stops(dataset: xr.Dataset, dim: str) -> NDArray[np.int64]:
     return np.cumsum(lengths, dtype=np.int64)
 
 
-def _taken(dataset: xr.Dataset, place: dict[str, int | slice]) -> Event:
+def _taken(dataset: xr.Dataset, place: Place) -> Event:
     return _checked_event(dataset.isel(place))
 
 
-def _id(dataset: xr.Dataset, index: int | None = None) -> str:
-    """Return the id of an event, or of the one at ``index`` of several."""
+def _id(dataset: xr.Dataset) -> str:
+    """Return the id of the only event of a dataset."""
     if "event" not in dataset.variables:
         raise InvalidEventError("has no event, which is its id")
-    ids = dataset.variables["event"].values.tolist()
-    return event_id({"id": ids if index is None else ids[index]})
+    return event_id({"id": dataset.variables["event"].values.tolist()})
