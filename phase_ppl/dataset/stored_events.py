@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import importlib
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import ModuleType
-from typing import Final, overload
+from typing import TYPE_CHECKING, Final, overload
 
 from phase_ppl.dataset.load import check_ids, naming, turned
 from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.event import Event
 from phase_ppl.world.scene import Turning
+
+if TYPE_CHECKING:
+    from phase_ppl.dataset.events_netcdf import Listing
 
 _AT_ONCE: Final = 32
 """Events that are read before the file is closed again, when all are gone through."""
@@ -39,17 +43,19 @@ class StoredEvents(Sequence[Event]):
         self._turning = turning
         with naming(self.path):
             self._state = _state(self.path)
-            self.ids, self._places = _netcdf().listing(self.path)
-            check_ids(self.ids)
+            self._listed: Listing = _netcdf().listing(self.path)
+            check_ids(self._listed.ids)
+        self._places: Sequence[int] = range(len(self._listed.ids))
+
+    @property
+    def ids(self) -> list[str]:
+        """The ids of the events, in their order."""
+        return [self._listed.ids[place] for place in self._places]
 
     def chosen(self, indices: Sequence[int]) -> StoredEvents:
         """Return some of the events, in the order of the indices."""
-        found = object.__new__(type(self))
-        found.__dict__ = {
-            **self.__dict__,
-            "ids": [self.ids[index] for index in indices],
-            "_places": [self._places[index] for index in indices],
-        }
+        found = copy.copy(self)
+        found._places = [self._places[index] for index in indices]
         return found
 
     def read(self, indices: Sequence[int]) -> list[Event]:
@@ -65,10 +71,10 @@ class StoredEvents(Sequence[Event]):
         events = []
         with contextlib.ExitStack() as stack:
             with naming(self.path):
-                dataset = stack.enter_context(netcdf.opened(self.path))
-            for index in indices:
-                with naming(self.path, self.ids[index]):
-                    events.append(netcdf.event_at(dataset, self._places[index]))
+                file = stack.enter_context(netcdf.opened(self.path))
+            for place in (self._places[index] for index in indices):
+                with naming(self.path, self._listed.ids[place]):
+                    events.append(netcdf.event_at(file, self._listed, place))
         return events if self._turning is None else [turned(e, self._turning) for e in events]
 
     @overload
@@ -83,7 +89,7 @@ class StoredEvents(Sequence[Event]):
         return self.read([range(len(self))[index]])[0]
 
     def __len__(self) -> int:
-        return len(self.ids)
+        return len(self._places)
 
     def __iter__(self) -> Iterator[Event]:
         for start in range(0, len(self), _AT_ONCE):

@@ -16,6 +16,7 @@ missing; the finished set is the same.
 
 from __future__ import annotations
 
+import copy
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -91,8 +92,7 @@ class GeneratedEvents(Sequence[Event]):
         return rejected_draws(self.path)
 
     def _chosen(self, indices: Sequence[int]) -> GeneratedEvents:
-        found = object.__new__(type(self))
-        found.path, found.manifest = self.path, self.manifest
+        found = copy.copy(self)
         found._entries = [self._entries[index] for index in indices]
         found._events = self._events.chosen(indices)
         return found
