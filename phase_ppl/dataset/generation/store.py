@@ -8,10 +8,10 @@
       events.nc           all events, ragged in time
       manifest.json       per event what is known about it beside the event itself
       rejected.nc         rejected draws as events, where they were kept
-      rejected.json       why each of them was not kept
+      rejected.json       why each of them was not kept, and its measures
 
 A part is written whole or not at all, so interrupted generation goes on with the slots that are
-missing; the finished set is the same.
+missing, or whose part was damaged since; the finished set is the same.
 """
 
 from __future__ import annotations
