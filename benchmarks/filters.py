@@ -96,7 +96,7 @@ def generated_cases(folder: str) -> list[Case]:
     if not isinstance(made, ppl.GeneratedEvents) or not made.rejected():
         raise SystemExit(f"{folder} holds no generated set with rejected draws (--keep-rejected)")
     told = read_json(made.path / f"{REJECTED}.json")["rejected"]
-    if not all("measures" in draw for draw in told):
+    if not all(draw.get("measures") for draw in told):
         raise SystemExit(
             f"{folder} was made by an earlier version: its rejected draws lack measures"
         )

@@ -172,8 +172,9 @@ def listing(path: str | os.PathLike[str]) -> Listing:
         for name, variable in dataset.variables.items():
             if {"scale_factor", "add_offset"} & set(variable.encoding):
                 raise InvalidEventError(f"array {name} is packed, expected plain numbers")
-        dims = {str(name): array.dims for name, array in dataset.variables.items()}
-        return Listing(*_listed(dataset), dims)  # type: ignore[arg-type]
+        ids, places = _listed(dataset)
+        dims = {str(k): tuple(map(str, array.dims)) for k, array in dataset.variables.items()}
+        return Listing(ids, places, dims)
 
 
 @contextlib.contextmanager
@@ -185,9 +186,9 @@ def opened(path: str | os.PathLike[str]) -> Iterator[Any]:
     """
     import h5py
 
-    with contextlib.ExitStack() as stack:
-        with _reading():
-            file = stack.enter_context(h5py.File(path, "r"))
+    with _reading():
+        file = h5py.File(path, "r")
+    with file:
         yield file
 
 

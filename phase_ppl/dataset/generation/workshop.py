@@ -38,15 +38,11 @@ class Part(NamedTuple):
     """What became of a slot, as it is kept until all are done.
 
     Attributes:
-        cell: FAMILY or FAMILY:VARIANT.
-        name: id of the event that was wanted.
         events: the event and its copies; none where it was given up.
         entries: per event what the manifest will say about it.
         refused: what was simulated and not kept, with the reason; as an event too if wanted.
     """
 
-    cell: str
-    name: str
     events: list[Event]
     entries: list[dict[str, Any]]
     refused: list[tuple[dict[str, Any], Event | None]]
@@ -166,7 +162,7 @@ class Workshop:
                 )
             if [event.id for event in events] != [entry["id"] for entry in entries]:
                 raise InvalidEventError("its events and entries are not the same")
-            return Part(slot.cell, name_of(slot), events, entries, refused)
+            return Part(events, entries, refused)
         except (KeyError, TypeError, PhasePPLError) as error:
             raise InvalidEventError(
                 f"{source}: is damaged ({error}); resume makes it anew"
@@ -193,14 +189,14 @@ class Workshop:
             part = self._read(slot)
             events += part.events
             entries += part.entries
-            draws[part.cell].kept += bool(part.events)
-            replans[part.cell].kept += sum(bool(entry.get("replanned")) for entry in part.entries)
-            given_up += [] if part.events else [part.name]
+            draws[slot.cell].kept += bool(part.events)
+            replans[slot.cell].kept += sum(bool(entry.get("replanned")) for entry in part.entries)
+            given_up += [] if part.events else [name_of(slot)]
             for draw, event in part.refused:
-                (replans if draw["replanned"] else draws)[part.cell].reasons[draw["reason"]] += 1
+                (replans if draw["replanned"] else draws)[slot.cell].reasons[draw["reason"]] += 1
                 if event is not None:
                     refused.append(event)
-                    told.append({"id": event.id, "cell": part.cell, **draw})
+                    told.append({"id": event.id, "cell": slot.cell, **draw})
         if not events:
             raise OutputError(f"{self.path}: no draw of any kind was kept")
         for event, entry in zip(events, entries, strict=True):
