@@ -11,6 +11,10 @@ from typing import Any
 
 import pytest
 
+import phase_ppl as ppl
+from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.dataset.generation.filters import NEAR
+
 ROOT = Path(__file__).parents[1]
 VIDEOS = Path(os.environ.get("PHASE_TEST") or ROOT.parent / "shared" / "phase-test")
 
@@ -88,6 +92,28 @@ def test_learned_proposals_find_the_truth_more_often_than_distances(tmp_path: Pa
     report = figures(tmp_path, "proposals.py", "--limit", "8")
     learned, paper = (report[form]["all"] for form in ("learned", "paper"))  # type: ignore[index]
     assert learned["log_proposal"]["value"] > paper["log_proposal"]["value"] + 1
+
+
+@pytest.mark.skipif(not VIDEOS.exists(), reason="the real videos are not at ../shared/phase-test")
+def test_the_filters_keep_what_people_kept_and_no_more_the_stricter_they_are(
+    tmp_path: Path,
+) -> None:
+    planner = PlannerConfig(particles=5, simulations=2, rollout_length=1)
+    made = ppl.generate(tmp_path / "set", cells={"chasing": 1}, planner=planner, frames=40, seed=1,
+                        keep_rejected=True, workers=1, progress=False)  # fmt: skip
+    refused = len(made.rejected())
+    assert refused > 0
+    report: dict[str, Any] = figures(tmp_path, "filters.py", "--generated", str(tmp_path / "set"))
+    kept = report["filters"]
+    assert all(kept["all"][half]["share"] == 1 for half in ("first", "second"))
+    assert kept["opposing"]["generated"] == {"n": 1 + refused, "share": 1 / (1 + refused)}
+    assert sum(report["refused"]["generated"].values()) == refused
+    nearness = [row for row in report["thresholds"] if row["rule"].startswith("nearest")]
+    for half in ("first", "second"):
+        shares = [row[half]["share"] for row in nearness]
+        assert shares == sorted(shares)
+        assert shares[0] < 1
+    assert [row["value"] for row in nearness if row["filter"]] == [NEAR]
 
 
 @pytest.mark.slow

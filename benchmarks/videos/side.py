@@ -50,6 +50,7 @@ def figures(
         "path_agents": float(moves[:, :2].sum(0).mean()),
         "path_items": float(moves[:, 2:].sum(0).mean()),
         "still": float((moves[:, :2] < 1e-3).mean()),
+        "median_step": float(np.median(moves[:, :2])),
         "holding": float((held >= 0).mean()) if n else 0.0,
         "both_holding": float(((held[:, 0] >= 0) & (held[:, 0] == held[:, 1])).mean())
         if n

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
+import re
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,7 +17,8 @@ from phase_ppl.dataset.generation.plan import PHASE500
 from phase_ppl.dataset.generation.store import GeneratedEvents, verify
 
 VIDEOS: Final = "videos"
-"""The folder of the films in that of the data set."""
+REJECTED_VIDEOS: Final = "videos_rejected"
+"""Folders of films in that of the data set; those of rejected draws end in the reason."""
 
 
 def add_to(commands: Any) -> None:
@@ -48,6 +52,14 @@ def add_to(commands: Any) -> None:
         help="of each event, with other reflections and colours; default 0",
     )
     command.add_argument(
+        "--replans",
+        metavar="K",
+        type=whole(0),
+        default=0,
+        help="copies of each event simulated anew in a layout of the same kind, or with sizes and "
+        "strengths moved by one, as far as its family allows; default 0",
+    )
+    command.add_argument(
         "--turning",
         choices=("both", "ccw", "cw"),
         default="both",
@@ -58,7 +70,9 @@ def add_to(commands: Any) -> None:
         "--keep-rejected", action="store_true", help="keep the draws that were not good enough"
     )
     command.add_argument(
-        "--videos", action="store_true", help="film every event, and draw all on one picture"
+        "--videos",
+        action="store_true",
+        help="film every event, rejected draws too if they are kept, and draw all on one picture",
     )
     command.add_argument("--resume", action="store_true", help="go on with what DIR holds")
     command.add_argument("--quiet", action="store_true", help="no progress bar")
@@ -83,6 +97,7 @@ def _generate(options: argparse.Namespace) -> int:
             planner=options.planner,
             seed=options.seed,
             copies=options.copies,
+            replans=options.replans,
             turning=options.turning,
             workers=options.workers,
             keep_rejected=options.keep_rejected,
@@ -94,15 +109,27 @@ def _generate(options: argparse.Namespace) -> int:
         return INTERRUPTED
     _print(made)
     if options.videos:
-        shown = False if options.quiet else None
-        sheet, folder = made.path / "contact_sheet.png", made.path / VIDEOS
-        phase_ppl.render.videos(made, folder, workers=options.workers, progress=shown)
-        sheets = phase_ppl.render.contact_sheet(made, sheet, progress=shown)
-        print(f"{len(made)} films in {folder}; {', '.join(file.name for file in sheets)}")
+        _film(made, options)
     given_up = made.manifest["given_up"]
     if given_up:
         print(f"Given up after too many draws: {', '.join(given_up)}", file=sys.stderr)
     return FAILED if given_up else 0
+
+
+def _film(made: GeneratedEvents, options: argparse.Namespace) -> None:
+    shown = False if options.quiet else None
+    folder = made.path / VIDEOS
+    phase_ppl.render.videos(made, folder, workers=options.workers, progress=shown)
+    sheets = phase_ppl.render.contact_sheet(made, made.path / "contact_sheet.png", progress=shown)
+    print(f"{len(made)} films in {folder}; {', '.join(file.name for file in sheets)}")
+    rejected = [
+        dataclasses.replace(event, id=f"{event.id}-{re.sub(r'[^A-Za-z0-9]+', '-', reason)}")
+        for event, reason in made.rejected()
+    ]
+    if rejected:
+        folder = made.path / REJECTED_VIDEOS
+        phase_ppl.render.videos(rejected, folder, workers=options.workers, progress=shown)
+        print(f"{len(rejected)} films of rejected draws in {folder}")
 
 
 def _print(made: GeneratedEvents) -> None:
@@ -112,14 +139,24 @@ def _print(made: GeneratedEvents) -> None:
         if not kept:
             continue
         refused = manifest["rejected"][cell]
-        draws = kept + sum(refused.values())
-        why = "; ".join(f"{reason} {n}" for reason, n in refused.items())
-        print(f"{cell:<22}{kept:>4} of {draws:>4} draws{'   ' + why if why else ''}")
+        print(f"{cell:<22}{_kept(kept, refused, 'draws')}")
+        replans = manifest.get("replans", {}).get(cell)
+        if replans and (replans["kept"] or replans["rejected"]):
+            told = _kept(replans["kept"], replans["rejected"], "simulations of re-planned copies")
+            print(f"{'':<22}{told}")
     splits: dict[str, int] = {}
     for entry in made.entries:
         splits[entry["split"]] = splits.get(entry["split"], 0) + 1
     parts = ", ".join(f"{n} {name}" for name, n in splits.items())
     print(f"{len(made)} events ({parts}) in {made.path}")
+    anew = manifest.get("made_anew")
+    if anew:
+        print(f"Made anew, since their parts were damaged: {', '.join(anew)}", file=sys.stderr)
+
+
+def _kept(kept: int, refused: Mapping[str, int], what: str) -> str:
+    why = "; ".join(f"{reason} {n}" for reason, n in refused.items())
+    return f"{kept:>4} of {kept + sum(refused.values()):>4} {what}{'   ' + why if why else ''}"
 
 
 def _verify(options: argparse.Namespace) -> int:

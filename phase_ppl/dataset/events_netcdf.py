@@ -14,13 +14,14 @@ compared when the file is read.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -46,21 +47,39 @@ def read(path: str | os.PathLike[str]) -> Entries:
         InvalidEventError: damaged, too large, or no file of events.
     """
     check_hdf5(path)
-    try:
-        with xr.open_dataset(path, engine="h5netcdf", decode_times=False) as stored:
-            dataset = stored.load()
-    except Exception as error:  # whatever a damaged file makes the reader stumble over
-        reason = " ".join(str(error).split())
-        raise InvalidEventError(f"cannot be read as NetCDF: {reason}") from error
-    tag = dataset.attrs.get("format")
-    if not isinstance(tag, str):
-        tag = None  # an array, which would compare element by element
+    with _reading(), _opened(path) as stored:
+        dataset = stored.load()
+    tag = _format(dataset)
     if tag == EVENT_FORMAT:
         return [(_id(dataset), functools.partial(_checked_event, dataset))]
     if tag == EVENTS_FORMAT:
-        return _unpacked(dataset)
+        ids, places = _listed(dataset)
+        return [
+            (name, functools.partial(_taken, dataset, place))
+            for name, place in zip(ids, places, strict=True)
+        ]
     what = "has no format" if tag is None else f"has format {shown(tag)}"
     raise InvalidEventError(f"{what}, expected {EVENT_FORMAT!r} or {EVENTS_FORMAT!r}")
+
+
+def _opened(path: str | os.PathLike[str]) -> xr.Dataset:
+    return xr.open_dataset(path, engine="h5netcdf", decode_times=False)
+
+
+@contextlib.contextmanager
+def _reading() -> Iterator[None]:
+    try:
+        yield
+    except InvalidEventError:
+        raise
+    except Exception as error:  # whatever a damaged file makes the reader stumble over
+        reason = " ".join(str(error).split())
+        raise InvalidEventError(f"cannot be read as NetCDF: {reason}") from error
+
+
+def _format(dataset: xr.Dataset) -> str | None:
+    tag = dataset.attrs.get("format")
+    return tag if isinstance(tag, str) else None  # an array would compare element by element
 
 
 def one(event: Event) -> xr.Dataset:
@@ -118,6 +137,80 @@ def _checked_event(dataset: xr.Dataset) -> Event:
     return event
 
 
+# --- one at a time ---------------------------------------------------------------------------
+
+
+Place = dict[str, int | slice]
+"""Where an event is in a file of several: dimension -> index or slice."""
+
+
+class Listing(NamedTuple):
+    """What a file of several events holds.
+
+    Attributes:
+        ids: of the events.
+        places: of the events.
+        dims: variable -> its dimensions.
+    """
+
+    ids: list[str]
+    places: list[Place]
+    dims: dict[str, tuple[str, ...]]
+
+
+def listing(path: str | os.PathLike[str]) -> Listing:
+    """Return what a file of several events holds, without reading the events.
+
+    Raises:
+        InvalidEventError: damaged, too large, or no file of several events.
+    """
+    check_hdf5(path)
+    with _reading(), _opened(path) as dataset:
+        tag = _format(dataset)
+        if tag != EVENTS_FORMAT:
+            raise InvalidEventError(f"has format {shown(tag)}, expected {EVENTS_FORMAT!r}")
+        for name, variable in dataset.variables.items():
+            if {"scale_factor", "add_offset"} & set(variable.encoding):
+                raise InvalidEventError(f"array {name} is packed, expected plain numbers")
+        ids, places = _listed(dataset)
+        dims = {str(k): tuple(map(str, array.dims)) for k, array in dataset.variables.items()}
+        return Listing(ids, places, dims)
+
+
+@contextlib.contextmanager
+def opened(path: str | os.PathLike[str]) -> Iterator[Any]:
+    """Open a file that :func:`listing` found in order, for :func:`event_at`; then close it.
+
+    Raises:
+        InvalidEventError: it cannot be opened.
+    """
+    import h5py
+
+    with _reading():
+        file = h5py.File(path, "r")
+    with file:
+        yield file
+
+
+def event_at(file: Any, listed: Listing, index: int) -> Event:
+    """Return one event of an open file of several; of the others nothing is read.
+
+    Straight from HDF5, since xarray takes several times as long to open a file and find its way.
+
+    Raises:
+        InvalidEventError: it is damaged.
+    """
+    place, variables = listed.places[index], {}
+    with _reading():
+        for name, dims in listed.dims.items():
+            array = file[name].asstr() if file[name].dtype.kind == "O" else file[name]
+            value = array[tuple(place.get(dim, slice(None)) for dim in dims)]
+            left = [dim for dim in dims if not isinstance(place.get(dim), int)]
+            variables[name] = xr.Variable(left, value)
+        taken = xr.Dataset(variables)
+    return _checked_event(taken)
+
+
 # --- ragged in time --------------------------------------------------------------------------
 
 
@@ -143,19 +236,19 @@ def _packed(datasets: Sequence[xr.Dataset]) -> xr.Dataset:
     return xr.Dataset(packed, coords, {"format": EVENTS_FORMAT})
 
 
-def _unpacked(dataset: xr.Dataset) -> Entries:
-    """Return the events of a packed dataset, each still to be taken out of it."""
+def _listed(dataset: xr.Dataset) -> tuple[list[str], list[Place]]:
+    """Return the ids of the events of a packed dataset, and their places."""
     if "event" not in dataset.dims or "event" not in dataset.coords:
         raise InvalidEventError("has no coordinate event, which holds the ids")
     stops = {dim: _stops(dataset, dim) for dim in _RAGGED}
-    entries: Entries = []
+    places: list[Place] = []
     for index in range(dataset.sizes["event"]):
-        place: dict[str, int | slice] = {"event": index}
+        place: Place = {"event": index}
         for dim, ends in stops.items():
             place[dim] = slice(int(ends[index - 1]) if index else 0, int(ends[index]))
-        name = _id(dataset, index)
-        entries.append((name, functools.partial(_taken, dataset, place)))
-    return entries
+        places.append(place)
+    ids = dataset.variables["event"].values.tolist()
+    return [event_id({"id": name}) for name in ids], places
 
 
 def _stops(dataset: xr.Dataset, dim: str) -> NDArray[np.int64]:
@@ -171,13 +264,12 @@ def _stops(dataset: xr.Dataset, dim: str) -> NDArray[np.int64]:
     return np.cumsum(lengths, dtype=np.int64)
 
 
-def _taken(dataset: xr.Dataset, place: dict[str, int | slice]) -> Event:
+def _taken(dataset: xr.Dataset, place: Place) -> Event:
     return _checked_event(dataset.isel(place))
 
 
-def _id(dataset: xr.Dataset, index: int | None = None) -> str:
-    """Return the id of an event, or of the one at ``index`` of several."""
+def _id(dataset: xr.Dataset) -> str:
+    """Return the id of the only event of a dataset."""
     if "event" not in dataset.variables:
         raise InvalidEventError("has no event, which is its id")
-    ids = dataset.variables["event"].values.tolist()
-    return event_id({"id": ids if index is None else ids[index]})
+    return event_id({"id": dataset.variables["event"].values.tolist()})

@@ -91,7 +91,8 @@ def load_events(
 
     Args:
         path: as for :func:`load_event`, or the folder of a generated data set, which comes as
-            :class:`~phase_ppl.dataset.generation.store.GeneratedEvents`.
+            :class:`~phase_ppl.dataset.generation.store.GeneratedEvents`, whose events are read
+            when they are asked for.
         turning, format: as for :func:`load_event`.
 
     Raises:
@@ -104,8 +105,7 @@ def load_events(
     ):
         from phase_ppl.dataset.generation.store import GeneratedEvents
 
-        generated = GeneratedEvents(folder)
-        return generated if turning is None else [_turned(event, turning) for event in generated]
+        return GeneratedEvents(folder, turning)
     return [_read(path, entry, turning) for entry in _entries(path, format)]
 
 
@@ -209,10 +209,11 @@ def _read(path: PathLike, entry: tuple[str, Callable[[], Event]], turning: Turni
     name, read = entry
     with naming(path, name):
         event = read()
-    return event if turning is None else _turned(event, turning)
+    return event if turning is None else turned(event, turning)
 
 
-def _turned(event: Event, turning: Turning) -> Event:
+def turned(event: Event, turning: Turning) -> Event:
+    """Return the event with agents that can turn in other ways."""
     return dataclasses.replace(event, scene=dataclasses.replace(event.scene, turning=turning))
 
 

@@ -68,6 +68,7 @@ def statistics(
     """
     if not events:
         raise InvalidEventError("there are no events to describe")
+    events = list(events)  # gone through many times; those of a stored set are read each time
     entries = _entries(manifest)
     units = [str(entries.get(event.id, {}).get("group", event.id)) for event in events]
     tracks = [event.observation.trajectory for event in events]

@@ -38,7 +38,7 @@ def all_events(
         generated = events if path is None else load_events(path)
         if not isinstance(generated, GeneratedEvents):
             raise InvalidEventError(f"split {split!r}: only generated data sets have splits")
-        return generated.split(split)
+        return list(generated.split(split))
     if isinstance(events, Event):
         sources: list[tuple[str, Sequence[Event]]] = [("", [events])]
     elif isinstance(events, str | os.PathLike):

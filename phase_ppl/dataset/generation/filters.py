@@ -7,6 +7,7 @@ from typing import Any, Final
 
 from phase_ppl.world.goals import goal_literal
 from phase_ppl.world.hypothesis import Hypothesis
+from phase_ppl.world.names import ENTITIES
 
 NEAR: Final = 1.5
 """Agents this near, in units of the sum of their sizes, are said to have met."""
@@ -32,23 +33,27 @@ def reason_against(scenario: str, hypothesis: Hypothesis, found: Measures) -> st
         return "a goal is true at the start"
     if max(found["stuck"]) > MAX_STUCK:
         return "an agent is stuck"
-    return _SHOWS[scenario](found)
+    return _SHOWS[scenario](hypothesis, found)
 
 
-def _achieved(found: Measures) -> str | None:
+def _achieved(hypothesis: Hypothesis, found: Measures) -> str | None:
     return None if all(found["at_end"]) else "a goal is not reached"
 
 
-def _met(found: Measures) -> str | None:
+def _met(hypothesis: Hypothesis, found: Measures) -> str | None:
     return None if found["closest"] < NEAR else "the agents never come near each other"
 
 
-def _rivals(found: Measures) -> str | None:
-    first, second = (set(items) for items in found["touched"])
-    return None if first & second else "not both touch the item"
+def _rivals(hypothesis: Hypothesis, found: Measures) -> str | None:
+    wanted = [
+        ENTITIES[goal_literal(goal, agent).subject]
+        for agent, goal in enumerate(hypothesis.effective_goals)
+    ]
+    both = all(item in items for item, items in zip(wanted, found["touched"], strict=True))
+    return None if both else "not both touch the item"
 
 
-_SHOWS: Final[Mapping[str, Callable[[Measures], str | None]]] = {
+_SHOWS: Final[Mapping[str, Callable[[Hypothesis, Measures], str | None]]] = {
     "collaborative": _achieved,
     "independent": _achieved,
     "opposing": _met,

@@ -13,7 +13,8 @@ import loky
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.dataset.generation.making import Made, make
 from phase_ppl.dataset.generation.plan import PHASE500, Plan, Slot, scaled
-from phase_ppl.dataset.generation.store import GeneratedEvents, Workshop
+from phase_ppl.dataset.generation.store import GeneratedEvents
+from phase_ppl.dataset.generation.workshop import Workshop
 from phase_ppl.simulator.jobs import Failure, results
 from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.checks import whole_number
@@ -34,6 +35,7 @@ def generate(
     cells: Mapping[str, int] = PHASE500,
     splits: Mapping[str, float] | None = None,
     copies: int = 0,
+    replans: int = 0,
     planner: str | PlannerConfig = "fast",
     seed: int = 0,
     turning: Any = "both",
@@ -58,6 +60,9 @@ def generate(
             (``available_families`` lists the families).
         splits: name -> share; by default the paper's 320 / 80 / 100.
         copies: further copies of each event with other reflections and colours, in its split.
+        replans: further copies of each event at most, in its split: the same situation simulated
+            in a layout of the same kind, or with all sizes and strengths one id further, where its
+            family allows that and the result shows what it should.
         planner: "fast", "paper" or a ``PlannerConfig``.
         seed: of everything random.
         turning: which way agents can turn before any reflection: "both", "ccw" or "cw".
@@ -82,6 +87,7 @@ def generate(
     plan = Plan(
         cells=dict(cells) if n is None else scaled(cells, n),
         copies=copies,
+        replans=replans,
         planner=planner,
         seed=seed,
         turning=turning,

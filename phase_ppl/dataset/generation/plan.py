@@ -16,6 +16,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.dataset.generation.changes import MOST_CHANGES
 from phase_ppl.dataset.generation.registry import family_and_variant
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
@@ -90,6 +91,8 @@ class Plan:
         splits: name -> share, in any unit.
         copies: further copies of each event, with other reflections and colours; they stay in
             its split.
+        replans: re-planned copies of each event at most: its situation simulated anew in a layout
+            of the same kind, or with all sizes and strengths one id further; in its split too.
         reflect, recolour: whether events are reflected, and colours exchanged, at random.
         turning: which way agents can turn before any reflection; the original ones only "ccw".
         frames: length before the cut after the last motion.
@@ -105,6 +108,7 @@ class Plan:
     cells: Mapping[str, int] = dataclasses.field(default_factory=lambda: dict(PHASE500))
     splits: Mapping[str, float] = dataclasses.field(default_factory=lambda: dict(SPLITS))
     copies: int = 0
+    replans: int = 0
     reflect: bool = True
     recolour: bool = True
     turning: Turning = "both"
@@ -128,6 +132,11 @@ class Plan:
         if self.turning not in TURNINGS:
             raise unknown_name("turning", self.turning, TURNINGS)
         whole_number("copies", self.copies, 0)
+        whole_number("replans", self.replans, 0)
+        if self.replans > MOST_CHANGES:
+            raise InvalidSettingError(
+                f"replans={self.replans}, but a situation has at most {MOST_CHANGES} changes"
+            )
         whole_number("frames", self.frames, 2)
         whole_number("seed", self.seed, 0)
         whole_number("max_tries", self.max_tries, 1)

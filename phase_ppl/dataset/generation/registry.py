@@ -68,20 +68,29 @@ class Family:
         for _ in range(_TRIES):
             draw = Draw(rng, self.layouts[int(rng.integers(len(self.layouts)))], turning)
             try:
-                drawn = self.function(draw) if variant is None else self.function(draw, variant)
+                return self.drawn_with(draw, variant)
             except CannotDraw:
                 continue
-            shown = scenario(*drawn.hypothesis.effective_goals)
-            if shown != self.scenario:
-                raise InvalidSettingError(
-                    f"family {self.name!r} drew {drawn.hypothesis}, which is {shown}, "
-                    f"not {self.scenario}"
-                )
-            return drawn
         raise InvalidSettingError(
             f"family {self.name!r} found no situation in {_TRIES} draws from layouts "
             f"{list(self.layouts)}"
         )
+
+    def drawn_with(self, draw: Draw, variant: str | None = None) -> Situation:
+        """Return the situation of one draw.
+
+        Raises:
+            CannotDraw: the draw does not allow it.
+            InvalidSettingError: it is of another scenario than promised.
+        """
+        drawn = self.function(draw) if variant is None else self.function(draw, variant)
+        shown = scenario(*drawn.hypothesis.effective_goals)
+        if shown != self.scenario:
+            raise InvalidSettingError(
+                f"family {self.name!r} drew {drawn.hypothesis}, which is {shown}, "
+                f"not {self.scenario}"
+            )
+        return drawn
 
 
 _FAMILIES: Final[dict[str, Family]] = {}

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Iterable, Sequence
-from typing import Final
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,23 @@ _ARRANGEMENTS: Final = 50
 """Tries at places and angles without an overlap before a draw is given up."""
 
 
+NUMBER: Final = "number"
+SIZE: Final = "size"
+STRENGTH: Final = "strength"
+
+
+class Choice(NamedTuple):
+    """One of the choices that a situation is made of.
+
+    Attributes:
+        kind: :data:`NUMBER` (of a room, landmark or the like), :data:`SIZE` or :data:`STRENGTH`.
+        value: the number, or the original id of the size or strength.
+    """
+
+    kind: str
+    value: int
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Situation:
     """What is to be simulated.
@@ -33,11 +50,13 @@ class Situation:
         scene: layout, sizes and start.
         hypothesis: stated goals, alpha, strengths.
         layout: number of the layout.
+        choices: that its family made, in order; places and angles are not among them.
     """
 
     scene: Scene
     hypothesis: Hypothesis
     layout: int
+    choices: tuple[Choice, ...] = ()
 
 
 class CannotDraw(Exception):  # control flow within this package, never seen by users
@@ -62,6 +81,7 @@ class Draw:
         self.turning: Turning = turning
         self.walls = walls_of(layout)
         self.rooms = Rooms.from_walls(self.walls, np.array([16.0, 12.0]), 10.0)
+        self._choices: list[Choice] = []
 
     def one_of(self, options: Iterable[int]) -> int:
         """Return one of some numbers, all equally likely.
@@ -69,10 +89,19 @@ class Draw:
         Raises:
             CannotDraw: there is none.
         """
-        choices = list(options)
-        if not choices:
+        return self._choice(NUMBER, options)
+
+    def _choice(self, kind: str, options: Iterable[int]) -> int:
+        allowed = list(options)
+        if not allowed:
             raise CannotDraw
-        return choices[int(self.rng.integers(len(choices)))]
+        value = self._value(kind, allowed)
+        self._choices.append(Choice(kind, value))
+        return value
+
+    def _value(self, kind: str, options: Sequence[int]) -> int:
+        """Return one of the options."""
+        return options[int(self.rng.integers(len(options)))]
 
     def room(self, *, but: Sequence[int] = ()) -> int:
         """Return a room (or landmark) other than ``but``."""
@@ -120,15 +149,15 @@ class Draw:
     def size(self, *ways: tuple[int, int]) -> float:
         """Return any size where all ways between rooms are free, else the smallest."""
         free = all(self.is_free(*way) for way in ways)
-        return SIZES[int(self.rng.integers(len(SIZES)))] if free else SIZES[0]
+        return SIZES[self._choice(SIZE, range(len(SIZES)) if free else (0,))]
 
     def any_size(self, *, but: Sequence[float] = ()) -> float:
         """Return a size other than ``but``."""
-        return SIZES[self.one_of(i for i, size in enumerate(SIZES) if size not in but)]
+        return SIZES[self._choice(SIZE, (i for i, size in enumerate(SIZES) if size not in but))]
 
     def strength(self, *levels: int) -> float:
         """Return the force of one of some levels 0..3, newtons; of any if none is given."""
-        return STRENGTH_LEVELS[self.one_of(levels or range(len(STRENGTH_LEVELS)))]
+        return STRENGTH_LEVELS[self._choice(STRENGTH, levels or range(len(STRENGTH_LEVELS)))]
 
     def situation(
         self,
@@ -138,7 +167,7 @@ class Draw:
         sizes: Sequence[float],
         strengths: tuple[float, float],
         *,
-        at: dict[int, tuple[float, float]] | None = None,
+        at: Mapping[int, tuple[float, float]] | None = None,
     ) -> Situation:
         """Return the situation with places and angles drawn, nothing overlapping.
 
@@ -154,16 +183,28 @@ class Draw:
             CannotDraw: no arrangement without an overlap was found.
         """
         radius = np.array(sizes, np.float64)
+        for start in self._arrangements(rooms, at or {}):
+            if not overlaps(start, radius, self.walls):
+                return Situation(
+                    Scene(start, radius, self.walls, self.turning),
+                    Hypothesis(*goals, alpha, *strengths),
+                    self.layout,
+                    tuple(self._choices),
+                )
+        raise CannotDraw
+
+    def _arrangements(
+        self, rooms: Sequence[int], at: Mapping[int, tuple[float, float]]
+    ) -> Iterator[FloatArray]:
+        """Yield (entity, coord) starts in the rooms, for as long as it is worth trying."""
         for _ in range(_ARRANGEMENTS):
             start = np.zeros((len(ENTITIES), 3))
             for entity, room in enumerate(rooms):
-                spot = (at or {}).get(entity) or SPOTS[room][self.one_of(range(len(SPOTS[room])))]
+                places = SPOTS[room]
+                spot = at.get(entity) or places[int(self.rng.integers(len(places)))]
                 angle = self.rng.uniform(-2 * np.pi, 2 * np.pi) if is_agent(entity) else 0.0
                 start[entity] = *spot, round(angle, 2)
-            if not overlaps(start, radius, self.walls):
-                scene = Scene(start, radius, self.walls, self.turning)
-                return Situation(scene, Hypothesis(*goals, alpha, *strengths), self.layout)
-        raise CannotDraw
+            yield start
 
 
 def item_to(item: int, landmark: int) -> int:

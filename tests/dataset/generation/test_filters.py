@@ -66,6 +66,15 @@ def test_rivals_must_both_touch_the_item() -> None:
     assert verdict(made, "competing") is None
 
 
+def test_rivals_must_touch_the_item_that_they_want() -> None:
+    track = walk(0, (16.4, 4.0))
+    track[10:, 1, :2] = 20.0, 4.0
+    made = recording(track, red="Get blue item to yellow lm", green="Get blue item to red lm",
+                     layout=0)  # fmt: skip
+    assert measures(made)["touched"] == [["pink item"], ["pink item"]]
+    assert verdict(made, "competing") == "not both touch the item"
+
+
 def test_an_agent_that_pushes_a_wall_for_long_is_stuck() -> None:
     frames = MAX_STUCK + 2
     made = recording(walk(0, (8.5, 19.0), frames), green="Get green agent to green lm")

@@ -1,0 +1,182 @@
+"""The filters of generation on real videos: python benchmarks/filters.py [--json FILE]
+
+The real videos were all kept by the authors, who sorted by hand. What share of them would our
+filters keep, filter by filter, and how far from each threshold are they? Pushing without effect is
+looked for in the steps whose actions are known. --generated has a set made with --keep-rejected
+go through the same thresholds: what would a laxer or a stricter one let in?
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Sequence
+from typing import Any, Final, NamedTuple
+
+import common
+import numpy as np
+
+import phase_ppl as ppl
+from phase_ppl.dataset.documents import read_json
+from phase_ppl.dataset.generation.filters import MAX_STUCK, NEAR, reason_against
+from phase_ppl.dataset.generation.measures import measures
+from phase_ppl.dataset.generation.recording import Recording
+from phase_ppl.dataset.generation.store import REJECTED
+from phase_ppl.physics.actions import NO_ACTION, Action
+from phase_ppl.world.event import Event
+from phase_ppl.world.goals import GOALS, goal_literal
+from phase_ppl.world.hypothesis import Hypothesis
+from phase_ppl.world.literals import Predicate
+from phase_ppl.world.names import AGENTS, ENTITIES, NOTHING
+
+ACTIONS: Final = {action.name.lower().replace("_", ""): int(action) for action in Action}
+"""Name of an action in the recovered ones -> number."""
+
+
+class Case(NamedTuple):
+    """What is known of a video or a draw."""
+
+    scenario: str
+    goals: tuple[int, int]
+    found: dict[str, Any]
+    reason: str | None
+
+
+class Rule(NamedTuple):
+    """A filter, thresholds to try, and the one that stands; None where there is no such filter."""
+
+    name: str
+    scenarios: Sequence[str]
+    passes: Callable[[Case, float], bool]
+    thresholds: Sequence[float]
+    now: float | None
+
+
+def taking_part(case: Case) -> int:
+    """Return how many agents touch the item that their goal is about; all, if it is about none."""
+    part = 0
+    for agent, goal in enumerate(case.goals):
+        literal = goal_literal(goal, agent)
+        about_item = literal.predicate is Predicate.ON and literal.subject >= len(AGENTS)
+        part += not about_item or ENTITIES[literal.subject] in case.found["touched"][agent]
+    return part
+
+
+RULES: Final = (
+    Rule("longest push without effect, frames", common.SCENARIOS,
+         lambda case, most: max(case.found["stuck"]) <= most,
+         (3, 6, 12, 24, 36, 60, 100), MAX_STUCK),
+    Rule("nearest approach, sum of sizes", ("opposing",),
+         lambda case, below: case.found["closest"] < below,
+         (0.9, 1.0, 1.1, 1.25, 1.5, 2.0, 4.0), NEAR),
+    Rule("agents that touch the item of their goal", ("competing",),
+         lambda case, least: taking_part(case) >= least, (2, 1, 0), 2),
+    Rule("agents that touch the item of their goal", ("collaborative",),
+         lambda case, least: taking_part(case) >= least, (2, 1, 0), None),
+)  # fmt: skip
+
+
+def real_case(event: Event, actions: Sequence[Sequence[str]]) -> Case:
+    """Return what our filters see in a real video."""
+    truth, n = event.truth, event.observation.n_frames
+    assert truth is not None
+    known = np.full((n, len(AGENTS)), NO_ACTION, np.int64)
+    numbers = [[ACTIONS[name] for name in pair] for pair in actions[: n - 1]]
+    known[1 : 1 + len(numbers)] = numbers
+    hypothesis = Hypothesis(GOALS.index(truth.goal_red), GOALS.index(truth.goal_green))
+    held = np.full((n, len(AGENTS)), NOTHING, np.int64)  # of no use to the filters
+    track = event.observation.trajectory
+    found = measures(Recording(event.scene, hypothesis, 0, track, known, held))
+    reason = reason_against(truth.scenario, hypothesis, found)
+    return Case(truth.scenario, hypothesis.effective_goals, found, reason)
+
+
+def generated_cases(folder: str) -> list[Case]:
+    """Return what was kept and what was refused of a generated set, by its own filters."""
+    made = ppl.load_events(folder)
+    if not isinstance(made, ppl.GeneratedEvents) or not made.rejected():
+        raise SystemExit(f"{folder} holds no generated set with rejected draws (--keep-rejected)")
+    told = read_json(made.path / f"{REJECTED}.json")["rejected"]
+    if not all(draw.get("measures") for draw in told):
+        raise SystemExit(
+            f"{folder} was made by an earlier version: its rejected draws lack measures"
+        )
+    cases = []
+    for event, entry in zip(made, made.entries, strict=True):
+        cases.append(generated_case(event, entry["measures"], None))
+    for (event, reason), draw in zip(made.rejected(), told, strict=True):
+        cases.append(generated_case(event, draw["measures"], reason))
+    return cases
+
+
+def generated_case(event: Event, found: dict[str, Any], reason: str | None) -> Case:
+    truth = event.truth
+    assert truth is not None
+    goals = GOALS.index(truth.goal_red), GOALS.index(truth.goal_green)
+    return Case(truth.scenario, goals, found, reason)
+
+
+def share(cases: Sequence[Case], passes: Callable[[Case], bool]) -> dict[str, float | int | None]:
+    """Return how many cases there are, and the share that passes."""
+    return {"n": len(cases), "share": float(np.mean([passes(c) for c in cases])) if cases else None}
+
+
+def shown(found: dict[str, float | int | None]) -> str:
+    return "" if found["share"] is None else f"{found['share']:.2f} of {found['n']}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--generated", metavar="DIR", help="a set made with --keep-rejected")
+    parser.add_argument("--json", metavar="FILE", help="write the figures as JSON")
+    options = parser.parse_args()
+    actions = {video["id"]: video["actions"] for video in common.replays()}
+    groups = {
+        half: [real_case(event, actions[event.id]) for event in common.dev_events(half)]
+        for half in ("first", "second")
+    }
+    if options.generated:
+        groups["generated"] = generated_cases(options.generated)
+    report: dict[str, Any] = {"filters": {}, "refused": {}, "thresholds": []}
+    heads = {"first": "real, first half", "second": "real, second half", "generated": "generated"}
+    print(f"{'kept by the filters':52}" + "".join(f"{heads[name]:>20}" for name in groups))
+    for scenario in (*common.SCENARIOS, "all"):
+        row = {
+            name: share(
+                [case for case in cases if scenario in ("all", case.scenario)],
+                lambda case: case.reason is None,
+            )
+            for name, cases in groups.items()
+        }
+        report["filters"][scenario] = row
+        print(f"{scenario:52}" + "".join(f"{shown(found):>20}" for found in row.values()))
+    for name, cases in groups.items():
+        reasons = sorted({case.reason for case in cases if case.reason})
+        report["refused"][name] = {
+            reason: sum(case.reason == reason for case in cases) for reason in reasons
+        }
+        for reason, n in report["refused"][name].items():
+            print(f"  {heads[name]}: {reason}: {n}")
+    for rule in RULES:
+        print(f"\n{rule.name} ({', '.join(rule.scenarios)})")
+        for threshold in rule.thresholds:
+            row = {
+                name: share(
+                    [case for case in cases if case.scenario in rule.scenarios],
+                    lambda case, rule=rule, threshold=threshold: rule.passes(case, threshold),
+                )
+                for name, cases in groups.items()
+            }
+            mark = "   (the filter)" if threshold == rule.now else ""
+            words = f"{threshold:g}{mark}"
+            report["thresholds"].append(
+                {"rule": rule.name, "scenarios": list(rule.scenarios), "value": threshold,
+                 "filter": threshold == rule.now, **row}
+            )  # fmt: skip
+            print(f"{words:52}" + "".join(f"{shown(found):>20}" for found in row.values()))
+    common.write(report, options.json)
+
+
+if __name__ == "__main__":
+    main()

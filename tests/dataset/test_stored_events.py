@@ -1,0 +1,146 @@
+"""Events of a file that are read when they are asked for."""
+
+from __future__ import annotations
+
+import os
+import pickle
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import h5py
+import loky
+import numpy as np
+import pytest
+
+import phase_ppl as ppl
+from phase_ppl.dataset import events_netcdf
+from phase_ppl.dataset.events_netcdf import checksum
+from phase_ppl.dataset.stored_events import StoredEvents
+from phase_ppl.world.errors import InvalidEventError
+from phase_ppl.world.event import Event
+from tests.world.examples import make_event
+
+N = 70
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Event]]:
+    """A file of events of different lengths, and those events."""
+    events = [make_event(2 + number % 5, f"event {number}") for number in range(N)]
+    path = tmp_path_factory.mktemp("events") / "all.nc"
+    ppl.save_events(events, path)
+    return path, events
+
+
+@pytest.fixture
+def read(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The ids of the events that were read."""
+    ids: list[str] = []
+    event_at: Callable[..., Event] = events_netcdf.event_at
+
+    def counted(*given: object) -> Event:
+        event = event_at(*given)
+        ids.append(event.id)
+        return event
+
+    monkeypatch.setattr(events_netcdf, "event_at", counted)
+    return ids
+
+
+def open_files() -> int:
+    return len(h5py.h5f.get_obj_ids(h5py.h5f.OBJ_ALL, h5py.h5f.OBJ_FILE))
+
+
+def same(one: Event, other: Event) -> bool:
+    return checksum(one) == checksum(other)
+
+
+def test_only_what_is_asked_for_is_read(whole: tuple[Path, list[Event]], read: list[str]) -> None:
+    path, events = whole
+    found = StoredEvents(path)
+    assert (len(found), found.ids, read) == (N, [event.id for event in events], [])
+    assert same(found[41], events[41])
+    assert same(found[-1], events[-1])
+    assert same(found[np.int64(3)], events[3])  # type: ignore[call-overload]
+    assert read == ["event 41", f"event {N - 1}", "event 3"]
+    with pytest.raises(IndexError):
+        found[N]
+
+
+def test_slices_are_read_no_sooner(whole: tuple[Path, list[Event]], read: list[str]) -> None:
+    path, events = whole
+    part = StoredEvents(path)[10:2:-3][1:]
+    assert part.ids == ["event 7", "event 4"]
+    assert read == []
+    assert same(part[1], events[4])
+    assert read == ["event 4"]
+    assert len(StoredEvents(path)[5:5]) == 0
+
+
+def test_all_come_in_order_and_the_file_is_closed(whole: tuple[Path, list[Event]]) -> None:
+    path, events = whole
+    before = open_files()
+    found = StoredEvents(path)
+    assert all(same(one, other) for one, other in zip(found, events, strict=True))
+    for count, _ in enumerate(found):
+        assert open_files() == before
+        if count == 3:
+            break
+    assert open_files() == before
+
+
+def test_they_can_be_pickled_and_read_by_threads(whole: tuple[Path, list[Event]]) -> None:
+    path, events = whole
+    found = pickle.loads(pickle.dumps(StoredEvents(path)))
+    with ThreadPoolExecutor(4) as pool:
+        got = list(pool.map(found.__getitem__, range(0, N, 5)))
+    assert all(same(one, other) for one, other in zip(got, events[::5], strict=True))
+
+
+@pytest.mark.slow
+def test_they_can_be_read_by_several_processes(whole: tuple[Path, list[Event]]) -> None:
+    path, events = whole
+    found = StoredEvents(path)
+    assert same(found[0], events[0])
+    with loky.ProcessPoolExecutor(2) as pool:
+        got = list(pool.map(found.__getitem__, range(N)))
+    assert all(same(one, other) for one, other in zip(got, events, strict=True))
+
+
+def test_agents_can_be_said_to_turn_otherwise(whole: tuple[Path, list[Event]]) -> None:
+    found = StoredEvents(whole[0], "cw")
+    assert found[3].scene.turning == "cw"
+    assert {event.scene.turning for event in found[:3]} == {"cw"}
+
+
+def test_a_damaged_event_is_named_and_the_others_can_be_read(tmp_path: Path) -> None:
+    path = tmp_path / "all.nc"
+    ppl.save_events([make_event(4, name) for name in ("one", "two", "three")], path)
+    with h5py.File(path, "r+") as file:
+        file["sha256"][1] = "0" * 64
+    found = StoredEvents(path)
+    assert [found[0].id, found[2].id] == ["one", "three"]
+    with pytest.raises(InvalidEventError, match=r"all\.nc, video two: .*sha256"):
+        found[1]
+
+
+def test_a_file_that_was_changed_since_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "all.nc"
+    ppl.save_events([make_event(4, "one"), make_event(5, "two")], path)
+    found = StoredEvents(path)
+    os.utime(path, (1, 1))
+    with pytest.raises(InvalidEventError, match=r"all\.nc: was changed since"):
+        found[0]
+    path.unlink()
+    with pytest.raises(InvalidEventError, match=r"all\.nc: cannot be read"):
+        found[0]
+
+
+def test_a_file_that_holds_no_set_is_refused(tmp_path: Path) -> None:
+    ppl.save_event(make_event(4, "one"), tmp_path / "one.nc")
+    with pytest.raises(InvalidEventError, match="phase-ppl-events-1"):
+        StoredEvents(tmp_path / "one.nc")
+    (tmp_path / "none.nc").write_text("nothing")
+    with pytest.raises(InvalidEventError, match=r"none\.nc"):
+        StoredEvents(tmp_path / "none.nc")
