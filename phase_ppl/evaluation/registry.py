@@ -110,13 +110,14 @@ def check_installed(what: str, needs: Sequence[str], extra: str | None) -> None:
         needs: names of modules.
         extra: of this package that brings them, if one does.
     """
-    missing = [module for module in needs if not _is_installed(module)]
+    missing = [module for module in needs if not is_installed(module)]
     if missing:
         how = f": pip install 'phase_ppl[{extra}]'" if extra else ""
         raise InvalidSettingError(f"{what} needs {', '.join(missing)}, which is not installed{how}")
 
 
-def _is_installed(module: str) -> bool:
+def is_installed(module: str) -> bool:
+    """Whether a module can be imported; it is not."""
     try:
         return importlib.util.find_spec(module) is not None
     except ModuleNotFoundError:  # of a submodule whose package is missing

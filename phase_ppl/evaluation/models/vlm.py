@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 def vlm(
     *,
     client: str | Client | None = None,
-    model: str | None = None,
+    name: str | None = None,
     store: str | os.PathLike[str] | None = None,
     replay: bool = False,
     show: str | None = None,
@@ -37,8 +37,8 @@ def vlm(
     Args:
         client: "google", "openai" (or whatever speaks the same), or a function that takes a
             :class:`~phase_ppl.evaluation.vlm.request.Request` and returns a text.
-        model: as the service calls it; for Google the paper's, gemini-2.5-pro. For a function,
-            the name under which its answers are kept, by default its own.
+        name: of the model, as the service calls it; for Google the paper's, gemini-2.5-pro. For a
+            function, the name under which its answers are kept, by default its own.
         store: folder in which answers are kept; one that is there is not asked for again.
         replay: ask nobody; an answer that is not in ``store`` is an error.
         show: "video" or "pictures"; by default the video to Google and to functions, pictures to
@@ -75,8 +75,8 @@ def vlm(
         raise unknown_name("remaining", remaining, REMAINING)
     if show not in (None, "video", "pictures"):
         raise unknown_name("show", show, ("video", "pictures"))
-    if model is not None and not (isinstance(model, str) and model.strip()):
-        raise InvalidSettingError(f"model={shown(model)}, expected a name")
+    if name is not None and not (isinstance(name, str) and name.strip()):
+        raise InvalidSettingError(f"name={shown(name)}, expected a name")
     whole_number("frames", frames, minimum=2)
     whole_number("retries", retries, minimum=0)
     kept = None if store is None else Store(store)
@@ -90,20 +90,20 @@ def vlm(
         "video_fps": video_fps,
         "timeout": timeout,
     }
-    given = {name: value for name, value in of_services.items() if value is not None}
+    given = {option: value for option, value in of_services.items() if value is not None}
     if callable(client):
         if given:
             raise InvalidSettingError(
                 f"{', '.join(given)}: for services, not for a function as client"
             )
         who = qualified_name(client)
-        if model is None and (not hasattr(client, "__qualname__") or "<lambda>" in who):
+        if name is None and (not hasattr(client, "__qualname__") or "<lambda>" in who):
             raise InvalidSettingError(
-                f"client {who} is no function with a name; give one for its answers as model="
+                f"client {who} has no name of its own: give name=, under which its answers are kept"
             )
         asked: Client = client
-        named: dict[str, Any] = {"client": who, "model": model or who, "show": show or "video"}
+        named: dict[str, Any] = {"client": who, "model": name or who, "show": show or "video"}
     else:
-        service = make_service(client, model, show, given, to_be_asked=not replay)
+        service = make_service(client, name, show, given, to_be_asked=not replay)
         asked, named = service, service.named()
     return Vlm(asked, named, frames, named["show"] == "video", kept, replay, retries, remaining)

@@ -76,7 +76,9 @@ def _reply(found: Any) -> Reply:
     usage = found.usage_metadata
     candidate = found.candidates[0] if found.candidates else None
     finish = _word(candidate.finish_reason) if candidate else None
-    if candidate is None and found.prompt_feedback:
+    if candidate is None and not found.prompt_feedback:
+        raise NoReply("the service sent no candidates", again=True)
+    if candidate is None:
         finish = f"blocked: {_word(found.prompt_feedback.block_reason)}"
     tokens_out = None
     if usage and usage.candidates_token_count is not None:

@@ -8,7 +8,6 @@ for, and sums that miss 1 by no more than ten numbers of two decimals can (0.05)
 from __future__ import annotations
 
 import dataclasses
-import numbers
 import re
 from collections.abc import Iterable, Mapping
 from typing import Any, Final
@@ -116,7 +115,7 @@ def _named(question: str, shares: Mapping[str, Any], repairs: list[str]) -> dict
         _note(name, label, repairs)
         if label in found:
             raise AnswerError(f"{question} gives {label!r} twice")
-        if isinstance(share, bool) or not isinstance(share, numbers.Real) or not 0 <= share <= 1:
+        if isinstance(share, bool) or not isinstance(share, int | float) or not 0 <= share <= 1:
             raise AnswerError(
                 f"{question}: {label!r} has {shown(share)}, expected a number from 0 to 1"
             )

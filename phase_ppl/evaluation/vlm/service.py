@@ -122,7 +122,7 @@ class Service(abc.ABC):
             return InvalidSettingError(f"{where}: the key in {variables} is refused")
         words = _without(key, _excerpt(body))
         if status == 404:
-            return InvalidSettingError(f"{where} to model={self.model!r}: {words}")
+            return InvalidSettingError(f"{where} to name={self.model!r}: {words}")
         passing = status in _PASSING or status >= 500
         wait = seconds_to_wait(headers) if passing else None
         return NoReply(f"HTTP {status}: {words}", again=passing, wait=wait)

@@ -54,7 +54,9 @@ def make_service(
         if show == "video":
             raise InvalidSettingError("show='video', but OpenAI's API takes pictures only")
         if model is None:
-            raise InvalidSettingError("client 'openai' needs model, as the service calls it")
+            raise InvalidSettingError(
+                "client 'openai' needs name=, what the service calls the model"
+            )
     if to_be_asked:
         check_installed(f"client {name!r}", [SERVICES[str(name)]], "vlm")
     module = google_client if name == "google" else openai_client
