@@ -56,24 +56,24 @@ class Vlm:
             "prompt_sha256": hashlib.sha256(request.prompt.encode()).hexdigest(),
             "film_sha256": film.digest,
         }
-        record = self.store.find(determines, seed) if self.store else None
-        attempts: list[Attempt] = list(record["attempts"]) if record else []
+        found = self.store.find(determines, seed) if self.store else None
+        record = found or {"request": determines, "seed": seed, "prompt": request.prompt}
+        attempts: list[Attempt] = record.setdefault("attempts", [])
+
+        def keep(attempt: Attempt) -> None:
+            attempts.append(attempt)
+            record["film"] = film.drawn()
+            if self.store and any(each.text is not None for each in attempts):
+                self.store.keep(record)
+
         parsed, place, reason = first_readable(attempts, self.remaining)
         stored = parsed is not None
-        if record is None or not stored:
+        if not stored:
             if self.replay:
                 raise AnswerError(self._missing(determines, seed, reason))
-            record = {"request": determines, "seed": seed, "prompt": request.prompt}
-
-            def keep(attempt: Attempt) -> None:
-                attempts.append(attempt)
-                record.update(film=film.drawn(), attempts=attempts)
-                if self.store and any(each.text is not None for each in attempts):
-                    self.store.keep(record)
-
             ask(self.client, request, self.remaining, self.retries, keep)
             parsed, place, _ = first_readable(attempts, self.remaining)
-        assert parsed is not None
+        assert parsed is not None  # else asking has raised
         cost = _cost(attempts[: place + 1], len(parsed.repairs), stored)
         prediction = Prediction("", probabilities=parsed.probabilities, cost=cost)
         kept = {**record, "repairs": list(parsed.repairs), "remaining": self.remaining}
@@ -90,9 +90,8 @@ class Vlm:
         if reason is not None:
             return f"{self.store.path / name} has no answer that can be used; the last: {reason}"
         words = f"{self.store.path} has no answer to this request: {name} is missing"
-        others = self.store.other_seeds(determines)
-        seeds = ", ".join(map(str, others[:5]))
-        return f"{words}; it has been answered for the seed {seeds}" if others else words
+        other = self.store.knows(determines)
+        return f"{words}; it has been answered for other seeds only" if other else words
 
 
 def _cost(attempts: Sequence[Attempt], repairs: int, stored: bool) -> dict[str, Any]:

@@ -25,6 +25,10 @@ _HIDDEN: Final = "[key]"
 _NO_KEY: Final = "none"
 """What is sent as the key to a server of one's own that asks for none."""
 
+_SECRET_LENGTH: Final = 12
+"""A shorter key, such as the "x" that a server of one's own is content with, is no secret, and
+hiding it would spoil the answers."""
+
 _VARIABLE: Final = re.compile(r"[A-Z_][A-Z0-9_]*")
 _EXCERPT: Final = 200
 _PASSING: Final = (408, 409, 425, 429)
@@ -44,7 +48,7 @@ class Service(abc.ABC):
         temperature: None leaves it to the service, as for the paper.
         video_fps: frames per second of a video that the service is to look at; None leaves it
             to the service.
-        own_server: whether ``base_url`` is the user's, which may need no key.
+        needs_key: whether it is an error if there is none.
     """
 
     name: ClassVar[str]
@@ -56,7 +60,7 @@ class Service(abc.ABC):
     timeout: float
     temperature: float | None = None
     video_fps: float | None = None
-    own_server: bool = False
+    needs_key: bool = True
 
     def __call__(self, request: Request) -> Reply:
         """Return the answer to a request.
@@ -105,7 +109,7 @@ class Service(abc.ABC):
                 )
             if key:
                 return key
-        if self.own_server:
+        if not self.needs_key:
             return _NO_KEY
         raise InvalidSettingError(
             f"client {self.name!r} needs its key in the environment variable "
@@ -120,7 +124,7 @@ class Service(abc.ABC):
         if status in (401, 403):  # such answers like to repeat part of the key
             variables = " or ".join(self.variables)
             return InvalidSettingError(f"{where}: the key in {variables} is refused")
-        words = _without(key, _excerpt(body))
+        words = _excerpt(body, key)
         if status == 404:
             return InvalidSettingError(f"{where} to name={self.model!r}: {words}")
         passing = status in _PASSING or status >= 500
@@ -130,19 +134,16 @@ class Service(abc.ABC):
     def _broken(self, error: Exception, key: str) -> Exception:
         """Return the error for a connection that broke, or an answer that is none."""
         kind = type(error).__name__
-        words = _without(key, _excerpt(str(error) or kind))
+        words = _excerpt(str(error) or kind, key)
         return NoReply(words if kind in words else f"{kind}: {words}", again=True)
 
 
 def within(seconds: float, call: Callable[[], Reply | Exception]) -> Reply | Exception:
-    """Return what ``call`` returns, if it does so in time.
+    """Return what ``call`` returns if it does so in time, else a failure that may pass.
 
     The libraries' own limits are for each piece of an answer, and a server that sends a byte now
     and then can keep them waiting for ever. A call that is given up is left to itself, in a
     thread that does not keep Python from ending.
-
-    Raises:
-        NoReply: it takes longer.
     """
     box: queue.SimpleQueue[Reply | Exception] = queue.SimpleQueue()
     threading.Thread(target=lambda: box.put(call()), daemon=True).start()
@@ -204,17 +205,18 @@ def checked_variable(given: object) -> str:
 
 def _without(key: str, given: Any) -> Any:
     """Return ``given``, a text with the key hidden."""
-    if isinstance(given, str) and key != _NO_KEY:
+    if isinstance(given, str) and len(key) >= _SECRET_LENGTH:
         return given.replace(key, _HIDDEN)
     return given
 
 
-def _excerpt(body: object) -> str:
-    """Return what an answer says, or its beginning, in one line."""
+def _excerpt(body: object, key: str) -> str:
+    """Return what an answer says, or its beginning, in one line and without the key."""
     if isinstance(body, list) and len(body) == 1:
         body = body[0]
     for name in ("error", "message"):
         if isinstance(body, Mapping) and body.get(name):
             body = body[name]
-    words = " ".join(str(body).split()) or "without a word"
+    # hidden before the cut, which could leave half of it
+    words = " ".join(str(_without(key, str(body))).split()) or "without a word"
     return words if len(words) <= _EXCERPT else words[: _EXCERPT - 3] + "..."

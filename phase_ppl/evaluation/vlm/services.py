@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import numbers
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -18,6 +16,9 @@ SERVICES: Final = {"google": "google.genai", "openai": "openai"}
 """Name -> the module that it needs."""
 
 TIMEOUT: Final = 300.0
+LONGEST: Final = 86_400.0
+"""Seconds."""
+
 MAX_TEMPERATURE: Final = 2.0
 
 
@@ -37,12 +38,12 @@ def make_service(
     Raises:
         InvalidSettingError, UnknownNameError: one of them cannot be used.
     """
-    if name not in SERVICES:
+    if not isinstance(name, str) or name not in SERVICES:
         raise unknown_name("client", name, SERVICES)
     own = "base_url" in given
     settings: dict[str, Any] = {
-        "timeout": _number("timeout", given.get("timeout", TIMEOUT), math.inf, zero=False),
-        "own_server": own,
+        "timeout": _number("timeout", given.get("timeout", TIMEOUT), LONGEST, zero=False),
+        "needs_key": not own or "key_env" in given,
     }
     if "temperature" in given:
         settings["temperature"] = _number("temperature", given["temperature"], MAX_TEMPERATURE)
@@ -58,7 +59,7 @@ def make_service(
                 "client 'openai' needs name=, what the service calls the model"
             )
     if to_be_asked:
-        check_installed(f"client {name!r}", [SERVICES[str(name)]], "vlm")
+        check_installed(f"client {name!r}", [SERVICES[name]], "vlm")
     module = google_client if name == "google" else openai_client
     settings["base_url"] = checked_address(given["base_url"]) if own else module.BASE_URL
     settings["variables"] = module.VARIABLES
@@ -71,10 +72,8 @@ def make_service(
 
 def _number(name: str, value: object, most: float, zero: bool = True) -> float:
     """Return ``value`` as a float if it is a number in 0..most."""
-    if isinstance(value, numbers.Real) and not isinstance(value, bool):
-        found = float(value)
-        if math.isfinite(found) and 0 <= found <= most and (zero or found > 0):
-            return found
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if number and 0 <= value <= most and (zero or value > 0):  # type: ignore[operator]
+        return float(value)  # type: ignore[arg-type]
     least = ">= 0" if zero else "> 0"
-    limit = f" and <= {most:g}" if math.isfinite(most) else ""
-    raise InvalidSettingError(f"{name}={shown(value)}, expected a number {least}{limit}")
+    raise InvalidSettingError(f"{name}={shown(value)}, expected a number {least} and <= {most:g}")

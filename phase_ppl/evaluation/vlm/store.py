@@ -40,7 +40,7 @@ class Attempt:
 
     Attributes:
         time: when it was sent, UTC, as ISO 8601.
-        seconds: until it ended.
+        seconds: until it ended, the drawing of what was looked at included.
         text: of the answer, whether it can be read or not.
         failure: why there is no answer.
         finish, model, tokens_in, tokens_out: as of
@@ -128,11 +128,10 @@ class Store:
         except InvalidEventError as error:
             raise InvalidEventError(f"{source}: {error}") from None
 
-    def other_seeds(self, request: Mapping[str, Any]) -> list[int]:
-        """Return the seeds under which the same request has been answered."""
+    def knows(self, request: Mapping[str, Any]) -> bool:
+        """Whether the request has been answered for any seed."""
         key = self.file_of(request, 0).name.partition("-")[0]
-        names = [path.stem.partition("-")[2] for path in self.path.glob(f"{key}-*.json")]
-        return sorted(int(name) for name in names if name.isdigit())
+        return any(self.path.glob(f"{key}-*.json"))
 
     def keep(self, record: Mapping[str, Any]) -> None:
         """Write a record, in place of the one before.

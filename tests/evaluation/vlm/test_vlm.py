@@ -206,7 +206,7 @@ def test_a_replay_asks_nobody_and_draws_nothing(
     monkeypatch.setattr("phase_ppl.evaluation.vlm.film.video", None)
     silent = Says(AssertionError("asked"))
     assert predict(silent, store=tmp_path, replay=True).answers["goal_red"] == ppl.GOALS[0]
-    with pytest.raises(AnswerError, match=r"no answer to this request.*for the seed 0"):
+    with pytest.raises(AnswerError, match=r"no answer to this request.*for other seeds only"):
         predict(silent, store=tmp_path, replay=True, seed=3)
     with pytest.raises(AnswerError, match=r"no answer to this request: \w+-0\.json is missing$"):
         predict(silent, store=tmp_path, replay=True, event=still(shift=0.1))
@@ -292,6 +292,9 @@ def test_half_a_character_can_be_kept(tmp_path: Path, waits: list[float]) -> Non
         ({}, InvalidSettingError, "needs client='google', client='openai' or a function"),
         ({"client": "gogle"}, UnknownNameError, "client 'gogle'.*'google'"),
         ({"client": 3}, UnknownNameError, "client 3"),
+        ({"client": ["google"]}, UnknownNameError, "client .*google"),
+        ({"client": "google", "timeout": 10**400}, InvalidSettingError, "timeout=1000"),
+        ({"client": "google", "timeout": float("nan")}, InvalidSettingError, "timeout=nan"),
         ({"client": "openai"}, InvalidSettingError, "'openai' needs name"),
         ({"client": "google", "name": 4}, InvalidSettingError, "name=4, expected a name"),
         ({"client": "google", "show": "film"}, UnknownNameError, "show 'film'"),
