@@ -71,6 +71,15 @@ def parse_document(content: bytes) -> dict[str, Any]:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InvalidEventError(f"is not text: byte {error.start} is not UTF-8") from None
+    return parse_text(text)
+
+
+def parse_text(text: str) -> dict[str, Any]:
+    """Return the JSON object that ``text`` spells.
+
+    Raises:
+        InvalidEventError: as for :func:`parse_document`.
+    """
     if not text.strip():
         raise InvalidEventError("is empty")
     try:

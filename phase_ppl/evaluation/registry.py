@@ -63,12 +63,7 @@ class ModelInfo:
             InvalidSettingError, UnknownNameError: an option that it does not have or that
                 cannot be used; or something that it needs is not installed.
         """
-        missing = [module for module in self.needs if not _is_installed(module)]
-        if missing:
-            how = f": pip install 'phase_ppl[{self.extra}]'" if self.extra else ""
-            raise InvalidSettingError(
-                f"model {self.name!r} needs {', '.join(missing)}, which is not installed{how}"
-            )
+        check_installed(f"model {self.name!r}", self.needs, self.extra)
         try:
             inspect.signature(self.factory).bind(**options)
         except TypeError as error:
@@ -107,7 +102,22 @@ def register_model(
     return register
 
 
-def _is_installed(module: str) -> bool:
+def check_installed(what: str, needs: Sequence[str], extra: str | None) -> None:
+    """Raise InvalidSettingError where a module is missing that ``what`` needs.
+
+    Args:
+        what: as the message calls it.
+        needs: names of modules.
+        extra: of this package that brings them, if one does.
+    """
+    missing = [module for module in needs if not is_installed(module)]
+    if missing:
+        how = f": pip install 'phase_ppl[{extra}]'" if extra else ""
+        raise InvalidSettingError(f"{what} needs {', '.join(missing)}, which is not installed{how}")
+
+
+def is_installed(module: str) -> bool:
+    """Whether a module can be imported; it is not."""
     try:
         return importlib.util.find_spec(module) is not None
     except ModuleNotFoundError:  # of a submodule whose package is missing
@@ -182,7 +192,11 @@ def ready(model: str | Model | Predict, options: Mapping[str, Any]) -> ReadyMode
     details = getattr(predict, "settings", dict)
     record = {
         "model": name,
-        "options": dict(options),
+        # functions by name: the text of a partial or of an object would show what it holds
+        "options": {
+            option: qualified_name(value) if callable(value) else value
+            for option, value in options.items()
+        },
         "model_settings": details(),
         "function": qualified_name(source),
         "function_source": source_hash(source),

@@ -53,6 +53,10 @@ class QueryError(PhasePPLError, ValueError):
         return type(self), self._given
 
 
+class AnswerError(PhasePPLError, RuntimeError):
+    """A model or service that was asked and gave no answer that can be used; it says why."""
+
+
 class OutputError(PhasePPLError, OSError):
     """A result that cannot be written where it was asked for."""
 

@@ -1,0 +1,189 @@
+"""Which answers of a vision-language model are read, repaired and refused."""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
+from phase_ppl.evaluation.vlm.parser import parse
+from phase_ppl.world.errors import AnswerError
+from phase_ppl.world.goals import GOALS
+from tests.evaluation.vlm.answers import SHARES, answer, goals, text
+
+
+def test_a_good_answer_is_read_as_it_is() -> None:
+    found = parse(text())
+    assert found.repairs == ()
+    assert found.probabilities["goal_red"][:11] == pytest.approx([*SHARES, 0])
+    assert found.probabilities["goal_green"][5:15] == pytest.approx(SHARES)
+    assert found.probabilities["relation"] == pytest.approx([0.7, 0.2, 0.1])
+    assert Prediction("", found.probabilities).answers["goal_green"] == GOALS[5]
+
+
+def test_whole_numbers_are_probabilities_too() -> None:
+    sure = dict.fromkeys(GOALS[:10], 0) | {GOALS[3]: 1}
+    assert parse(text(goal_red=sure)).probabilities["goal_red"][3] == 1
+
+
+@pytest.mark.parametrize(
+    ("given", "repair"),
+    [
+        (f"```json\n{text()}\n```", "code fence removed"),
+        (f"```\n{text()}```\n", "code fence removed"),
+        (f"Here you are:\n```json\n{text()}\n```\nAny more?", "code fence and text around it"),
+        (text(Goal_Red=goals(), goal_red=None), "'Goal_Red' read as 'goal_red'"),
+        (
+            text(relation={"Friendly": 1, "neutral": 0, "adversarial": 0}),
+            "'Friendly' read as 'friendly'",
+        ),
+        (
+            text().replace("Get blue item to blue lm", "get blue  item to blue lm"),
+            "read as 'Get bl",
+        ),
+        (text(reasoning="they meet"), "'reasoning' left out"),
+    ],
+)
+def test_what_has_one_meaning_is_repaired_and_noted(given: str, repair: str) -> None:
+    found = parse(given)
+    assert len(found.repairs) == 1
+    assert repair in found.repairs[0]
+
+
+def test_every_repair_is_counted() -> None:
+    one, two = goals(), goals(5)
+    one["GET BLUE ITEM TO BLUE LM"] = one.pop(GOALS[0])
+    two[GOALS[5]] += 0.02
+    given = f"```json\n{text(goal_red=one, goal_green=two, why='so')}\n```"
+    assert len(parse(given).repairs) == 4
+
+
+def shares_of(total: float) -> dict[str, float]:
+    return {goal: share * total for goal, share in goals().items()}
+
+
+def test_a_little_that_is_missing_goes_to_the_goals_that_are_not_named() -> None:
+    found = parse(text(goal_red=shares_of(0.96)))
+    values = found.probabilities["goal_red"]
+    assert values[:10] == pytest.approx(0.96 * np.array(SHARES))
+    assert values[10:] == pytest.approx(0.04 / 26)
+    assert "0.96; the rest spread over 26 goals" in found.repairs[0]
+
+
+def test_or_is_left_out() -> None:
+    found = parse(text(goal_red=shares_of(0.96)), remaining="zero")
+    assert found.probabilities["goal_red"][:11] == pytest.approx([*SHARES, 0])
+    assert "scaled to 1" in found.repairs[0]
+
+
+def test_a_little_too_much_is_scaled() -> None:
+    found = parse(text(goal_red=shares_of(1.05)))
+    assert found.probabilities["goal_red"][:11] == pytest.approx([*SHARES, 0])
+    assert "goal_red sums to 1.05; scaled to 1" in found.repairs[0]
+
+
+def test_relations_are_scaled_since_none_is_unnamed() -> None:
+    found = parse(text(relation={"friendly": 0.33, "neutral": 0.33, "adversarial": 0.33}))
+    assert found.probabilities["relation"] == pytest.approx([1 / 3] * 3)
+
+
+def without_one() -> dict[str, float]:
+    return dict(list(goals().items())[1:])
+
+
+def renamed(name: str) -> dict[str, float]:
+    return {name if goal == GOALS[0] else goal: share for goal, share in goals().items()}
+
+
+REFUSED: dict[str, tuple[str, str]] = {
+    "empty": ("", "is empty"),
+    "spaces": (" \n", "is empty"),
+    "an empty fence": ("```json\n\n```", "is empty"),
+    "a refusal": ("I'm sorry, I cannot help with that.", r"not JSON.*it begins \"I'm sorry"),
+    "a refusal like a pickle": ("cannot\n", "not JSON"),
+    "cut": (text()[:200], "not JSON: line 1"),
+    "text before": (f"Here you are: {text()}", "not JSON"),
+    "two fences": (f"```json\n{text()}\n```\nor\n```json\n{text()}\n```", "2 blocks of code"),
+    "a list": ("[1, 2]", "expected a JSON object"),
+    "a number": ("3", "expected a JSON object"),
+    "nested deeply": ("[" * 100_000, "nested too deeply|not JSON"),
+    "NaN": (text().replace("0.4", "NaN", 1), "holds NaN"),
+    "infinity": (text().replace("0.4", "1e999", 1), "holds 1e999"),
+    "a goal twice": (
+        text().replace(GOALS[1], GOALS[0], 1),
+        "gives 'Get blue item to blue lm' twice",
+    ),
+    "a goal twice in other letters": (
+        text(goal_red=renamed(GOALS[1].upper())),
+        f"goal_red gives '{GOALS[1]}' twice",
+    ),
+    "a question twice": (text(Goal_red=goals()), "gives goal_red twice"),
+    "no relation": (text(relation=None), "lacks relation; it has 'goal_red', 'goal_green'"),
+    "nothing in it": ("{}", "lacks goal_red, goal_green, relation; it has nothing"),
+    "goals as a list": (text(goal_red=list(goals())), "goal_red is .*expected names with"),
+    "nine goals": (text(goal_red=without_one()), "goal_red has 9 entries, expected exactly 10"),
+    "eleven goals": (
+        text(goal_green={**goals(), GOALS[20]: 0}),
+        "goal_green has 11 entries, expected exactly 10",
+    ),
+    "two relations": (
+        text(relation={"friendly": 0.5, "neutral": 0.5}),
+        "relation has 2 entries, expected exactly 3",
+    ),
+    "an unknown goal": (
+        text(goal_red=renamed("Get blue ball to blue lm")),
+        "unknown goal 'Get blue ball to blue lm'; did you mean 'Get blue item to blue lm'",
+    ),
+    "an unknown relation": (
+        text(relation={"friendly": 0.5, "neutral": 0.3, "hostile": 0.2}),
+        "unknown relation 'hostile'; allowed",
+    ),
+    "negative": (text(goal_red=goals() | {GOALS[9]: -0.01}), r"has -0\.01, expected a number"),
+    "percent": (text(goal_red=goals() | {GOALS[0]: 40}), "has 40, expected a number from 0 to 1"),
+    "huge": (text(goal_red=goals() | {GOALS[0]: 10**300}), "expected a number from 0 to 1"),
+    "text for a number": (text(goal_red=goals() | {GOALS[0]: "0.4"}), "has '0.4', expected"),
+    "true for a number": (text(goal_red=goals() | {GOALS[0]: True}), "has True, expected"),
+    "null for a number": (text(goal_red=goals() | {GOALS[0]: None}), "has None, expected"),
+    "sums far below 1": (text(goal_red=shares_of(0.9)), "goal_red sums to 0.9, expected 1"),
+    "sums far above 1": (text(goal_red=shares_of(1.2)), "goal_red sums to 1.2, expected 1"),
+    "relations beyond 1": (
+        text(relation={"friendly": 1, "neutral": 0.5, "adversarial": 0}),
+        "relation sums to 1.5",
+    ),
+    "half a character": (text(goal_red=renamed("\ud800")), "unknown goal"),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_cannot_be_read_without_guessing_is_refused(name: str) -> None:
+    given, reason = REFUSED[name]
+    with pytest.raises(AnswerError) as caught:
+        parse(given)
+    assert re.search(reason, str(caught.value), re.DOTALL), caught.value
+    assert len(str(caught.value)) < 400
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.data())
+def test_whatever_comes_is_probabilities_or_refused(data: Any) -> None:
+    values = st.none() | st.booleans() | st.floats() | st.just("0.4") | st.integers()
+    names = st.sampled_from([*GOALS[:12], "friendly", "Neutral", "x"])
+    part = values | st.dictionaries(names, values, max_size=12) | st.just(goals())
+    given_answer = answer()
+    for key in data.draw(st.sets(st.sampled_from([*QUESTIONS, "more"]))):
+        given_answer[key] = data.draw(part)
+    try:
+        found = parse(json.dumps(given_answer))
+    except AnswerError:
+        return
+    for question, labels in QUESTIONS.items():
+        shares = found.probabilities[question]
+        assert shares.shape == (len(labels),)
+        assert (shares >= 0).all()
+        assert shares.sum() == pytest.approx(1)

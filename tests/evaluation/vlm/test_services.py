@@ -1,0 +1,345 @@
+"""Google's and OpenAI's libraries against a server on this machine that misbehaves."""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import email.utils
+import logging
+import re
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import pytest
+
+from phase_ppl.evaluation.registry import is_installed, ready
+from phase_ppl.evaluation.vlm.film import Film, Picture
+from phase_ppl.evaluation.vlm.request import NoReply, Request
+from phase_ppl.evaluation.vlm.service import Service, seconds_to_wait
+from phase_ppl.evaluation.vlm.services import SERVICES, make_service
+from phase_ppl.world.errors import InvalidSettingError
+from tests.evaluation.toys import still
+from tests.evaluation.vlm.answers import from_google, from_openai
+from tests.evaluation.vlm.server import (
+    Server,
+    breaks_off,
+    drips,
+    hangs_up,
+    running,
+    says_nothing,
+    sends,
+)
+
+KEY = "sk-secret-0123456789abcdef"
+VARIABLES = ("GOOGLE_API_KEY", "GEMINI_API_KEY", "OPENAI_API_KEY")
+ENVELOPES: dict[str, Callable[..., Any]] = {"google": from_google, "openai": from_openai}
+HERE = {name: is_installed(module) for name, module in SERVICES.items()}
+
+
+class Asked(NamedTuple):
+    """A service and the server that stands for it."""
+
+    name: str
+    server: Server
+
+    def service(self, timeout: float = 20.0, **more: Any) -> Service:
+        given = {"base_url": self.server.url, "timeout": timeout, **more}
+        show = given.pop("show", None)
+        return make_service(self.name, "the-model", show, given, to_be_asked=True)
+
+    def envelope(self, content: str | None, **more: Any) -> Any:
+        return ENVELOPES[self.name](content, **more)
+
+    def failure(self, *behaviours: Any, timeout: float = 20.0) -> NoReply:
+        """Return the failure that comes of what the server does."""
+        self.server.behaviours = list(behaviours)
+        with pytest.raises(NoReply) as caught:
+            self.service(timeout)(request())
+        return caught.value
+
+
+@pytest.fixture(scope="module")
+def listening() -> Iterator[Server]:
+    with running() as server:
+        yield server
+
+
+@pytest.fixture
+def server(listening: Server, monkeypatch: pytest.MonkeyPatch) -> Server:
+    for variable in VARIABLES:
+        monkeypatch.delenv(variable, raising=False)
+    monkeypatch.setenv("OPENAI_API_KEY", KEY)
+    monkeypatch.setenv("GEMINI_API_KEY", KEY)
+    listening.seen.clear()
+    return listening
+
+
+def installed(name: str, server: Server) -> Asked:
+    if not HERE[name]:
+        pytest.skip(f"{SERVICES[name]} is not installed (extra vlm)")
+    return Asked(name, server)
+
+
+@pytest.fixture(params=list(SERVICES))
+def asked(request: pytest.FixtureRequest, server: Server) -> Asked:
+    return installed(request.param, server)
+
+
+@pytest.fixture
+def google(server: Server) -> Asked:
+    return installed("google", server)
+
+
+@pytest.fixture
+def openai(server: Server) -> Asked:
+    return installed("openai", server)
+
+
+def request() -> Request:
+    event = still()
+    film = Film(event.scene, event.observation, 2)
+    film.video = b"a video"  # type: ignore[misc]
+    film.pictures = (Picture(0.0, b"first"), Picture(0.5, b"last"))  # type: ignore[misc]
+    return Request("What do they want?", "the-model", film)
+
+
+def test_an_answer_comes_back_with_what_the_service_counts(asked: Asked) -> None:
+    asked.server.behaviours = [sends(asked.envelope("{}"))]
+    reply = asked.service()(request())
+    assert (reply.text, reply.model) == ("{}", "the-model-001")
+    assert reply.finish is not None
+    assert reply.finish.lower() == "stop"
+    assert (reply.tokens_in, reply.tokens_out) == (1000, 230)
+    assert len(asked.server.seen) == 1
+
+
+def test_google_gets_the_video_then_the_question(google: Asked) -> None:
+    google.server.behaviours = [sends(google.envelope("{}"))]
+    google.service(video_fps=5, temperature=0.5)(request())
+    seen = google.server.seen[0]
+    assert seen.path.endswith("/models/the-model:generateContent")
+    assert KEY not in seen.path
+    assert seen.headers["x-goog-api-key"] == KEY
+    video, question = seen.body["contents"][0]["parts"]
+    assert "video/mp4" in video["inlineData"].values()
+    data = video["inlineData"]["data"].replace("-", "+").replace("_", "/")
+    assert base64.b64decode(data) == b"a video"
+    assert video["videoMetadata"] == {"fps": 5.0}
+    assert question == {"text": "What do they want?"}
+    assert seen.body["generationConfig"] == {"temperature": 0.5}
+
+
+def test_google_gets_pictures_on_request_and_its_own_settings_else(google: Asked) -> None:
+    google.server.behaviours = [sends(google.envelope("{}"))]
+    google.service(show="pictures")(request())
+    parts = google.server.seen[0].body["contents"][0]["parts"]
+    assert [part.get("text") for part in parts] == [
+        "0 s",
+        None,
+        "0.5 s",
+        None,
+        "What do they want?",
+    ]
+    assert "image/png" in parts[1]["inlineData"].values()
+    assert not google.server.seen[0].body.get("generationConfig")
+
+
+def test_openai_gets_pictures_with_their_times_then_the_question(openai: Asked) -> None:
+    openai.server.behaviours = [sends(openai.envelope("{}"))]
+    openai.service()(request())
+    seen = openai.server.seen[0]
+    assert seen.path == "/chat/completions"
+    assert seen.headers["authorization"] == f"Bearer {KEY}"
+    assert set(seen.body) == {"model", "messages", "stream"}
+    parts = seen.body["messages"][0]["content"]
+    assert [part.get("text") for part in parts] == [
+        "0 s",
+        None,
+        "0.5 s",
+        None,
+        "What do they want?",
+    ]
+    first = parts[1]["image_url"]["url"]
+    assert first == "data:image/png;base64," + base64.b64encode(b"first").decode()
+
+
+def test_too_many_requests_say_when_to_come_back(asked: Asked) -> None:
+    found = asked.failure(sends({"error": {"message": "slow down"}}, 429, retry_after="7"))
+    assert (found.again, found.wait) == (True, 7.0)
+    assert str(found) == "HTTP 429: slow down"
+    assert len(asked.server.seen) == 1, "the library tried again by itself"
+
+
+def test_google_says_it_in_the_body_too(google: Asked) -> None:
+    retry = {"@type": "type.googleapis.com/google.rpc.RetryInfo", "retryDelay": "34.5s"}
+    found = google.failure(sends({"error": {"code": 429, "message": "m", "details": [retry]}}, 429))
+    assert found.wait == 34.5
+
+
+@pytest.mark.parametrize("status", [500, 503])
+def test_a_failure_of_the_server_may_pass(asked: Asked, status: int) -> None:
+    found = asked.failure(sends("<h1>Oh dear</h1>", status, "text/html"))
+    assert (found.again, found.wait) == (True, None)
+    assert f"HTTP {status}" in str(found)
+    assert "Oh dear" in str(found)
+
+
+def test_a_bad_request_stays_bad(asked: Asked) -> None:
+    found = asked.failure(sends({"error": {"message": "video too long"}}, 400))
+    assert not found.again
+    assert str(found) == "HTTP 400: video too long"
+
+
+@pytest.mark.parametrize("status", [401, 403])
+def test_a_refused_key_ends_it_and_is_not_shown(asked: Asked, status: int) -> None:
+    masked = f"{KEY[:8]}***{KEY[-4:]}"
+    asked.server.behaviours = [sends({"error": {"message": f"bad key {masked}"}}, status)]
+    with pytest.raises(InvalidSettingError, match=r"_API_KEY is refused") as caught:
+        asked.service()(request())
+    assert masked not in str(caught.value)
+
+
+def test_a_key_that_google_calls_invalid_is_refused_too(google: Asked) -> None:
+    details = [{"reason": "API_KEY_INVALID", "domain": "googleapis.com"}]
+    body = {"error": {"code": 400, "message": "API key not valid.", "details": details}}
+    google.server.behaviours = [sends(body, 400)]
+    with pytest.raises(InvalidSettingError, match="is refused"):
+        google.service()(request())
+
+
+def test_an_unknown_model_is_a_setting(asked: Asked) -> None:
+    asked.server.behaviours = [sends({"error": {"message": "no such model"}}, 404)]
+    with pytest.raises(InvalidSettingError, match=r"404 to name='the-model': no such model"):
+        asked.service()(request())
+
+
+@pytest.mark.parametrize(
+    "behaviour",
+    [
+        sends("<html>Welcome</html>", content_type="text/html"),
+        sends("not json", content_type="application/json"),
+        sends("[1, 2]"),
+        hangs_up,
+        breaks_off(from_openai("{}")),
+    ],
+    ids=["a page", "no JSON", "a list", "nothing", "half an answer"],
+)
+def test_what_is_no_answer_may_be_one_the_next_time(asked: Asked, behaviour: Any) -> None:
+    found = asked.failure(behaviour)
+    assert found.again
+    assert len(str(found)) < 300
+
+
+@pytest.mark.parametrize("behaviour", [says_nothing(1.0), drips(1.0)], ids=["silent", "dripping"])
+def test_an_answer_that_takes_too_long_is_given_up(asked: Asked, behaviour: Any) -> None:
+    asked.service()  # imports the library
+    found = asked.failure(behaviour, timeout=0.4)
+    assert found.again
+    assert re.search(r"0\.4 s|[Tt]imeout|timed out", str(found))
+
+
+def test_nobody_listens(asked: Asked) -> None:
+    with pytest.raises(NoReply) as caught:
+        asked.service(base_url="http://127.0.0.1:9")(request())
+    assert caught.value.again
+
+
+def test_a_redirection_does_not_take_the_key_along(asked: Asked) -> None:
+    with running() as other:
+        other.behaviours = [sends(asked.envelope("{}"))]
+        elsewhere = other.url.replace("127.0.0.1", "localhost") + "/"
+        asked.server.behaviours = [sends("", 307, location=elsewhere)]
+        with contextlib.suppress(NoReply):  # openai's library follows, without the key
+            asked.service()(request())
+        assert all(KEY not in str(seen.headers) for seen in other.seen)
+
+
+@pytest.mark.parametrize("content", [None, ""])
+def test_a_text_that_is_missing_is_empty_and_says_why(asked: Asked, content: str | None) -> None:
+    finish = {"google": "SAFETY", "openai": "content_filter"}[asked.name]
+    asked.server.behaviours = [sends(asked.envelope(content, finish=finish))]
+    reply = asked.service()(request())
+    assert (reply.text, reply.finish) == ("", finish)
+
+
+def test_refusals_are_told_apart(asked: Asked) -> None:
+    bodies = {
+        "google": {"promptFeedback": {"blockReason": "PROHIBITED_CONTENT"}},
+        "openai": from_openai(None, refusal="I will not."),
+    }
+    asked.server.behaviours = [sends(bodies[asked.name])]
+    reply = asked.service()(request())
+    assert reply.text == ""
+    expected = {"google": "blocked: PROHIBITED_CONTENT", "openai": "refusal: I will not."}
+    assert reply.finish == expected[asked.name]
+
+
+def test_no_key_is_said_before_anything_is_sent(
+    asked: Asked, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for variable in VARIABLES:
+        monkeypatch.delenv(variable, raising=False)
+    service = make_service(asked.name, "the-model", None, {}, to_be_asked=True)
+    with pytest.raises(InvalidSettingError, match=r"needs its key in the environment variable"):
+        service(request())
+
+
+def test_a_server_of_ones_own_may_need_no_key(
+    asked: Asked, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for variable in VARIABLES:
+        monkeypatch.delenv(variable, raising=False)
+    asked.server.behaviours = [sends(asked.envelope("none at all"))]
+    assert asked.service()(request()).text == "none at all"
+    monkeypatch.setenv("MY_KEY", "all")
+    with pytest.raises(InvalidSettingError, match=r"variable NO_KEY$"):
+        asked.service(key_env="NO_KEY")(request())
+    reply = asked.service(key_env="MY_KEY")(request())
+    assert "all" in str(asked.server.seen[1].headers)
+    assert reply.text == "none at all", "what is no secret was hidden"
+
+
+def test_a_key_that_cannot_be_one_is_not_sent(
+    asked: Asked, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MY_KEY", "two\nlines-of-secret")
+    with pytest.raises(InvalidSettingError, match="MY_KEY has characters") as caught:
+        asked.service(key_env="MY_KEY")(request())
+    assert "secret" not in str(caught.value)
+
+
+def test_the_key_is_in_nothing_that_comes_back(
+    asked: Asked, caplog: pytest.LogCaptureFixture
+) -> None:
+    echo = {"error": {"message": f"you sent {KEY}"}}
+    at_the_cut = {"error": {"message": "x" * 190 + KEY}}
+    service = asked.service()
+    shown = [repr(service), str(service.named()), repr(ready("vlm", {"client": service.__call__}))]
+    with caplog.at_level(logging.DEBUG):
+        for behaviour in (
+            sends(echo, 500),
+            sends(echo, 400),
+            sends(echo, 404),
+            sends(at_the_cut, 500),
+            sends(KEY),
+        ):
+            asked.server.behaviours = [behaviour]
+            with pytest.raises((NoReply, InvalidSettingError)) as caught:
+                service(request())
+            shown.append("".join(traceback.format_exception(caught.value)))
+        asked.server.behaviours = [sends(asked.envelope(f"the key is {KEY}"))]
+        reply = service(request())
+    assert reply.text == "the key is [key]"
+    assert KEY[:8] not in "".join([*shown, repr(reply), caplog.text])
+
+
+def test_a_date_says_when_to_come_back() -> None:
+    at = email.utils.formatdate(time.time() + 30, usegmt=True)
+    found = seconds_to_wait({"retry-after": at})
+    assert found is not None
+    assert 25 < found <= 30
+    assert seconds_to_wait({"retry-after": "Thu, 01 Jan 1970 00:00:00 GMT"}) == 0
+    assert seconds_to_wait({"retry-after": "soon"}) is None
+    assert seconds_to_wait({}) is None

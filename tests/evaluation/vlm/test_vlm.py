@@ -1,0 +1,446 @@
+"""The model vlm: asked, asked again, kept, replayed, and what a wrong setting gets to hear."""
+
+from __future__ import annotations
+
+import functools
+import io
+import json
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import phase_ppl as ppl
+from phase_ppl.cli import main
+from phase_ppl.evaluation import registry
+from phase_ppl.evaluation.models.vlm import vlm
+from phase_ppl.evaluation.prediction import Prediction
+from phase_ppl.evaluation.vlm import asking
+from phase_ppl.evaluation.vlm.model import ANSWER
+from phase_ppl.evaluation.vlm.request import NoReply, Reply, Request
+from phase_ppl.world.errors import (
+    AnswerError,
+    InvalidEventError,
+    InvalidSettingError,
+    OutputError,
+    UnknownNameError,
+)
+from tests.evaluation.toys import still
+from tests.evaluation.vlm.answers import from_openai, goals, text
+from tests.evaluation.vlm.server import running, sends
+
+EVENT = still()
+
+
+class Says:
+    """Answers by one thing after the other, the last for ever; exceptions are raised."""
+
+    def __init__(self, *what: Any) -> None:
+        self.what = what
+        self.asked: list[Request] = []
+
+    def __call__(self, request: Request) -> Any:
+        self.asked.append(request)
+        found = self.what[min(len(self.asked), len(self.what)) - 1]
+        if isinstance(found, Exception):
+            raise found
+        return found
+
+
+@pytest.fixture
+def waits(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    found: list[float] = []
+    monkeypatch.setattr(asking, "pause", found.append)
+    return found
+
+
+def predict(client: Any, seed: int = 0, event: ppl.Event = EVENT, **options: Any) -> Prediction:
+    model = vlm(client=client, name="toy", **options)
+    given = model(event.scene, event.observation, seed).given
+    assert isinstance(given, Prediction)
+    return given
+
+
+def files(folder: Path) -> list[Path]:
+    return sorted(folder.glob("*.json"))
+
+
+# --- what is asked ---------------------------------------------------------------------------
+
+
+def test_a_function_gets_the_question_the_video_and_pictures() -> None:
+    client = Says(text())
+    found = predict(client, event=still(n_frames=4), frames=3)
+    (request,) = client.asked
+    assert found.answers["goal_red"] == ppl.GOALS[0]
+    assert request.model == "toy"
+    assert request.video[4:8] == b"ftyp"
+    assert [picture.seconds for picture in request.pictures] == [0, 0.5, 0.75]
+    shown = np.asarray(Image.open(io.BytesIO(request.pictures[0].png)))
+    assert shown.shape == (480, 640, 3)
+    red, landmark = shown[240, 160], shown[100, 170]
+    assert tuple(red) == (255, 0, 0)
+    assert tuple(landmark) == (45, 45, 180)
+
+
+def test_the_prompt_has_the_content_of_the_papers() -> None:
+    client = Says(text())
+    predict(client)
+    predict(client, show="pictures")
+    video, pictures = (request.prompt for request in client.asked)
+    for words in (*ppl.GOALS, "friendly", "neutral", "adversarial", "exactly 10", "JSON"):
+        assert words in video
+    assert "heavier" in video
+    assert video.startswith("The video")
+    assert pictures.startswith("The 3 pictures are frames of one animation of 0.5 seconds")
+    assert "{{" not in video, "a brace of the template was left"
+
+
+def test_the_model_sees_nothing_but_the_animation() -> None:
+    client, other = Says(text()), Says(text())
+    predict(client)
+    changed = still("another", truth=None, judgments={"secret": 1})
+    predict(other, event=changed)
+    assert client.asked[0].prompt == other.asked[0].prompt
+    assert client.asked[0].pictures == other.asked[0].pictures
+
+
+# --- asking again ----------------------------------------------------------------------------
+
+
+def test_an_answer_that_cannot_be_read_is_asked_for_again(waits: list[float]) -> None:
+    client = Says("no", text(relation=None), Reply(f"```json\n{text()}\n```", tokens_in=5))
+    cost = predict(client).cost
+    assert len(client.asked) == 3
+    assert waits == [], "only failures are worth waiting"
+    seconds = cost["answer_seconds"]
+    expected = {"requests": 3, "failures": 0, "refused": 2, "repairs": 1, "from_store": False}
+    assert cost == {**expected, "tokens_in": 5, "answer_seconds": seconds}
+
+
+def test_failures_that_may_pass_are_waited_for_ever_longer(waits: list[float]) -> None:
+    busy = NoReply("HTTP 500", again=True)
+    asked_for = NoReply("HTTP 429", again=True, wait=33.0)
+    client = Says(busy, busy, asked_for, TimeoutError("slow"), ConnectionError("gone"), text())
+    cost = predict(client, retries=5).cost
+    assert waits == [2, 4, 33, 16, 32]
+    assert (cost["requests"], cost["failures"], cost["refused"]) == (6, 5, 0)
+
+
+@pytest.mark.parametrize(
+    ("says", "retries", "asked", "reason"),
+    [
+        (NoReply("HTTP 503", again=True), 2, 3, "in 3 requests; the last: HTTP 503"),
+        (NoReply("HTTP 400: no"), 4, 1, "in 1 request; the last: HTTP 400: no"),
+        (NoReply("HTTP 429", again=True, wait=3600), 4, 1, "wait 3600 s, longer than 120"),
+        (Reply("", finish="SAFETY"), 1, 2, r"the answer is empty \(ended by: SAFETY\)"),
+        (Reply(text()[:99], finish="MAX_TOKENS"), 0, 1, r"not JSON.*MAX_TOKENS"),
+        (b"bytes", 4, 1, "the client returned b'bytes', expected text"),
+    ],
+)
+def test_there_is_a_limit(
+    waits: list[float], says: Any, retries: int, asked: int, reason: str
+) -> None:
+    client = Says(says)
+    with pytest.raises(AnswerError, match=reason):
+        predict(client, retries=retries)
+    assert len(client.asked) == asked
+
+
+def test_an_error_of_the_function_itself_is_not_hidden() -> None:
+    with pytest.raises(ZeroDivisionError):
+        predict(Says(ZeroDivisionError()))
+
+
+# --- kept and replayed -----------------------------------------------------------------------
+
+
+def test_a_stored_answer_is_not_asked_for_again(tmp_path: Path, waits: list[float]) -> None:
+    first, second = Says(TimeoutError("slow"), "no", Reply(text(), tokens_out=7)), Says(text())
+    before = predict(first, store=tmp_path)
+    after = predict(second, store=tmp_path)
+    assert second.asked == []
+    assert np.array_equal(before.probabilities["goal_red"], after.probabilities["goal_red"])
+    assert after.cost == {**before.cost, "from_store": True}
+    (file,) = files(tmp_path)
+    record = json.loads(file.read_text())
+    assert record["request"]["model"] == "toy"
+    assert record["prompt"] == first.asked[0].prompt
+    assert [sorted(attempt) for attempt in record["attempts"]] == [
+        ["failure", "seconds", "time"],
+        ["seconds", "text", "time"],
+        ["seconds", "text", "time", "tokens_out"],
+    ]
+
+
+def test_another_question_seed_or_model_is_asked_anew(tmp_path: Path) -> None:
+    client = Says(text())
+    ask = functools.partial(predict, client, store=tmp_path)
+    changes: Sequence[dict[str, Any]] = (
+        {},
+        {"seed": 1},
+        {"event": still(shift=0.1)},
+        {"show": "pictures"},
+        {"frames": 2},
+    )
+    for change in changes:
+        ask(**change)
+    vlm(client=client, name="other", store=tmp_path)(EVENT.scene, EVENT.observation, 0)
+    assert len(client.asked) == len(files(tmp_path)) == len(changes) + 1
+    for change in changes:
+        ask(**change)
+    assert len(client.asked) == len(changes) + 1
+
+
+def test_a_replay_asks_nobody_and_draws_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    predict(Says(text()), store=tmp_path)
+    monkeypatch.setattr("phase_ppl.evaluation.vlm.film.video", None)
+    silent = Says(AssertionError("asked"))
+    assert predict(silent, store=tmp_path, replay=True).answers["goal_red"] == ppl.GOALS[0]
+    with pytest.raises(AnswerError, match=r"no answer to this request.*for other seeds only"):
+        predict(silent, store=tmp_path, replay=True, seed=3)
+    with pytest.raises(AnswerError, match=r"no answer to this request: \w+-0\.json is missing$"):
+        predict(silent, store=tmp_path, replay=True, event=still(shift=0.1))
+
+
+def test_answers_that_cannot_be_read_are_kept_and_say_so_again(
+    tmp_path: Path, waits: list[float]
+) -> None:
+    with pytest.raises(AnswerError, match="is empty"):
+        predict(Says("no", ""), store=tmp_path, retries=1)
+    with pytest.raises(AnswerError, match=r"\.json has no answer that can be used.*is empty"):
+        predict(Says(text()), store=tmp_path, replay=True)
+    found = predict(Says(text()), store=tmp_path)
+    assert (found.cost["requests"], found.cost["refused"]) == (3, 2)
+    assert predict(Says(""), store=tmp_path, replay=True).cost["requests"] == 3
+
+
+def test_how_the_rest_is_treated_is_decided_when_an_answer_is_read(tmp_path: Path) -> None:
+    short = {goal: 0.96 * share for goal, share in goals().items()}
+    spread = predict(Says(text(goal_red=short)), store=tmp_path)
+    zero = predict(Says(), store=tmp_path, remaining="zero")
+    assert spread.probabilities["goal_red"][35] > 0
+    assert zero.probabilities["goal_red"][35] == 0
+
+
+def other_request(record: dict[str, Any]) -> None:
+    record["request"]["model"] = "another"
+
+
+def nonsense(record: dict[str, Any]) -> None:
+    record["attempts"] = [{"time": "now"}]
+
+
+def other_schema(record: dict[str, Any]) -> None:
+    record["schema"] = "x"
+
+
+def no_list(record: dict[str, Any]) -> None:
+    record["attempts"] = None
+
+
+def text_as_number(record: dict[str, Any]) -> None:
+    record["attempts"][0]["text"] = 3
+
+
+@pytest.mark.parametrize(
+    ("damage", "reason"),
+    [
+        (other_request, "another request: model is 'toy', was 'another'"),
+        (nonsense, "an attempt is .* expected time, seconds"),
+        (other_schema, "its schema is 'x'"),
+        (no_list, "attempts is None"),
+        (text_as_number, "an attempt has text=3"),
+    ],
+)
+def test_a_damaged_store_names_the_file(
+    tmp_path: Path, damage: Callable[[dict[str, Any]], None], reason: str
+) -> None:
+    predict(Says(text()), store=tmp_path)
+    (file,) = files(tmp_path)
+    record = json.loads(file.read_text())
+    damage(record)
+    file.write_text(json.dumps(record))
+    with pytest.raises(InvalidEventError, match=rf"{file.name}: .*{reason}"):
+        predict(Says(text()), store=tmp_path)
+    file.write_text("{")
+    with pytest.raises(InvalidEventError, match=rf"{file.name}: is not JSON"):
+        predict(Says(text()), store=tmp_path)
+
+
+def test_half_a_character_can_be_kept(tmp_path: Path, waits: list[float]) -> None:
+    with pytest.raises(AnswerError, match="not JSON"):
+        predict(Says("\ud800"), store=tmp_path, retries=0)
+    assert len(files(tmp_path)) == 1
+
+
+# --- settings --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "reason"),
+    [
+        ({}, InvalidSettingError, "needs client='google', client='openai' or a function"),
+        ({"client": "gogle"}, UnknownNameError, "client 'gogle'.*'google'"),
+        ({"client": 3}, UnknownNameError, "client 3"),
+        ({"client": ["google"]}, UnknownNameError, "client .*google"),
+        ({"client": "google", "timeout": 10**400}, InvalidSettingError, "timeout=1000"),
+        ({"client": "google", "timeout": float("nan")}, InvalidSettingError, "timeout=nan"),
+        ({"client": "openai"}, InvalidSettingError, "'openai' needs name"),
+        ({"client": "google", "name": 4}, InvalidSettingError, "name=4, expected a name"),
+        ({"client": "google", "show": "film"}, UnknownNameError, "show 'film'"),
+        ({"client": "google", "timeout": 0}, InvalidSettingError, "timeout=0, expected.*> 0"),
+        ({"client": "google", "temperature": 3}, InvalidSettingError, "temperature=3.*<= 2"),
+        ({"client": "google", "video_fps": 25}, InvalidSettingError, "video_fps=25.*<= 24"),
+        ({"client": "google", "retries": -1}, InvalidSettingError, "retries=-1"),
+        ({"client": "google", "frames": 1}, InvalidSettingError, "frames=1.*>= 2"),
+        ({"client": "google", "remaining": "half"}, UnknownNameError, "remaining 'half'"),
+        ({"client": "google", "replay": "yes"}, InvalidSettingError, "replay='yes'"),
+        ({"client": "google", "replay": True}, InvalidSettingError, "store is not given"),
+        ({"client": "google", "base_url": "server"}, InvalidSettingError, "base_url='server'"),
+        (
+            {"client": "openai", "name": "m", "show": "video"},
+            InvalidSettingError,
+            "takes pictures only",
+        ),
+        (
+            {"client": "openai", "name": "m", "video_fps": 2},
+            InvalidSettingError,
+            "video_fps is for the video that Google gets",
+        ),
+        ({"client": Says(), "name": "m", "timeout": 3}, InvalidSettingError, "timeout: for serv"),
+        ({"client": Says()}, InvalidSettingError, "Says has no name of its own"),
+        ({"client": lambda request: ""}, InvalidSettingError, "lambda.* has no name"),
+    ],
+)
+def test_a_wrong_setting_is_named(options: Any, error: type[Exception], reason: str) -> None:
+    with pytest.raises(error, match=reason):
+        registry.model_info("vlm").make(**options)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"key_env": "sk-oops-secret"},
+        {"base_url": "https://user:secret@server/v1"},
+        {"base_url": "https://server/v1?key=secret"},
+    ],
+)
+def test_a_secret_among_the_settings_is_refused_and_not_shown(options: Any) -> None:
+    with pytest.raises(InvalidSettingError) as caught:
+        vlm(client="google", **options)
+    assert "secret" not in str(caught.value)
+
+
+def test_without_the_extra_only_functions_and_replays_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(registry, "is_installed", lambda module: False)
+    for client, module in (("google", "google.genai"), ("openai", "openai")):
+        with pytest.raises(
+            InvalidSettingError, match=rf"needs {module}, .*pip install 'phase_ppl\[vlm\]'"
+        ):
+            vlm(client=client, name="m")
+    predict(Says(text()), store=tmp_path)
+    vlm(client="google", store=tmp_path, replay=True)
+
+
+def test_the_store_is_a_folder(tmp_path: Path) -> None:
+    file = tmp_path / "answers"
+    file.touch()
+    with pytest.raises(OutputError, match="is a file, expected a folder"):
+        vlm(client=Says(), name="m", store=file)
+
+
+def test_asking_for_models_loads_no_library_of_a_service() -> None:
+    code = (
+        "import sys, phase_ppl as ppl; assert 'vlm' in ppl.available_models(); "
+        "assert not {'openai', 'google.genai', 'jax', 'PIL'} & set(sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+
+
+# --- in an evaluation ------------------------------------------------------------------------
+
+
+def same_for_all(request: Request) -> str:
+    """Answer the same whatever is shown."""
+    return text()
+
+
+def test_an_evaluation_keeps_the_answers_with_their_repairs(tmp_path: Path) -> None:
+    client = functools.partial(Says(f"```\n{text()}\n```"))
+    found = ppl.evaluate(
+        EVENT, "vlm", out=tmp_path, progress=False, client=client, name="m", store=tmp_path / "s"
+    )
+    assert found.predictions["still"].cost["repairs"] == 1
+    (kept,) = tmp_path.glob(f"events/*/{ANSWER}")
+    record = json.loads(kept.read_text())
+    assert record["repairs"] == ["code fence removed"]
+    assert record["remaining"] == "spread"
+    assert found.settings["options"]["client"] == "functools.partial"
+
+
+def test_an_evaluation_goes_on_after_an_event_without_an_answer(waits: list[float]) -> None:
+    client = Says("no", text())
+    events = [still("a", 4), still("b", 3)]
+    found = ppl.evaluate(events, "vlm", progress=False, client=client, name="m", retries=0)
+    assert list(found.predictions) == ["b"]
+    assert "no answer that can be used" in found.failures["a"]
+
+
+def test_an_evaluation_repeats_without_network(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    events = [still("a", 4), still("b", 3)]
+    options: dict[str, Any] = {"client": same_for_all, "store": tmp_path}
+    before = ppl.evaluate(events, "vlm", progress=False, **options)
+    monkeypatch.setattr(socket, "socket", None)
+    after = ppl.evaluate(events, "vlm", progress=False, replay=True, **options)
+    assert before.metrics["goal_accuracy"] == after.metrics["goal_accuracy"]
+    assert len(files(tmp_path)) == 2
+
+
+def test_the_command_asks_a_service_and_writes_its_key_nowhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if not registry.is_installed("openai"):
+        pytest.skip("openai is not installed (extra vlm)")
+    key = "sk-never-written-0123456789"
+    monkeypatch.setenv("OPENAI_API_KEY", key)
+    ppl.save_events([still("a", 4), still("b", 3)], tmp_path / "events.json")
+    with running() as server:
+        echo = from_openai(f"```json\n{text(key=key)}\n```")
+        server.behaviours = [sends(echo), sends({"error": f"bad {key}"}, 400)]
+        asked = ["evaluate", str(tmp_path / "events.json"), "--model", "vlm", "--quiet"]
+        asked += ["--option", "client=openai", "--option", "name=the-model", "--no-figures"]
+        asked += ["--option", f"store={tmp_path / 'store'}"]
+        asked += ["--option", f"base_url={server.url}"]
+        first = main([*asked, "--out", str(tmp_path / "one")])
+        again = main([*asked, "--option", "replay=true", "--out", str(tmp_path / "two")])
+    assert (first, again) == (1, 1), "one event has no answer"
+    assert len(server.seen) == 2
+    assert key in str(server.seen[0].headers)
+    written = [path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()]
+    assert any(b"the-model-001" in content for content in written)
+    assert not any(key.encode() in content for content in written)
+    printed = capsys.readouterr()
+    assert key not in printed.out + printed.err
+    predictions = [
+        json.loads((path / "prediction.json").read_text())
+        for path in sorted(tmp_path.glob("*/events/0000-a"))
+    ]
+    assert predictions[0]["probabilities"] == predictions[1]["probabilities"]
+    assert predictions[0]["cost"]["repairs"] == 2
+    assert [each["cost"]["from_store"] for each in predictions] == [False, True]
+    assert key == os.environ["OPENAI_API_KEY"]
