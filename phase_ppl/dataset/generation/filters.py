@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from phase_ppl.world.goals import goal_literal
 from phase_ppl.world.hypothesis import Hypothesis
-from phase_ppl.world.names import ENTITIES
+from phase_ppl.world.names import AGENTS, ENTITIES
 
 NEAR: Final = 1.5
 """Agents this near, in units of the sum of their sizes, are said to have met."""
@@ -40,21 +40,33 @@ def _achieved(hypothesis: Hypothesis, found: Measures) -> str | None:
     return None if all(found["at_end"]) else "a goal is not reached"
 
 
+def _together(hypothesis: Hypothesis, found: Measures) -> str | None:
+    if not _both_touch(hypothesis, found):
+        return "not both touch the item"
+    return _achieved(hypothesis, found)
+
+
 def _met(hypothesis: Hypothesis, found: Measures) -> str | None:
     return None if found["closest"] < NEAR else "the agents never come near each other"
 
 
 def _rivals(hypothesis: Hypothesis, found: Measures) -> str | None:
+    return None if _both_touch(hypothesis, found) else "not both touch the item"
+
+
+def _both_touch(hypothesis: Hypothesis, found: Measures) -> bool:
+    """Whether each agent touches the item that its goal is about, if it is about one."""
     wanted = [
-        ENTITIES[goal_literal(goal, agent).subject]
-        for agent, goal in enumerate(hypothesis.effective_goals)
+        goal_literal(goal, agent).subject for agent, goal in enumerate(hypothesis.effective_goals)
     ]
-    both = all(item in items for item, items in zip(wanted, found["touched"], strict=True))
-    return None if both else "not both touch the item"
+    return all(
+        item < len(AGENTS) or ENTITIES[item] in items
+        for item, items in zip(wanted, found["touched"], strict=True)
+    )
 
 
 _SHOWS: Final[Mapping[str, Callable[[Hypothesis, Measures], str | None]]] = {
-    "collaborative": _achieved,
+    "collaborative": _together,
     "independent": _achieved,
     "opposing": _met,
     "competing": _rivals,

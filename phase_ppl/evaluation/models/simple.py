@@ -44,12 +44,15 @@ class Simple:
         post = infer(
             event, self.model, seed=seed, workers=1, progress=False, checkpoint=None, **self.options
         )
-        if self.weights is not None:
-            post = Posterior(post.tree, self.weights)
+        counted: tuple[str, ...] = ("searches",)
+        if isinstance(post, Posterior):
+            counted = _COUNTED
+            if self.weights is not None:
+                post = Posterior(post.tree, self.weights)
         prediction = Prediction(
             "",
             probabilities={question: post.marginal(question).values for question in QUESTIONS},
-            cost={name: post.cost[name] for name in _COUNTED},
+            cost={name: post.cost[name] for name in counted},
         )
         return Answer(prediction, {POSTERIOR: post.save})
 
@@ -97,7 +100,7 @@ def simple(
             raise InvalidSettingError(f"{name} is no option of model 'simple'")
     if weights is not None and weights not in WEIGHTINGS:
         raise unknown_name("weights", weights, WEIGHTINGS)
-    described(options.get("kernel", "local_mh"))
+    described(options.get("kernel") or "local_mh")
     parts = {"prior": prior, "planner": planner, "simulator": simulator, "noise": noise}
     if program is None:
         program = Model(**parts)

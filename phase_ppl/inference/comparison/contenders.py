@@ -102,7 +102,7 @@ class Contender:
     ) -> Posterior:
         """Return the posterior of one run."""
         length = dict(self.length) or {"budget": budget}
-        return infer(
+        post = infer(
             event,
             model,
             kernel=self.kernel,
@@ -114,6 +114,8 @@ class Contender:
             **length,
             **self.options,
         )
+        assert isinstance(post, Posterior), "a kernel is named"
+        return post
 
 
 def contender(

@@ -75,6 +75,19 @@ def test_rivals_must_touch_the_item_that_they_want() -> None:
     assert verdict(made, "competing") == "not both touch the item"
 
 
+def test_partners_must_both_touch_the_item_that_they_want() -> None:
+    both = "Get blue item to blue lm"
+    made = recording(walk(0, (14.0, 18.4)), red=both, green=both, layout=0)
+    assert verdict(made, "collaborative") == "not both touch the item"
+    made.trajectory[10:, 1, :2] = 16.0, 20.0
+    assert verdict(made, "collaborative") == "a goal is not reached"
+    made.trajectory[-1, 2, :2] = 8.5, 19.5
+    assert verdict(made, "collaborative") is None
+    helped = recording(walk(1, (8.5, 19.0)), red="Get green agent to blue lm",
+                       green="Get green agent to blue lm", layout=0)  # fmt: skip
+    assert verdict(helped, "collaborative") is None
+
+
 def test_an_agent_that_pushes_a_wall_for_long_is_stuck() -> None:
     frames = MAX_STUCK + 2
     made = recording(walk(0, (8.5, 19.0), frames), green="Get green agent to green lm")
