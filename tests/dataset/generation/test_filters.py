@@ -77,7 +77,8 @@ def test_rivals_must_touch_the_item_that_they_want() -> None:
 
 def test_partners_must_both_touch_the_item_that_they_want() -> None:
     both = "Get blue item to blue lm"
-    made = recording(walk(0, (14.0, 18.4)), red=both, green=both, layout=0)
+    track = walk(0, (14.0, 18.4))
+    made = recording(np.concatenate([track, track[-1:]]), red=both, green=both, layout=0)
     assert verdict(made, "collaborative") == "not both touch the item"
     made.trajectory[10:, 1, :2] = 16.0, 20.0
     assert verdict(made, "collaborative") == "a goal is not reached"
