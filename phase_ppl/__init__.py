@@ -38,8 +38,13 @@ _WHERE = {
     "Scene": "phase_ppl.world.scene",
     "SimpleSettings": "phase_ppl.inference.infer",
     "SimulationError": "phase_ppl.world.errors",
+    "StepwiseInterrupted": "phase_ppl.inference.stepwise.enumerate",
+    "StepwiseLikelihood": "phase_ppl.models.stepwise",
+    "StepwisePosterior": "phase_ppl.analysis.stepwise_posterior",
     "Study": "phase_ppl.evaluation.judgments",
+    "Tracking": "phase_ppl.closed_loop.hidden_state",
     "Truth": "phase_ppl.world.event",
+    "Watch": "phase_ppl.inference.stepwise.watch",
     "available_families": "phase_ppl.dataset.generation.registry",
     "available_kernels": "phase_ppl.inference.registry",
     "available_models": "phase_ppl.evaluation.registry",
@@ -57,6 +62,7 @@ _WHERE = {
     "load_event": "phase_ppl.dataset.load",
     "load_events": "phase_ppl.dataset.load",
     "load_judgments": "phase_ppl.evaluation.judgments",
+    "load_posterior": "phase_ppl.analysis.load",
     "model_info": "phase_ppl.evaluation.registry",
     "paired_difference": "phase_ppl.evaluation.metrics",
     "reference_models": "phase_ppl.evaluation.metrics",
@@ -72,6 +78,8 @@ _WHERE = {
     "simulate": "phase_ppl.simulator.simulate",
     "simulations": "phase_ppl.inference.infer",
     "statistics": "phase_ppl.dataset.statistics",
+    "watch": "phase_ppl.inference.stepwise.watch",
+    "watch_film": "phase_ppl.analysis.watch_film",
     "with_judgments": "phase_ppl.evaluation.judgments",
 }
 
@@ -91,7 +99,11 @@ if TYPE_CHECKING:
     from phase_ppl.analysis import plots as plot
     from phase_ppl.analysis.comparison import Comparison as Comparison
     from phase_ppl.analysis.estimate import Estimate as Estimate
+    from phase_ppl.analysis.load import load_posterior as load_posterior
     from phase_ppl.analysis.posterior import Posterior as Posterior
+    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior as StepwisePosterior
+    from phase_ppl.analysis.watch_film import watch_film as watch_film
+    from phase_ppl.closed_loop.hidden_state import Tracking as Tracking
     from phase_ppl.dataset.bundled import bundled_events as bundled_events
     from phase_ppl.dataset.export import export_events as export_events
     from phase_ppl.dataset.generation.generate import (
@@ -138,10 +150,14 @@ if TYPE_CHECKING:
     from phase_ppl.inference.registry import available_kernels as available_kernels
     from phase_ppl.inference.registry import kernel_info as kernel_info
     from phase_ppl.inference.registry import register_kernel as register_kernel
+    from phase_ppl.inference.stepwise.enumerate import StepwiseInterrupted as StepwiseInterrupted
+    from phase_ppl.inference.stepwise.watch import Watch as Watch
+    from phase_ppl.inference.stepwise.watch import watch as watch
     from phase_ppl.models import priors as priors
     from phase_ppl.models import sites as sites
     from phase_ppl.models.likelihood import RadialLikelihood as RadialLikelihood
     from phase_ppl.models.model import Model as Model
+    from phase_ppl.models.stepwise import StepwiseLikelihood as StepwiseLikelihood
     from phase_ppl.simulator.joint import JointSimulator as JointSimulator
     from phase_ppl.simulator.simulate import simulate as simulate
     from phase_ppl.world.errors import PhasePPLError as PhasePPLError

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from phase_ppl.analysis.posterior import Posterior
+    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 
 PANELS: Final = {
     "goal_red": "Goal of the red agent",
@@ -44,17 +45,20 @@ _RELATION_COLOURS: Final = dict(zip(RELATIONS, ("#009e73", "#666666", "#d55e00")
 _LINE_HEIGHT: Final = 0.095
 """Of a label, as a share of a panel's height."""
 
-_NOTE: Final = (
-    "Hindsight, not belief at the time: hypotheses proposed from the whole video, "
-    "weighted by how well they explain it up to each frame."
-)
+_NOTES: Final = {
+    "hindsight": "Hindsight, not belief at the time: hypotheses proposed from the whole video, "
+    "weighted by how well they explain it up to each frame.",
+    "filtering": "What can be believed at each frame from the frames so far.",
+}
 
 
-def over_time(post: Posterior, path: str | os.PathLike[str] | None = None) -> Figure:
-    """Draw how the probabilities of goals and relation grow out of the video, in hindsight.
+def over_time(
+    post: Posterior | StepwisePosterior, path: str | os.PathLike[str] | None = None
+) -> Figure:
+    """Draw how the probabilities of goals and relation grow out of the video.
 
-    See :meth:`phase_ppl.analysis.posterior.Posterior.over_time`. Both agents' goals share their
-    colours.
+    In hindsight, or as they could be believed at the time: see ``over_time`` of the posterior.
+    Both agents' goals share their colours.
 
     Args:
         post: what to draw.
@@ -73,7 +77,8 @@ def over_time(post: Posterior, path: str | os.PathLike[str] | None = None) -> Fi
         3, 1, left=0.075, right=0.66, top=0.895, bottom=0.07, hspace=0.34, height_ratios=(5, 5, 4)
     )
     figure.text(0.012, 0.985, post.event_id, va="top", fontsize=10, color=INK)
-    figure.text(0.012, 0.955, _NOTE, va="top", fontsize=SMALL + 0.3, color="#666666")
+    note = next(words for kind, words in _NOTES.items() if kind in found.attrs)
+    figure.text(0.012, 0.955, note, va="top", fontsize=SMALL + 0.3, color="#666666")
     shown = {name: _leading(found[name]) for name in ("goal_red", "goal_green")}
     goals = list(dict.fromkeys(goal for goals in shown.values() for goal in goals))
     colours = dict(zip(goals, MANY_COLOURS, strict=False))

@@ -16,8 +16,9 @@ from phase_ppl.analysis.diagnostic_plots import diagnostics as diagnostics
 from phase_ppl.analysis.diagnostic_plots import errors as errors
 from phase_ppl.analysis.diagnostic_plots import goal_map as goal_map
 from phase_ppl.analysis.over_time_plot import over_time as over_time
+from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.analysis.style import INK, NORMAL, SMALL, bare, new_figure, written
-from phase_ppl.analysis.tree import array
+from phase_ppl.analysis.why_plot import why as why
 from phase_ppl.world.geometry import agent_outline, is_agent
 from phase_ppl.world.hypothesis import STRENGTH_RANGE
 from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS
@@ -26,7 +27,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from phase_ppl.analysis.hypotheses import Hypotheses
     from phase_ppl.analysis.posterior import Posterior
+    from phase_ppl.world.scene import Scene
 
 Colour = tuple[float, float, float]
 FloatArray = NDArray[np.float64]
@@ -57,15 +60,20 @@ _SHADE: Final = (0.82, 0.68, 0.72, 0.86)
 """Per entity, how far its colour is kept when a line or bar needs contrast with white."""
 
 _N_GOALS_SHOWN: Final = 6
+_MOVED: Final = 0.05
+"""Extent of a track, units, from which on it is drawn."""
+
 _ROOM_FOR_NAMES: Final = 1.3
 """Strip above and below the arena that holds the landmarks' names, units."""
 
 
-def posterior(post: Posterior, path: str | os.PathLike[str] | None = None) -> Figure:
+def posterior(
+    post: Posterior | StepwisePosterior, path: str | os.PathLike[str] | None = None
+) -> Figure:
     """Draw goals, relation, scenario, tracks and strengths of a posterior on one page.
 
-    Tracks: observed (solid) and of the best hypothesis' stored simulation (dashed), see
-    :meth:`phase_ppl.analysis.posterior.Posterior.replay`.
+    Tracks: observed (solid) and, of a posterior by simulation, of the best hypothesis' stored
+    simulation (dashed), see :meth:`phase_ppl.analysis.posterior.Posterior.replay`.
 
     Args:
         post: what to draw.
@@ -104,7 +112,7 @@ def posterior(post: Posterior, path: str | os.PathLike[str] | None = None) -> Fi
     return written(figure, path)
 
 
-def goal_bars(axes: Axes, post: Posterior, name: str, agent: int) -> None:
+def goal_bars(axes: Axes, post: Hypotheses, name: str, agent: int) -> None:
     """Draw the most probable goals of one agent as bars in its colour."""
     entries = [(goal, value) for goal, value in post.top(name, _N_GOALS_SHOWN) if value > 0]
     _bars(axes, entries, _line_colour(agent))
@@ -112,7 +120,7 @@ def goal_bars(axes: Axes, post: Posterior, name: str, agent: int) -> None:
     axes.set_title(f"Goal of the {AGENTS[agent]}", fontsize=NORMAL + 1, loc="left", color=INK)
 
 
-def relation_bars(axes: Axes, post: Posterior) -> None:
+def relation_bars(axes: Axes, post: Hypotheses) -> None:
     """Draw the relation's and the scenario's probabilities as two groups of bars."""
     relation, scenario = post.marginal("relation"), post.marginal("scenario")
     entries = [
@@ -125,31 +133,36 @@ def relation_bars(axes: Axes, post: Posterior) -> None:
     axes.set_xlabel("posterior probability", fontsize=NORMAL, color=INK)
 
 
-def tracks(axes: Axes, post: Posterior) -> None:
+def tracks(axes: Axes, post: Posterior | StepwisePosterior) -> None:
     """Draw the arena with observed tracks (solid) and predicted ones (dashed)."""
     from matplotlib.lines import Line2D
 
-    observed, predicted = post.observed(), post.replay()
-    _arena(axes, post)
-    radius = array(post.tree, "constant_data", "radius")
+    scene, observed = post.scene, post.observed()
+    predicted = None if isinstance(post, StepwisePosterior) else post.replay()
+    _arena(axes, scene)
     for entity in reversed(range(len(ENTITIES))):
         colour = _line_colour(entity)
-        seen, guess = observed[:, entity, :2], predicted[:, entity, :2]
-        moved = np.ptp(np.concatenate([seen, guess]), axis=0).max() > 0.05
-        if moved:
+        seen = observed[:, entity, :2]
+        guess = seen if predicted is None else predicted[:, entity, :2]
+        if np.ptp(np.concatenate([seen, guess]), axis=0).max() > _MOVED:
             axes.plot(*seen.T, color=colour, lw=1.9, zorder=4, solid_capstyle="round")
-            axes.plot(*guess.T, color=_darker(colour), lw=1.3, ls=(0, (3.2, 1.8)), zorder=5)
             axes.plot(*seen[-1], "o", ms=5, mfc=colour, mec=INK, mew=0.7, zorder=6)
-            axes.plot(*guess[-1], "o", ms=5, mfc="white", mec=_darker(colour), mew=1.2, zorder=6)
-        _entity(axes, entity, observed[0, entity], float(radius[entity]))
+            if predicted is not None:
+                dark = _darker(colour)
+                axes.plot(*guess.T, color=dark, lw=1.3, ls=(0, (3.2, 1.8)), zorder=5)
+                axes.plot(*guess[-1], "o", ms=5, mfc="white", mec=dark, mew=1.2, zorder=6)
+        _entity(axes, entity, observed[0, entity], float(scene.radius[entity]))
     handles = [
         Line2D([], [], color=_GREY, lw=1.9, marker="o", ms=5, mfc=_GREY, mec=INK, mew=0.7),
         Line2D([], [], color=INK, lw=1.3, ls=(0, (3.2, 1.8)), marker="o", ms=5, mfc="white"),
         Line2D([], [], ls="", marker=(4, 0, 0), ms=7, mfc="#dddddd", mec=INK, mew=0.7),
     ]
+    labels = ["observed", "best hypothesis, simulated", "start"]
+    if predicted is None:
+        del handles[1], labels[1]
     axes.legend(
         handles,
-        ["observed", "best hypothesis, simulated", "start"],
+        labels,
         loc="upper center",
         bbox_to_anchor=(0.5, 0.0),
         ncols=3,
@@ -161,7 +174,7 @@ def tracks(axes: Axes, post: Posterior) -> None:
     axes.set_title("Tracks", fontsize=NORMAL + 1, loc="left", color=INK)
 
 
-def strength_histogram(axes: Axes, post: Posterior, name: str, agent: int) -> None:
+def strength_histogram(axes: Axes, post: Hypotheses, name: str, agent: int) -> None:
     """Draw the posterior of one agent's strength, its mean and 94 % interval in the title."""
     table = post.to_dataframe()
     low, high = post.hdi(name).values
@@ -218,14 +231,13 @@ def _panel_letter(axes: Axes, letter: str, x: float) -> None:
     )
 
 
-def _arena(axes: Axes, post: Posterior) -> None:
+def _arena(axes: Axes, scene: Scene) -> None:
     from matplotlib.patches import Rectangle
 
-    scene = post.tree["constant_data"].dataset
-    half = float(scene.attrs["landmark_half_width"])
-    x0, x1, y0, y1 = (float(v) for v in scene["arena"].values)
+    half = scene.landmark_half_width
+    x0, x1, y0, y1 = scene.arena
     for centre, colour, name in zip(
-        scene["landmark_centres"].values, LANDMARK_COLOURS, LANDMARKS, strict=True
+        scene.landmark_centres, LANDMARK_COLOURS, LANDMARKS, strict=True
     ):
         corner = (centre[0] - half, centre[1] - half)
         axes.add_patch(
@@ -242,7 +254,7 @@ def _arena(axes: Axes, post: Posterior) -> None:
             color=_darker(colour),
         )
     border = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]])
-    for line in [border, *scene["walls"].values]:
+    for line in [border, *scene.walls]:
         axes.plot(*np.asarray(line).T, color="black", lw=2.5, solid_capstyle="projecting", zorder=3)
     margin = 0.02 * (x1 - x0)
     axes.set_xlim(x0 - margin, x1 + margin)

@@ -17,6 +17,7 @@ from phase_ppl.analysis._arviz import arviz_data
 from phase_ppl.analysis.best import best_simulation, hypothesis_of, log_joint, replay
 from phase_ppl.analysis.diagnostics import diagnostics
 from phase_ppl.analysis.hypotheses import Hypotheses
+from phase_ppl.analysis.kept_scene import kept_scene
 from phase_ppl.analysis.over_time import over_time
 from phase_ppl.analysis.quantities import (
     ScenarioFunction,
@@ -31,6 +32,7 @@ from phase_ppl.analysis.weights import WEIGHTINGS, chain_groups, without_groups
 from phase_ppl.world.errors import unknown_name
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import Hypothesis
+from phase_ppl.world.scene import Scene
 
 FloatArray = NDArray[np.float64]
 
@@ -148,6 +150,11 @@ class Posterior(Hypotheses):
         otherwise that of the draw with the highest log joint. Nothing is simulated again.
         """
         return replay(self._tree)
+
+    @property
+    def scene(self) -> Scene:
+        """Where the event takes place, and how it starts."""
+        return kept_scene(self._tree["constant_data"].to_dataset())
 
     def observed(self) -> FloatArray:
         """Return the trajectory (time, entity, [x, y, angle]) that was explained."""

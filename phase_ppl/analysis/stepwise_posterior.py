@@ -13,6 +13,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from phase_ppl.analysis.hypotheses import Hypotheses
+from phase_ppl.analysis.kept_scene import kept_scene
 from phase_ppl.analysis.quantities import (
     ScenarioFunction,
     part_codes,
@@ -27,6 +28,7 @@ from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.files import atomic_output, existing_file
 from phase_ppl.world.goals import GOALS, N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
+from phase_ppl.world.scene import Scene
 
 FloatArray = NDArray[np.float64]
 
@@ -170,6 +172,11 @@ class StepwisePosterior(Hypotheses):
             InvalidSettingError: one of them is impossible under the prior.
         """
         return why(self._found, self._table, self._frame, event, over, self._scenario)
+
+    @property
+    def scene(self) -> Scene:
+        """Where the event takes place, and how it starts."""
+        return kept_scene(self._found)
 
     def observed(self) -> FloatArray:
         """Return the trajectory (time, entity, [x, y, angle]) that was explained."""

@@ -13,6 +13,7 @@ import numpy as np
 import phase_ppl
 from phase_ppl.analysis.summary import LABEL, plain, wrapped
 from phase_ppl.cli.shared import posterior, writable_folder
+from phase_ppl.world.errors import InvalidSettingError
 
 _NAME: Final = 38
 _BLOCKS: Final = 10
@@ -41,6 +42,10 @@ def add_to(commands: Any) -> None:
 
 def _diagnose(options: argparse.Namespace) -> int:
     post = posterior(options.file, options.weights)
+    if not isinstance(post, phase_ppl.Posterior):
+        raise InvalidSettingError(
+            f"{options.file} was read step by step: it has no chains to diagnose"
+        )
     found = post.diagnostics()
     written = [] if options.out is None else _figures(post, writable_folder(options.out))
     if options.json:

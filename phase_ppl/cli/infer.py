@@ -25,11 +25,13 @@ from phase_ppl.cli.shared import (
     whole,
     writable_folder,
 )
+from phase_ppl.cli.watch import MODELS, model_of, watched, write_reading
 from phase_ppl.world.errors import InvalidSettingError, OutputError, PhasePPLError
 from phase_ppl.world.files import write_json
 
 if TYPE_CHECKING:
     from phase_ppl.analysis.posterior import Posterior
+    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
     from phase_ppl.world.event import Event
 
 CHECKPOINT: Final = "run.ckpt"
@@ -47,8 +49,22 @@ def add_to(commands: Any) -> None:
     )
     infer.add_argument("--planner", choices=("fast", "paper"), default="fast")
     infer.add_argument("--prior", metavar="NAME", default="uniform", help="default uniform")
-    infer.add_argument("--kernel", metavar="NAME", default="local_mh")
-    infer.add_argument("--chains", metavar="M", type=whole(1), default=15, help="default 15")
+    infer.add_argument(
+        "--model",
+        choices=MODELS,
+        default=MODELS[0],
+        help="simple: whole simulations, sampled (the default); stepwise: every frame given those "
+        "before it, exactly",
+    )
+    infer.add_argument(
+        "--watch",
+        action="store_true",
+        help="of the stepwise model: show what it believes as the video plays, and film it",
+    )
+    infer.add_argument(
+        "--kernel", metavar="NAME", help="default local_mh; of the stepwise model none, no sampling"
+    )
+    infer.add_argument("--chains", metavar="M", type=whole(1), help="default 15")
     infer.add_argument(
         "--option",
         metavar="NAME=VALUE",
@@ -100,6 +116,8 @@ def _add_means(command: argparse.ArgumentParser) -> None:
 
 def _infer(options: argparse.Namespace) -> int:
     event = load(options)
+    if options.watch and (options.model != "stepwise" or options.kernel is not None):
+        raise InvalidSettingError("--watch needs --model stepwise, and no kernel")
     out = None if options.out is None else writable_folder(options.out)
     kept = None if out is None else out / CHECKPOINT
     if kept is not None and kept.exists():
@@ -107,15 +125,17 @@ def _infer(options: argparse.Namespace) -> int:
             f"{kept} holds an unfinished run: continue it with 'phase-ppl resume {kept}', or "
             "delete it"
         )
+    if options.watch:
+        return watched(event, out, options)
+    exact = options.model == "stepwise" and options.kernel is None
     run = functools.partial(
         phase_ppl.infer,
         event,
-        phase_ppl.Model(prior=options.prior),
+        model_of(options),
         kernel=options.kernel,
-        planner=options.planner,
-        chains=options.chains,
         seed=options.seed,
-        checkpoint=kept,
+        checkpoint=None if exact else kept,
+        **({} if options.chains is None else {"chains": options.chains}),
         **_means(options),
         **_kernel_options(options.option),
     )
@@ -132,7 +152,7 @@ def _resume(options: argparse.Namespace) -> int:
 
 
 def _finish(
-    run: Callable[[], Posterior],
+    run: Callable[[], Posterior | StepwisePosterior],
     event: Event,
     out: Path | None,
     kept: Path | None,
@@ -142,7 +162,7 @@ def _finish(
     code = 0
     try:
         post = run()
-    except phase_ppl.Interrupted as stopped:
+    except (phase_ppl.Interrupted, phase_ppl.StepwiseInterrupted) as stopped:
         if stopped.posterior is None:
             print("phase-ppl: interrupted before the first draws", file=sys.stderr)
             return INTERRUPTED
@@ -187,11 +207,15 @@ def _kernel_options(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
     return found
 
 
-def _write_results(post: Posterior, event: Event, out: Path) -> None:
-    """Write posterior.nc, summary.json, posterior.png and replay.mp4 into ``out``."""
-    post.save(out / POSTERIOR)
-    write_json(out / "summary.json", post.summary())
-    phase_ppl.plot.posterior(post, path=out / "posterior.png")
-    phase_ppl.render.video(event, out / "replay.mp4", compare=post.replay())
-    print(f"\nWritten to {out}: {POSTERIOR}, summary.json, posterior.png, replay.mp4")
+def _write_results(post: Posterior | StepwisePosterior, event: Event, out: Path) -> None:
+    """Write the posterior, a summary, figures and a film into ``out``."""
+    if isinstance(post, phase_ppl.Posterior):
+        post.save(out / POSTERIOR)
+        write_json(out / "summary.json", post.summary())
+        phase_ppl.plot.posterior(post, path=out / "posterior.png")
+        phase_ppl.render.video(event, out / "replay.mp4", compare=post.replay())
+        written = [POSTERIOR, "summary.json", "posterior.png", "replay.mp4"]
+    else:
+        written = write_reading(post, out)
+    print(f"\nWritten to {out}: {', '.join(written)}")
     print(report_hint(out))

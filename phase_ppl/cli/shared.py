@@ -16,6 +16,7 @@ from phase_ppl.world.event import Event
 
 if TYPE_CHECKING:
     from phase_ppl.analysis.posterior import Posterior
+    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 
 FAILED: Final = 1
 BAD_INPUT: Final = 2
@@ -36,19 +37,19 @@ def load(options: argparse.Namespace) -> Event:
     return phase_ppl.load_event(options.event, video=options.video, turning=options.turning)
 
 
-def posterior(path: Path, weights: str | None = None) -> Posterior:
+def posterior(path: Path, weights: str | None = None) -> Posterior | StepwisePosterior:
     """Return the posterior of a file, or of the folder of results that holds posterior.nc.
 
     Raises:
         InvalidEventError: there is no such file, or none in the folder.
     """
     if not path.is_dir():
-        return phase_ppl.Posterior.load(path, weights)
+        return phase_ppl.load_posterior(path, weights)
     if not (path / POSTERIOR).is_file():
         kept = min(path.glob(f"events/*/{POSTERIOR}"), default=None)
         hint = f"; it holds an evaluation, with one such as {kept}" if kept else ""
         raise InvalidEventError(f"{path} holds no {POSTERIOR}{hint}")
-    return phase_ppl.Posterior.load(path / POSTERIOR, weights)
+    return phase_ppl.load_posterior(path / POSTERIOR, weights)
 
 
 def report_hint(out: Path) -> str:

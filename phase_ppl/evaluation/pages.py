@@ -77,7 +77,7 @@ def draw_page(
 
 
 def best_simulation(folder: ResultsFolder, event_id: str) -> FloatArray | None:
-    """Return the best hypothesis' simulation (time, entity, coord); None without a posterior.
+    """Return the best hypothesis' simulation (time, entity, coord); None without one.
 
     Raises:
         InvalidEventError: the posterior is damaged.
@@ -85,9 +85,11 @@ def best_simulation(folder: ResultsFolder, event_id: str) -> FloatArray | None:
     source = folder.folder_of(event_id) / POSTERIOR
     if not source.is_file():
         return None
+    from phase_ppl.analysis.load import load_posterior
     from phase_ppl.analysis.posterior import Posterior
 
-    return Posterior.load(source).replay()
+    post = load_posterior(source)
+    return post.replay() if isinstance(post, Posterior) else None
 
 
 def rows_of(question: str, shown: Sequence[Observer], event: Event) -> list[str]:

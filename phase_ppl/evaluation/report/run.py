@@ -8,8 +8,9 @@ from typing import Final
 import phase_ppl
 from phase_ppl.analysis import plots
 from phase_ppl.analysis.hypotheses import HDI_PROBABILITY
+from phase_ppl.analysis.load import load_posterior
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.analysis.tree import array
+from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.evaluation.folder import POSTERIOR
 from phase_ppl.evaluation.observers import MODEL_COLOUR
 from phase_ppl.evaluation.report import parts
@@ -26,9 +27,9 @@ from phase_ppl.evaluation.report.html import (
 )
 from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.names import AGENTS
-from phase_ppl.world.scene import Scene
 
 REPLAY: Final = "replay.mp4"
+AnyPosterior = Posterior | StepwisePosterior
 
 _GOALS: Final = dict(zip(("goal_red", "goal_green"), AGENTS, strict=True))
 _COLOURS: Final = {"goal_red": "#d62f2f", "goal_green": "#1c8a3c"}
@@ -41,14 +42,14 @@ def run_report(folder: Path) -> str:
     Raises:
         InvalidEventError: its posterior is damaged, or its film cannot be read.
     """
-    post = Posterior.load(folder / POSTERIOR)
+    post = load_posterior(folder / POSTERIOR)
     return page(
         f"{post.event_id}: posterior",
         tag("h1", post.event_id),
         tag("p", "Who wants what: a posterior over goals, relation and strengths.", class_="soft"),
         section("What happens", *_pictures(post, folder / REPLAY)),
         section("Posterior", _answers(post), _figure(post)),
-        section("Can it be trusted?", parts.diagnostics(post.diagnostics())),
+        *_trust(post),
         section(
             "Settings and cost",
             tag("h3", "Cost"),
@@ -59,37 +60,45 @@ def run_report(folder: Path) -> str:
     )
 
 
-def scene_of(post: Posterior) -> Scene:
-    """Return the scene that a posterior keeps of its event."""
-    kept = post.tree["constant_data"].dataset
-    names = ("start", "radius", "walls", "landmark_centres")
-    x0, x1, y0, y1 = (float(v) for v in kept["arena"].values)
-    return Scene(
-        **{name: array(post.tree, "constant_data", name) for name in names},
-        turning=kept.attrs["turning"],
-        arena=(x0, x1, y0, y1),
-        landmark_half_width=float(kept.attrs["landmark_half_width"]),
-    )
+def _trust(post: AnyPosterior) -> list[Html]:
+    if isinstance(post, StepwisePosterior):
+        return [section("What decided", _decided(post))]
+    return [section("Can it be trusted?", parts.diagnostics(post.diagnostics()))]
 
 
-def _pictures(post: Posterior, replay: Path) -> list[Html]:
-    scene = scene_of(post)
+def _decided(post: StepwisePosterior) -> Html:
+    best, second = (name for name, _ in post.top("relation", 2))
+    figure = plots.why(post, f"relation={best}", f"relation={second}")
+    alt = f"Log odds of {best} over {second} by frame, and the frames that changed them most."
+    return tag("figure", figure_of(figure, alt))
+
+
+def _pictures(post: AnyPosterior, replay: Path) -> list[Html]:
+    scene = post.scene
     found = []
     if replay.is_file():
         try:
             content = replay.read_bytes()
         except OSError as error:
             raise InvalidEventError(f"{replay} cannot be read: {error.strerror}") from None
-        words = "Film: the observation on the left, the best hypothesis, simulated, on the right."
+        words = "Film: the observation on the left, "
+        simulated = isinstance(post, Posterior)
+        words += (
+            "the best hypothesis, simulated, on the right."
+            if simulated
+            else "what can be believed until then on the right."
+        )
         found.append(tag("figure", film(content, words), tag("figcaption", words)))
-    strips = (("Observed", post.observed()), ("Best hypothesis, simulated", post.replay()))
+    strips = [("Observed", post.observed())]
+    if isinstance(post, Posterior):
+        strips.append(("Best hypothesis, simulated", post.replay()))
     for caption, trajectory in strips:
         alt = f"{caption}: film strip of {post.event_id}, from first to last frame."
         found.append(parts.film_strip(trajectory, scene, caption, alt))
     return found
 
 
-def _answers(post: Posterior) -> Html:
+def _answers(post: AnyPosterior) -> Html:
     blocks = []
     for name, agent in _GOALS.items():
         entries = [entry for entry in post.top(name, _N_GOALS) if entry[1] >= parts.LEAST]
@@ -114,6 +123,6 @@ def _answers(post: Posterior) -> Html:
     )
 
 
-def _figure(post: Posterior) -> Html:
+def _figure(post: AnyPosterior) -> Html:
     alt = "Goals, relation, scenario, tracks and strengths, as listed above."
     return tag("figure", rolled(figure_of(plots.posterior(post), alt), "Figure of the posterior"))

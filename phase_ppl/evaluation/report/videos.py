@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from phase_ppl.analysis.load import load_posterior
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.evaluation.figures.results import Results
 from phase_ppl.evaluation.folder import POSTERIOR, ResultsFolder
@@ -134,9 +135,10 @@ def _content(
     films: bool,
 ) -> Html:
     stored = folder.folder_of(event.id) / POSTERIOR
-    post = Posterior.load(stored) if own is not None and stored.is_file() else None
+    post = load_posterior(stored) if own is not None and stored.is_file() else None
+    sampled = post if isinstance(post, Posterior) else None
     found: list[Child] = []
-    replay = None if post is None else post.replay()
+    replay = None if sampled is None else sampled.replay()
     if films:
         words = "Film of the event"
         if replay is not None:
@@ -152,8 +154,8 @@ def _content(
     for question, title in TITLES.items():
         if any(question in o.predictions[event.id].answers for o in shown):
             found.append(_answers(event, question, title, shown))
-    if post is not None:
-        found.append(tag("p", str(post.diagnostics()["verdict"]), class_="verdict"))
+    if sampled is not None:
+        found.append(tag("p", str(sampled.diagnostics()["verdict"]), class_="verdict"))
     if own is not None and own.cost:
         found.append(more("Cost", tag("p", parts.in_words(own.cost), class_="soft")))
     return join(found)
