@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import phase_ppl
-from phase_ppl.cli.shared import check_suffix, writable_folder
+from phase_ppl.cli.shared import add_progress, check_suffix, shows_progress, writable_folder
 
 
 def add_to(commands: Any) -> None:
@@ -28,7 +28,7 @@ def add_to(commands: Any) -> None:
     report.add_argument(
         "--videos", action="store_true", help="film every event of an evaluation as well"
     )
-    report.add_argument("--quiet", action="store_true", help="no progress bar")
+    add_progress(report)
 
 
 def _report(options: argparse.Namespace) -> int:
@@ -36,7 +36,7 @@ def _report(options: argparse.Namespace) -> int:
         check_suffix(options.out, (".html",))
         writable_folder(options.out.parent)
     path = phase_ppl.report(
-        options.folder, options.out, videos=options.videos, progress=not options.quiet
+        options.folder, options.out, videos=options.videos, progress=shows_progress(options)
     )
     print(f"{path.stat().st_size / 1e6:.1f} MB written to {path}")
     return 0
