@@ -6,8 +6,9 @@ from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
 import phase_ppl
+from phase_ppl.evaluation.curves import at
 from phase_ppl.evaluation.figures import DRAWN, TITLES
-from phase_ppl.evaluation.figures.results import NothingToDrawError, Results
+from phase_ppl.evaluation.figures.results import FolderResults, NothingToDrawError, Results
 from phase_ppl.evaluation.folder import ResultsFolder
 from phase_ppl.evaluation.observers import Observer, label_of
 from phase_ppl.evaluation.report import parts
@@ -64,7 +65,7 @@ def results_report(
     Raises:
         InvalidEventError, UnknownNameError: a file in the folder is damaged.
     """
-    results = Results(folder)
+    results = FolderResults(folder)
     name = label_of(str(folder.settings.get("model", "model")))
     finished = sum(folder.is_finished(event.id) for event in folder.events)
     title = f"Evaluation of {name}"
@@ -101,14 +102,14 @@ def _summary(observers: Iterable[Observer]) -> Html:
     used = {
         place: heading
         for place, heading in COLUMNS.items()
-        if any(_at(observer.metrics, place) is not None for observer in shown)
+        if any(at(observer.metrics, place) is not None for observer in shown)
     }
     if not used:
         return tag("p", "There is nothing to compare with: neither truth nor people's judgments.")
     heads: list[Child] = ["", *used.values()]
     rows: list[list[Child]] = []
     for observer in shown:
-        cells: list[Child] = [_with_interval(_at(observer.metrics, place)) for place in used]
+        cells: list[Child] = [_with_interval(at(observer.metrics, place)) for place in used]
         rows.append([parts.named(observer), *cells])
     people = _between_people(shown)
     return tag(
@@ -122,7 +123,7 @@ def _between_people(observers: list[Observer]) -> str:
     words = []
     for name, what in (("goal_split_half_r", "goals"), ("split_half_r", "relations")):
         for observer in observers:
-            found = _at(observer.metrics, ("human", name))
+            found = at(observer.metrics, ("human", name))
             if found is not None:
                 words.append(f"{number(found['value'])} on {what}")
                 break
@@ -136,7 +137,7 @@ def _by_scenario(observers: Iterable[Observer]) -> Html | None:
     for kind, word in (("goal", "goals"), ("relation", "relations")):
         for observer in shown:
             found = [
-                _at(observer.metrics, ("by_scenario", name, f"{kind}_accuracy"))
+                at(observer.metrics, ("by_scenario", name, f"{kind}_accuracy"))
                 for name in SCENARIOS
             ]
             if any(found):
@@ -169,13 +170,6 @@ def _failures(folder: ResultsFolder) -> Html | None:
         return None
     pairs = [(event, parts.in_words(what)) for event, what in found.items()]
     return section("Failures", facts(pairs, "Events without a prediction, and why"))
-
-
-def _at(metrics: Mapping[str, Any], place: tuple[str, ...]) -> Any:
-    found: Any = metrics
-    for name in place:
-        found = found.get(name) if isinstance(found, Mapping) else None
-    return found
 
 
 def _with_interval(found: Mapping[str, Any] | None) -> Child:
