@@ -14,13 +14,17 @@ def add_to(commands: Any) -> None:
     """Add the command."""
     report = commands.add_parser(
         "report",
-        help="make one self-contained HTML page of a run or an evaluation",
-        description="Make one self-contained HTML page of a run or an evaluation.",
+        help="make one self-contained HTML page of a run, an evaluation or a comparison",
+        description="Make one self-contained HTML page of a run, an evaluation, or a comparison of "
+        "models.",
         epilog="example: phase-ppl report out",
     )
     report.set_defaults(run=_report)
     report.add_argument(
-        "folder", metavar="DIR", type=Path, help="written by infer --out or evaluate --out"
+        "folder",
+        metavar="DIR",
+        type=Path,
+        help="written by infer --out, evaluate --out or compare-models --out",
     )
     report.add_argument(
         "--out", metavar="FILE", type=Path, help=".html; default report.html in DIR"

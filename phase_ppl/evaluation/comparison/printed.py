@@ -36,7 +36,7 @@ def comparison_text(c: ModelComparison) -> str:
     head = f"{len(c.models)} models on {len(c.events)} events"
     if judged:
         head += f", {judged} of them with truth and people's judgments"
-    lines = [f"{head}; intervals of {LEVEL:.0%} from resampled events"]
+    lines = _wrapped(f"{head}; intervals of {LEVEL:.0%} from resampled events")
     for note in c.notes:
         lines += _wrapped(f"note: {note}")
     for title, columns, rows in _tables(c):
