@@ -21,8 +21,9 @@ LABELS: Final[Mapping[str, str]] = {
     "simple": "SIMPLE",
     "last_frame": "last frame",
     "simple_authors": "authors' SIMPLE",
-    "socialgnn_2023": "SocialGNN",
-    "cue_lstm_2023": "cue LSTM",
+    "socialgnn": "SocialGNN",
+    "socialgnn_2023": "SocialGNN 2023",
+    "cue_lstm_2023": "cue LSTM 2023",
     "predicate": "predicate planning",
     "vlm": "VLM",
 }

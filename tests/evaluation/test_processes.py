@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 import signal
 import subprocess
@@ -280,3 +281,25 @@ def test_ctrl_c_in_this_process_keeps_what_was_done(tmp_path: Path) -> None:
     assert list(caught.value.evaluation.predictions) == ["c", "d"]
     assert caught.value.evaluation.metrics["n_events"] == 2
     assert not (tmp_path / "metrics.json").exists()
+
+
+def test_workers_let_go_of_compiled_programs_after_each_event() -> None:
+    def compiles(scene: Any, observation: Any, seed: int) -> Any:
+        import jax.numpy as jnp
+
+        before = _doubled()._cache_size()
+        _doubled()(jnp.zeros(observation.n_frames))
+        return ppl.Prediction("", answers={"relation": "friendly"}, cost={"kept": before})
+
+    found = evaluate(compiles, several(4), workers=2)
+    assert [given.cost["kept"] for given in found.predictions.values()] == [0, 0, 0, 0]
+    # the caches of the caller's own process are left alone
+    here = evaluate(compiles, several(2), workers=1)
+    assert sorted(given.cost["kept"] for given in here.predictions.values()) == [0, 1]
+
+
+@functools.cache
+def _doubled() -> Any:
+    import jax
+
+    return jax.jit(lambda x: 2 * x)

@@ -251,8 +251,9 @@ def _p(value: float | None) -> str:
 
 
 def short(name: str, most: int = _NAME) -> str:
-    """Return a name, cut where it is long."""
-    return name if len(name) <= most else f"{name[: most - 3]}..."
+    """Return a name; of a long one both ends, as one of them tells it from others."""
+    half = (most - 3) // 2
+    return name if len(name) <= most else f"{name[: most - 3 - half]}...{name[-half:]}"
 
 
 def _wrapped(text: str) -> list[str]:

@@ -10,14 +10,13 @@ from phase_ppl.analysis.style import INK, NORMAL, SMALL, bare
 from phase_ppl.evaluation.figures.accuracies import TITLES, measure
 from phase_ppl.evaluation.figures.results import NothingToDrawError, Results
 from phase_ppl.evaluation.observers import Observer
-from phase_ppl.evaluation.sheet import GREY, Sheet, fitting
+from phase_ppl.evaluation.sheet import GREY, Sheet, fitting, label_column
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _SIDE: Final = 2.5
-_NAMES: Final = 1.35
 _LEFT: Final = 0.55
 _HEAD: Final = 0.42
 _GAP: Final = 0.135
@@ -38,7 +37,8 @@ def costs(results: Results) -> Figure:
     kinds = {kind: shown for kind, shown in kinds.items() if shown}
     if not kinds:
         raise NothingToDrawError("of no model are both CPU seconds and accuracy known")
-    step = _LEFT + _SIDE + _NAMES
+    names = label_column(o.label for shown in kinds.values() for o in shown)
+    step = _LEFT + _SIDE + names
     sheet = Sheet(step * len(kinds), _HEAD + _SIDE + 0.72)
     for column, (kind, shown) in enumerate(kinds.items()):
         left = _LEFT + column * step
@@ -50,7 +50,7 @@ def costs(results: Results) -> Figure:
             found = measure(o.metrics, f"{kind}_accuracy") if o.kind == "people" else None
             if found is not None:
                 axes.axhline(found["value"], color=o.colour, lw=1.1, ls=(0, (4, 2)), zorder=1)
-        _names(sheet, (left + _SIDE + 0.12, _HEAD), shown, kind)
+        _write_names(sheet, (left + _SIDE + 0.12, _HEAD), names - 0.2, shown, kind)
     sheet.write(0.08, sheet.height - 0.09, _NOTE, size=SMALL - 0.5, colour=GREY)
     return sheet.figure
 
@@ -83,6 +83,7 @@ def _points(axes: Axes, shown: Sequence[Observer], kind: str) -> None:
     low, high = math.floor(math.log10(min(ends))), math.ceil(math.log10(max(ends)))
     axes.set_xlim(10.0**low * 0.7, 10.0 ** max(high, low + 1) * 1.4)
     axes.set_ylim(0, 1.02)
+    axes.set_yticks([0, 0.25, 0.5, 0.75, 1], ["0", "", "0.5", "", "1"])
     axes.minorticks_off()
     decades = range(low, max(high, low + 1) + 1)
     each = max(1, -(-len(decades) // 6))
@@ -93,7 +94,9 @@ def _points(axes: Axes, shown: Sequence[Observer], kind: str) -> None:
     axes.set_xlabel("CPU seconds per event", fontsize=NORMAL, color=INK, labelpad=2)
 
 
-def _names(sheet: Sheet, place: tuple[float, float], shown: Sequence[Observer], kind: str) -> None:
+def _write_names(
+    sheet: Sheet, place: tuple[float, float], width: float, shown: Sequence[Observer], kind: str
+) -> None:
     """Write the names beside the axes, in the order of the points, moved apart."""
     left, top = place
     order = sorted(shown, key=lambda o: -measure(o.metrics, f"{kind}_accuracy")["value"])
@@ -109,6 +112,6 @@ def _names(sheet: Sheet, place: tuple[float, float], shown: Sequence[Observer], 
         for i in range(len(places) - 2, -1, -1):
             places[i] = min(places[i], places[i + 1] - _GAP)
     for observer, y in zip(order, places, strict=True):
-        size = fitting(observer.label, 1.19 * (_NAMES - 0.2), NORMAL)
+        size = fitting(observer.label, 1.19 * width, NORMAL)
         sheet.write(left, y, observer.label, size=size, colour=observer.colour,
                     va="center_baseline")  # fmt: skip

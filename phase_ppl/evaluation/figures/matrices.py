@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from phase_ppl.analysis.style import INK, NORMAL, SMALL
 from phase_ppl.evaluation.figures.results import NothingToDrawError, Results
 from phase_ppl.evaluation.observers import Observer
-from phase_ppl.evaluation.sheet import GREY, Sheet, fitting
+from phase_ppl.evaluation.sheet import GREY, Sheet, fitting, in_lines
 from phase_ppl.world.relations import SCENARIOS
 
 if TYPE_CHECKING:
@@ -49,10 +49,11 @@ def confusion(results: Results) -> Figure:
         row, column = divmod(place, per_row)
         left, top = _LEFT + column * (_SIDE + _GAP), row * height
         label = observer.label if observer.kind != "people" else f"{observer.label}, majority"
-        sheet.write(
-            left, top + 0.27, label, size=fitting(label, _SIDE, NORMAL + 0.5),
-            colour=observer.colour, weight="bold",
-        )  # fmt: skip
+        lines = in_lines(label, _SIDE)
+        size = min(fitting(line, _SIDE, NORMAL + 0.5) for line in lines)
+        for above, line in enumerate(reversed(lines)):
+            y = top + 0.27 + 0.03 * (len(lines) > 1) - 0.12 * above
+            sheet.write(left, y, line, size=size, colour=observer.colour, weight="bold")
         axes = sheet.axes(left, top + _HEADING, _SIDE, _SIDE)
         _matrix(axes, counts)
         lowest = place + per_row >= len(shown)

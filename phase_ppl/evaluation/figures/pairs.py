@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 from phase_ppl.analysis.style import INK, NORMAL, SMALL, bare
+from phase_ppl.evaluation.comparison.statistics import ALPHA
 from phase_ppl.evaluation.figures.accuracies import TITLES
 from phase_ppl.evaluation.figures.results import NothingToDrawError
 from phase_ppl.evaluation.sheet import GREY, Sheet, fitting, label_column, tint
@@ -23,89 +24,101 @@ _ROW: Final = 0.21
 _PANEL: Final = 1.45
 _SIGN: Final = "\N{MINUS SIGN}"
 _HIGHER, _LOWER = "#1b6ca8", "#b5482a"
-_SHOWN: Final = 0.05
 
 
 def differences(results: ComparedResults) -> Figure:
-    """Draw the differences in right answers between every two models: row minus column.
+    """Draw the differences in right answers between models: row minus column.
+
+    They are those of every two models, or of all from one where the comparison is against one.
 
     Raises:
         NothingToDrawError: no two models answered the same question of an event with truth.
     """
-    rows = [row for row in results.comparison.differences if row["scenario"] is None]
-    labels = {o.name: (o.label, o.colour) for o in results.observers}
-    kinds = {}
-    for kind in TITLES:
-        found = {
-            (row["one"], row["other"]): row for row in rows if row["measure"] == f"{kind}_accuracy"
-        }
-        if found:
-            kinds[kind] = found
+    comparison = results.comparison
+    kinds = {kind: _pairs(comparison.differences, kind) for kind in TITLES}
+    kinds = {kind: found for kind, found in kinds.items() if found}
     if not kinds:
         raise NothingToDrawError("no two models answered the same question of an event with truth")
+    labels = {o.name: (o.label, o.colour) for o in results.observers}
     left = label_column(label for label, _ in labels.values())
-    sizes = {
-        kind: [n for n in results.comparison.models if any(n in pair for pair in found)]
-        for kind, found in kinds.items()
-    }
-    most = max(map(len, sizes.values()))
+    against = comparison.settings["against"]
+    grids = {}
+    for kind, found in kinds.items():
+        names = [n for n in comparison.models if any(n in pair for pair in found)]
+        grids[kind] = (
+            [name for name in names if name != against],
+            names if against is None else [against],
+        )
     # the slanted names of the columns reach up, and beyond the last one
     slanted = 0.7 * (left - 0.2)
     apart = max(0.15, slanted - 0.58 * _CELL)
     sheet = Sheet(
-        sum(left + _CELL * len(names) + apart for kind, names in sizes.items()),
-        0.5 + slanted + _HIGH * most + 0.34,
+        max(sum(left + _CELL * len(columns) + apart for _, columns in grids.values()), 4.2),
+        0.5 + slanted + _HIGH * max(len(rows) for rows, _ in grids.values()) + 0.34,
     )
-    start = 0.0
-    for kind, found in kinds.items():
-        names = sizes[kind]
+    size = min(fitting(label, 1.19 * (left - 0.16)) for label, _ in labels.values())
+    start, top = 0.0, 0.5 + slanted
+    for kind, (rows, columns) in grids.items():
         sheet.write(start + 0.08, 0.24, TITLES[kind], size=NORMAL + 1, weight="bold")
-        top = 0.5 + slanted
-        for place, name in enumerate(names):
+        for place, name in enumerate(rows):
             label, colour = labels[name]
-            size = fitting(label, 1.19 * (left - 0.16))
             y = top + _HIGH * (place + 0.5)
-            sheet.write(start + left - 0.08, y, label, size=size, colour=colour, ha="right",
-                        va="center_baseline")  # fmt: skip
+            sheet.write(
+                start + left - 0.08, y, label, size=size, colour=colour, ha="right",
+                va="center_baseline",
+            )  # fmt: skip
+        for place, name in enumerate(columns):
+            label, colour = labels[name]
             sheet.figure.text(
                 (start + left + _CELL * (place + 0.42)) / sheet.width,
                 1 - (top - 0.06) / sheet.height, label, fontsize=size, color=colour,
                 rotation=45, rotation_mode="anchor", ha="left", va="baseline", parse_math=False,
             )  # fmt: skip
-        axes = sheet.axes(start + left, top, _CELL * len(names), _HIGH * len(names))
-        _matrix(axes, names, found)
-        start += left + _CELL * len(names) + apart
+        axes = sheet.axes(start + left, top, _CELL * len(columns), _HIGH * len(rows))
+        _matrix(axes, rows, columns, kinds[kind])
+        start += left + _CELL * len(columns) + apart
     note = "Row minus column, in right answers. Bold: p up to 0.05 after Holm's correction."
-    sheet.write(0.08, sheet.height - 0.09, note, colour=GREY,
-                size=fitting(note, 1.3 * (sheet.width - 0.16), SMALL - 0.5))  # fmt: skip
+    size = fitting(note, 1.3 * (sheet.width - 0.16), SMALL - 0.5)  # the font is not bold
+    sheet.write(0.08, sheet.height - 0.09, note, colour=GREY, size=size)
     return sheet.figure
 
 
+def _pairs(
+    rows: Sequence[Mapping[str, Any]], kind: str
+) -> dict[tuple[str, str], Mapping[str, Any]]:
+    return {
+        (row["one"], row["other"]): row
+        for row in rows
+        if row["scenario"] is None and row["measure"] == f"{kind}_accuracy"
+    }
+
+
 def _matrix(
-    axes: Axes, names: Sequence[str], found: Mapping[tuple[str, str], Mapping[str, Any]]
+    axes: Axes,
+    rows: Sequence[str],
+    columns: Sequence[str],
+    found: Mapping[tuple[str, str], Mapping[str, Any]],
 ) -> None:
-    n = len(names)
-    axes.set_xlim(0, n)
-    axes.set_ylim(n, 0)
+    axes.set_xlim(0, len(columns))
+    axes.set_ylim(len(rows), 0)
     axes.set_axis_off()
-    for i, one in enumerate(names):
-        for j, other in enumerate(names):
+    for i, one in enumerate(rows):
+        for j, other in enumerate(columns):
+            style: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": SMALL}
             row, sign = found.get((one, other)), 1
             if row is None:
                 row, sign = found.get((other, one)), -1
             if row is None:
-                text = "" if i == j else "\N{EN DASH}"
-                axes.text(j + 0.5, i + 0.5, text, ha="center", va="center", fontsize=SMALL,
-                          color=GREY)  # fmt: skip
+                text = "" if one == other else "\N{EN DASH}"
+                axes.text(j + 0.5, i + 0.5, text, color=GREY, **style)
                 continue
             value = sign * row["value"]
             colour = tint(_HIGHER if value > 0 else _LOWER, min(0.75, abs(value)))
             axes.fill([j, j + 1, j + 1, j], [i, i, i + 1, i + 1], color=colour, ec="white", lw=1.2)
-            sure = row["p_holm"] is not None and row["p_holm"] <= _SHOWN
-            axes.text(
-                j + 0.5, i + 0.5, f"{value:+.2f}".replace("-", _SIGN), ha="center", va="center",
-                fontsize=SMALL, color=INK, fontweight="bold" if sure else "normal",
-            )  # fmt: skip
+            sure = row["p_holm"] is not None and row["p_holm"] <= ALPHA
+            words = f"{value:+.2f}".replace("-", _SIGN) if round(value, 2) else "0.00"
+            weight = "bold" if sure else "normal"
+            axes.text(j + 0.5, i + 0.5, words, color=INK, fontweight=weight, **style)
 
 
 def equivalence(results: ComparedResults) -> Figure:
@@ -126,7 +139,7 @@ def equivalence(results: ComparedResults) -> Figure:
         for kind in kinds
     }
     heights = {kind: 0.5 + _ROW * len(models) + 0.4 for kind, models in by_kind.items()}
-    sheet = Sheet(left + _PANEL * len(columns) + 0.1, sum(heights.values()) + 0.3)
+    sheet = Sheet(left + _PANEL * max(len(columns), 3) + 0.1, sum(heights.values()) + 0.34)
     ends = [abs(r[k]) for r in rows for k in ("value", "ci_low", "ci_high") if r[k] is not None]
     reach = max(0.5, *ends)
     top = 0.0
@@ -152,12 +165,13 @@ def equivalence(results: ComparedResults) -> Figure:
             _against_people(axes, [(found.get(m), labels[m][1]) for m in models],
                             results.comparison.settings["margin"], reach)  # fmt: skip
         top += heights[kind]
-    note = (
-        "Share right, model minus people, event by event. Thin: 95 %, thick: 90 % intervals. Band: "
-        "margin of equivalence. Filled: equivalence is shown, after Holm's correction."
+    notes = (
+        "Share right, model minus people, event by event. Thin: 95 %, thick: 90 % intervals.",
+        "Band: margin of equivalence. Filled: equivalence is shown, after Holm's correction.",
     )
-    sheet.write(0.08, sheet.height - 0.09, note, colour=GREY,
-                size=fitting(note, 1.3 * (sheet.width - 0.16), SMALL - 0.5))  # fmt: skip
+    for line, note in enumerate(notes):
+        y = sheet.height - 0.21 + 0.12 * line
+        sheet.write(0.08, y, note, size=SMALL - 0.5, colour=GREY)
     return sheet.figure
 
 

@@ -127,7 +127,8 @@ def simple(
     for name in options:
         if known is not None and name not in known:
             kernel = described(options.get("kernel", _KERNEL)).name
-            raise unknown_name(f"option of model 'simple' with kernel {kernel!r}:", name, known)
+            what = f"option of model 'simple' with kernel {kernel!r}:"
+            raise unknown_name(what, name, [*inspect.signature(simple).parameters, *known])
     parts = {"prior": prior, "planner": planner, "simulator": simulator, "noise": noise}
     if program is None:
         program = Model(**parts)
