@@ -6,7 +6,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import phase_ppl
 from phase_ppl.cli.shared import (
@@ -23,7 +23,7 @@ from phase_ppl.world.errors import InvalidSettingError
 if TYPE_CHECKING:
     from phase_ppl.evaluation.comparison.comparison import ModelComparison
 
-PAGES = "pages"
+PAGES: Final = "pages"
 """The folder of the pages, one per event, in that of a comparison."""
 
 

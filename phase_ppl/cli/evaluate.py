@@ -91,7 +91,8 @@ def add_to(commands: Any) -> None:
         "--against",
         metavar="DIR",
         help="results of another model, or a model whose predictions the events carry, for "
-        f"paired differences; written to {AGAINST}",
+        f"paired differences; written to {AGAINST}. With several models: the one of them from "
+        "which the others' differences are wanted; default: every pair",
     )
     add_stored(parser)
     model = parser.add_argument_group(

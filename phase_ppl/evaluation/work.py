@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import itertools
 import sys
 import tempfile
 import time
 from collections.abc import Generator, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from phase_ppl.analysis.summary import plain
 from phase_ppl.evaluation.answer import Answer, Predict, as_prediction
@@ -20,6 +21,15 @@ from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from phase_ppl.world.identity import stable
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
+
+COMPILED_OF: Final = 8
+"""Events after which a worker lets go of what JAX has compiled.
+
+Programs of events of other lengths would pile up, some 80 MB for each of SIMPLE's; those of events
+of the same length are worth keeping, as they take 10 s to compile.
+"""
+
+_asked = itertools.count(1)
 
 
 class Job(NamedTuple):
@@ -113,12 +123,6 @@ def _ask(predict: Predict, job: tuple[int, tuple[Scene, Observation, int, bool]]
     try:
         return ask(predict, *job[1])
     finally:
-        if in_worker():
-            _forget_compiled()
-
-
-def _forget_compiled() -> None:
-    """Let go of JAX's compiled programs: they are of one event, and would pile up."""
-    jax = sys.modules.get("jax")
-    if jax is not None:
-        jax.clear_caches()
+        jax = sys.modules.get("jax")
+        if in_worker() and jax is not None and next(_asked) % COMPILED_OF == 0:
+            jax.clear_caches()

@@ -198,7 +198,7 @@ class ModelComparison:
 
 
 def compare_models(
-    sources: Sequence[Source] | Mapping[str, Source],
+    sources: Source | Sequence[Source] | Mapping[str, Source],
     *,
     stored: str | Sequence[str] = (),
     against: str | None = None,

@@ -43,14 +43,16 @@ class Contender:
     folder: str | None = None
 
 
-def evaluations(sources: Sequence[Source] | Mapping[str, Source]) -> dict[str, Evaluation]:
+def evaluations(
+    sources: Source | Sequence[Source] | Mapping[str, Source],
+) -> dict[str, Evaluation]:
     """Return name -> evaluation.
 
     A folder that holds no evaluation itself stands for those in it, under the names of their
     folders. Others go by the name of the model or, where several are of the same, of the folder.
 
     Args:
-        sources: evaluations or folders; or name -> evaluation or folder.
+        sources: evaluations or folders, one or several; or name -> evaluation or folder.
 
     Raises:
         InvalidEventError: a folder holds no evaluation, or a damaged one.

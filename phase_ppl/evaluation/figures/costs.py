@@ -70,12 +70,11 @@ def _points(axes: Axes, shown: Sequence[Observer], kind: str) -> None:
         cost, right = observer.metrics["cpu_seconds"], measure(observer.metrics, f"{kind}_accuracy")
         x, y = cost["value"], right["value"]
         style: dict[str, Any] = {"color": observer.colour, "lw": 1.2, "zorder": 2}
-        for found, across in ((right, False), (cost, True)):
-            low, high = found["ci_low"], found["ci_high"]
-            if low is not None and low > 0 * across:
-                axes.plot([low, high] if across else [x, x], [y, y] if across else [low, high],
-                          **style)  # fmt: skip
-                ends += [low, high] if across else []
+        if right["ci_low"] is not None:
+            axes.plot([x, x], [right["ci_low"], right["ci_high"]], **style)
+        if cost["ci_low"]:  # there is no 0 on the axis
+            axes.plot([cost["ci_low"], cost["ci_high"]], [y, y], **style)
+            ends += [cost["ci_low"], cost["ci_high"]]
         axes.plot([x], [y], "o", ms=5.5, color=observer.colour, mec="white", mew=0.8, zorder=3)
         ends.append(x)
     bare(axes)
