@@ -28,6 +28,7 @@ _WHERE = {
     "JointSimulator": "phase_ppl.simulator.joint",
     "Judgments": "phase_ppl.evaluation.votes",
     "Model": "phase_ppl.models.model",
+    "ModelComparison": "phase_ppl.evaluation.comparison.comparison",
     "Observation": "phase_ppl.world.observation",
     "PhasePPLError": "phase_ppl.world.errors",
     "PlannerConfig": "phase_ppl.agents.config",
@@ -50,6 +51,7 @@ _WHERE = {
     "available_models": "phase_ppl.evaluation.registry",
     "bundled_events": "phase_ppl.dataset.bundled",
     "compare": "phase_ppl.inference.compare",
+    "compare_models": "phase_ppl.evaluation.comparison.comparison",
     "evaluate": "phase_ppl.evaluation.evaluate",
     "evaluate_predictions": "phase_ppl.evaluation.metrics",
     "event_dataset": "phase_ppl.dataset.xarrays",
@@ -122,6 +124,8 @@ if TYPE_CHECKING:
     from phase_ppl.dataset.xarrays import event_from_dataset as event_from_dataset
     from phase_ppl.evaluation import figures as figures
     from phase_ppl.evaluation.answer import Answer as Answer
+    from phase_ppl.evaluation.comparison.comparison import ModelComparison as ModelComparison
+    from phase_ppl.evaluation.comparison.comparison import compare_models as compare_models
     from phase_ppl.evaluation.evaluate import EvaluationInterrupted as EvaluationInterrupted
     from phase_ppl.evaluation.evaluate import evaluate as evaluate
     from phase_ppl.evaluation.evaluation import Evaluation as Evaluation

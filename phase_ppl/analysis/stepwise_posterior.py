@@ -12,6 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from phase_ppl.analysis.estimate import Jackknife
 from phase_ppl.analysis.hypotheses import Hypotheses
 from phase_ppl.analysis.kept_scene import kept_scene
 from phase_ppl.analysis.quantities import (
@@ -76,6 +77,10 @@ class StepwisePosterior(Hypotheses):
         goals = columns["goal_red"], columns["goal_green"]
         columns |= relation_codes(*goals, scenario) | part_codes(*goals)
         super().__init__(quantities(), dataclasses.replace(rows, values=columns), 1, _none_left_out)
+
+    def _jackknife(self, share: float) -> Jackknife | None:
+        """Return one in which nothing varies: nothing here was drawn."""
+        return Jackknife(np.repeat(self._rows.weights[None], 2, axis=0), 1.0)
 
     @property
     def dataset(self) -> xr.Dataset:

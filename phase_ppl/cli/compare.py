@@ -10,10 +10,12 @@ from typing import Any
 import phase_ppl
 from phase_ppl.cli.shared import (
     INTERRUPTED,
+    add_progress,
     budget,
     command,
     load,
     option_value,
+    shows_progress,
     whole,
     writable_folder,
 )
@@ -60,7 +62,7 @@ def add_to(commands: Any) -> None:
         "--checkpoint", metavar="FILE", type=Path, help=".json; keeps and takes up finished runs"
     )
     parser.add_argument("--out", metavar="DIR", type=Path, help="for the runs and a figure")
-    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    add_progress(parser)
 
 
 def _compare(options: argparse.Namespace) -> int:
@@ -79,7 +81,7 @@ def _compare(options: argparse.Namespace) -> int:
             reference=_reference(options.reference),
             weights=options.weights,
             workers=options.workers,
-            progress=not options.quiet,
+            progress=shows_progress(options),
             checkpoint=options.checkpoint,
         )
     except phase_ppl.ComparisonInterrupted as stopped:

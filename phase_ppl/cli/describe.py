@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import phase_ppl
-from phase_ppl.cli.shared import writable_folder
+from phase_ppl.cli.shared import add_progress, shows_progress, writable_folder
 from phase_ppl.dataset.generation.store import MANIFEST, read_manifest
 from phase_ppl.dataset.phase_statistics import PHASE
 from phase_ppl.evaluation.sources import all_events
@@ -43,7 +43,7 @@ def add_to(commands: Any) -> None:
         help="write statistics.json, data_card.png and contact_sheet.png there",
     )
     parser.add_argument("--json", action="store_true", help="print JSON, not a table")
-    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    add_progress(parser)
 
 
 def _describe(options: argparse.Namespace) -> int:
@@ -61,7 +61,7 @@ def _describe(options: argparse.Namespace) -> int:
     write_json(out / "statistics.json", found)
     phase_ppl.plot.data_card(found, out / "data_card.png", beside=beside)
     sheets = phase_ppl.render.contact_sheet(
-        events, out / "contact_sheet.png", progress=False if options.quiet else None
+        events, out / "contact_sheet.png", progress=shows_progress(options)
     )
     if not options.json:
         names = ", ".join(["statistics.json", "data_card.png", *(sheet.name for sheet in sheets)])

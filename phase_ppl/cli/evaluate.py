@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import argparse
-import inspect
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import phase_ppl
+from phase_ppl.cli.compare_models import add_stored
+from phase_ppl.cli.several import evaluate_several, models_of, options_of
 from phase_ppl.cli.shared import (
     FAILED,
     INTERRUPTED,
+    add_progress,
     budget,
     named_value,
     one_line,
     report_hint,
+    shows_progress,
     whole,
     writable_folder,
 )
@@ -29,11 +33,13 @@ if TYPE_CHECKING:
 AGAINST: Final = "against.json"
 """The file in the folder of results that holds the differences from another model."""
 
+_RESUME_NEEDS: Final = "--resume needs --out, the folder to go on in"
+
 _SHORT_FOR: Final = ("planner", "kernel", "budget", "weights", "prior")
 """Options of models that have options of the command of their own."""
 
 _OF_WORK: Final = (
-    *("model", "resume", "split", "limit", "seed", "judgments", "option"),
+    *("model", "resume", "split", "limit", "seed", "judgments", "option", "stored"),
     *_SHORT_FOR,
 )
 """Options that say nothing where an evaluation is only shown again."""
@@ -59,7 +65,9 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--model",
         metavar="NAME",
-        help="simple (the default), last_frame or another",
+        action="append",
+        help="simple (the default), last_frame or another; given several times, all are evaluated, "
+        "each in a folder of its name in --out, and compared; LABEL=NAME gives another name",
     )
     parser.add_argument(
         "--out", metavar="DIR", type=Path, help="for predictions, metrics, figures and pages"
@@ -83,9 +91,13 @@ def add_to(commands: Any) -> None:
         "--against",
         metavar="DIR",
         help="results of another model, or a model whose predictions the events carry, for "
-        f"paired differences; written to {AGAINST}",
+        f"paired differences; written to {AGAINST}. With several models: the one of them from "
+        "which the others' differences are wanted; default: every pair",
     )
-    model = parser.add_argument_group("options of the model")
+    add_stored(parser)
+    model = parser.add_argument_group(
+        "options of the model; of several models, of all that take them"
+    )
     model.add_argument("--planner", choices=("fast", "paper"))
     model.add_argument("--kernel", metavar="NAME")
     model.add_argument(
@@ -96,23 +108,35 @@ def add_to(commands: Any) -> None:
     model.add_argument(
         "--option",
         metavar="NAME=VALUE",
-        type=named_value,
+        type=_option,
         action="append",
         default=[],
-        help="any other, such as chains=15 or rule=paper; may be given several times",
+        help="any other, such as chains=15 or rule=paper, or of one of several models, such as "
+        "simple.chains=15; may be given several times",
     )
     parser.add_argument("--no-figures", action="store_true", help="draw no figures and pages")
-    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    add_progress(parser)
+
+
+def _option(text: str) -> tuple[str, Any]:
+    """Return name and value of NAME=VALUE or MODEL.NAME=VALUE."""
+    label, dot, _ = text.partition("=")[0].rpartition(".")
+    name, value = named_value(text.removeprefix(f"{label}{dot}"))
+    return f"{label}{dot}{name}", value
 
 
 def _evaluate(options: argparse.Namespace) -> int:
-    found = _again(options) if options.events is None else _anew(options)
+    models = models_of(options.model)
+    several = len(models) > 1 or list(models) != list(models.values())
+    if several and options.events is not None:
+        return _several(options, models)
+    found = _again(options) if options.events is None else _anew(options, *models)
     if found is None:
         return INTERRUPTED
     print(found)
     code = FAILED if found.failures else 0
     if found.folder is not None and options.events is not None and not options.no_figures:
-        for problem in _draw(found.folder, options.quiet):
+        for problem in _draw(found.folder, options):
             print(f"phase-ppl: error: {problem}", file=sys.stderr)
             code = FAILED
     if found.folder is None:
@@ -124,13 +148,25 @@ def _evaluate(options: argparse.Namespace) -> int:
     return code
 
 
-def _anew(options: argparse.Namespace) -> Evaluation | None:
+def _several(options: argparse.Namespace, models: Mapping[str, str]) -> int:
+    from phase_ppl.evaluation.sources import all_events
+
+    if options.resume and options.out is None:
+        raise InvalidSettingError(_RESUME_NEEDS)
+    of_models = options_of(models, _short_for(options), options.option)
+    events = all_events(options.events, options.split)
+    return evaluate_several(options, events, models, of_models, _draw)
+
+
+def _anew(options: argparse.Namespace, model: str) -> Evaluation | None:
     """Evaluate; None where it was interrupted."""
     from phase_ppl.evaluation.evaluation import opponent
     from phase_ppl.evaluation.sources import all_events
 
     if options.resume and options.out is None:
-        raise InvalidSettingError("--resume needs --out, the folder to go on in")
+        raise InvalidSettingError(_RESUME_NEEDS)
+    if options.stored:
+        raise InvalidSettingError("--stored is for several models; --against compares with one")
     events = all_events(options.events, options.split)
     if options.against is not None:
         opponent(events[: options.limit], options.against)  # what is wrong with it is said now
@@ -139,15 +175,15 @@ def _anew(options: argparse.Namespace) -> Evaluation | None:
     try:
         return phase_ppl.evaluate(
             events,
-            options.model or "simple",
+            model,
             out=options.out,
             workers=options.workers,
             resume=bool(options.resume),
             limit=options.limit,
             seed=options.seed or 0,
             judgments=options.judgments,
-            progress=not options.quiet,
-            **_model_options(options),
+            progress=shows_progress(options),
+            **options_of({model: model}, _short_for(options), options.option)[model],
         )
     except phase_ppl.EvaluationInterrupted as stopped:
         print(f"phase-ppl: {stopped}", file=sys.stderr)
@@ -169,17 +205,10 @@ def _again(options: argparse.Namespace) -> Evaluation:
     return phase_ppl.Evaluation.load(options.out)
 
 
-def _model_options(options: argparse.Namespace) -> dict[str, Any]:
-    found = {
+def _short_for(options: argparse.Namespace) -> dict[str, Any]:
+    return {
         name: getattr(options, name) for name in _SHORT_FOR if getattr(options, name) is not None
     }
-    taken = inspect.signature(phase_ppl.evaluate).parameters
-    for name, value in options.option:
-        if name in found or name in taken:
-            why = "given twice" if name in found else "no option of a model"
-            raise InvalidSettingError(f"--option {name}: {why}")
-        found[name] = value
-    return found
 
 
 def _write_difference(found: Evaluation, options: argparse.Namespace) -> None:
@@ -191,7 +220,7 @@ def _write_difference(found: Evaluation, options: argparse.Namespace) -> None:
         write_json(found.folder.path / AGAINST, difference)
 
 
-def _draw(folder: ResultsFolder, quiet: bool) -> list[str]:
+def _draw(folder: ResultsFolder, options: argparse.Namespace) -> list[str]:
     """Draw figures and pages; return in words what could not be drawn."""
     from phase_ppl.evaluation.figures import draw_figures
     from phase_ppl.evaluation.folder import PAGE
@@ -200,11 +229,11 @@ def _draw(folder: ResultsFolder, quiet: bool) -> list[str]:
 
     problems = []
     try:
-        draw_figures(folder, progress=not quiet)
+        draw_figures(folder, progress=not options.quiet)
     except Exception as error:  # the results are there, whatever becomes of their pictures
         problems.append(f"the figures cannot be drawn: {one_line(error)}")
     finished = [event.id for event in folder.events if folder.is_finished(event.id)]
-    for event_id in counted(finished, not quiet, "page", "drawing"):
+    for event_id in counted(finished, shows_progress(options), "page", "drawing"):
         try:
             draw_page(folder, event_id, folder.folder_of(event_id) / PAGE)
         except Exception as error:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import phase_ppl
-from phase_ppl.cli.shared import FAILED, INTERRUPTED, whole
+from phase_ppl.cli.shared import FAILED, INTERRUPTED, add_progress, shows_progress, whole
 from phase_ppl.dataset.generation.generate import PRESETS, GenerationInterrupted, generate
 from phase_ppl.dataset.generation.plan import PHASE500
 from phase_ppl.dataset.generation.store import GeneratedEvents, verify
@@ -75,7 +75,7 @@ def add_to(commands: Any) -> None:
         help="film every event, rejected draws too if they are kept, and draw all on one picture",
     )
     command.add_argument("--resume", action="store_true", help="go on with what DIR holds")
-    command.add_argument("--quiet", action="store_true", help="no progress bar")
+    add_progress(command)
 
     check = commands.add_parser(
         "verify",
@@ -102,7 +102,7 @@ def _generate(options: argparse.Namespace) -> int:
             workers=options.workers,
             keep_rejected=options.keep_rejected,
             resume=options.resume,
-            progress=False if options.quiet else None,
+            progress=shows_progress(options),
         )
     except GenerationInterrupted as stopped:
         print(f"phase-ppl: {stopped}: phase-ppl generate ... --resume", file=sys.stderr)
@@ -117,7 +117,7 @@ def _generate(options: argparse.Namespace) -> int:
 
 
 def _film(made: GeneratedEvents, options: argparse.Namespace) -> None:
-    shown = False if options.quiet else None
+    shown = shows_progress(options)
     folder = made.path / VIDEOS
     phase_ppl.render.videos(made, folder, workers=options.workers, progress=shown)
     sheets = phase_ppl.render.contact_sheet(made, made.path / "contact_sheet.png", progress=shown)

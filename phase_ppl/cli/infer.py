@@ -16,12 +16,14 @@ from phase_ppl.cli.shared import (
     BAD_INPUT,
     INTERRUPTED,
     POSTERIOR,
+    add_progress,
     budget,
     command,
     load,
     named_value,
     one_line,
     report_hint,
+    shows_progress,
     whole,
     writable_folder,
 )
@@ -111,7 +113,7 @@ def _add_means(command: argparse.ArgumentParser) -> None:
         action="store_true",
         help=f"keep {CHECKPOINT} when the run is complete, to extend it",
     )
-    command.add_argument("--quiet", action="store_true", help="no progress bar")
+    add_progress(command)
 
 
 def _infer(options: argparse.Namespace) -> int:
@@ -191,7 +193,7 @@ def _means(options: argparse.Namespace) -> dict[str, Any]:
     given = ("iterations", "budget", "workers", "on_failure", "retries")
     found = {name: getattr(options, name) for name in given}
     return {
-        "progress": not options.quiet,
+        "progress": shows_progress(options),
         **{name: value for name, value in found.items() if value is not None},
     }
 

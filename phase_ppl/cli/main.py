@@ -11,6 +11,7 @@ from pathlib import Path
 import phase_ppl
 from phase_ppl.cli import (
     compare,
+    compare_models,
     describe,
     diagnose,
     evaluate,
@@ -138,6 +139,7 @@ def _parser() -> argparse.ArgumentParser:
     compare.add_to(commands)
     query.add_to(commands)
     evaluate.add_to(commands)
+    compare_models.add_to(commands)
     report.add_to(commands)
     diagnose.add_to(commands)
     generate.add_to(commands)

@@ -133,6 +133,22 @@ def budget(text: str) -> Any:
         ) from None
 
 
+def add_progress(parser: argparse.ArgumentParser) -> None:
+    """Add the options that :func:`shows_progress` reads."""
+    either = parser.add_mutually_exclusive_group()
+    either.add_argument("--quiet", action="store_true", help="no progress bar")
+    either.add_argument(
+        "--progress",
+        action="store_true",
+        help="a progress bar also where the errors go to a file; default: only in a terminal",
+    )
+
+
+def shows_progress(options: argparse.Namespace) -> bool | None:
+    """Return whether to show a bar; None: where stderr is a terminal."""
+    return True if options.progress else False if options.quiet else None
+
+
 def option_value(text: str) -> Any:
     """Return numbers, true and false as such, anything else as text."""
     try:

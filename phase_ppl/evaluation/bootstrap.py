@@ -119,12 +119,12 @@ def figure(values: FloatArray, n: int) -> Figure | None:
     return {"value": float(values[0]), "ci_low": low, "ci_high": high}
 
 
-def interval(values: FloatArray) -> tuple[float | None, float | None]:
+def interval(values: FloatArray, level: float = LEVEL) -> tuple[float | None, float | None]:
     """Return the percentile interval of ``values[1:]``; None, None where none is finite."""
     finite = values[1:][np.isfinite(values[1:])]
     if not finite.size:
         return None, None
-    low, high = np.quantile(finite, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+    low, high = np.quantile(finite, [(1 - level) / 2, (1 + level) / 2])
     return float(low), float(high)
 
 

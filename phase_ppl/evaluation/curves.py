@@ -122,3 +122,11 @@ def put(result: dict[str, Any], entries: Mapping[Path, Any]) -> None:
         for name in path[:-1]:
             place = place.setdefault(name, {})
         place[path[-1]] = value
+
+
+def at(metrics: Mapping[str, Any], path: Path) -> Any:
+    """Return what is where a path says; None where there is nothing."""
+    found: Any = metrics
+    for name in path:
+        found = found.get(name) if isinstance(found, Mapping) else None
+    return found

@@ -16,7 +16,7 @@ from phase_ppl.evaluation.people import human_accuracy
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.printed import table
 from phase_ppl.evaluation.references import reference_predictions
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
 from phase_ppl.world.event import Event
 from phase_ppl.world.identity import event_digest
 
@@ -93,7 +93,8 @@ class Evaluation:
 
         Raises:
             InvalidEventError: there is no such folder; or an event is not the same in both.
-            InvalidSettingError: there is no event that both predict.
+            InvalidSettingError: ``other`` is none of these; or there is no event that both
+                predict.
         """
         name, predictions = opponent(self.events, other)
         if not set(predictions) & set(self.predictions):
@@ -136,6 +137,11 @@ def opponent(
         name, predictions = other, references[other]
     else:
         if not isinstance(other, Evaluation):
+            if not isinstance(other, str | os.PathLike):
+                raise InvalidSettingError(
+                    f"{shown(other)} is neither an evaluation, the folder of one, nor the name of "
+                    "a model"
+                )
             if not Path(other).exists():
                 known = f", and no reference model ({', '.join(references)})" if references else ""
                 raise InvalidEventError(f"{other}: no such folder{known}")

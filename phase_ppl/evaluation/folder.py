@@ -46,6 +46,9 @@ PAGE: Final = "page.png"
 METRICS: Final = "metrics.json"
 FAILURES: Final = "failures.json"
 
+COMPARISON: Final = "comparison.json"
+"""The file by which the folder of a comparison of models is known."""
+
 
 class ResultsFolder:
     """A folder of results.
@@ -124,8 +127,7 @@ class ResultsFolder:
 
     def folder_of(self, event_id: str) -> Path:
         """Return the folder of an event, whether it is there or not."""
-        name = re.sub(r"[^A-Za-z0-9._-]+", "_", event_id)[:80]
-        return self.path / "events" / f"{self._place[event_id]:04d}-{name}"
+        return self.path / "events" / entry_name(self._place[event_id], event_id)
 
     def is_finished(self, event_id: str) -> bool:
         """Whether the event has a prediction."""
@@ -212,6 +214,11 @@ class ResultsFolder:
         except InvalidEventError as error:
             raise InvalidEventError(f"{source}: {error}") from None
         return found
+
+
+def entry_name(place: int, event_id: str) -> str:
+    """Return the name of what belongs to an event, by its place among the events."""
+    return f"{place:04d}-{re.sub(r'[^A-Za-z0-9._-]+', '_', event_id)[:80]}"
 
 
 def holds_predictions(folder: Path) -> bool:

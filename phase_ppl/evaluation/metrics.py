@@ -133,9 +133,24 @@ def reference_models(
     Arguments and errors as for :func:`evaluate_predictions` and
     :func:`~phase_ppl.evaluation.references.reference_predictions`.
     """
+    return metrics_of_each(events, reference_predictions(events), seed=seed, resamples=resamples)
+
+
+def metrics_of_each(
+    events: Sequence[Event],
+    models: Mapping[str, Mapping[str, Prediction]],
+    *,
+    seed: int = 0,
+    resamples: int = 1000,
+) -> dict[str, dict[str, Any]]:
+    """Return name -> metrics of several models, from name -> event id -> prediction.
+
+    Arguments and errors as for :func:`evaluate_predictions`. What people say among themselves is
+    computed once for all models that predict the same events.
+    """
     given: dict[tuple[str, ...], _Given] = {}
     found = {}
-    for name, predictions in reference_predictions(events).items():
+    for name, predictions in models.items():
         chosen = tables.predicted(events, predictions)
         ids = tuple(event.id for event in chosen)
         if ids not in given:

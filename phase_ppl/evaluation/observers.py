@@ -21,15 +21,35 @@ LABELS: Final[Mapping[str, str]] = {
     "simple": "SIMPLE",
     "last_frame": "last frame",
     "simple_authors": "authors' SIMPLE",
-    "socialgnn_2023": "SocialGNN",
-    "cue_lstm_2023": "cue LSTM",
+    "socialgnn": "SocialGNN",
+    "socialgnn_2023": "SocialGNN 2023",
+    "cue_lstm_2023": "cue LSTM 2023",
+    "predicate": "predicate planning",
+    "vlm": "VLM",
 }
 """How known observers are called in figures; others by their names, with spaces."""
 
 PEOPLE_COLOUR: Final = "#3c3c3c"
 MODEL_COLOUR: Final = "#0072b2"
-REFERENCE_COLOURS: Final = ("#d55e00", "#009e73", "#9a4c8f", "#8a6d00", "#56a0d3", "#b0507a")
-"""Colours to be told apart without seeing red and green apart."""
+COLOURS: Final[Mapping[str, str]] = {
+    "simple": MODEL_COLOUR,
+    "simple_authors": "#d55e00",
+    "socialgnn_2023": "#009e73",
+    "cue_lstm_2023": "#9a4c8f",
+    "predicate": "#8a6d00",
+    "socialgnn": "#56a0d3",
+    "vlm": "#b0507a",
+    "last_frame": "#7f7f7f",
+    "majority": "#a5ad00",
+}
+"""Colours of known observers, the same in all figures, to be told apart without seeing red and
+green apart."""
+
+PALETTE: Final = (
+    *COLOURS.values(),
+    *("#e69f00", "#a50f15", "#6fc7b2", "#5b3fa0", "#a0643c", "#2b5d34", "#ff8fab"),
+)
+"""From which the others get theirs."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,27 +91,28 @@ def observers(folder: ResultsFolder, events: Sequence[Event] | None = None) -> l
     chosen = folder.events if events is None else events
     own = {event.id: folder.prediction(event.id) for event in chosen}
     name = str(folder.settings.get("model", "model"))
+    # the order, and so the colour, is the same whichever events are asked for
+    names = dict.fromkeys(name for event in folder.events for name in event.predictions or {})
+    own_colour, *colours = colours_of([name, *names])
     found = [
         Observer(PEOPLE, PEOPLE, LABELS[PEOPLE], PEOPLE_COLOUR, people(chosen)),
         Observer(
             name,
             "model",
             label_of(name),
-            MODEL_COLOUR,
+            own_colour,
             {id: given for id, given in own.items() if given is not None},
         ),
     ]
     references = reference_predictions(chosen)
-    # the order, and so the colour, is the same whichever events are asked for
-    names = dict.fromkeys(name for event in folder.events for name in event.predictions or {})
-    for place, reference in enumerate(names):
+    for reference, colour in zip(names, colours, strict=True):
         label = label_of(reference)
         found.append(
             Observer(
                 reference,
                 "reference",
                 f"{label} (in the file)" if label == found[1].label else label,
-                REFERENCE_COLOURS[place % len(REFERENCE_COLOURS)],
+                colour,
                 references.get(reference, {}),
             )
         )
@@ -142,3 +163,16 @@ def people(events: Sequence[Event]) -> dict[str, Prediction]:
 def label_of(name: str) -> str:
     """Return how figures call an observer."""
     return LABELS.get(name, name.replace("_", " "))
+
+
+def colours_of(names: Sequence[str]) -> list[str]:
+    """Return a colour for each name, different ones while there are enough."""
+    found: dict[int, str] = {}
+    for place, name in enumerate(names):
+        colour = COLOURS.get(name)
+        if colour is not None and colour not in found.values():
+            found[place] = colour
+    free = [colour for colour in PALETTE if colour not in found.values()] or list(PALETTE)
+    others = [place for place in range(len(names)) if place not in found]
+    found |= {place: free[i % len(free)] for i, place in enumerate(others)}
+    return [found[place] for place in range(len(names))]

@@ -13,7 +13,7 @@ from phase_ppl.analysis.style import INK, NORMAL, SMALL, written
 from phase_ppl.evaluation.folder import POSTERIOR, ResultsFolder
 from phase_ppl.evaluation.observers import Observer, observers
 from phase_ppl.evaluation.prediction import QUESTIONS
-from phase_ppl.evaluation.sheet import GREY, WIDTH, Sheet, fitting
+from phase_ppl.evaluation.sheet import GREY, WIDTH, Sheet, fitting, in_lines
 from phase_ppl.evaluation.tables import true_answer
 from phase_ppl.render.stills import draw_strip
 from phase_ppl.world.errors import unknown_name
@@ -46,6 +46,8 @@ _ROW: Final = 0.175
 _HEADING: Final = 0.30
 _OVER_STRIP: Final = 0.23
 _NAMES: Final = 0.28
+_LINE: Final = 0.12
+_COLUMN: Final = 0.82
 _NUMBER: Final = 0.36
 _LEAST_NUMBER: Final = 0.005
 _NOTE: Final = 0.25
@@ -73,7 +75,7 @@ def draw_page(
     if event is None:
         raise unknown_name("event", event_id, [event.id for event in folder.events])
     shown = [one for one in observers(folder, [event]) if event_id in one.predictions]
-    return written(_page(event, shown, best_simulation(folder, event_id)), path)
+    return written(page_of(event, shown, best_simulation(folder, event_id)), path)
 
 
 def best_simulation(folder: ResultsFolder, event_id: str) -> FloatArray | None:
@@ -115,7 +117,14 @@ def rows_of(question: str, shown: Sequence[Observer], event: Event) -> list[str]
     return sorted(kept, key=lambda goal: (-highest[labels.index(goal)], labels.index(goal)))
 
 
-def _page(event: Event, shown: Sequence[Observer], replay: FloatArray | None) -> Figure:
+def page_of(event: Event, shown: Sequence[Observer], replay: FloatArray | None = None) -> Figure:
+    """Draw what those say about an event who are shown, each of whom said something.
+
+    Args:
+        event: it.
+        shown: a column each; with many the page becomes wider.
+        replay: a simulation (time, entity, coord) to be shown as well.
+    """
     questions = [
         name for name in QUESTIONS if any(name in o.predictions[event.id].answers for o in shown)
     ]
@@ -125,13 +134,16 @@ def _page(event: Event, shown: Sequence[Observer], replay: FloatArray | None) ->
     if replay is not None:
         simulated = draw_strip(replay, min(n, len(replay)), event.scene)
         strips.append(("best hypothesis, simulated", np.asarray(simulated)))
-    inches = WIDTH / strips[0][1].shape[1]  # per pixel, the same for both
+    width = _page_width(len(shown))
+    inches = width / strips[0][1].shape[1]  # per pixel, the same for both
     height = _HEAD + sum(picture.shape[0] * inches + _OVER_STRIP for _, picture in strips) + 0.12
     if questions:
-        height += _NAMES + sum(_block_height(rows[name]) for name in questions) + _NOTE
-    sheet = Sheet(WIDTH, height)
+        height += (
+            _names_height(shown) + sum(_block_height(rows[name]) for name in questions) + _NOTE
+        )
+    sheet = Sheet(width, height)
     sheet.write(0.1, 0.24, event.id, size=fitting(event.id, 4.6, 10), weight="bold")
-    sheet.write(WIDTH - 0.1, 0.24, _truth_in_words(event), colour=GREY, ha="right")
+    sheet.write(width - 0.1, 0.24, _truth_in_words(event), colour=GREY, ha="right")
     top = _HEAD
     for name, picture in strips:
         sheet.write(0.1, top + 0.14, name, colour=GREY)
@@ -151,12 +163,15 @@ def _answers(
 ) -> None:
     """Draw all questions below ``top`` inches, under the names of the observers."""
     width = _column_width(len(shown))
-    size = min(fitting(observer.label, width - 0.06) for observer in shown)
-    for place, observer in enumerate(shown):
-        x = _LEFT + place * width
-        colour = observer.colour
-        sheet.write(x, top + 0.2, observer.label, size=size, colour=colour, weight="bold")
-    top += _NAMES
+    names = [in_lines(observer.label, width - 0.06) for observer in shown]
+    size = min(fitting(line, width - 0.06) for lines in names for line in lines)
+    top += _names_height(shown)
+    for place, (observer, lines) in enumerate(zip(shown, names, strict=True)):
+        for line, text in enumerate(reversed(lines)):
+            sheet.write(
+                _LEFT + place * width, top - 0.08 - _LINE * line, text, size=size,
+                colour=observer.colour, weight="bold",
+            )  # fmt: skip
     for question, labels in rows.items():
         sheet.write(0.1, top + 0.19, TITLES[question], size=NORMAL + 0.5)
         _block(sheet, top + _HEADING, question, labels, shown, event)
@@ -177,7 +192,7 @@ def _block(
     truth = true_answer(event, question)
     width = _column_width(len(shown))
     if truth is not None:
-        band = sheet.axes(0.06, top + _ROW * labels.index(truth), WIDTH - 0.12, _ROW)
+        band = sheet.axes(0.06, top + _ROW * labels.index(truth), sheet.width - 0.12, _ROW)
         band.set_facecolor(_TRUE)
         band.tick_params(left=False, bottom=False, labelleft=False, labelbottom=False)
         for spine in band.spines.values():
@@ -244,4 +259,13 @@ def _block_height(labels: Sequence[str]) -> float:
 
 
 def _column_width(n: int) -> float:
-    return min(1.25, (WIDTH - _LEFT - 0.05) / max(n, 1))
+    return min(1.25, (_page_width(n) - _LEFT - 0.05) / max(n, 1))
+
+
+def _page_width(n: int) -> float:
+    return max(WIDTH, _LEFT + _COLUMN * n + 0.05)
+
+
+def _names_height(shown: Sequence[Observer]) -> float:
+    width = _column_width(len(shown)) - 0.06
+    return _NAMES + _LINE * (max(len(in_lines(o.label, width)) for o in shown) - 1)

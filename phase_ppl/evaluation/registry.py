@@ -17,7 +17,7 @@ import dataclasses
 import functools
 import importlib.util
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 from phase_ppl.analysis.summary import plain
@@ -34,6 +34,8 @@ ENTRY_POINTS: Final = "phase_ppl.models"
 Factory = Callable[..., Predict]
 """``factory(**options)`` checks the options and returns the model."""
 
+MoreOptions = Callable[[Mapping[str, Any]], Collection[str] | None]
+
 
 @dataclasses.dataclass(frozen=True)
 class ModelInfo:
@@ -47,6 +49,8 @@ class ModelInfo:
             accelerator to itself, or is done before a process has started, is better not.
         needs: modules that must be installed beside what the package itself needs.
         extra: the extra of this package that brings them, if one does.
+        more_options: of a factory that takes ``**options``: their names, given the options;
+            None where it can be any.
     """
 
     name: str
@@ -55,6 +59,25 @@ class ModelInfo:
     parallel: bool = True
     needs: tuple[str, ...] = ()
     extra: str | None = None
+    more_options: MoreOptions | None = None
+
+    def takes(self, name: str, options: Mapping[str, Any]) -> bool:
+        """Return whether the model has an option of that name.
+
+        Args:
+            name: of the option.
+            options: all that are given, on which it may depend.
+
+        Raises:
+            InvalidSettingError, UnknownNameError: one of those cannot be used.
+        """
+        parameters = inspect.signature(self.factory).parameters.values()
+        if any(p.name == name and p.kind is not p.VAR_KEYWORD for p in parameters):
+            return True
+        if not any(p.kind is p.VAR_KEYWORD for p in parameters):
+            return False
+        more = None if self.more_options is None else self.more_options(options)
+        return more is None or name in more
 
     def make(self, **options: Any) -> Predict:
         """Return the model.
@@ -80,6 +103,7 @@ def register_model(
     parallel: bool = True,
     needs: Sequence[str] = (),
     extra: str | None = None,
+    more_options: MoreOptions | None = None,
 ) -> Callable[[Factory], Factory]:
     """Return a decorator that makes a factory of models known under ``name``.
 
@@ -96,7 +120,9 @@ def register_model(
                 f"a model named {name!r} exists: {qualified_name(known.factory)}"
             )
         summary = (inspect.getdoc(factory) or "").split("\n")[0]
-        _MODELS[name] = ModelInfo(name, factory, summary, parallel, tuple(needs), extra)
+        _MODELS[name] = ModelInfo(
+            name, factory, summary, parallel, tuple(needs), extra, more_options
+        )
         return factory
 
     return register

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import textwrap
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Final
 
-from phase_ppl.analysis.style import INK, NORMAL, new_figure
+from phase_ppl.analysis.style import INK, NORMAL, SMALL, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -14,6 +16,11 @@ WIDTH: Final = 7.2
 """Inches: both columns of a journal's page."""
 
 GREY: Final = "#6b6b6b"
+
+_NARROWEST: Final = 1.3
+_WIDEST: Final = 2.3
+_REGULAR: Final = 0.58
+"""Mean character of a text that is not bold, as a share of its size."""
 
 _CHARACTER: Final = 0.69
 """Widest mean character of a bold text, as a share of its size."""
@@ -66,6 +73,22 @@ class Sheet:
 def fitting(text: str, width: float, most: float = NORMAL) -> float:
     """Return the font size, points, at which ``text`` fits into ``width`` inches."""
     return min(most, 72 * width / (_CHARACTER * max(len(text), 1)))
+
+
+def label_column(labels: Iterable[str]) -> float:
+    """Return how many inches names of rows take on the left of a sheet, with what surrounds them.
+
+    Names that are longer still are written smaller, see :func:`fitting`.
+    """
+    longest = max(map(len, labels), default=0)
+    return min(_WIDEST, max(_NARROWEST, _REGULAR * longest * NORMAL / 72 + 0.2))
+
+
+def in_lines(text: str, width: float) -> list[str]:
+    """Return a name in as many lines as it needs to be legible in ``width`` inches."""
+    if fitting(text, width) >= SMALL:
+        return [text]
+    return textwrap.wrap(text, max(1, int(72 * width / (_CHARACTER * SMALL)))) or [text]
 
 
 def tint(colour: str, share: float) -> tuple[float, float, float]:

@@ -86,6 +86,14 @@ class KernelInfo:
             raise InvalidSettingError(f"kernel {self.name!r}: {error}") from None
         return self.factory(program, **options)
 
+    @property
+    def options(self) -> tuple[str, ...] | None:
+        """Names of the options that the factory takes; None: any."""
+        _, *given = inspect.signature(self.factory).parameters.values()
+        if any(one.kind is one.VAR_KEYWORD for one in given):
+            return None
+        return tuple(one.name for one in given if one.name not in NEEDS)
+
 
 _KERNELS: Final[dict[str, KernelInfo]] = {}
 

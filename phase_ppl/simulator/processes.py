@@ -55,6 +55,11 @@ def start_worker(token: str, packed: bytes) -> None:
     _packed[token] = packed
 
 
+def in_worker() -> bool:
+    """Return whether this process is a worker of ours."""
+    return bool(_packed)
+
+
 def _end_with_parent(parent: int) -> None:
     while os.getppid() == parent:
         time.sleep(_PARENT_CHECK_SECONDS)

@@ -84,6 +84,16 @@ def test_it_prints_a_table_and_writes_predictions_metrics_figures_and_pages(
     assert len(list(out.glob("events/*/page.png"))) == 1
 
 
+def test_there_is_a_bar_only_in_a_terminal_or_where_it_is_asked_for(
+    events: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["evaluate", str(events), "--model", "right", "--workers", "1"]
+    assert main(command) == 0
+    assert capsys.readouterr().err == ""
+    assert main([*command, "--progress"]) == 0
+    assert "predicting" in capsys.readouterr().err
+
+
 def test_without_a_folder_it_says_that_nothing_is_kept(
     events: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

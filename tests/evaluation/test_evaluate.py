@@ -578,6 +578,11 @@ def test_the_table_shows_everybody_and_fits_a_terminal(tmp_path: Path) -> None:
     assert repr(found) == "<Evaluation of FailsAt: 3 of 4 events, 1 failed>"
 
 
+def test_what_is_nothing_to_compare_with_is_refused() -> None:
+    with pytest.raises(InvalidSettingError, match="3 is neither an evaluation"):
+        evaluate().against(3)  # type: ignore[arg-type]
+
+
 def test_the_bar_counts_events_and_says_what_fails(capsys: pytest.CaptureFixture[str]) -> None:
     evaluate(model=FailsAt(4, raises), progress=True)
     shown = capsys.readouterr().err

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 import phase_ppl as ppl
 from phase_ppl.evaluation import figures
 from phase_ppl.evaluation.figures import DRAWN, NothingToDrawError, draw_figures
-from phase_ppl.evaluation.figures.results import Results
+from phase_ppl.evaluation.figures.results import FolderResults
 from phase_ppl.evaluation.folder import ResultsFolder
 from phase_ppl.evaluation.metrics import evaluate_predictions
 from phase_ppl.world.errors import InvalidEventError, OutputError
@@ -151,7 +151,7 @@ def test_no_text_leaves_the_page_or_covers_another(tmp_path: Path) -> None:
     answers["relation_probs"] = {"adversarial": 0.7, "friendly": 0.3}
     names = ["x", "a model with a name that is long", "another"]
     folder = make_folder(tmp_path / "results", events(predictions=dict.fromkeys(names, answers)))
-    results = Results(folder)
+    results = FolderResults(folder)
     for draw in DRAWN.values():
         check_texts(draw(results))
 

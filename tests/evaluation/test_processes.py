@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 import signal
 import subprocess
@@ -16,6 +17,7 @@ from typing import Any
 import pytest
 
 import phase_ppl as ppl
+from phase_ppl.evaluation.work import COMPILED_OF
 from phase_ppl.world.errors import InvalidSettingError
 from tests.evaluation.toys import Counted, FailsAt, guesses, right, several, still
 
@@ -280,3 +282,26 @@ def test_ctrl_c_in_this_process_keeps_what_was_done(tmp_path: Path) -> None:
     assert list(caught.value.evaluation.predictions) == ["c", "d"]
     assert caught.value.evaluation.metrics["n_events"] == 2
     assert not (tmp_path / "metrics.json").exists()
+
+
+def test_compiled_programs_do_not_pile_up_in_workers() -> None:
+    def compiles(scene: Any, observation: Any, seed: int) -> Any:
+        import jax.numpy as jnp
+
+        before = _doubled()._cache_size()
+        _doubled()(jnp.zeros(observation.n_frames))
+        return ppl.Prediction("", answers={"relation": "friendly"}, cost={"kept": before})
+
+    # one of the two gets more than so many
+    found = evaluate(compiles, several(2 * COMPILED_OF + 1), workers=2)
+    assert max(given.cost["kept"] for given in found.predictions.values()) == COMPILED_OF - 1
+    # those of the caller's own process are left alone
+    here = evaluate(compiles, several(COMPILED_OF + 1), workers=1)
+    assert max(given.cost["kept"] for given in here.predictions.values()) == COMPILED_OF
+
+
+@functools.cache
+def _doubled() -> Any:
+    import jax
+
+    return jax.jit(lambda x: 2 * x)

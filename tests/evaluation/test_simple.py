@@ -97,11 +97,6 @@ def test_options_that_cannot_be_used_are_refused_before_anything_is_asked(
         ready("simple", options)
 
 
-def test_kernel_options_that_do_not_exist_stop_at_the_first_event() -> None:
-    with pytest.raises(InvalidSettingError, match=r"model 'simple', event 'walk'.*rule"):
-        evaluate(rule="paper")
-
-
 @pytest.mark.slow
 def test_it_explains_bundled_events_with_workers_as_without(tmp_path: Path) -> None:
     events = [ppl.load_event(name) for name in ppl.bundled_events()[:2]]
@@ -113,3 +108,18 @@ def test_it_explains_bundled_events_with_workers_as_without(tmp_path: Path) -> N
         for question, values in given.probabilities.items():
             assert values.tobytes() == two.predictions[name].probabilities[question].tobytes()
     assert len(list(tmp_path.glob("events/*/posterior.nc"))) == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"rull": "paper"}, "kernel 'local_mh': 'rull'; did you mean 'rule'"),
+        ({"kernel": "prior_mh", "rule": "paper"}, "kernel 'prior_mh': 'rule'"),
+        ({"planer": "fast"}, "did you mean 'planner'"),
+    ],
+)
+def test_options_that_nothing_takes_are_refused_at_once(
+    options: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(UnknownNameError, match=message):
+        ready("simple", options)

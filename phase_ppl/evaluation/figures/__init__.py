@@ -1,8 +1,9 @@
-"""Figures of an evaluation, for an article: who is right, who agrees with people.
+"""Figures of an evaluation or of a comparison of models, for an article.
 
-Every function takes a folder of results (or its path), draws on no global state and returns a
-matplotlib figure, written to ``path`` (.png, .pdf, .svg) as well where one is given. Where the
-results lack what a figure is about, it raises :class:`NothingToDrawError`.
+They show who is right and who agrees with people. Every function takes a folder of results or of a
+comparison (or its path), or a comparison itself, draws on no global state and returns a matplotlib
+figure, written to ``path`` (.png, .pdf, .svg) as well where one is given. Where the results lack
+what a figure is about, it raises :class:`NothingToDrawError`.
 """
 
 from __future__ import annotations
@@ -10,24 +11,32 @@ from __future__ import annotations
 import functools
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from phase_ppl.analysis.style import written
 from phase_ppl.evaluation.figures import accuracies as _accuracies
 from phase_ppl.evaluation.figures import agreement as _agreement
+from phase_ppl.evaluation.figures import costs as _costs
 from phase_ppl.evaluation.figures import matrices as _matrices
+from phase_ppl.evaluation.figures import pairs as _pairs
 from phase_ppl.evaluation.figures import strips as _strips
-from phase_ppl.evaluation.figures.results import NothingToDrawError, Results
-from phase_ppl.evaluation.folder import ResultsFolder
+from phase_ppl.evaluation.figures.results import FolderResults, NothingToDrawError, Results
+from phase_ppl.evaluation.folder import COMPARISON, ResultsFolder
 from phase_ppl.world.errors import OutputError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Source = ResultsFolder | str | os.PathLike[str]
+    from phase_ppl.evaluation.comparison.comparison import ModelComparison
+    from phase_ppl.evaluation.comparison.results import ComparedResults
+
+Source: TypeAlias = "ResultsFolder | ModelComparison | str | os.PathLike[str]"
 Target = str | os.PathLike[str] | None
+
+FIGURES: Final = "figures"
+"""The folder of the figures in that of the results."""
 
 DRAWN: Final[dict[str, Callable[[Results], Figure]]] = {
     "accuracy": _accuracies.accuracy,
@@ -39,6 +48,14 @@ DRAWN: Final[dict[str, Callable[[Results], Figure]]] = {
 }
 """Name of a figure, and of its file -> what draws it."""
 
+COMPARED: Final[dict[str, Callable[[ComparedResults], Figure]]] = {
+    **DRAWN,
+    "costs": _costs.costs,
+    "differences": _pairs.differences,
+    "equivalence": _pairs.equivalence,
+}
+"""The same of a comparison of models."""
+
 TITLES: Final = {
     "accuracy": "Accuracy by scenario",
     "confusion": "Which scenario is taken for which",
@@ -46,6 +63,9 @@ TITLES: Final = {
     "scatter_goals": "Goals: models against people",
     "scatter_relations": "Relations: models against people",
     "film_strips": "An event of every scenario",
+    "costs": "Accuracy against CPU seconds",
+    "differences": "Differences between models",
+    "equivalence": "Models beside people",
 }
 """Name of a figure -> what it shows, in words."""
 
@@ -61,14 +81,36 @@ def draw_figures(folder: ResultsFolder, *, progress: bool = True) -> list[Path]:
         InvalidEventError, UnknownNameError: a file in the folder is damaged.
         OutputError: a file cannot be written.
     """
-    target = folder.path / "figures"
+    return _draw_all(DRAWN, FolderResults(folder), folder.path / FIGURES, progress)
+
+
+def draw_comparison(
+    comparison: ModelComparison, folder: str | os.PathLike[str], *, progress: bool = True
+) -> list[Path]:
+    """Write all figures of a comparison of models into ``figures/`` of a folder; return the files.
+
+    Args:
+        comparison: of the models.
+        folder: to which ``figures/`` belongs.
+        progress: say on the standard error output which are left out, and why.
+
+    Raises:
+        OutputError: a file cannot be written.
+    """
+    from phase_ppl.evaluation.comparison.results import ComparedResults
+
+    return _draw_all(COMPARED, ComparedResults(comparison), Path(folder) / FIGURES, progress)
+
+
+def _draw_all(
+    drawn: Mapping[str, Callable[[Any], Figure]], results: Results, target: Path, progress: bool
+) -> list[Path]:
     try:
         target.mkdir(exist_ok=True)
     except OSError as error:
         raise OutputError(f"cannot write {target}: {error.strerror or error}") from None
     files = []
-    results = Results(folder)
-    for name, draw in DRAWN.items():
+    for name, draw in drawn.items():
         file = target / f"{name}.png"
         try:
             written(draw(results), file)
@@ -111,6 +153,30 @@ def film_strips(source: Source, path: Target = None) -> Figure:
     return _drawn("film_strips", source, path)
 
 
+def costs(source: ModelComparison | str | os.PathLike[str], path: Target = None) -> Figure:
+    """Draw the accuracy of the models of a comparison against CPU seconds per event."""
+    return _drawn("costs", source, path)
+
+
+def differences(source: ModelComparison | str | os.PathLike[str], path: Target = None) -> Figure:
+    """Draw the differences in right answers between every two models of a comparison."""
+    return _drawn("differences", source, path)
+
+
+def equivalence(source: ModelComparison | str | os.PathLike[str], path: Target = None) -> Figure:
+    """Draw how much more often models are right than people, beside the margin of equivalence."""
+    return _drawn("equivalence", source, path)
+
+
 def _drawn(name: str, source: Source, path: Target) -> Figure:
-    folder = source if isinstance(source, ResultsFolder) else ResultsFolder.open(source)
-    return written(DRAWN[name](Results(folder)), path)
+    if isinstance(source, str | os.PathLike) and not (Path(source) / COMPARISON).is_file():
+        source = ResultsFolder.open(source)
+    if isinstance(source, ResultsFolder):
+        if name not in DRAWN:
+            raise NothingToDrawError(f"{name} is a figure of a comparison of models")
+        return written(DRAWN[name](FolderResults(source)), path)
+    from phase_ppl.evaluation.comparison.comparison import ModelComparison
+    from phase_ppl.evaluation.comparison.results import ComparedResults
+
+    comparison = source if isinstance(source, ModelComparison) else ModelComparison.load(source)
+    return written(COMPARED[name](ComparedResults(comparison)), path)

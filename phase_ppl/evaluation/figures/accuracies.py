@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 from phase_ppl.analysis.style import INK, NORMAL, SMALL, bare
 from phase_ppl.evaluation.figures.results import NothingToDrawError, Results
 from phase_ppl.evaluation.observers import Observer
-from phase_ppl.evaluation.sheet import GREY, Sheet, fitting, tint
+from phase_ppl.evaluation.sheet import GREY, Sheet, fitting, label_column, tint
 from phase_ppl.world.relations import SCENARIOS
 
 if TYPE_CHECKING:
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 TITLES: Final = {"goal": "Goals", "relation": "Relations"}
 
-_LEFT: Final = 1.3
 _PANEL: Final = 1.17
 _NUMBER: Final = 0.33
 _ROW: Final = 0.185
@@ -43,10 +42,11 @@ def accuracy(results: Results) -> Figure:
     # one scenario is all there is
     columns: list[str | None] = [None, *present] if len(present) > 1 else [None]
     heights = {kind: _HEADING + _ROW * len(rows) + _BELOW for kind, rows in blocks.items()}
-    sheet = Sheet(_LEFT + _PANEL * max(len(columns), 3), sum(heights.values()) + 0.22)
+    left = label_column(o.label for rows in blocks.values() for o in rows)
+    sheet = Sheet(left + _PANEL * max(len(columns), 3), sum(heights.values()) + 0.22)
     top = 0.0
     for kind, rows in blocks.items():
-        _block(sheet, top, results, kind, rows, columns)
+        _block(sheet, (left, top), results, kind, rows, columns)
         top += heights[kind]
     size = fitting(_NOTE, 1.3 * (sheet.width - 0.16), SMALL - 0.5)  # the font is not bold
     sheet.write(0.08, sheet.height - 0.07, _NOTE, size=size, colour=GREY)
@@ -66,22 +66,23 @@ def _rows(results: Results, kind: str) -> list[Observer]:
 
 def _block(
     sheet: Sheet,
-    top: float,
+    place: tuple[float, float],
     results: Results,
     kind: str,
     rows: Sequence[Observer],
     columns: Sequence[str | None],
 ) -> None:
+    names, top = place
     sheet.write(0.08, top + 0.2, TITLES[kind], size=NORMAL + 1, weight="bold")
-    size = min(fitting(observer.label, _LEFT - 0.16, NORMAL) for observer in rows)
+    size = min(fitting(observer.label, 1.19 * (names - 0.16), NORMAL) for observer in rows)
     for row, observer in enumerate(rows):
         y = top + _HEADING + _ROW * (row + 0.5)
         sheet.write(
-            _LEFT - 0.08, y, observer.label, size=size, colour=observer.colour,
+            names - 0.08, y, observer.label, size=size, colour=observer.colour,
             ha="right", va="center_baseline",
         )  # fmt: skip
     for column, scenario in enumerate(columns):
-        left = _LEFT + column * _PANEL
+        left = names + column * _PANEL
         counts = [n for n in (results.count(o, kind, scenario) for o in rows) if n]
         if not counts:
             continue

@@ -15,7 +15,7 @@ from phase_ppl.evaluation.figures.results import (
     Results,
 )
 from phase_ppl.evaluation.observers import Observer
-from phase_ppl.evaluation.sheet import GREY, Sheet, fitting
+from phase_ppl.evaluation.sheet import GREY, Sheet, fitting, label_column
 from phase_ppl.evaluation.tables import KINDS
 from phase_ppl.world.relations import SCENARIOS
 
@@ -30,7 +30,6 @@ CORRELATIONS: Final = {
 }
 """Correlation with people -> title, and that of people with each other."""
 
-_LEFT: Final = 1.3
 _PANEL: Final = 1.95
 _NUMBER: Final = 0.36
 _ROW: Final = 0.21
@@ -56,16 +55,17 @@ def correlation(results: Results) -> Figure:
     shown = [o for o in models if any(o in part for part in panels.values())]
     head, below = 0.5, 0.5
     height = _ROW * len(shown)
-    sheet = Sheet(_LEFT + _PANEL * len(panels), head + height + below)
-    size = min(fitting(observer.label, _LEFT - 0.16) for observer in shown)
+    names = label_column(observer.label for observer in shown)
+    sheet = Sheet(names + _PANEL * len(panels), head + height + below)
+    size = min(fitting(observer.label, 1.19 * (names - 0.16)) for observer in shown)
     for row, observer in enumerate(shown):
         y = head + _ROW * (row + 0.5)
         sheet.write(
-            _LEFT - 0.08, y, observer.label, size=size, colour=observer.colour,
+            names - 0.08, y, observer.label, size=size, colour=observer.colour,
             ha="right", va="center_baseline",
         )  # fmt: skip
     for column, name in enumerate(panels):
-        left = _LEFT + column * _PANEL
+        left = names + column * _PANEL
         title, between_people = CORRELATIONS[name]
         sheet.write(left, 0.2, title, size=NORMAL + 0.5, weight="bold")
         axes = sheet.axes(left, head, _PANEL - _NUMBER - 0.1, height)
@@ -101,21 +101,22 @@ def scatter(results: Results, kind: str) -> Figure:
     columns = [name for name in (*SCENARIOS, "") if any(name in points for _, points in rows)]
     step = _SIDE + 0.13
     head, below = 0.42, 0.74
+    names = label_column(observer.label for observer, _ in rows)
     sheet = Sheet(
-        _LEFT + 0.42 + step * max(len(columns), 2) + 0.05, head + step * len(rows) - 0.13 + below
+        names + 0.42 + step * max(len(columns), 2) + 0.05, head + step * len(rows) - 0.13 + below
     )
-    left = _LEFT + 0.42
+    left = names + 0.42
     largest = max(n for _, points in rows for part in points.values() for n in part.values())
     scale = min(1.0, 40 / largest)
-    size = min(fitting(observer.label, _LEFT - 0.1) for observer, _ in rows)
+    size = min(fitting(observer.label, names - 0.1) for observer, _ in rows)
     for row, (observer, points) in enumerate(rows):
         top = head + row * step
         style: dict[str, Any] = {"size": size, "colour": observer.colour, "weight": "bold"}
-        sheet.write(_LEFT, top + _SIDE / 2 - 0.06, observer.label, ha="right", **style)
+        sheet.write(names, top + _SIDE / 2 - 0.06, observer.label, ha="right", **style)
         found = _human(observer, f"{kind}_r")
         if found is not None:
             words = f"r = {found['value']:.2f}".replace("-", "\N{MINUS SIGN}")
-            sheet.write(_LEFT, top + _SIDE / 2 + 0.1, words, size=SMALL, ha="right")
+            sheet.write(names, top + _SIDE / 2 + 0.1, words, size=SMALL, ha="right")
         for column, name in enumerate(columns):
             axes = sheet.axes(left + column * step, top, _SIDE, _SIDE)
             _cloud(axes, points.get(name, Counter()), SCENARIO_COLOURS.get(name, GREY), scale)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from phase_ppl.analysis.style import INK, NORMAL, SMALL
 from phase_ppl.evaluation.figures.results import NothingToDrawError, Results
 from phase_ppl.evaluation.observers import Observer
-from phase_ppl.evaluation.sheet import GREY, Sheet, fitting
+from phase_ppl.evaluation.sheet import GREY, Sheet, fitting, in_lines
 from phase_ppl.world.relations import SCENARIOS
 
 if TYPE_CHECKING:
@@ -40,22 +40,26 @@ def confusion(results: Results) -> Figure:
     shown = [(o, counts) for o in results.measured if (counts := _counts(o, results)) is not None]
     if not shown:
         raise NothingToDrawError("nobody answered the goals of an event whose truth is known")
-    n_columns = min(len(shown), _PER_ROW)
-    n_rows = -(-len(shown) // _PER_ROW)
+    per_row = _PER_ROW if len(shown) <= 2 * _PER_ROW else _PER_ROW + 1
+    n_columns = min(len(shown), per_row)
+    n_rows = -(-len(shown) // per_row)
     height = _HEADING + _SIDE
     sheet = Sheet(_LEFT + n_columns * (_SIDE + _GAP), n_rows * height + _BELOW + 0.1)
     for place, (observer, counts) in enumerate(shown):
-        row, column = divmod(place, _PER_ROW)
+        row, column = divmod(place, per_row)
         left, top = _LEFT + column * (_SIDE + _GAP), row * height
         label = observer.label if observer.kind != "people" else f"{observer.label}, majority"
-        sheet.write(
-            left, top + 0.27, label, size=fitting(label, _SIDE, NORMAL + 0.5),
-            colour=observer.colour, weight="bold",
-        )  # fmt: skip
+        lines = in_lines(label, _SIDE)
+        size = min(fitting(line, _SIDE, NORMAL + 0.5) for line in lines)
+        for above, line in enumerate(reversed(lines)):
+            y = top + 0.27 + 0.03 * (len(lines) > 1) - 0.12 * above
+            sheet.write(left, y, line, size=size, colour=observer.colour, weight="bold")
         axes = sheet.axes(left, top + _HEADING, _SIDE, _SIDE)
         _matrix(axes, counts)
-        lowest = place + _PER_ROW >= len(shown)
-        axes.set_xticks(range(len(SCENARIOS)), SCENARIOS if lowest else [], rotation=40, ha="right")
+        lowest = place + per_row >= len(shown)
+        # above the last row there is a matrix to the lower left, which slanted names would reach
+        style = {"rotation": 40, "ha": "right"} if row == n_rows - 1 else {"rotation": 90}
+        axes.set_xticks(range(len(SCENARIOS)), SCENARIOS if lowest else [], **style)
         axes.set_yticks(range(len(SCENARIOS)), _row_labels(counts) if column == 0 else [])
         axes.tick_params(length=0, labelsize=SMALL, pad=3, colors=INK)
     middle = (n_rows * height + _HEADING) / 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 import dataclasses
 import functools
 from collections.abc import Sequence
@@ -24,30 +25,23 @@ class NothingToDrawError(InvalidSettingError):
     """The results lack what a figure is about; the message says what."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Results:
-    """The results in a folder, read once for all figures.
-
-    Args:
-        folder: of the evaluation, finished or not.
-    """
-
-    folder: ResultsFolder
+class Results(abc.ABC):
+    """Who said what about which events, read once for all figures."""
 
     @property
+    @abc.abstractmethod
     def events(self) -> Sequence[Event]:
         """All events."""
-        return self.folder.events
 
-    @functools.cached_property
+    @property
+    @abc.abstractmethod
     def observers(self) -> list[Observer]:
         """Everybody who answered, about all events, without metrics."""
-        return observers(self.folder)
 
-    @functools.cached_property
+    @property
+    @abc.abstractmethod
     def measured(self) -> list[Observer]:
         """Everybody who answered, with metrics."""
-        return measured(self.folder)
 
     @functools.cached_property
     def scenarios(self) -> dict[str, str]:
@@ -66,3 +60,26 @@ class Results:
             if name in self.scenarios and scenario in (None, self.scenarios[name])
             for question in KINDS[kind]
         )
+
+
+@dataclasses.dataclass(frozen=True)
+class FolderResults(Results):
+    """The results in a folder.
+
+    Args:
+        folder: of the evaluation, finished or not.
+    """
+
+    folder: ResultsFolder
+
+    @property
+    def events(self) -> Sequence[Event]:
+        return self.folder.events
+
+    @functools.cached_property
+    def observers(self) -> list[Observer]:
+        return observers(self.folder)
+
+    @functools.cached_property
+    def measured(self) -> list[Observer]:
+        return measured(self.folder)

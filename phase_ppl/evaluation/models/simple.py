@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import inspect
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from phase_ppl.evaluation.answer import Answer
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
     from phase_ppl.models.model import Model
 
 _COUNTED: Final = ("simulations", "frames", "frames_saved", "failures", "retries")
+_KERNEL: Final = "local_mh"
 _NOT_OPTIONS: Final = ("checkpoint", "event", "executor", "progress", "seed", "workers")
 
 
@@ -67,7 +70,30 @@ class Simple:
         return {"model": self.model.fingerprint()}
 
 
-@register_model("simple")
+def more_options(given: Mapping[str, Any]) -> list[str] | None:
+    """Return what SIMPLE takes beside its own options; None: anything, which the kernel does.
+
+    Args:
+        given: all options; ``kernel`` decides.
+
+    Raises:
+        InvalidSettingError, UnknownNameError: there is no such kernel.
+    """
+    from phase_ppl.inference.infer import infer
+    from phase_ppl.inference.registry import described
+
+    of_kernel = described(given.get("kernel") or _KERNEL).options
+    if of_kernel is None:
+        return None
+    of_infer = [
+        parameter.name
+        for parameter in inspect.signature(infer).parameters.values()
+        if parameter.kind is parameter.KEYWORD_ONLY and parameter.name not in _NOT_OPTIONS
+    ]
+    return [*of_infer, *_names_of_settings(), *of_kernel]
+
+
+@register_model("simple", more_options=more_options)
 def simple(
     *,
     prior: Any = "uniform",
@@ -100,7 +126,12 @@ def simple(
             raise InvalidSettingError(f"{name} is no option of model 'simple'")
     if weights is not None and weights not in WEIGHTINGS:
         raise unknown_name("weights", weights, WEIGHTINGS)
-    described(options.get("kernel") or "local_mh")
+    known = more_options(options)
+    for name in options:
+        if known is not None and name not in known:
+            kernel = described(options.get("kernel") or _KERNEL).name
+            what = f"option of model 'simple' with kernel {kernel!r}:"
+            raise unknown_name(what, name, [*inspect.signature(simple).parameters, *known])
     parts = {"prior": prior, "planner": planner, "simulator": simulator, "noise": noise}
     if program is None:
         program = Model(**parts)
@@ -109,11 +140,17 @@ def simple(
     return Simple(program, weights, _with_settings(options))
 
 
+def _names_of_settings() -> list[str]:
+    from phase_ppl.inference.settings import SimpleSettings
+
+    return [field.name for field in dataclasses.fields(SimpleSettings)]
+
+
 def _with_settings(options: dict[str, Any]) -> dict[str, Any]:
     """Return the options with those that are SIMPLE's settings as one."""
     from phase_ppl.inference.settings import SimpleSettings
 
-    names = {field.name for field in dataclasses.fields(SimpleSettings)}
+    names = _names_of_settings()
     given = {name: value for name, value in options.items() if name in names}
     if not given:
         return options

@@ -56,17 +56,18 @@ def stepwise(
     *,
     prior: Any = "uniform",
     planner: Any = None,
+    sharpness: float | None = None,
+    lapse: float | None = None,
+    weight: float | None = None,
     strengths: Any = None,
     noise: float | None = None,
-    **likelihood: Any,
 ) -> Stepwise:
     """Closed loop: each frame given what was seen before; exact over all pairs of goals.
 
     Args:
         prior, planner: of the :class:`phase_ppl.Model`.
-        strengths, noise: of :class:`phase_ppl.Tracking`.
-        **likelihood: of :class:`phase_ppl.StepwiseLikelihood`: ``sharpness``, ``lapse``,
-            ``weight``.
+        sharpness, lapse, weight: of the :class:`phase_ppl.StepwiseLikelihood`.
+        strengths, noise: of its :class:`phase_ppl.Tracking`.
 
     Raises:
         InvalidSettingError, UnknownNameError: one of them cannot be used.
@@ -74,17 +75,12 @@ def stepwise(
     from phase_ppl.closed_loop.hidden_state import Tracking
     from phase_ppl.models.model import Model
     from phase_ppl.models.stepwise import StepwiseLikelihood
-    from phase_ppl.world.errors import unknown_name
 
-    known = ("sharpness", "lapse", "weight")
-    for name in likelihood:
-        if name not in known:
-            raise unknown_name("option of model 'stepwise'", name, (*known, "strengths", "noise"))
-    tracking = Tracking(noise=noise) if strengths is None else Tracking(strengths, noise=noise)
-    return Stepwise(
-        Model(
-            prior=prior,
-            planner=planner,
-            likelihood=StepwiseLikelihood(tracking=tracking, **likelihood),
-        )
-    )
+    tracking = Tracking(**_given(strengths=strengths, noise=noise))
+    given = _given(sharpness=sharpness, lapse=lapse, weight=weight)
+    likelihood = StepwiseLikelihood(tracking=tracking, **given)
+    return Stepwise(Model(prior=prior, planner=planner, likelihood=likelihood))
+
+
+def _given(**options: Any) -> dict[str, Any]:
+    return {name: value for name, value in options.items() if value is not None}

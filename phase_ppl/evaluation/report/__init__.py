@@ -1,4 +1,4 @@
-"""One page that holds everything about a run or an evaluation, to be opened anywhere."""
+"""One page that holds everything about a run, an evaluation or a comparison of models."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import Final
 
-from phase_ppl.evaluation.folder import POSTERIOR, SETTINGS, ResultsFolder
+from phase_ppl.evaluation.folder import COMPARISON, POSTERIOR, SETTINGS, ResultsFolder
 from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.files import atomic_output, check_output
 
@@ -20,20 +20,20 @@ def report(
     videos: bool = False,
     progress: bool | None = None,
 ) -> Path:
-    """Write one self-contained HTML page about a run or an evaluation; return its path.
+    """Write one self-contained HTML page about what a folder holds; return its path.
 
     The page holds its pictures, films, style and script, and fetches nothing.
 
     Args:
-        folder: of a run, with posterior.nc, or of an evaluation.
+        folder: of a run, with posterior.nc, of an evaluation, or of a comparison of models.
         path: of the page, ending in .html; default ``report.html`` in the folder.
         videos: film every event of an evaluation as well, some seconds and 0.1 MB each. A film
             that a run has is always there.
-        progress: whether to show a bar over the events of an evaluation on stderr; by default
-            where that is a terminal.
+        progress: whether to show a bar over the events on stderr; by default where that is a
+            terminal.
 
     Raises:
-        InvalidEventError: the folder is neither, or a file in it is damaged.
+        InvalidEventError: the folder is none of these, or a file in it is damaged.
         OutputError: the page cannot be written there, or its name does not end in .html.
     """
     source = Path(folder)
@@ -41,16 +41,22 @@ def report(
     if not source.is_dir():
         raise InvalidEventError(f"{source}: no such folder")
     of_evaluation = (source / SETTINGS).is_file()
-    if not of_evaluation and not (source / POSTERIOR).is_file():
+    of_comparison = (source / COMPARISON).is_file()
+    if not (of_evaluation or of_comparison or (source / POSTERIOR).is_file()):
         raise InvalidEventError(
             f"{source} holds neither a run (it has no {POSTERIOR}) nor an evaluation (it has no "
-            f"{SETTINGS})"
+            f"{SETTINGS}) nor a comparison (it has no {COMPARISON})"
         )
     check_output(target, (".html",))
     if of_evaluation:
         from phase_ppl.evaluation.report.results import results_report
 
         text = results_report(ResultsFolder.open(source), videos=videos, progress=progress)
+    elif of_comparison:
+        from phase_ppl.evaluation.comparison.comparison import ModelComparison
+        from phase_ppl.evaluation.report.compared import comparison_report
+
+        text = comparison_report(ModelComparison.load(source), progress=progress)
     else:
         from phase_ppl.evaluation.report.run import run_report
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from typing import Any, Final
+from collections.abc import Callable, Iterable, Mapping
+from typing import TYPE_CHECKING, Any, Final
 
 import phase_ppl
+from phase_ppl.evaluation.curves import at
 from phase_ppl.evaluation.figures import DRAWN, TITLES
-from phase_ppl.evaluation.figures.results import NothingToDrawError, Results
+from phase_ppl.evaluation.figures.results import FolderResults, NothingToDrawError
 from phase_ppl.evaluation.folder import ResultsFolder
 from phase_ppl.evaluation.observers import Observer, label_of
 from phase_ppl.evaluation.report import parts
@@ -26,6 +27,9 @@ from phase_ppl.evaluation.report.html import (
 )
 from phase_ppl.evaluation.report.videos import videos_section
 from phase_ppl.world.relations import SCENARIOS
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 COLUMNS: Final = {
     ("goal_accuracy",): "goals right",
@@ -47,6 +51,10 @@ ALTS: Final = {
     "scatter_goals": "Points: probability of a goal for a model against that for people.",
     "scatter_relations": "Points: probability of a relation for a model against that for people.",
     "film_strips": "Film strips: an event of every scenario, from first to last frame.",
+    "costs": "Points: share of right answers against CPU seconds per event, with intervals.",
+    "differences": "Matrices: difference in right answers between every two models.",
+    "equivalence": "Points with intervals: right answers of models minus those of people, beside "
+    "the margin of equivalence; the numbers are in the table.",
 }
 """Name of a figure -> what stands in its place for those who do not see it."""
 
@@ -64,7 +72,7 @@ def results_report(
     Raises:
         InvalidEventError, UnknownNameError: a file in the folder is damaged.
     """
-    results = Results(folder)
+    results = FolderResults(folder)
     name = label_of(str(folder.settings.get("model", "model")))
     finished = sum(folder.is_finished(event.id) for event in folder.events)
     title = f"Evaluation of {name}"
@@ -74,8 +82,8 @@ def results_report(
         title,
         tag("h1", title),
         tag("p", _state(folder, finished), class_="soft"),
-        section("Summary", _summary(results.measured), _by_scenario(results.measured)),
-        section("Figures", *_figures(results)),
+        section("Summary", summary_table(results.measured), scenario_table(results.measured)),
+        section("Figures", *drawn_figures(results, DRAWN)),
         _failures(folder),
         videos_section(results, films=videos, progress=progress),
         section(
@@ -95,20 +103,20 @@ def _state(folder: ResultsFolder, finished: int) -> str:
     return f"{words}."
 
 
-def _summary(observers: Iterable[Observer]) -> Html:
+def summary_table(observers: Iterable[Observer]) -> Html:
     """Return the table of everybody's metrics, without columns that nobody has."""
     shown = list(observers)
     used = {
         place: heading
         for place, heading in COLUMNS.items()
-        if any(_at(observer.metrics, place) is not None for observer in shown)
+        if any(at(observer.metrics, place) is not None for observer in shown)
     }
     if not used:
         return tag("p", "There is nothing to compare with: neither truth nor people's judgments.")
     heads: list[Child] = ["", *used.values()]
     rows: list[list[Child]] = []
     for observer in shown:
-        cells: list[Child] = [_with_interval(_at(observer.metrics, place)) for place in used]
+        cells: list[Child] = [_with_interval(at(observer.metrics, place)) for place in used]
         rows.append([parts.named(observer), *cells])
     people = _between_people(shown)
     return tag(
@@ -122,21 +130,21 @@ def _between_people(observers: list[Observer]) -> str:
     words = []
     for name, what in (("goal_split_half_r", "goals"), ("split_half_r", "relations")):
         for observer in observers:
-            found = _at(observer.metrics, ("human", name))
+            found = at(observer.metrics, ("human", name))
             if found is not None:
                 words.append(f"{number(found['value'])} on {what}")
                 break
     return f"Halves of the people correlate {' and '.join(words)}." if words else ""
 
 
-def _by_scenario(observers: Iterable[Observer]) -> Html | None:
+def scenario_table(observers: Iterable[Observer]) -> Html | None:
     """Return accuracies by true scenario, folded away."""
     rows: list[list[Child]] = []
     shown = list(observers)
     for kind, word in (("goal", "goals"), ("relation", "relations")):
         for observer in shown:
             found = [
-                _at(observer.metrics, ("by_scenario", name, f"{kind}_accuracy"))
+                at(observer.metrics, ("by_scenario", name, f"{kind}_accuracy"))
                 for name in SCENARIOS
             ]
             if any(found):
@@ -147,20 +155,26 @@ def _by_scenario(observers: Iterable[Observer]) -> Html | None:
     return more("By true scenario", table(heads, rows, "Accuracy by true scenario"))
 
 
-def _figures(results: Results) -> list[Html]:
-    drawn: list[Html] = []
+def drawn_figures(results: Any, drawn: Mapping[str, Callable[[Any], Figure]]) -> list[Html]:
+    """Return the figures that the results allow, and why others are not there.
+
+    Args:
+        results: as the functions take them.
+        drawn: name of a figure -> what draws it.
+    """
+    found: list[Html] = []
     left_out = []
-    for name, draw in DRAWN.items():
+    for name, draw in drawn.items():
         try:
             picture = figure_of(draw(results), ALTS[name])
         except NothingToDrawError as reason:
             left_out.append(f"{TITLES[name]}: {reason}.")
             continue
-        drawn += [tag("h3", TITLES[name]), tag("figure", rolled(picture, TITLES[name]))]
+        found += [tag("h3", TITLES[name]), tag("figure", rolled(picture, TITLES[name]))]
     if left_out:
         words = " ".join(left_out)
-        drawn.append(tag("p", f"Not drawn. {words}", class_="soft"))
-    return drawn
+        found.append(tag("p", f"Not drawn. {words}", class_="soft"))
+    return found
 
 
 def _failures(folder: ResultsFolder) -> Html | None:
@@ -169,13 +183,6 @@ def _failures(folder: ResultsFolder) -> Html | None:
         return None
     pairs = [(event, parts.in_words(what)) for event, what in found.items()]
     return section("Failures", facts(pairs, "Events without a prediction, and why"))
-
-
-def _at(metrics: Mapping[str, Any], place: tuple[str, ...]) -> Any:
-    found: Any = metrics
-    for name in place:
-        found = found.get(name) if isinstance(found, Mapping) else None
-    return found
 
 
 def _with_interval(found: Mapping[str, Any] | None) -> Child:

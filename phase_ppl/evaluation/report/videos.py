@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from phase_ppl.analysis.load import load_posterior
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.evaluation.figures.results import Results
+from phase_ppl.evaluation.figures.results import FolderResults
 from phase_ppl.evaluation.folder import POSTERIOR, ResultsFolder
 from phase_ppl.evaluation.observers import Observer
 from phase_ppl.evaluation.pages import TITLES, rows_of
@@ -49,7 +49,7 @@ ORDERS: Final = {
 _SHORT: Final = {"goal_red": "red's goal", "goal_green": "green's goal", "relation": "relation"}
 
 
-def videos_section(results: Results, *, films: bool, progress: bool | None) -> Html:
+def videos_section(results: FolderResults, *, films: bool, progress: bool | None) -> Html:
     """Return a folded part per event, which a line of menus sorts and filters.
 
     Args:
@@ -64,7 +64,7 @@ def videos_section(results: Results, *, films: bool, progress: bool | None) -> H
     return section("Videos", _filters(results), tag("div", items, id="videos"))
 
 
-def _filters(results: Results) -> Html:
+def _filters(results: FolderResults) -> Html:
     """Return the menus; they stay hidden where no script runs."""
     present = [name for name in SCENARIOS if name in results.scenarios.values()]
     return tag(
@@ -84,7 +84,7 @@ def _menu(name: str, label: str, choices: dict[str, str]) -> Html:
     return tag("label", f"{label} ", tag("select", options, name=name))
 
 
-def _item(event: Event, results: Results, *, films: bool) -> Html:
+def _item(event: Event, results: FolderResults, *, films: bool) -> Html:
     shown = [o for o in results.observers if event.id in o.predictions]
     own = next((o.predictions[event.id] for o in shown if o.kind == "model"), None)
     outcome, marks = _outcome(event, own)
@@ -153,7 +153,7 @@ def _content(
         found.append(parts.film_strip(replay, event.scene, caption, alt))
     for question, title in TITLES.items():
         if any(question in o.predictions[event.id].answers for o in shown):
-            found.append(_answers(event, question, title, shown))
+            found.append(answers_table(event, question, title, shown))
     if sampled is not None:
         found.append(tag("p", str(sampled.diagnostics()["verdict"]), class_="verdict"))
     if own is not None and own.cost:
@@ -161,7 +161,7 @@ def _content(
     return join(found)
 
 
-def _answers(event: Event, question: str, title: str, shown: Sequence[Observer]) -> Html:
+def answers_table(event: Event, question: str, title: str, shown: Sequence[Observer]) -> Html:
     """Return a table: a row per answer, a column per observer."""
     truth = true_answer(event, question)
     heads: list[Child] = [title, *map(parts.named, shown)]

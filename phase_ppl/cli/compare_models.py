@@ -1,0 +1,156 @@
+"""The command ``compare-models``."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import phase_ppl
+from phase_ppl.cli.shared import (
+    FAILED,
+    add_progress,
+    one_line,
+    report_hint,
+    shows_progress,
+    whole,
+    writable_folder,
+)
+from phase_ppl.world.errors import InvalidSettingError
+
+if TYPE_CHECKING:
+    from phase_ppl.evaluation.comparison.comparison import ModelComparison
+
+PAGES: Final = "pages"
+"""The folder of the pages, one per event, in that of a comparison."""
+
+
+def add_to(commands: Any) -> None:
+    """Add the command."""
+    parser = commands.add_parser(
+        "compare-models",
+        help="compare evaluations of several models, and people, on the same events",
+        description="Compare evaluations of several models, and people, on the same events: "
+        "accuracy, agreement with people, paired differences with Holm's correction, equivalence "
+        "with people, cost.",
+        epilog="example: phase-ppl compare-models out/simple out/last_frame --out compared",
+    )
+    parser.set_defaults(run=_compare_models)
+    parser.add_argument(
+        "folders",
+        metavar="DIR",
+        nargs="+",
+        help="written by evaluate --out, of one model or of several; NAME=DIR gives it a name",
+    )
+    add_stored(parser)
+    parser.add_argument(
+        "--against", metavar="NAME", help="differences from this model only; default: every pair"
+    )
+    parser.add_argument(
+        "--common", action="store_true", help="compare on the events that all folders share"
+    )
+    parser.add_argument(
+        "--margin",
+        metavar="M",
+        type=float,
+        help="difference of shares up to which a model and people are equivalent; default 0.1",
+    )
+    parser.add_argument("--seed", metavar="N", type=whole(0), help="of the resamples; default 0")
+    parser.add_argument(
+        "--resamples", metavar="N", type=whole(1), help="of the events, default 10000"
+    )
+    parser.add_argument("--out", metavar="DIR", type=Path, help="for tables, figures and pages")
+    parser.add_argument("--no-figures", action="store_true", help="draw no figures and pages")
+    add_progress(parser)
+
+
+def add_stored(parser: argparse.ArgumentParser) -> None:
+    """Add the option that names models whose answers the events carry."""
+    parser.add_argument(
+        "--stored",
+        metavar="NAME",
+        action="append",
+        default=[],
+        help="a model whose answers the events carry, to be compared too, or all; may be given "
+        "several times",
+    )
+
+
+def _compare_models(options: argparse.Namespace) -> int:
+    from phase_ppl.evaluation.folder import SETTINGS
+
+    if options.out is not None:
+        if (options.out / SETTINGS).is_file():
+            raise InvalidSettingError(f"--out {options.out} holds an evaluation: name another")
+        writable_folder(options.out)
+    names = ("margin", "seed", "resamples")
+    given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
+    found = phase_ppl.compare_models(
+        _sources(options.folders),
+        stored=stored_models(options.stored),
+        against=options.against,
+        common=options.common,
+        **given,
+    )
+    print(found)
+    if options.out is None:
+        print("\nNothing was saved; --out DIR keeps tables and figures.")
+        return 0
+    return keep(found, options.out, options)
+
+
+def stored_models(given: Sequence[str]) -> str | list[str]:
+    """Return what ``compare_models`` takes for the models named by ``--stored``."""
+    from phase_ppl.evaluation.comparison.contenders import ALL
+
+    return ALL if ALL in given else list(given)
+
+
+def _sources(given: Sequence[str]) -> dict[str, Any] | list[str]:
+    """Return the folders, with names where there are some.
+
+    Raises:
+        InvalidSettingError: only some have a name, or two the same.
+    """
+    pairs = [(text, "") if Path(text).exists() else text.partition("=")[::2] for text in given]
+    named = {name: folder for name, folder in pairs if folder}
+    if not named:
+        return list(given)
+    if len(named) < len(given):
+        raise InvalidSettingError(
+            f"{' '.join(given)}: expected a different name for each, as in one=DIR other=DIR"
+        )
+    return named
+
+
+def keep(found: ModelComparison, out: Path, options: argparse.Namespace) -> int:
+    """Write a comparison with its figures and pages; return the exit code."""
+    from phase_ppl.analysis.style import written
+    from phase_ppl.evaluation.comparison.results import ComparedResults
+    from phase_ppl.evaluation.figures import draw_comparison
+    from phase_ppl.evaluation.folder import entry_name
+    from phase_ppl.evaluation.pages import page_of
+    from phase_ppl.inference.runs.progress import counted
+
+    found.save(out)
+    problems = []
+    if not options.no_figures:
+        try:
+            draw_comparison(found, out, progress=not options.quiet)
+        except Exception as error:  # the results are there, whatever becomes of their pictures
+            problems.append(f"the figures cannot be drawn: {one_line(error)}")
+        results = ComparedResults(found)
+        pages = writable_folder(out / PAGES)
+        events = list(enumerate(found.events))
+        for place, event in counted(events, shows_progress(options), "page", "drawing"):
+            shown = [one for one in results.observers if event.id in one.predictions]
+            try:
+                written(page_of(event, shown), pages / f"{entry_name(place, event.id)}.png")
+            except Exception as error:
+                problems.append(f"the page of {event.id} cannot be drawn: {one_line(error)}")
+    for problem in problems:
+        print(f"phase-ppl: error: {problem}", file=sys.stderr)
+    print(f"\nKept in {out}\n{report_hint(out)}")
+    return FAILED if problems else 0

@@ -1,0 +1,199 @@
+"""Who is compared: evaluations, models whose answers the events carry, on the same events."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from phase_ppl.evaluation.evaluation import Evaluation
+from phase_ppl.evaluation.folder import SETTINGS
+from phase_ppl.evaluation.prediction import Prediction
+from phase_ppl.evaluation.references import reference_predictions
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown, unknown_name
+from phase_ppl.world.event import Event
+from phase_ppl.world.identity import event_digest
+
+Source = Evaluation | str | os.PathLike[str]
+
+ALL: Final = "all"
+"""Stands for all models whose answers the events carry."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Contender:
+    """A model that is compared.
+
+    Attributes:
+        name: as the comparison calls it, different for all.
+        kind: "model", of an evaluation; or "stored", whose answers the events carry.
+        predictions: event id -> answers, of the events compared.
+        settings: of the evaluation, as in its settings.json but for the events.
+        failures: event id -> what went wrong, of the events compared.
+        folder: of the evaluation, if it has one.
+    """
+
+    name: str
+    kind: str
+    predictions: Mapping[str, Prediction]
+    settings: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    failures: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    folder: str | None = None
+
+
+def evaluations(
+    sources: Source | Sequence[Source] | Mapping[str, Source],
+) -> dict[str, Evaluation]:
+    """Return name -> evaluation.
+
+    A folder that holds no evaluation itself stands for those in it, under the names of their
+    folders. Others go by the name of the model or, where several are of the same, of the folder.
+
+    Args:
+        sources: evaluations or folders, one or several; or name -> evaluation or folder.
+
+    Raises:
+        InvalidEventError: a folder holds no evaluation, or a damaged one.
+        InvalidSettingError: a source is none; or two would have the same name.
+    """
+    if isinstance(sources, Mapping):
+        return {str(name): _evaluation(source) for name, source in sources.items()}
+    if isinstance(sources, str | os.PathLike | Evaluation):
+        sources = [sources]
+    found: list[tuple[str | None, Evaluation]] = []
+    for source in sources:
+        inside = [] if isinstance(source, Evaluation) else _inside(source)
+        if inside:
+            found += [(folder.name, Evaluation.load(folder)) for folder in inside]
+        else:
+            found.append((None, _evaluation(source)))
+    models = [evaluation.name for _, evaluation in found]
+    named: dict[str, Evaluation] = {}
+    for given, evaluation in found:
+        name = given or evaluation.name
+        folder = evaluation.folder
+        if given is None and models.count(name) > 1 and folder is not None:
+            name = folder.path.resolve().name
+        if name in named:
+            raise InvalidSettingError(
+                f"two of the evaluations would be called {name!r}: name them, as in "
+                f"{{'one': ..., 'other': ...}} or one=DIR other=DIR"
+            )
+        named[name] = evaluation
+    return named
+
+
+def _inside(source: object) -> list[Path]:
+    """Return the folders of evaluations in a folder that is none itself."""
+    if not isinstance(source, str | os.PathLike) or (Path(source) / SETTINGS).is_file():
+        return []
+    return sorted(file.parent for file in Path(source).glob(f"*/{SETTINGS}"))
+
+
+def _evaluation(source: object) -> Evaluation:
+    if isinstance(source, Evaluation):
+        return source
+    if not isinstance(source, str | os.PathLike):
+        raise InvalidSettingError(f"{shown(source)} is neither an evaluation nor the folder of one")
+    if not Path(source).exists():
+        raise InvalidEventError(f"{source}: no such folder")
+    return Evaluation.load(source)
+
+
+def shared_events(
+    found: Mapping[str, Evaluation], common: bool = False
+) -> tuple[list[Event], list[str]]:
+    """Return the events that all evaluations are about, and notes about them.
+
+    Events are the same if they have the same id and all that is seen of them is the same. Truth
+    and judgments are those of the first evaluation.
+
+    Args:
+        found: name -> evaluation.
+        common: leave out events that are not in all; otherwise there may be none.
+
+    Raises:
+        InvalidEventError: evaluations are about other events; or none is in all.
+    """
+    (first, evaluation), *others = found.items()
+    notes = []
+    chosen = {event.id: event for event in evaluation.events}
+    digests = {event.id: event_digest(event) for event in evaluation.events}
+    for name, other in others:
+        theirs = {event.id: event for event in other.events}
+        same = {i for i in digests if i in theirs and event_digest(theirs[i]) == digests[i]}
+        if not common and not len(same) == len(digests) == len(theirs):
+            raise InvalidEventError(
+                f"{first} and {name} were asked about different events: "
+                f"{_differences(first, digests, name, theirs, same)}; common=True (--common) "
+                "compares them on the events that all share"
+            )
+        chosen = {i: event for i, event in chosen.items() if i in same}
+        changed = [i for i, e in chosen.items() if not _known_alike(e, theirs[i])]
+        if changed:
+            notes.append(
+                f"truth or judgments of {len(changed)} events, such as {changed[0]!r}, are not the "
+                f"same in {first} and {name}; those in {first} count"
+            )
+    if not chosen:
+        raise InvalidEventError(f"there is no event that {', '.join(found)} share")
+    largest = max(len(one.events) for one in found.values())
+    if len(chosen) < largest:
+        notes.insert(0, f"on the {len(chosen)} events that all share, of up to {largest}")
+    return list(chosen.values()), notes
+
+
+def _known_alike(one: Event, other: Event) -> bool:
+    return one.truth == other.truth and one.judgments == other.judgments
+
+
+def _differences(
+    first: str, mine: Iterable[str], name: str, theirs: Iterable[str], same: Collection[str]
+) -> str:
+    both = set(mine) & set(theirs)
+    groups = {
+        f"only in {first}": [i for i in mine if i not in both],
+        f"only in {name}": [i for i in theirs if i not in both],
+        "not the same in scene or observation": [i for i in mine if i in both and i not in same],
+    }
+    return ", ".join(
+        f"{len(ids)} {what} (such as {ids[0]!r})" for what, ids in groups.items() if ids
+    )
+
+
+def contenders(
+    found: Mapping[str, Evaluation], events: Sequence[Event], stored: str | Sequence[str] = ()
+) -> list[Contender]:
+    """Return the models that are compared, with their answers about the events.
+
+    Args:
+        found: name -> evaluation.
+        events: that are compared.
+        stored: names of models whose answers the events carry; or :data:`ALL` of them.
+
+    Raises:
+        UnknownNameError: the events carry no answers of such a model.
+        InvalidEventError: stored answers cannot be read.
+    """
+    ids = [event.id for event in events]
+    made = [
+        Contender(
+            name,
+            "model",
+            {i: one.predictions[i] for i in ids if i in one.predictions},
+            {key: value for key, value in one.settings.items() if key != "events"},
+            {i: str(one.failures[i]) for i in ids if i in one.failures},
+            None if one.folder is None else str(one.folder.path),
+        )
+        for name, one in found.items()
+    ]
+    references = reference_predictions(events)
+    wanted = [stored] if isinstance(stored, str) and stored != ALL else stored
+    for name in references if wanted == ALL else dict.fromkeys(wanted):
+        if name not in references:
+            raise unknown_name("stored model", name, references)
+        label = f"{name} (stored)" if name in found else name
+        made.append(Contender(label, "stored", references[name]))
+    return made

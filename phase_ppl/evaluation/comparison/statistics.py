@@ -1,0 +1,211 @@
+"""Paired differences between models and equivalence with people, on resampled events.
+
+Both resample events: every figure is about other events like these, not about other people or
+other runs of the models.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from phase_ppl.evaluation import tables
+from phase_ppl.evaluation.bootstrap import (
+    LEVEL,
+    Figure,
+    FloatArray,
+    difference,
+    figure,
+    interval,
+    resampled,
+    weighted_mean,
+)
+from phase_ppl.evaluation.comparison.contenders import Contender
+from phase_ppl.evaluation.curves import events_with
+from phase_ppl.evaluation.metrics import paired_difference
+from phase_ppl.evaluation.tables import KINDS
+from phase_ppl.world.event import Event
+from phase_ppl.world.relations import SCENARIOS
+
+Row = dict[str, Any]
+
+ALPHA: Final = 1 - LEVEL
+"""Corrected p up to which a difference, or an equivalence, counts as shown."""
+
+COSTS: Final = ("cpu_seconds", "seconds")
+
+
+def differences(
+    events: Sequence[Event],
+    compared: Sequence[Contender],
+    *,
+    against: str | None = None,
+    seed: int = 0,
+    resamples: int = 10_000,
+) -> list[Row]:
+    """Return how much higher one model scores than another, for every pair and measure.
+
+    Args:
+        events: that are compared.
+        compared: the models.
+        against: name of a model, with which alone the others are compared.
+        seed, resamples: of the events, the same for all pairs.
+
+    Returns:
+        Rows of ``one``, ``other``, ``measure`` (place in the metrics, such as "human.js"),
+        ``scenario`` (None: all), ``value`` (one minus other), ``ci_low``, ``ci_high`` (95 %),
+        ``p`` (two-sided bootstrap), ``p_holm`` and ``n_events`` (that both predict). Holm's
+        correction is over all pairs that are compared on the measure; for the scenarios over all
+        pairs and scenarios of the measure.
+    """
+    if against is None:
+        pairs = list(itertools.combinations(compared, 2))
+    else:
+        other = next(one for one in compared if one.name == against)
+        pairs = [(one, other) for one in compared if one is not other]
+    rows: list[Row] = []
+    for one, other in pairs:
+        found = paired_difference(
+            events, one.predictions, other.predictions, seed=seed, resamples=resamples
+        )
+        counts = {name: part["n"] for name, part in found["by_scenario"].items()}
+        for scenario, measure, value in _figures(found):
+            rows.append(
+                {
+                    **{"one": one.name, "other": other.name},
+                    **{"measure": measure, "scenario": scenario},
+                    **value,
+                    "n_events": found["n_events"] if scenario is None else counts[scenario],
+                }
+            )
+    return _corrected(rows, "p")
+
+
+def _figures(found: Mapping[str, Any]) -> list[tuple[str | None, str, dict[str, Any]]]:
+    """Return scenario, measure and figure of all that ``paired_difference`` found."""
+    flat: list[tuple[str | None, str, Any]] = []
+    for name, value in found.items():
+        if name == "by_scenario":
+            flat += [(s, kind, v) for s, part in value.items() for kind, v in part.items()]
+        elif name == "human":
+            flat += [(None, f"human.{inner}", v) for inner, v in value.items()]
+        else:
+            flat.append((None, name, value))
+    return [(scenario, name, v) for scenario, name, v in flat if isinstance(v, dict)]
+
+
+def equivalence(
+    events: Sequence[Event],
+    compared: Sequence[Contender],
+    *,
+    margin: float,
+    seed: int = 0,
+    resamples: int = 10_000,
+) -> list[Row]:
+    """Return how much more often a model is right than people, and whether that is next to nothing.
+
+    Tested is the mean, over the events that the model and people answered, of the model's being
+    right (1 or 0; for goals the mean of both agents) minus the share of people who are right.
+    Two one-sided tests: that it is not below ``-margin``, and not above ``margin``; as a whole
+    they reject a difference of the margin or more if the 90 % interval lies between.
+
+    Args:
+        events: those with truth and judgments count.
+        compared: the models.
+        margin: of equivalence, a difference of shares.
+        seed, resamples: of the events.
+
+    Returns:
+        Rows of ``model``, ``measure`` ("goal_accuracy", "relation_accuracy"), ``scenario`` (None:
+        all), ``value``, ``ci_low``, ``ci_high`` (95 %), ``low``, ``high`` (90 %), ``p`` (two-sided,
+        of no difference), ``p_equivalent`` (of the two one-sided tests), both with ``_holm``,
+        corrected as in :func:`differences`; ``n_events``, and ``verdict``: "equivalent" where the
+        corrected ``p_equivalent`` is at most 0.05; "higher" or "lower" where the corrected ``p``
+        is; both joined where both are; else "undecided".
+    """
+    rows: list[Row] = []
+    for one in compared:
+        chosen = tables.predicted(events, one.predictions)
+        known, said = tables.facts(chosen), tables.said(chosen, one.predictions)
+        weights = resampled(len(chosen), seed, resamples)
+        for kind in KINDS:
+            of_people = np.take_along_axis(
+                known.people[kind], np.maximum(known.truth[kind], 0)[..., None], axis=-1
+            )[..., 0]
+            more = said.right[kind] - of_people
+            for scenario in (None, *SCENARIOS):
+                part = more
+                if scenario is not None:
+                    chosen_rows = known.scenario == SCENARIOS.index(scenario)
+                    part = np.where(chosen_rows[:, None], more, np.nan)
+                found = _tested(weighted_mean(weights, part), events_with(part), margin)
+                if found is not None:
+                    row = {"model": one.name, "measure": f"{kind}_accuracy", "scenario": scenario}
+                    rows.append({**row, **found})
+    for name in ("p", "p_equivalent"):
+        rows = _corrected(rows, name)
+    return [{**row, "verdict": _verdict(row)} for row in rows]
+
+
+def _tested(values: FloatArray, n: int, margin: float) -> Row | None:
+    found: Row | None = difference(values, np.zeros_like(values), n)
+    if found is None:
+        return None
+    drawn = values[1:][np.isfinite(values[1:])]
+    low = high = p = None
+    if n > 1 and drawn.size:
+        low, high = interval(values, 1 - 2 * ALPHA)
+        beyond = max((drawn <= -margin).sum(), (drawn >= margin).sum())
+        p = float((beyond + 1) / (drawn.size + 1))
+    return {**found, "low": low, "high": high, "p_equivalent": p, "n_events": n}
+
+
+def _verdict(row: Row) -> str:
+    words = []
+    if row["p_equivalent_holm"] is not None and row["p_equivalent_holm"] <= ALPHA:
+        words.append("equivalent")
+    if row["p_holm"] is not None and row["p_holm"] <= ALPHA:
+        words.append("higher" if row["value"] > 0 else "lower")
+    return ", ".join(words) or "undecided"
+
+
+def _corrected(rows: Sequence[Row], name: str) -> list[Row]:
+    """Return the rows with a corrected p beside each, by measure and whether of scenarios."""
+    families: dict[tuple[str, bool], list[int]] = {}
+    for place, row in enumerate(rows):
+        if row[name] is not None:
+            families.setdefault((row["measure"], row["scenario"] is None), []).append(place)
+    found: dict[int, float] = {}
+    for places in families.values():
+        corrected = holm([rows[place][name] for place in places])
+        found |= dict(zip(places, corrected, strict=True))
+    return [{**row, f"{name}_holm": found.get(place)} for place, row in enumerate(rows)]
+
+
+def holm(p: Sequence[float]) -> list[float]:
+    """Return p-values of a family of tests, corrected by Holm's step-down procedure.
+
+    Rejecting where the corrected value is at most alpha errs anywhere in the family with a
+    probability of at most alpha (Holm 1979).
+    """
+    values = np.asarray(p, np.float64)
+    order = np.argsort(values, kind="stable")
+    steps = values[order] * np.arange(len(values), 0, -1)
+    corrected = np.empty(len(values))
+    corrected[order] = np.minimum(np.maximum.accumulate(steps), 1)
+    return [float(one) for one in corrected]
+
+
+def costs(one: Contender, seed: int = 0) -> dict[str, Figure | None]:
+    """Return the mean ``cpu_seconds`` and ``seconds`` per event; None where they are not known."""
+    found: dict[str, Figure | None] = {}
+    weights = resampled(len(one.predictions), seed)
+    for name in COSTS:
+        given = [prediction.cost.get(name) for prediction in one.predictions.values()]
+        numbers = [value if isinstance(value, int | float) else np.nan for value in given]
+        values = np.array(numbers, np.float64).reshape(-1, 1)
+        found[name] = figure(weighted_mean(weights, values), events_with(values))
+    return found

@@ -1,0 +1,391 @@
+"""Models compared with each other and with people, on figures that can be worked out by hand."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import phase_ppl as ppl
+from phase_ppl.evaluation import figures
+from phase_ppl.evaluation.comparison.printed import WIDTH
+from phase_ppl.evaluation.comparison.results import ComparedResults
+from phase_ppl.evaluation.comparison.statistics import holm
+from phase_ppl.evaluation.figures import COMPARED, NothingToDrawError, draw_comparison
+from phase_ppl.evaluation.folder import ResultsFolder
+from phase_ppl.evaluation.pages import page_of
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
+from phase_ppl.world.event import Event
+from tests.evaluation.judged import (
+    BLUE_TO_GREEN,
+    BLUE_TO_RED,
+    COLLABORATIVE,
+    COMPETING,
+    answers,
+    by_id,
+    make_event,
+    shares,
+)
+from tests.evaluation.test_figures import check_texts
+from tests.world.examples import DEV, needs_dev
+
+STORED = {"theirs": {"relation": "friendly"}, "right": {"relation": "neutral"}}
+
+
+def judged_events(n: int = 12, wrong: int = 1) -> list[Event]:
+    """Return events, every third competing, of which ``wrong`` of 20 people are wrong."""
+    made = []
+    for i in range(n):
+        competing = i % 3 == 0
+        votes = (wrong, 0, 20 - wrong) if competing else (20 - wrong, 0, wrong)
+        goals = COMPETING if competing else COLLABORATIVE
+        made.append(make_event(f"event {i}", goals, votes, predictions=STORED))
+    return made
+
+
+EVENTS = judged_events()
+
+
+def evaluation(
+    name: str = "right",
+    relation: str | None = None,
+    goals: Sequence[str] = (),
+    of: Sequence[Event] = EVENTS,
+    **more: Any,
+) -> ppl.Evaluation:
+    """Return an evaluation of a model that gives the same answer always, or else the truth."""
+    made = by_id(
+        *(
+            answers(e.id, *goals, relation=relation or e.truth.relation)  # type: ignore[union-attr]
+            for e in of
+        )
+    )
+    costed = {
+        i: dataclasses.replace(p, cost={"seconds": 2.0, "cpu_seconds": 1.5})
+        for i, p in made.items()
+    }
+    settings = {"model": name, "seed": 0}
+    return ppl.Evaluation(of, more.pop("predictions", costed), {}, settings, {}, **more)
+
+
+def kept(path: Path, found: ppl.Evaluation) -> Path:
+    """Write an evaluation into a folder."""
+    folder = ResultsFolder.create(path, found.settings, found.events)
+    for prediction in found.predictions.values():
+        folder.add(prediction)
+    return path
+
+
+def compare(*models: Any, **more: Any) -> ppl.ModelComparison:
+    given = models[0] if len(models) == 1 and isinstance(models[0], Mapping) else list(models)
+    return ppl.compare_models(given, **{"resamples": 400, **more})
+
+
+def row(rows: Sequence[Mapping[str, Any]], **wanted: Any) -> Mapping[str, Any]:
+    """Return the only row with these entries."""
+    (found,) = [r for r in rows if all(r[name] == value for name, value in wanted.items())]
+    return found
+
+
+# --- figures -----------------------------------------------------------------------------------
+
+
+def test_holm_is_the_step_down_procedure() -> None:
+    assert holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
+    assert holm([0.5, 0.6]) == [1, 1]
+    assert holm([]) == []
+
+
+def test_differences_are_of_every_pair_on_the_same_resamples() -> None:
+    c = compare(evaluation(), evaluation("friend", "friendly"), evaluation("foe", "adversarial"))
+    relation = {"measure": "relation_accuracy", "scenario": None}
+    found = row(c.differences, one="right", other="friend", **relation)
+    assert found["value"] == pytest.approx(1 / 3)  # all competing ones
+    assert found["ci_low"] <= found["value"] <= found["ci_high"]
+    assert found["n_events"] == 12
+    between = row(c.differences, one="friend", other="foe", **relation)
+    assert between["value"] == pytest.approx(1 / 3)
+    competing = {"measure": "relation_accuracy", "scenario": "competing"}
+    assert row(c.differences, one="friend", other="foe", **competing)["value"] == -1
+    assert row(c.differences, one="friend", other="foe", **competing)["n_events"] == 4
+
+
+def test_p_is_corrected_over_the_pairs_of_a_measure() -> None:
+    c = compare(evaluation(), evaluation("friend", "friendly"), evaluation("foe", "adversarial"))
+    pairs = [
+        r for r in c.differences if r["measure"] == "relation_accuracy" and r["scenario"] is None
+    ]
+    assert len(pairs) == 3
+    assert [r["p_holm"] for r in pairs] == pytest.approx(holm([r["p"] for r in pairs]))
+    scenarios = [r for r in c.differences if r["measure"] == "relation_accuracy" and r["scenario"]]
+    assert [r["p_holm"] for r in scenarios] == pytest.approx(holm([r["p"] for r in scenarios]))
+    alone = compare(*(evaluation(n) for n in ("a", "b")))
+    equal = row(alone.differences, measure="relation_accuracy", scenario=None)
+    assert (equal["value"], equal["p"], equal["p_holm"]) == (0, 1, 1)
+
+
+def test_against_one_model_only_its_pairs_are_tested() -> None:
+    models = [evaluation(), evaluation("friend", "friendly"), evaluation("foe", "adversarial")]
+    c = compare(*models, against="friend")
+    assert {(r["one"], r["other"]) for r in c.differences} == {
+        ("right", "friend"), ("foe", "friend"),
+    }  # fmt: skip
+    with pytest.raises(UnknownNameError, match="'friend'"):
+        compare(*models, against="frend")
+
+
+@pytest.mark.parametrize(
+    ("margin", "relation", "wrong", "verdict"),
+    [
+        (0.1, None, 0, "equivalent"),
+        (0.1, None, 1, "equivalent, higher"),
+        (0.02, None, 1, "higher"),
+        (0.1, "neutral", 1, "lower"),
+        (0.1, "friendly", 13, "undecided"),
+    ],
+)
+def test_equivalence_with_people_is_of_right_answers_event_by_event(
+    margin: float, relation: str | None, wrong: int, verdict: str
+) -> None:
+    of = judged_events(wrong=wrong)
+    c = compare(evaluation(relation=relation, of=of), margin=margin)
+    found = row(c.equivalence, model="right", measure="relation_accuracy", scenario=None)
+    share = {None: 1, "neutral": 0, "friendly": 2 / 3}[relation]
+    assert found["value"] == pytest.approx(share - (20 - wrong) / 20)
+    assert found["verdict"] == verdict
+    if verdict.startswith("equivalent"):
+        assert found["p_equivalent"] == pytest.approx(1 / 401)
+        assert -margin < found["low"] <= found["high"] < margin
+    # people said nothing about goals
+    assert {r["measure"] for r in c.equivalence} == {"relation_accuracy"}
+    assert c.people["relation_accuracy"]["value"] == pytest.approx((20 - wrong) / 20)
+
+
+def test_what_is_not_there_is_none_and_never_a_guess() -> None:
+    part = {i: p for i, p in evaluation().predictions.items() if i != "event 3"}
+    half = evaluation("half", predictions=part)
+    c = compare(half, evaluation("friend", "friendly"))
+    assert c.metrics["half"]["n_events"] == 11
+    assert c.metrics["half"]["goal_accuracy"] is None
+    assert c.metrics["half"]["cpu_seconds"]["value"] == 1.5
+    assert math.isnan(c.table.loc["half", ("goal_accuracy", "value")])
+    assert c.table.loc["half", ("relation_accuracy", "value")] == 1
+    assert not [r for r in c.differences if r["measure"].startswith("goal")]
+    assert row(c.differences, measure="relation_accuracy", scenario=None)["n_events"] == 11
+    assert "half predicts 11 of 12 events" in str(c)
+    costless = {i: dataclasses.replace(p, cost={}) for i, p in part.items()}
+    c = compare(evaluation("free", predictions=costless))
+    assert c.metrics["free"]["cpu_seconds"] is None
+
+
+def test_without_truth_and_people_there_are_no_figures_but_costs() -> None:
+    of = [dataclasses.replace(e, truth=None, judgments=None) for e in EVENTS]
+    c = compare(evaluation(of=EVENTS, relation="neutral"), evaluation("b", "neutral"))
+    bare = dataclasses.replace(c, events=of)
+    assert bare.equivalence == []
+    assert "right answers" in str(bare)  # the costs are there
+    for name in ("accuracy", "costs", "equivalence", "correlation"):
+        with pytest.raises(NothingToDrawError):
+            COMPARED[name](ComparedResults(bare))
+
+
+# --- who is compared ---------------------------------------------------------------------------
+
+
+def test_evaluations_must_be_of_the_same_events() -> None:
+    one, other = evaluation(of=EVENTS[:8]), evaluation("b", of=EVENTS[2:])
+    with pytest.raises(InvalidEventError, match=r"2 only in right .*'event 0'.* 4 only in b"):
+        compare(one, other)
+    c = compare(one, other, common=True)
+    assert [e.id for e in c.events] == [f"event {i}" for i in range(2, 8)]
+    assert "on the 6 events that all share, of up to 10" in str(c)
+    with pytest.raises(InvalidEventError, match="no event that right, b share"):
+        compare(evaluation(of=EVENTS[:2]), evaluation("b", of=EVENTS[4:]), common=True)
+
+
+def test_the_same_id_does_not_make_the_same_event() -> None:
+    moved = dataclasses.replace(EVENTS[0].observation, trajectory=(
+        EVENTS[0].observation.trajectory + 0.01))  # fmt: skip
+    changed = [dataclasses.replace(EVENTS[0], observation=moved), *EVENTS[1:]]
+    models = evaluation(), evaluation("b", of=changed)
+    with pytest.raises(InvalidEventError, match="1 not the same in scene or observation"):
+        compare(*models)
+    assert len(compare(*models, common=True).events) == 11
+
+
+def test_other_truth_or_judgments_are_told() -> None:
+    other = [dataclasses.replace(e, judgments=None) for e in EVENTS]
+    c = compare(evaluation(), evaluation("b", of=other))
+    assert "truth or judgments of 12 events" in str(c)
+    assert c.people["n_events"] == 12
+
+
+def test_models_are_called_by_their_names_or_their_folders_or_as_one_likes(tmp_path: Path) -> None:
+    one, other = (kept(tmp_path / "all" / n, evaluation("same")) for n in ("one", "other"))
+    third = kept(tmp_path / "third", evaluation("b", "friendly"))
+    assert compare(one, other, third).models == ["one", "other", "b"]
+    assert compare(tmp_path / "all", third).models == ["one", "other", "b"]
+    assert compare({"x": one, "y": evaluation("b")}).models == ["x", "y"]
+    with pytest.raises(InvalidSettingError, match="two of the evaluations would be called 'same'"):
+        compare(evaluation("same"), evaluation("same"))
+
+
+@pytest.mark.parametrize(
+    ("models", "more", "error", "message"),
+    [
+        ((), {}, InvalidSettingError, "no evaluations"),
+        ((3,), {}, InvalidSettingError, "3 is neither an evaluation nor the folder"),
+        (("nowhere",), {}, InvalidEventError, "nowhere: no such folder"),
+        ((evaluation(),), {"margin": 0}, InvalidSettingError, "margin=0"),
+        ((evaluation(),), {"margin": "x"}, InvalidSettingError, "margin='x'"),
+        ((evaluation(),), {"resamples": 0}, InvalidSettingError, "resamples=0"),
+        ((evaluation(),), {"stored": ["thers"]}, UnknownNameError, "'theirs'"),
+    ],
+)
+def test_bad_input_is_named(
+    models: Any, more: dict[str, Any], error: type[Exception], message: str
+) -> None:
+    with pytest.raises(error, match=message):
+        compare(*models, **more)
+
+
+def test_models_in_the_events_are_compared_by_name() -> None:
+    c = compare(evaluation(), stored="all")
+    assert c.models == ["right", "theirs", "right (stored)"]
+    assert c.metrics["theirs"]["relation_accuracy"]["value"] == pytest.approx(2 / 3)
+    assert c.metrics["right (stored)"]["relation_accuracy"]["value"] == 0
+    assert c.metrics["theirs"]["cpu_seconds"] is None
+    assert compare(evaluation(), stored=["theirs"]).models == ["right", "theirs"]
+
+
+# --- kept, printed, drawn ----------------------------------------------------------------------
+
+NAMES = (
+    *("simple", "last_frame", "a_lesion_of_simple_without_physics", "predicate", "socialgnn"),
+    *("another_lesion_that_sees_everything", "vlm", "majority", "no_social_goals", "$y$"),
+)
+
+
+def many(of: Sequence[Event]) -> ppl.ModelComparison:
+    """Return a comparison of many models, with long names, that answer everything."""
+    models = {}
+    for k, name in enumerate(NAMES):
+        made = []
+        for i, event in enumerate(of):
+            p = 0.05 + 0.9 * ((7 * k + 3 * i) % 10) / 10
+            goals = {BLUE_TO_RED: p, BLUE_TO_GREEN: 1 - p}
+            made.append(shares(event.id, goal_red=goals, goal_green=goals, relation=[p, 0, 1 - p]))
+        costed = [dataclasses.replace(p, cost={"cpu_seconds": 10.0**k / 1e4}) for p in made]
+        models[name] = evaluation(name, predictions=by_id(*costed), of=of)
+    return compare(models, stored=["theirs"], resamples=200)
+
+
+@pytest.fixture(scope="module")
+def crowd() -> ppl.ModelComparison:
+    goals = {"red agent": {BLUE_TO_RED: 15}, "green agent": {BLUE_TO_RED: 9, BLUE_TO_GREEN: 6}}
+    of = []
+    for i, event in enumerate(judged_events(6)):
+        counts = {"friendly": 5 + 2 * i, "neutral": 3, "adversarial": 12 - 2 * i}
+        judgments = {"relation_counts": counts, "goal_counts": goals}
+        of.append(dataclasses.replace(event, judgments=judgments))
+    return many(of)
+
+
+def test_tables_fit_a_terminal_of_100_columns(crowd: ppl.ModelComparison) -> None:
+    lines = str(crowd).splitlines()
+    assert max(map(len, lines)) <= WIDTH == 100
+    for words in ("right answers", "competing (2)", "r given truth", "equivalence with people",
+                  "more pairs", "CPU s/event", "people, majority"):  # fmt: skip
+        assert any(words in line for line in lines), words
+
+
+def test_a_comparison_is_saved_and_read_again(crowd: ppl.ModelComparison, tmp_path: Path) -> None:
+    crowd.save(tmp_path / "new" / "folder")
+    again = ppl.ModelComparison.load(tmp_path / "new" / "folder")
+    assert str(again) == str(crowd)
+    assert again.differences == crowd.differences
+    record = json.loads((tmp_path / "new" / "folder" / "comparison.json").read_text())
+    assert record["metrics"]["simple"]["n_events"] == 6
+    assert len(record["differences"]) == len(crowd.differences)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("schema", "other", "its schema is 'other'"),
+        ("models", None, "comparison.json"),
+        ("models", [{"name": "x"}], "has no 'predictions'"),
+        ("settings", {"margin": 2, "against": None, "seed": 0, "resamples": 1}, "margin=2"),
+        ("settings", {}, "has no 'margin'"),
+    ],
+)
+def test_a_damaged_file_is_refused(field: str, value: Any, message: str, tmp_path: Path) -> None:
+    compare(evaluation(of=EVENTS[:2]), resamples=5).save(tmp_path)
+    file = tmp_path / "comparison.json"
+    file.write_text(json.dumps({**json.loads(file.read_text()), field: value}))
+    with pytest.raises(InvalidEventError, match=message):
+        ppl.ModelComparison.load(tmp_path)
+    with pytest.raises(InvalidEventError, match="holds no comparison"):
+        ppl.ModelComparison.load(tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize("name", sorted(COMPARED))
+def test_no_text_of_a_figure_leaves_the_page_or_covers_another(
+    name: str, crowd: ppl.ModelComparison
+) -> None:
+    check_texts(COMPARED[name](ComparedResults(crowd)))
+
+
+def test_a_page_has_a_column_for_everybody(crowd: ppl.ModelComparison) -> None:
+    results = ComparedResults(crowd)
+    figure = page_of(crowd.events[0], results.observers)
+    check_texts(figure)
+    shown = " ".join(text.get_text() for text in figure.texts)
+    for words in ("people", "SIMPLE", "planning", "physics", "$y$"):
+        assert words in shown
+
+
+def test_models_keep_their_colours(crowd: ppl.ModelComparison) -> None:
+    colours = {o.name: o.colour for o in ComparedResults(crowd).observers}
+    assert len(set(colours.values())) == len(colours) == len(NAMES) + 2
+    few = {o.name: o.colour for o in ComparedResults(compare(evaluation("vlm"))).observers}
+    assert few["vlm"] == colours["vlm"]
+
+
+def test_figures_and_the_report_take_the_folder_of_a_comparison(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    c = compare(evaluation(of=EVENTS[:3]), evaluation("friend", "friendly", of=EVENTS[:3]))
+    c.save(tmp_path)
+    assert ppl.figures.costs(tmp_path, path=tmp_path / "costs.svg").axes
+    assert ppl.figures.accuracy(c).axes
+    drawn = {path.stem for path in draw_comparison(c, tmp_path)}
+    assert drawn == set(COMPARED) - {
+        *("confusion", "correlation", "scatter_goals", "scatter_relations"),
+    }
+    assert capsys.readouterr().err.count("no figure") == 4
+    text = ppl.report(tmp_path, progress=False).read_text("utf-8")
+    for words in ("Comparison of models", "Paired differences", "Equivalence with people",
+                  "right in all they answered", "event 2"):  # fmt: skip
+        assert words in text
+    with pytest.raises(NothingToDrawError, match="of a comparison"):
+        figures.equivalence(kept(tmp_path / "single", evaluation()))
+
+
+@needs_dev
+def test_stored_models_of_the_real_videos_score_as_they_do_alone() -> None:
+    events = ppl.load_events(DEV)
+    found = ppl.evaluate(events, "last_frame", workers=1, progress=False)
+    c = compare(found, stored=["simple_authors"], resamples=100)
+    alone = ppl.reference_models(events)["simple_authors"]
+    assert {n: v for n, v in c.metrics["simple_authors"].items() if n in alone} == alone
+    assert c.metrics["last_frame"]["cpu_seconds"]["value"] > 0
+    difference = row(c.differences, measure="goal_accuracy", scenario=None)
+    assert difference["value"] == pytest.approx(
+        c.metrics["last_frame"]["goal_accuracy"]["value"] - alone["goal_accuracy"]["value"]
+    )
