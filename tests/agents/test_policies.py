@@ -1,0 +1,86 @@
+"""One filter of beliefs and shared searches say what each pair of goals would on its own."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from phase_ppl.agents.agent import Agent
+from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.agents.mind import Mind
+from phase_ppl.agents.policies import NO_INTENT, Policies
+from phase_ppl.physics import compiled
+from phase_ppl.physics.actions import Action
+from phase_ppl.world.goals import GOALS, N_GOALS, goal_index
+from phase_ppl.world.state import State
+from tests.agents.scenes import FULL_WALL_UP, HALF_WALL_LEFT, scene
+
+CONFIG = PlannerConfig(simulations=30, paired=True)
+WHERE = scene(red=(9.0, 18.0, 1.0), green=(20.0, 8.0, 2.0), blue=(11.0, 18.0), pink=(22.0, 8.0),
+              walls=[FULL_WALL_UP, HALF_WALL_LEFT])  # fmt: skip
+STRENGTHS = (450.0, 300.0)
+
+
+def watched(agent: int, held: int = -1) -> Policies:
+    """Return what an agent makes of the scene, perhaps with its near item in hand."""
+    found = Policies(agent, Mind.of(WHERE, STRENGTHS, CONFIG), CONFIG, seed=3)
+    bodies, holds, weld = compiled.from_state(State.at_start(WHERE), WHERE.radius)
+    found.observe(bodies, holds, weld)
+    found.done(Action.ATTACH)
+    if held >= 0:
+        holds[agent] = held
+        weld[agent] = 1.6, 0.0, 0.0
+    found.observe(bodies, holds, weld)
+    return found
+
+
+@pytest.mark.parametrize(("agent", "held"), [(0, -1), (0, 2), (1, 3)])
+def test_pairs_of_goals_that_share_an_intent_have_it_each_for_itself(agent: int, held: int) -> None:
+    policies = watched(agent, held)
+    possible = 0
+    for red in range(N_GOALS):
+        for green in range(N_GOALS):
+            index = policies.of_pair[red, green]
+            if index == NO_INTENT:
+                continue
+            own, other = (red, green) if agent == 0 else (green, red)
+            assert policies._intent(own, other) == policies.intents[index], (red, green)
+            possible += 1
+    assert possible == 34 * 34  # neither agent gets to or away from itself
+    assert 4 < len(policies.intents) < 60
+
+
+def test_what_a_search_finds_does_not_depend_on_what_else_is_searched() -> None:
+    policies, again = watched(0), watched(0)
+    together = policies.outlooks()
+    order = np.random.default_rng(0).permutation(len(again.intents))
+    for index in order:
+        alone = again.outlook(again.intents[index])
+        np.testing.assert_allclose(alone.values, together[index].values, rtol=0, atol=1e-10)
+        np.testing.assert_array_equal(alone.visits, together[index].visits)
+        assert alone.best == together[index].best
+
+
+def test_an_agent_with_one_pair_of_goals_takes_up_the_same_subgoal() -> None:
+    for red, green in (
+        ("Get blue item to red lm", "Get blue item to red lm"),
+        ("Get blue item to red lm", "Get blue item away from red lm"),
+        ("Get green agent to yellow lm", "Get green agent to yellow lm"),
+        ("get to green agent", "get away from red agent"),
+    ):
+        goals = goal_index(red), goal_index(green)
+        mind = Mind.of(WHERE, STRENGTHS, CONFIG)
+        policies = Policies(0, mind, CONFIG, seed=3)
+        agent = Agent(0, goals, mind, CONFIG, np.random.default_rng([3, 0]))
+        state = compiled.from_state(State.at_start(WHERE), WHERE.radius)
+        policies.observe(*state)
+        agent.perceive(*state)
+        subgoal, agreeing = agent.choose_subgoal()
+        intent = policies.intents[policies.of_pair[goals]]
+        assert (intent.subgoal, intent.agreeing) == (subgoal, tuple(agreeing)), GOALS[goals[0]]
+
+
+def test_a_goal_that_names_its_own_holder_is_none() -> None:
+    policies = watched(1)
+    assert (policies.of_pair[:, goal_index("get to green agent")] == NO_INTENT).all()
+    assert (policies.of_pair[goal_index("get to red agent")] == NO_INTENT).all()

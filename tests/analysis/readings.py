@@ -1,0 +1,77 @@
+"""Readings made by hand, as the tests of stepwise posteriors need them."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from phase_ppl.analysis.stepwise_table import DIMENSIONS, SCHEMA, STRENGTHS
+from phase_ppl.physics.actions import ACTION_NAMES
+from phase_ppl.world.goals import GOALS, N_GOALS, goal_index
+from phase_ppl.world.hypothesis import ALPHAS
+from phase_ppl.world.names import AGENTS, ENTITIES
+from tests.agents.scenes import scene
+
+LEVELS = (300.0, 600.0)
+BLUE_TO_RED = goal_index("Get blue item to red lm")
+BLUE_NOT_TO_RED = goal_index("Get blue item away from red lm")
+
+
+def reading(**changes: Any) -> xr.Dataset:
+    """Return one of four frames, which come to speak for one pair of goals and against another."""
+    n, rng = 4, np.random.default_rng(0)
+    likelihood = np.zeros((n, N_GOALS, N_GOALS))
+    likelihood[1:] = rng.normal(0, 0.1, (n - 1, N_GOALS, N_GOALS))
+    likelihood[1:, BLUE_TO_RED, BLUE_TO_RED] += 4.0
+    likelihood[2, BLUE_NOT_TO_RED, BLUE_TO_RED] += 6.0
+    strengths = np.full((n, 2, 2), 0.25)
+    strengths[2:] = [[0.1, 0.2], [0.3, 0.4]]
+    prior = np.full((N_GOALS, N_GOALS, len(ALPHAS), 2, 2), 1.0)
+    prior[:, :, 1:] = 0.25
+    prior[goal_index("get to red agent")] = 0.0
+    with np.errstate(divide="ignore"):
+        log_prior = np.log(prior / prior.sum())
+    where = scene()
+    columns: dict[str, Any] = {
+        "log_likelihood": likelihood,
+        "strengths": strengths,
+        "log_prior": log_prior,
+        "actions": np.full((n, 2, len(ACTION_NAMES)), 1 / len(ACTION_NAMES)),
+        "held": np.full((n, 2), -1),
+        "trajectory": np.repeat(where.start[None], n, axis=0),
+        **changes.pop("columns", {}),
+    }
+    goals = ("goal_red", "goal_green", "stated_goal_red", "stated_goal_green")
+    return xr.Dataset(
+        {
+            **{name: (DIMENSIONS[name], values) for name, values in columns.items()},
+            "start": (("entity", "coord"), where.start),
+            "radius": ("entity", where.radius),
+            "walls": (("wall", "end", "axis"), where.walls),
+            "landmark_centres": (("landmark", "axis"), where.landmark_centres),
+            "arena": ("border", np.array(where.arena)),
+        },
+        coords={
+            "time": ("time", np.arange(n) / 12, {"units": "s"}),
+            **{name: list(GOALS) for name in goals},
+            "alpha": [str(alpha) for alpha in ALPHAS],
+            **{name: list(LEVELS) for name in STRENGTHS},
+            "agent": list(AGENTS),
+            "action": list(ACTION_NAMES),
+            "entity": list(ENTITIES),
+            "coord": ["x", "y", "angle"],
+        },
+        attrs={
+            "schema": SCHEMA,
+            "event_id": "by hand",
+            "weight": 0.5,
+            "settings": json.dumps({"seed": 0}),
+            "cost": json.dumps({"searches": 12, "seconds": 1.0, "video_seconds": 0.75}),
+            "turning": "both",
+            "landmark_half_width": 2.5,
+            **changes,
+        },
+    )

@@ -1,0 +1,149 @@
+"""A posterior that was read step by step is the sum over all hypotheses, at any frame."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import phase_ppl as ppl
+from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, QueryError
+from phase_ppl.world.goals import GOALS, N_GOALS, effective_goals
+from phase_ppl.world.hypothesis import ALPHAS
+from phase_ppl.world.relations import relation
+from tests.analysis.readings import BLUE_NOT_TO_RED, BLUE_TO_RED, LEVELS, reading
+
+FOUND = reading()
+
+
+def by_hand(frame: int) -> dict[tuple[int, int, int, int, int], float]:
+    """Return the mass of every hypothesis: stated goals, alpha, strengths."""
+    likelihood = FOUND["log_likelihood"].values[: frame + 1].sum(axis=0)
+    masses = {}
+    for red, green, alpha, fr, fg in itertools.product(
+        range(N_GOALS), range(N_GOALS), range(len(ALPHAS)), range(2), range(2)
+    ):
+        pair = effective_goals(red, green, ALPHAS[alpha])
+        log_mass = float(FOUND["log_prior"].values[red, green, alpha, fr, fg])
+        strength = float(FOUND["strengths"].values[frame, fr, fg])
+        masses[red, green, alpha, fr, fg] = np.exp(log_mass + 0.5 * likelihood[pair]) * strength
+    total = sum(masses.values())
+    return {hypothesis: mass / total for hypothesis, mass in masses.items()}
+
+
+@pytest.mark.parametrize("frame", [0, 2, 3])
+def test_every_answer_is_a_sum_over_hypotheses(frame: int) -> None:
+    post, masses = StepwisePosterior(FOUND, frame), by_hand(frame)
+    goals: dict[str, float] = dict.fromkeys(GOALS, 0.0)
+    friendly = strong = 0.0
+    for (red, green, alpha, fr, _), mass in masses.items():
+        pair = effective_goals(red, green, ALPHAS[alpha])
+        goals[GOALS[pair[0]]] += mass
+        friendly += mass * (relation(*pair) == "friendly")
+        strong += mass * (LEVELS[fr] == 600.0)
+    marginal = post.marginal("goal_red")
+    np.testing.assert_allclose(marginal.values, list(goals.values()), atol=1e-9)
+    assert post.probability(relation="friendly") == pytest.approx(friendly, abs=1e-9)
+    assert post.probability(strength_red=(500, 600)) == pytest.approx(strong, abs=1e-9)
+    assert post.query("P(relation=friendly)") == pytest.approx(friendly, abs=1e-9)
+    assert post.probability(relation="friendly").error == 0
+    if frame:
+        assert post.mode("goal_red").error == 0
+
+
+def test_over_time_is_the_posterior_at_each_frame() -> None:
+    post = StepwisePosterior(FOUND)
+    found = post.over_time()
+    for frame in range(4):
+        at = post.at(frame)
+        for name in ("goal_red", "goal_green", "relation", "scenario"):
+            np.testing.assert_allclose(
+                found[name].values[frame], at.marginal(name).values, atol=1e-9
+            )
+    assert "filtering" in found.attrs
+    assert len(post.at(1).over_time()["time"]) == 2
+
+
+def test_the_best_hypothesis_leads_and_the_evidence_grows() -> None:
+    post = StepwisePosterior(FOUND)
+    assert post.map().effective_goals == (BLUE_TO_RED, BLUE_TO_RED)
+    assert post.map_record()["goal_red"] == GOALS[BLUE_TO_RED]
+    evidence = [post.at(frame).log_evidence for frame in range(4)]
+    assert evidence[0] == pytest.approx(0, abs=1e-9)
+    assert evidence[3] > evidence[0]
+
+
+def test_why_gives_the_log_odds_and_who_changed_them() -> None:
+    post = StepwisePosterior(FOUND)
+    found = post.why(
+        "goal_red=Get blue item to red lm", over="goal_red=Get blue item away from red lm"
+    )
+    for frame in range(4):
+        at = post.at(frame).marginal("goal_red").values
+        odds = np.log(at[BLUE_TO_RED] / at[BLUE_NOT_TO_RED])
+        assert found["log_odds"].values[frame] == pytest.approx(odds)
+    np.testing.assert_allclose(np.diff(found["log_odds"]), found["change"].values[1:])
+    assert found["change"].values[0] == 0
+    alone = post.why("relation=friendly")
+    share = post.probability(relation="friendly")
+    assert alone["log_odds"].values[-1] == pytest.approx(np.log(share / (1 - share)))
+
+
+@pytest.mark.parametrize(
+    ("event", "error", "message"),
+    [
+        ("relation", QueryError, "expected conditions"),
+        ("relation=cordial", QueryError, "cordial"),
+        ("relation=friendly | alpha=(1, 0)", QueryError, "expected conditions"),
+        ("goal_red=get to red agent", InvalidSettingError, "impossible under the prior"),
+    ],
+)
+def test_what_has_no_odds_is_refused(event: str, error: type[Exception], message: str) -> None:
+    with pytest.raises(error, match=message):
+        StepwisePosterior(FOUND).why(event)
+
+
+def test_it_is_saved_and_read_again(tmp_path: Path) -> None:
+    post = StepwisePosterior(FOUND)
+    file = post.save(tmp_path / "found.nc")
+    for again in (StepwisePosterior.load(file), ppl.load_posterior(file)):
+        assert isinstance(again, StepwisePosterior)
+        np.testing.assert_array_equal(
+            again.joint("goal_red", "relation"), post.joint("goal_red", "relation")
+        )
+        assert str(again) == str(post)
+    with pytest.raises(InvalidEventError, match="schema"):
+        ppl.Posterior.load(file)
+    with pytest.raises(InvalidSettingError, match="no draws"):
+        ppl.load_posterior(file, "count")
+    content = bytearray(file.read_bytes())
+    content[len(content) // 2 : len(content) // 2 + 64] = bytes(64)
+    file.write_bytes(content)
+    with pytest.raises(InvalidEventError):
+        StepwisePosterior.load(file)
+
+
+def test_what_is_no_reading_is_refused() -> None:
+    with pytest.raises(InvalidEventError, match="lacks held"):
+        StepwisePosterior(FOUND.drop_vars("held"))
+    with pytest.raises(InvalidEventError, match="schema is 'other'"):
+        StepwisePosterior(reading(schema="other"))
+    nan = FOUND["log_likelihood"].values * np.nan
+    with pytest.raises(InvalidEventError, match="no log densities"):
+        StepwisePosterior(reading(columns={"log_likelihood": nan}))
+    with pytest.raises(InvalidSettingError, match=r"frame=4, expected a number in 0\.\.3"):
+        StepwisePosterior(FOUND, 4)
+
+
+def test_figures_and_film(tmp_path: Path) -> None:
+    post = StepwisePosterior(FOUND)
+    figure = ppl.plot.why(post, "relation=friendly", "relation=adversarial", tmp_path / "why.png")
+    assert len(figure.axes) >= 3
+    ppl.plot.over_time(post, tmp_path / "over_time.png")
+    ppl.plot.posterior(post, tmp_path / "posterior.png")
+    ppl.watch_film(post, tmp_path / "watch.mp4")
+    assert all(file.stat().st_size > 1000 for file in tmp_path.iterdir())
+    assert len(list(tmp_path.iterdir())) == 4

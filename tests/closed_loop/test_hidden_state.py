@@ -1,0 +1,138 @@
+"""Velocities, holds and strengths are found from positions alone."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import phase_ppl as ppl
+from phase_ppl.closed_loop.hidden_state import HiddenState, Tracking
+from phase_ppl.closed_loop.noise import NoiseEstimate, filter_gains
+from phase_ppl.physics.actions import ACTION_NAMES, Action
+from phase_ppl.physics.pymunk_world import PymunkWorld
+from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.scene import Scene
+from tests.agents.scenes import scene
+
+FOLDER = Path(__file__).parents[3] / "shared" / "phase-test"
+STRENGTHS = (450.0, 300.0)
+CARRY = [
+    *[(Action.UP, Action.TURN_LEFT)] * 3,
+    (Action.ATTACH, Action.UP),
+    *[(Action.UP_LEFT, Action.UP)] * 4,
+    *[(Action.TURN_LEFT, Action.STOP)] * 3,
+    (Action.DETACH, Action.UP),
+    *[(Action.DOWN, Action.NO_FORCE)] * 3,
+]
+
+
+def played(where: Scene, actions: Any, strengths: tuple[float, float] = STRENGTHS) -> list[Any]:
+    world = PymunkWorld(where, strengths)
+    return [(world.step(pair), world.state) for pair in actions]
+
+
+def near_item(**changes: Any) -> Scene:
+    return scene(red=(12.0, 8.0, 0.0), blue=(12.0, 11.2), green=(22.0, 16.0, 0.5), **changes)
+
+
+def test_actions_holds_and_strengths_are_recovered() -> None:
+    where = near_item()
+    hidden = HiddenState(where, Tracking())
+    found = []
+    for (frame, state), (red, _) in zip(played(where, CARRY), CARRY, strict=True):
+        found.append(hidden.advance(frame))
+        if red is not Action.ATTACH:  # which shows as soon as something moves
+            assert hidden.beam.best()[1].tolist() == state.held.tolist()
+    for step, (density, actions) in enumerate(zip(found, CARRY, strict=True)):
+        for agent, action in enumerate(actions):
+            own = density.max(axis=1 - agent)
+            assert own[action] > own.max() - 1.0, (step, agent, Action(own.argmax()))
+    strengths = hidden.strengths()
+    assert strengths[2, 1] > 0.99
+    assert strengths.sum() == pytest.approx(1)
+
+
+def test_agents_that_turn_one_way_only_may_have_meant_the_other() -> None:
+    where = near_item(turning="ccw")
+    frame, _ = played(where, [(Action.TURN_LEFT, Action.STOP)])[0]
+    density = HiddenState(where, Tracking()).advance(frame)
+    np.testing.assert_array_equal(density[Action.TURN_LEFT], density[Action.TURN_RIGHT])
+    assert density[Action.TURN_RIGHT, Action.STOP] > density[Action.UP, Action.STOP] + 5
+
+
+def test_a_body_that_jumps_is_followed() -> None:
+    where = near_item()
+    hidden = HiddenState(where, Tracking())
+    frames = [frame for frame, _ in played(where, [(Action.STOP, Action.STOP)] * 8)]
+    for frame in frames:
+        moved = frame.copy()
+        moved[3, :2] += 2.0
+        density = hidden.advance(moved)
+        assert np.isfinite(density).all()
+    assert hidden.beam.best()[0][3, :2] == pytest.approx(frames[-1][3, :2] + 2.0, abs=0.05)
+
+
+@pytest.mark.skipif(not FOLDER.exists(), reason="the real videos are not here")
+def test_recorded_agents_are_understood() -> None:
+    events = {event.id: event for event in ppl.load_events(FOLDER / "dev.json")}
+    records = json.loads((FOLDER / "dev_replays.json").read_text())["videos"]
+    agreed: list[bool] = []
+    for record in [r for r in records if r["reflection"] == "none"][:4]:
+        event = events[record["id"]]
+        hidden = HiddenState(event.scene, Tracking())
+        names = record["actions"][:35]
+        for frame, pair in zip(event.observation.trajectory[1:], names, strict=False):
+            density = hidden.advance(frame)
+            for agent, name in enumerate(pair):
+                own = density.max(axis=1 - agent)
+                agreed.append(own[ACTION_NAMES.index(name)] > own.max() - 0.7)
+        levels = np.array(Tracking().strengths)
+        red, green = np.unravel_index(hidden.strengths().argmax(), (4, 4))
+        assert [levels[red], levels[green]] == record["strength_newton"]
+    assert np.mean(agreed) > 0.85
+
+
+def noisy(sigma: float, n: int = 60) -> NDArray[np.float64]:
+    still = np.zeros((n, 4, 3))
+    still[:, 2, 0] = np.where(np.arange(n) > n // 2, 0.3 * np.arange(n), 0.0)  # one item is moved
+    still[..., :2] += np.random.default_rng(0).normal(0, sigma, still[..., :2].shape)
+    return still
+
+
+@pytest.mark.parametrize("sigma", [0.05, 0.3])
+def test_noise_is_estimated_from_items_that_mostly_lie_still(sigma: float) -> None:
+    frames = noisy(sigma)
+    estimate = NoiseEstimate(None, frames[0])
+    found = [estimate.update(frame) for frame in frames[1:]]
+    assert found[-1] == pytest.approx(sigma, rel=0.25)
+    assert NoiseEstimate(0.2, frames[0]).update(frames[1]) == 0.2
+    clean = NoiseEstimate(None, noisy(0.0)[0])
+    assert max(clean.update(frame) for frame in noisy(0.0)[1:]) == 0
+
+
+def test_noisier_positions_are_followed_less() -> None:
+    exact, rough, blurred = (filter_gains(0.06, noise) for noise in (0.0, 0.1, 0.3))
+    assert (exact[:2] >= rough[:2]).all()
+    assert (rough[:2] > blurred[:2]).all()
+    assert 0 < blurred[1] < blurred[0] < 0.3
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"strengths": (100.0,)}, r"expected newtons in \[150, 600\]"),
+        ({"strengths": (300, 300)}, "named twice"),
+        ({"states": 0}, "states=0"),
+        ({"scale": float("nan")}, "scale=nan"),
+        ({"noise": -1.0}, "noise=-1.0"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(values: Any, message: str) -> None:
+    with pytest.raises(InvalidSettingError, match=message):
+        dataclasses.replace(Tracking(), **values)

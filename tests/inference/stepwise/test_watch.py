@@ -1,0 +1,155 @@
+"""Watching frame by frame: nothing later changes what was believed, and all ways agree."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import phase_ppl as ppl
+from phase_ppl.cli.main import main
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
+from phase_ppl.world.event import Event
+from phase_ppl.world.observation import Observation
+
+QUICK = ppl.PlannerConfig(simulations=14, particles=6)
+MODEL = ppl.Model(likelihood=ppl.StepwiseLikelihood(), planner=QUICK)
+
+
+def short(frames: int = 9) -> Event:
+    event = ppl.load_event("collaborate")
+    return dataclasses.replace(
+        event, observation=Observation(event.observation.trajectory[:frames])
+    )
+
+
+@pytest.fixture(scope="module")
+def whole() -> ppl.StepwisePosterior:
+    post = ppl.infer(short(), MODEL, workers=1, progress=False)
+    assert isinstance(post, ppl.StepwisePosterior)
+    return post
+
+
+def tables(post: ppl.StepwisePosterior) -> list[np.ndarray]:
+    names = ("log_likelihood", "strengths", "actions", "held")
+    return [post.dataset[name].values for name in names]
+
+
+def test_the_last_posterior_of_watching_is_the_batch_result(whole: ppl.StepwisePosterior) -> None:
+    event = short()
+    with ppl.watch(event.scene, MODEL, threads=2, event_id=event.id) as watch:
+        posts = [watch.update(frame) for frame in event.observation.trajectory]
+    for one, other in zip(tables(posts[-1]), tables(whole), strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert posts[-1].event_id == event.id
+    assert len(posts[0].over_time()["time"]) == 1
+
+
+def test_later_frames_never_change_earlier_posteriors(whole: ppl.StepwisePosterior) -> None:
+    event = short()
+    other = event.observation.trajectory.copy()
+    other[6:, 0, :2] -= 1.5
+    changed = dataclasses.replace(event, observation=Observation(other))
+    post = ppl.infer(changed, MODEL, workers=1, progress=False)
+    for one, before in zip(tables(post), tables(whole), strict=True):
+        np.testing.assert_array_equal(one[:6], before[:6])
+        if one.dtype.kind == "f" and one.ndim == 3 and one.shape[1] == 36:
+            assert not np.array_equal(one[6:], before[6:])
+    early, again = whole.at(5), post.at(5)
+    np.testing.assert_array_equal(early.marginal("relation"), again.marginal("relation"))
+
+
+def test_only_scene_observation_and_seed_matter(whole: ppl.StepwisePosterior) -> None:
+    event = dataclasses.replace(short(), truth=None, judgments=None)
+    post = ppl.infer(event, MODEL, workers=2, progress=False)
+    for one, other in zip(tables(post), tables(whole), strict=True):
+        np.testing.assert_array_equal(one, other)
+    reseeded = ppl.infer(event, MODEL, seed=1, workers=1, progress=False)
+    assert not np.array_equal(tables(reseeded)[0], tables(whole)[0])
+
+
+def test_a_bad_frame_is_refused_and_loses_nothing() -> None:
+    event = short(4)
+    frames = event.observation.trajectory
+    with ppl.watch(event.scene, MODEL, threads=1) as watch:
+        with pytest.raises(InvalidSettingError, match="nothing was watched"):
+            watch.posterior()
+        watch.take(frames[0])
+        watch.take(frames[1])
+        for bad, message in (
+            (np.full((4, 3), np.nan), "frame 2"),
+            (frames[2][:3], "frame 2"),
+            (frames[2] + 100, "frame 2: the red agent is at"),
+        ):
+            with pytest.raises(InvalidEventError, match=message):
+                watch.update(bad)
+        post = watch.update(frames[2])
+    assert len(post.observed()) == 3
+
+
+def test_other_likelihoods_and_simulators_cannot_be_read() -> None:
+    event = short(3)
+    with pytest.raises(InvalidSettingError, match="takes a StepwiseLikelihood"):
+        ppl.watch(event.scene, ppl.Model())
+    own = ppl.Model(simulator=lambda scene, h, rng: iter(()), likelihood=ppl.StepwiseLikelihood())
+    with pytest.raises(InvalidSettingError, match="a simulator of its own"):
+        ppl.infer(event, own)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"iterations": 3}, {"budget": ppl.simulations(50)}, {"chains": 4}, {"rule": "paper"}],
+)
+def test_options_of_sampling_are_refused(options: Any) -> None:
+    with pytest.raises(InvalidSettingError, match=next(iter(options))):
+        ppl.infer(short(3), MODEL, **options)
+
+
+@pytest.mark.parametrize(
+    ("kernel", "iterations"),
+    [("importance", 250), pytest.param("prior_mh", 2000, marks=pytest.mark.slow)],
+)
+def test_kernels_that_sample_find_the_same(kernel: str, iterations: int) -> None:
+    model = dataclasses.replace(MODEL, prior="strength_levels")
+    exact = ppl.infer(short(), model, workers=1, progress=False)
+    post = ppl.infer(
+        *(short(), model), kernel=kernel, chains=40, iterations=iterations, progress=False
+    )
+    assert isinstance(post, ppl.Posterior)
+    if kernel == "prior_mh":
+        post = ppl.Posterior(post.tree.isel(draw=slice(500, None)), "count")
+    for name, tolerance in (("relation", 0.06), ("goal_red", 0.12)):
+        apart = np.abs(post.marginal(name).values - exact.marginal(name).values).sum() / 2
+        assert apart < tolerance, name
+
+
+def test_the_registered_model_predicts(tmp_path: Path) -> None:
+    found = ppl.evaluate([short(4)], "stepwise", out=tmp_path / "out", workers=1, planner=QUICK)
+    (prediction,) = found.predictions.values()
+    assert prediction.probabilities["goal_red"].sum() == pytest.approx(1)
+    assert prediction.cost["searches"] > 0
+    kept = ppl.load_posterior(next((tmp_path / "out").glob("events/*/posterior.nc")))
+    assert kept.event_id == "collaborate"
+    with pytest.raises(InvalidSettingError, match="sharpnes"):
+        ppl.evaluate([short(4)], "stepwise", sharpnes=2)
+
+
+def test_the_terminal_watches(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    event = tmp_path / "event.json"
+    ppl.save_event(short(6), event)
+    out = tmp_path / "out"
+    options = ["infer", str(event), "--model", "stepwise", "--watch", "--out", str(out)]
+    assert main([*options, "--workers", "1"]) == 0
+    printed = capsys.readouterr().out
+    assert printed.startswith("  0.0 s  red: ")
+    assert "  1.0 s  red: " in printed
+    assert "read step by step, 6 frames" in printed
+    written = {file.name for file in out.iterdir()}
+    assert {"posterior.nc", "why.png", "over_time.png", "watch.mp4", "summary.json"} <= written
+    assert main(["query", str(out), "P(relation=friendly)"]) == 0
+    assert main(["diagnose", str(out)]) != 0
+    assert main(["infer", str(event), "--watch"]) != 0
+    assert "--watch needs --model stepwise" in capsys.readouterr().err
