@@ -1,0 +1,169 @@
+"""From tracks to a symbolic trajectory: which predicates hold in each frame, by thresholds.
+
+The predicates are those of the paper's table as SIMPLE's planner uses them: CLOSE(entity,
+landmark) is being in that landmark's room (in an arena without inner walls, its quarter), ATTACH
+is read off the tracks, TOUCH is being near enough to stop or to grab, ON to count as arrived.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import numbers
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phase_ppl.agents.symbols import NEAR_AGENT_ON, NEAR_ITEM_ON, NEAR_TOUCH
+from phase_ppl.dataset.motion import HELD_WITHIN, items_held
+from phase_ppl.world.errors import InvalidSettingError, shown
+from phase_ppl.world.geometry import GRAB_POINTS, GRAB_REACH
+from phase_ppl.world.names import AGENTS, ENTITIES
+from phase_ppl.world.observation import Observation
+from phase_ppl.world.scene import Scene
+
+FloatArray = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+FACTOR: Final = 2.0
+"""By how much ON and TOUCH are wider here than where SIMPLE's planner is done with them: recorded
+agents stop a little short. Chosen on half of 50 real videos (``benchmarks/predicate.py``)."""
+
+_PREDICATES: Final = ("rooms", "held", "near", "placed")
+
+
+@dataclasses.dataclass(frozen=True)
+class Thresholds:
+    """When a predicate holds, units. Distances of ON and TOUCH: SIMPLE's planner's times a factor.
+
+    Attributes:
+        on_agent: ON(agent, landmark): way from its centre to the landmark's centre.
+        on_item: ON(item, landmark): likewise.
+        touch_agent: TOUCH(agent, agent): way from centre to centre.
+        touch_item: TOUCH(agent, item): from a grab point of the agent to the item's rim.
+        attach: ATTACH(agent, item): how far the item may be from its place at a grab point; it is
+            to stay there for three frames.
+        lasting: frames for which a predicate must hold, or not hold, to count.
+
+    Raises:
+        InvalidSettingError: a threshold that is no positive number, or ``lasting`` no whole one.
+    """
+
+    on_agent: float = FACTOR * NEAR_AGENT_ON
+    on_item: float = FACTOR * NEAR_ITEM_ON
+    touch_agent: float = FACTOR * NEAR_TOUCH
+    touch_item: float = FACTOR * GRAB_REACH
+    attach: float = HELD_WITHIN
+    lasting: int = 3
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if field.name == "lasting":
+                if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+                    raise InvalidSettingError(f"lasting={shown(value)}, expected a whole number >= 1")
+            else:
+                positive_number(field.name, value)
+
+    def scaled(self, factor: float) -> Thresholds:
+        """Return the thresholds with all distances of ON and TOUCH times ``factor``."""
+        names = ("on_agent", "on_item", "touch_agent", "touch_item")
+        return dataclasses.replace(self, **{name: factor * getattr(self, name) for name in names})
+
+
+def positive_number(name: str, value: object) -> None:
+    """Raise InvalidSettingError unless ``value`` is a positive finite number."""
+    known = isinstance(value, numbers.Real) and not isinstance(value, bool)
+    if not (known and 0 < float(value) < math.inf):  # type: ignore[arg-type]
+        raise InvalidSettingError(f"{name}={shown(value)}, expected a positive number")
+
+
+class SymbolicState(NamedTuple):
+    """The predicates that hold at one moment.
+
+    Attributes:
+        rooms: CLOSE: id of the landmark whose room each entity is in.
+        held: ATTACH: item that each agent holds, or ``NOTHING``.
+        near: TOUCH: per agent, whether it touches each entity.
+        placed: ON: whether each entity is on the landmark of its room.
+    """
+
+    rooms: tuple[int, ...]
+    held: tuple[int, ...]
+    near: tuple[tuple[bool, ...], ...]
+    placed: tuple[bool, ...]
+
+
+def symbolic_trajectory(
+    scene: Scene, observation: Observation, thresholds: Thresholds | None = None
+) -> list[SymbolicState]:
+    """Return the symbolic state of every frame."""
+    given = Thresholds() if thresholds is None else thresholds
+    trajectory = observation.trajectory
+    found = {
+        "rooms": scene.rooms.room_of(trajectory[..., :2]),
+        "held": items_held(trajectory, scene.radius, given.attach),
+        "near": _near(trajectory, scene, given),
+        "placed": _placed(trajectory, scene, given),
+    }
+    for name in _PREDICATES:
+        shape = found[name].shape
+        columns = found[name].reshape(shape[0], -1).T
+        lasting = [_lasting(column, given.lasting) for column in columns]
+        found[name] = np.stack(lasting, axis=1).reshape(shape)
+    return [
+        SymbolicState(
+            tuple(rooms), tuple(held), tuple(tuple(agent) for agent in near), tuple(placed)
+        )
+        for rooms, held, near, placed in zip(
+            *(found[name].tolist() for name in _PREDICATES), strict=True
+        )
+    ]
+
+
+def _near(trajectory: FloatArray, scene: Scene, given: Thresholds) -> Flags:
+    """Return (time, agent, entity)."""
+    near = np.zeros((len(trajectory), len(AGENTS), len(ENTITIES)), bool)
+    place = trajectory[..., :2]
+    near[:, 0, 1] = near[:, 1, 0] = _within(place[:, 0], place[:, 1], given.touch_agent, scene)
+    for agent in range(len(AGENTS)):
+        cos, sin = np.cos(trajectory[:, agent, 2]), np.sin(trajectory[:, agent, 2])
+        for local in GRAB_POINTS * scene.radius[agent]:
+            offset = np.column_stack(
+                [cos * local[0] - sin * local[1], sin * local[0] + cos * local[1]]
+            )
+            for item in range(len(AGENTS), len(ENTITIES)):
+                distance = np.linalg.norm(place[:, agent] + offset - place[:, item], axis=1)
+                near[:, agent, item] |= distance < scene.radius[item] + given.touch_item
+    return near
+
+
+def _placed(trajectory: FloatArray, scene: Scene, given: Thresholds) -> Flags:
+    """Return (time, entity)."""
+    placed = np.zeros(trajectory.shape[:2], bool)
+    for entity in range(len(ENTITIES)):
+        place = trajectory[:, entity, :2]
+        centre = scene.landmark_centres[scene.rooms.room_of(place)]
+        limit = given.on_agent if entity < len(AGENTS) else given.on_item
+        placed[:, entity] = np.linalg.norm(place - centre, axis=1) < limit
+    return placed
+
+
+def _within(one: FloatArray, other: FloatArray, limit: float, scene: Scene) -> Flags:
+    """Return (time,): whether the way between two places (time, 2) is shorter than ``limit``."""
+    near = np.linalg.norm(one - other, axis=1) < limit
+    for t in np.flatnonzero(near):  # the way can be longer than the straight line
+        near[t] = scene.rooms.path_distance(one[t], other[t]) < limit
+    return near
+
+
+def _lasting(values: NDArray[np.int64], frames: int) -> NDArray[np.int64]:
+    """Return a series in which runs shorter than ``frames`` go on with what was before them."""
+    result = values.copy()
+    edges = np.flatnonzero(values[1:] != values[:-1]) + 1
+    bounds = [0, *edges.tolist(), len(values)]
+    for start, end in zip(bounds[1:], bounds[2:], strict=False):
+        if end - start < frames:
+            result[start:end] = result[start - 1]
+    return result
