@@ -87,7 +87,9 @@ def figures(events: Sequence[Event], predictions: Sequence[Prediction]) -> dict[
 def line(setting: Setting, found: dict[str, Any]) -> str:
     words = "  ".join(f"{name} {value:<4g}" for name, value in setting.items())
     goals, relation = (found[name]["value"] for name in QUOTED)
-    return f"{words}  goals {goals:.2f}  relation {relation:.2f}  log score {found['log_score']:.2f}"
+    return (
+        f"{words}  goals {goals:.2f}  relation {relation:.2f}  log score {found['log_score']:.2f}"
+    )
 
 
 def main() -> None:

@@ -32,7 +32,7 @@ from phase_ppl.world.scene import Scene
 
 FloatArray = NDArray[np.float64]
 
-RATIONALITY: Final = 0.2
+RATIONALITY: Final = 0.8
 OPERATOR_FRAMES: Final = 12.0
 WAIT_COST: Final = 2 * TOUCH_COST
 LAPSE: Final = 0.02

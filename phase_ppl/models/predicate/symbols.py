@@ -26,7 +26,7 @@ from phase_ppl.world.scene import Scene
 FloatArray = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-FACTOR: Final = 2.0
+FACTOR: Final = 3.0
 """By how much ON and TOUCH are wider here than where SIMPLE's planner is done with them: recorded
 agents stop a little short. Chosen on half of 50 real videos (``benchmarks/predicate.py``)."""
 
@@ -62,7 +62,9 @@ class Thresholds:
             value = getattr(self, field.name)
             if field.name == "lasting":
                 if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-                    raise InvalidSettingError(f"lasting={shown(value)}, expected a whole number >= 1")
+                    raise InvalidSettingError(
+                        f"lasting={shown(value)}, expected a whole number >= 1"
+                    )
             else:
                 positive_number(field.name, value)
 
