@@ -20,7 +20,7 @@ def no_physics(*, planner: Any = None, speed: float | None = None, **options: An
 
     Args:
         planner: chooses the subgoals, "fast", "paper" or a ``PlannerConfig``.
-        speed: units per simulated second; by default 7.5.
+        speed: units per simulated second; by default 10.
         **options: of the model ``simple``.
     """
     _refuse(options, "simulator")

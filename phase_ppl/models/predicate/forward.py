@@ -14,6 +14,7 @@ only the lapse. Facts that are no agent's doing (a pushed item, an agent dragged
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from typing import Final
@@ -172,7 +173,7 @@ class ForwardModel:
         for agent, goal in self._cost_to_go:
             found[agent, goal] = sum(
                 self._log_step(before, after, agent, goal)
-                for before, after in zip(trajectory, trajectory[1:], strict=False)
+                for before, after in itertools.pairwise(trajectory)
             )
         return found
 

@@ -8,6 +8,7 @@ is read off the tracks, TOUCH is being near enough to stop or to grab, ON to cou
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 import numbers
 from typing import Final, NamedTuple
@@ -165,7 +166,7 @@ def _lasting(values: NDArray[np.int64], frames: int) -> NDArray[np.int64]:
     result = values.copy()
     edges = np.flatnonzero(values[1:] != values[:-1]) + 1
     bounds = [0, *edges.tolist(), len(values)]
-    for start, end in zip(bounds[1:], bounds[2:], strict=False):
+    for start, end in itertools.pairwise(bounds[1:]):
         if end - start < frames:
             result[start:end] = result[start - 1]
     return result
