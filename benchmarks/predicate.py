@@ -2,9 +2,10 @@
 
 python benchmarks/predicate.py [--prior NAME] [--limit N] [--workers N] [--json FILE]
 
-Thresholds are those of SIMPLE's planner times a factor, and the frames for which a predicate
-must last; rationality is per unit of way. The setting of the highest log score is chosen on the
-first half of the videos and confirmed on the second.
+Thresholds are those of SIMPLE's planner times a factor: one for ON and TOUCH of items, one for
+TOUCH of agents; and the frames for which a predicate must last. Rationality is per unit of way.
+The setting of the highest log score is chosen on the first half of the videos and confirmed on
+the second.
 """
 
 from __future__ import annotations
@@ -20,13 +21,15 @@ import common
 import numpy as np
 
 import phase_ppl as ppl
+from phase_ppl.agents.symbols import NEAR_AGENT_ON, NEAR_ITEM_ON, NEAR_TOUCH
 from phase_ppl.evaluation.models.predicate import PredicateInversePlanning, predicate
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
-from phase_ppl.models.predicate.symbols import FACTOR, Thresholds
 from phase_ppl.world.event import Event
+from phase_ppl.world.geometry import GRAB_REACH
 
 FACTORS = (1.0, 2.0, 3.0, 4.0)
-LASTING = (1, 3, 6)
+TOUCH_FACTORS = (1.0, 2.0)
+LASTING = (1, 3)
 RATIONALITY = (0.2, 0.4, 0.8, 1.6)
 LAPSE = 0.01
 QUOTED = ("goal_accuracy", "relation_accuracy")
@@ -35,17 +38,23 @@ Setting = dict[str, float]
 
 
 def settings() -> list[Setting]:
-    names = ("factor", "lasting", "rationality")
+    names = ("factor", "touch", "lasting", "rationality")
     return [
         dict(zip(names, values, strict=True))
-        for values in itertools.product(FACTORS, LASTING, RATIONALITY)
+        for values in itertools.product(FACTORS, TOUCH_FACTORS, LASTING, RATIONALITY)
     ]
 
 
 def model(setting: Setting, prior: str) -> PredicateInversePlanning:
-    thresholds = Thresholds(lasting=int(setting["lasting"])).scaled(setting["factor"] / FACTOR)
+    factor = setting["factor"]
     return predicate(
-        prior=prior, rationality=setting["rationality"], **dataclasses.asdict(thresholds)
+        prior=prior,
+        rationality=setting["rationality"],
+        lasting=int(setting["lasting"]),
+        on_agent=factor * NEAR_AGENT_ON,
+        on_item=factor * NEAR_ITEM_ON,
+        touch_item=factor * GRAB_REACH,
+        touch_agent=setting["touch"] * NEAR_TOUCH,
     )
 
 

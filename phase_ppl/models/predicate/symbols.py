@@ -28,21 +28,23 @@ FloatArray = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 FACTOR: Final = 3.0
-"""By how much ON and TOUCH are wider here than where SIMPLE's planner is done with them: recorded
-agents stop a little short. Chosen on half of 50 real videos (``benchmarks/predicate.py``)."""
+"""By how much wider ON, and TOUCH of items, are here than where SIMPLE's planner is done with them:
+recorded agents stop a little short. Chosen on half of 50 real videos
+(``benchmarks/predicate.py``)."""
 
 _PREDICATES: Final = ("rooms", "held", "near", "placed")
 
 
 @dataclasses.dataclass(frozen=True)
 class Thresholds:
-    """When a predicate holds, units. Distances of ON and TOUCH: SIMPLE's planner's times a factor.
+    """When a predicate holds, units. The defaults: SIMPLE's planner's, but for :data:`FACTOR`.
 
     Attributes:
-        on_agent: ON(agent, landmark): way from its centre to the landmark's centre.
+        on_agent: ON(agent, landmark): from its centre to the landmark's centre.
         on_item: ON(item, landmark): likewise.
-        touch_agent: TOUCH(agent, agent): way from centre to centre.
-        touch_item: TOUCH(agent, item): from a grab point of the agent to the item's rim.
+        touch_agent: TOUCH(agent, agent): from centre to centre.
+        touch_item: TOUCH(agent, item): from a grab point of the agent to the item's rim. As for
+            the planner, only those in the same room touch.
         attach: ATTACH(agent, item): how far the item may be from its place at a grab point; it is
             to stay there for three frames.
         lasting: frames for which a predicate must hold, or not hold, to count.
@@ -53,7 +55,7 @@ class Thresholds:
 
     on_agent: float = FACTOR * NEAR_AGENT_ON
     on_item: float = FACTOR * NEAR_ITEM_ON
-    touch_agent: float = FACTOR * NEAR_TOUCH
+    touch_agent: float = NEAR_TOUCH
     touch_item: float = FACTOR * GRAB_REACH
     attach: float = HELD_WITHIN
     lasting: int = 3
@@ -68,11 +70,6 @@ class Thresholds:
                     )
             else:
                 positive_number(field.name, value)
-
-    def scaled(self, factor: float) -> Thresholds:
-        """Return the thresholds with all distances of ON and TOUCH times ``factor``."""
-        names = ("on_agent", "on_item", "touch_agent", "touch_item")
-        return dataclasses.replace(self, **{name: factor * getattr(self, name) for name in names})
 
 
 def positive_number(name: str, value: object) -> None:
@@ -129,7 +126,8 @@ def _near(trajectory: FloatArray, scene: Scene, given: Thresholds) -> Flags:
     """Return (time, agent, entity)."""
     near = np.zeros((len(trajectory), len(AGENTS), len(ENTITIES)), bool)
     place = trajectory[..., :2]
-    near[:, 0, 1] = near[:, 1, 0] = _within(place[:, 0], place[:, 1], given.touch_agent, scene)
+    apart = np.linalg.norm(place[:, 0] - place[:, 1], axis=1)
+    near[:, 0, 1] = near[:, 1, 0] = apart < given.touch_agent
     for agent in range(len(AGENTS)):
         cos, sin = np.cos(trajectory[:, agent, 2]), np.sin(trajectory[:, agent, 2])
         for local in GRAB_POINTS * scene.radius[agent]:
@@ -139,6 +137,8 @@ def _near(trajectory: FloatArray, scene: Scene, given: Thresholds) -> Flags:
             for item in range(len(AGENTS), len(ENTITIES)):
                 distance = np.linalg.norm(place[:, agent] + offset - place[:, item], axis=1)
                 near[:, agent, item] |= distance < scene.radius[item] + given.touch_item
+    rooms = scene.rooms.room_of(place)
+    near &= rooms[:, : len(AGENTS), None] == rooms[:, None]
     return near
 
 
@@ -151,14 +151,6 @@ def _placed(trajectory: FloatArray, scene: Scene, given: Thresholds) -> Flags:
         limit = given.on_agent if entity < len(AGENTS) else given.on_item
         placed[:, entity] = np.linalg.norm(place - centre, axis=1) < limit
     return placed
-
-
-def _within(one: FloatArray, other: FloatArray, limit: float, scene: Scene) -> Flags:
-    """Return (time,): whether the way between two places (time, 2) is shorter than ``limit``."""
-    near = np.linalg.norm(one - other, axis=1) < limit
-    for t in np.flatnonzero(near):  # the way can be longer than the straight line
-        near[t] = scene.rooms.path_distance(one[t], other[t]) < limit
-    return near
 
 
 def _lasting(values: NDArray[np.int64], frames: int) -> NDArray[np.int64]:
