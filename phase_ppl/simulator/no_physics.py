@@ -180,16 +180,22 @@ def _way(start: FloatArray, end: FloatArray, scene: Scene) -> list[FloatArray]:
 
 
 def _place(subgoal: Literal, places: FloatArray, mind: Mind) -> FloatArray:
-    """Return where the subject of a subgoal is to go: for "not", as far away as it can be."""
+    """Return where the subject of a subgoal is to go.
+
+    "Not" on a landmark is on the one farthest from it, away from an agent on the one that can be
+    reached with the greatest lead on it.
+    """
     ground, target = mind.ground, subgoal.target
     if subgoal.predicate is Predicate.CLOSE:
         return ground.room_points[target] if target < N_ROOMS else ground.doors[target - N_ROOMS]
-    landmarks = mind.scene.landmark_centres
-    from_there = places[target] if subgoal.predicate is Predicate.TOUCH else landmarks[target]
+    landmarks, path_distance = mind.scene.landmark_centres, mind.scene.rooms.path_distance
+    if subgoal.predicate is Predicate.TOUCH:
+        fugitive, pursuer = places[subgoal.subject], places[target]
+        lead = [path_distance(pursuer, to) - path_distance(fugitive, to) for to in landmarks]
+        return landmarks[int(np.argmax(lead))]
     if subgoal.positive:
-        return from_there
-    distance = [mind.scene.rooms.path_distance(from_there, centre) for centre in landmarks]
-    return landmarks[int(np.argmax(distance))]
+        return landmarks[target]
+    return landmarks[int(np.argmax([path_distance(landmarks[target], to) for to in landmarks]))]
 
 
 def _move(state: State, wishes: list[Wish], scene: Scene) -> None:
