@@ -9,13 +9,14 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from phase_ppl.evaluation.models.simple import Simple, simple
+from phase_ppl.evaluation.answer import Predict
+from phase_ppl.evaluation.models.simple import simple
 from phase_ppl.evaluation.registry import register_model
 from phase_ppl.world.errors import InvalidSettingError
 
 
 @register_model("no_physics")
-def no_physics(*, planner: Any = None, speed: float | None = None, **options: Any) -> Simple:
+def no_physics(*, planner: Any = None, speed: float | None = None, **options: Any) -> Predict:
     """SIMPLE without physics: agents and items move along paths at a constant speed.
 
     Args:
@@ -37,7 +38,7 @@ def noisy_physics(
     speed_noise: float | None = None,
     direction_noise: float | None = None,
     **options: Any,
-) -> Simple:
+) -> Predict:
     """SIMPLE with noisy physics: after each step every body's velocity is off at random.
 
     Args:
@@ -55,25 +56,25 @@ def noisy_physics(
 
 
 @register_model("full_observation")
-def full_observation(*, planner: Any = None, **options: Any) -> Simple:
+def full_observation(*, planner: Any = None, **options: Any) -> Predict:
     """SIMPLE with full observation: agents see everything at all times."""
     return simple(planner=_planner(planner, full_observation=True), **options)
 
 
 @register_model("true_state")
-def true_state(*, planner: Any = None, **options: Any) -> Simple:
+def true_state(*, planner: Any = None, **options: Any) -> Predict:
     """SIMPLE without belief particles: agents plan on the true state, whatever they have seen."""
     return simple(planner=_planner(planner, true_state=True), **options)
 
 
 @register_model("no_cost_weight")
-def no_cost_weight(*, planner: Any = None, **options: Any) -> Simple:
+def no_cost_weight(*, planner: Any = None, **options: Any) -> Predict:
     """SIMPLE with lambda = 0: subgoals are chosen by their probability, whatever they cost."""
     return simple(planner=_planner(planner, cost_weight=0.0), **options)
 
 
 @register_model("no_social_goals")
-def no_social_goals(*, planner: Any = None, **options: Any) -> Simple:
+def no_social_goals(*, planner: Any = None, **options: Any) -> Predict:
     """SIMPLE with alpha = 0: nobody helps or hinders; goals agree or clash by chance only."""
     _refuse(options, "prior")
     return simple(prior="no_social_goals", planner=planner, **options)

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.registry import register_model
-from phase_ppl.models.predicate.forward import ForwardModel, Rationality
-from phase_ppl.models.predicate.posterior import log_prior_of_pairs, posterior
-from phase_ppl.models.predicate.symbols import Thresholds, symbolic_trajectory
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
+
+if TYPE_CHECKING:
+    from phase_ppl.models.predicate.forward import Rationality
+    from phase_ppl.models.predicate.symbols import Thresholds
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -36,6 +37,10 @@ class PredicateInversePlanning:
 
     def __call__(self, scene: Scene, observation: Observation, seed: int) -> Prediction:
         """Return the marginals of both effective goals and of the relation; nothing is random."""
+        from phase_ppl.models.predicate.forward import ForwardModel
+        from phase_ppl.models.predicate.posterior import posterior
+        from phase_ppl.models.predicate.symbols import symbolic_trajectory
+
         trajectory = symbolic_trajectory(scene, observation, self.thresholds)
         likelihood = ForwardModel(scene, self.rationality).log_likelihood(trajectory)
         found = posterior(likelihood, self.log_prior)
@@ -70,20 +75,22 @@ def predicate(*, prior: str = "uniform", **options: Any) -> PredicateInversePlan
     Raises:
         InvalidSettingError, UnknownNameError: one of them cannot be used.
     """
-    names = {
-        kind: [field.name for field in dataclasses.fields(kind)]
-        for kind in (Thresholds, Rationality)
-    }
-    known = [name for fields in names.values() for name in fields]
+    from phase_ppl.models.predicate.forward import Rationality
+    from phase_ppl.models.predicate.posterior import log_prior_of_pairs
+    from phase_ppl.models.predicate.symbols import Thresholds
+
+    of_thresholds, of_rationality = (
+        {field.name for field in dataclasses.fields(kind)} for kind in (Thresholds, Rationality)
+    )
     for name in options:
-        if name not in known:
+        if name not in of_thresholds | of_rationality:
+            known = ", ".join(sorted(of_thresholds | of_rationality))
             raise InvalidSettingError(
-                f"{name} is no option of model 'predicate': allowed are prior, {', '.join(known)}"
+                f"{name} is no option of model 'predicate': allowed are prior, {known}"
             )
-    given = {
-        kind: kind(**{name: value for name, value in options.items() if name in fields})
-        for kind, fields in names.items()
-    }
     return PredicateInversePlanning(
-        prior, log_prior_of_pairs(prior), given[Thresholds], given[Rationality]
+        prior,
+        log_prior_of_pairs(prior),
+        Thresholds(**{name: value for name, value in options.items() if name in of_thresholds}),
+        Rationality(**{name: value for name, value in options.items() if name in of_rationality}),
     )

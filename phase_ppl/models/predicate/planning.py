@@ -21,7 +21,8 @@ from phase_ppl.world.rooms import N_ROOMS
 from phase_ppl.world.scene import Scene
 
 _ALL: Final = frozenset(range(len(ENTITIES)))
-_CLEAR: Final = (NOTHING,) * len(ITEMS)
+_CLEAR: Final = (NOTHING, NOTHING)
+"""No item closes a door."""
 _TIE: Final = 1e-6
 
 

@@ -54,7 +54,7 @@ def posterior(log_likelihood: FloatArray, log_prior: FloatArray) -> Inverse:
     log_joint = log_likelihood[0][:, None] + log_likelihood[1] + log_prior
     joint = np.exp(log_joint - log_joint.max())
     joint /= joint.sum()
-    relation = np.bincount(RELATION_TABLE.ravel(), joint.ravel(), len(RELATIONS))
+    relation = np.array([joint[index == RELATION_TABLE].sum() for index in range(len(RELATIONS))])
     return Inverse(joint, joint.sum(axis=1), joint.sum(axis=0), relation)
 
 
@@ -91,7 +91,7 @@ def _of_simple(name: str) -> FloatArray:
 
     if name not in priors.available():
         raise unknown_name("prior", name, [INDEPENDENT, *priors.available()])
-    pairs = np.stack(np.indices((N_GOALS, N_GOALS)), axis=-1).reshape(-1, 2)
+    pairs = np.argwhere(np.ones((N_GOALS, N_GOALS)))
     strengths = {
         site: np.full(len(pairs), _STRENGTH) for site in ("strength_red", "strength_green")
     }

@@ -11,7 +11,7 @@ import dataclasses
 import itertools
 import math
 import numbers
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -153,7 +153,7 @@ def _placed(trajectory: FloatArray, scene: Scene, given: Thresholds) -> Flags:
     return placed
 
 
-def _lasting(values: NDArray[np.int64], frames: int) -> NDArray[np.int64]:
+def _lasting(values: NDArray[Any], frames: int) -> NDArray[Any]:
     """Return a series in which runs shorter than ``frames`` go on with what was before them."""
     result = values.copy()
     edges = np.flatnonzero(values[1:] != values[:-1]) + 1
