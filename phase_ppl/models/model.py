@@ -110,7 +110,7 @@ class Model:
         own = self.simulator is not None
         details = getattr(self.simulator, "settings", None)
         return {
-            **({} if details is None else {"simulator_settings": details()}),
+            **({"simulator_settings": details()} if callable(details) else {}),
             "prior": qualified_name(self.prior),
             "prior_source": source_hash(self.prior),
             "simulator": qualified_name(self.simulator) if own else "joint",

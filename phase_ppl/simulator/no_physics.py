@@ -20,7 +20,7 @@ from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.ground import body_origin
 from phase_ppl.physics import compiled
 from phase_ppl.simulator.joint import run_briefly
-from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.checks import positive_number
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.literals import Literal, Predicate
 from phase_ppl.world.names import AGENTS, NOTHING
@@ -76,10 +76,8 @@ class PathSimulator:
     """
 
     def __init__(self, planner: str | PlannerConfig = "fast", speed: float = SPEED) -> None:
-        if not 0 < speed < math.inf:
-            raise InvalidSettingError(f"speed={speed!r}, expected a positive number")
         self.planner = PlannerConfig.named(planner)
-        self.speed = speed
+        self.speed = positive_number("speed", speed)
 
     def settings(self) -> dict[str, Any]:
         """Return what determines the simulations, as plain data."""

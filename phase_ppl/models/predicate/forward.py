@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 
 from phase_ppl.agents.operators import TOUCH_COST, Node, Step
 from phase_ppl.models.predicate.planning import cost_to_go, operators, without_physics
-from phase_ppl.models.predicate.symbols import SymbolicState, positive_number
+from phase_ppl.models.predicate.symbols import SymbolicState
+from phase_ppl.world.checks import positive_number
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.goals import N_GOALS, goal_literal, is_self_referring
 from phase_ppl.world.literals import STOP, Literal, Predicate

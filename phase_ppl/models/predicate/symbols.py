@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import math
-import numbers
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -18,7 +16,7 @@ from numpy.typing import NDArray
 
 from phase_ppl.agents.symbols import NEAR_AGENT_ON, NEAR_ITEM_ON, NEAR_TOUCH
 from phase_ppl.dataset.motion import HELD_WITHIN, items_held
-from phase_ppl.world.errors import InvalidSettingError, shown
+from phase_ppl.world.checks import positive_number, whole_number
 from phase_ppl.world.geometry import GRAB_POINTS, GRAB_REACH
 from phase_ppl.world.names import AGENTS, ENTITIES
 from phase_ppl.world.observation import Observation
@@ -63,20 +61,8 @@ class Thresholds:
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
-            if field.name == "lasting":
-                if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-                    raise InvalidSettingError(
-                        f"lasting={shown(value)}, expected a whole number >= 1"
-                    )
-            else:
-                positive_number(field.name, value)
-
-
-def positive_number(name: str, value: object) -> None:
-    """Raise InvalidSettingError unless ``value`` is a positive finite number."""
-    known = isinstance(value, numbers.Real) and not isinstance(value, bool)
-    if not (known and 0 < float(value) < math.inf):  # type: ignore[arg-type]
-        raise InvalidSettingError(f"{name}={shown(value)}, expected a positive number")
+            check = whole_number if field.name == "lasting" else positive_number
+            check(field.name, value)
 
 
 class SymbolicState(NamedTuple):
