@@ -148,10 +148,10 @@ class ForwardModel:
         costs = {STOP: left + (given.wait_cost if left > 0 else 0.0)}
         for step in self._operators(node, agent):
             costs[step.literal] = step.cost + left_after(step.result)
+        # where there is no way to the goal, nothing is better than anything else
         least = min(costs.values())
         weights = {
-            literal: math.exp(-given.rationality * (cost - least)) if math.isfinite(least) else 1.0
-            for literal, cost in costs.items()
+            literal: _weight(given.rationality, cost, least) for literal, cost in costs.items()
         }
         total, even = sum(weights.values()), given.lapse / len(weights)
         return {
@@ -191,6 +191,12 @@ class ForwardModel:
             unexplained = self.rationality.lapse / len(policy)
             total += math.log(completes * policy.get(literal, unexplained))
         return total
+
+
+def _weight(rationality: float, cost: float, least: float) -> float:
+    if rationality == 0 or cost == least:
+        return 1.0
+    return math.exp(-rationality * (cost - least))
 
 
 def _put(values: tuple, index: int, value: object) -> tuple:  # type: ignore[type-arg]

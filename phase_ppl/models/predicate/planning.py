@@ -133,10 +133,10 @@ class CostToGo:
         return math.inf if steps is None else sum(step.cost for step in steps)
 
     def _farthest(self, room: int) -> frozenset[int]:
-        """Return the rooms at the greatest distance from a room."""
+        """Return the rooms at the greatest distance from a room, of those with a way to it."""
         distance = self.abilities.room_distance[room]
-        most = max(distance)
-        return frozenset(r for r in range(N_ROOMS) if distance[r] > most - _TIE)
+        most = max(length for length in distance if math.isfinite(length))
+        return frozenset(r for r in range(N_ROOMS) if most - _TIE < distance[r] < math.inf)
 
 
 @functools.lru_cache(maxsize=1024)

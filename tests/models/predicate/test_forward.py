@@ -17,7 +17,7 @@ from phase_ppl.world.goals import goal_index, goal_literal
 from phase_ppl.world.literals import STOP, Literal, Predicate
 from phase_ppl.world.names import NOTHING
 from phase_ppl.world.relations import RELATION_TABLE, RELATIONS
-from tests.agents.scenes import NARROW_WALL_DOWN, scene
+from tests.agents.scenes import FULL_WALL_UP, NARROW_WALL_DOWN, scene
 
 BLUE, GREEN, RED, YELLOW = range(4)
 """Rooms. Landmarks of neighbouring rooms are 15 apart where there are no walls."""
@@ -137,6 +137,18 @@ def test_bodies_make_no_difference() -> None:
         for radius in (0.8, 1.6)
     ]
     assert np.array_equal(*found)
+
+
+@pytest.mark.parametrize("rationality", [0.0, 0.8])
+def test_a_room_without_a_way_is_nobodys_to_reach(rationality: float) -> None:
+    walls = [FULL_WALL_UP, [[16.0, 12.0], [6.0, 12.0]]]  # shuts the blue room
+    model = ForwardModel(scene(walls=walls), Rationality(rationality))
+    there, away = (goal_index(f"Get red agent {way} red lm") for way in ("to", "away from"))
+    for goal in (there, away):
+        policy = model.policy(state(), 0, goal)
+        assert sum(policy.values()) == pytest.approx(1)
+        assert min(policy.values()) > 0
+    assert len(set(model.policy(state(), 0, there).values())) == 1
 
 
 def test_an_agent_that_carries_goes_and_arrives_with_its_item() -> None:
