@@ -50,6 +50,7 @@ _WHERE = {
     "available_kernels": "phase_ppl.inference.registry",
     "available_models": "phase_ppl.evaluation.registry",
     "bundled_events": "phase_ppl.dataset.bundled",
+    "carried_evaluation": "phase_ppl.evaluation.carried",
     "compare": "phase_ppl.inference.compare",
     "compare_models": "phase_ppl.evaluation.comparison.comparison",
     "evaluate": "phase_ppl.evaluation.evaluate",
@@ -124,6 +125,7 @@ if TYPE_CHECKING:
     from phase_ppl.dataset.xarrays import event_from_dataset as event_from_dataset
     from phase_ppl.evaluation import figures as figures
     from phase_ppl.evaluation.answer import Answer as Answer
+    from phase_ppl.evaluation.carried import carried_evaluation as carried_evaluation
     from phase_ppl.evaluation.comparison.comparison import ModelComparison as ModelComparison
     from phase_ppl.evaluation.comparison.comparison import compare_models as compare_models
     from phase_ppl.evaluation.evaluate import EvaluationInterrupted as EvaluationInterrupted

@@ -118,6 +118,16 @@ def test_the_filters_keep_what_people_kept_and_no_more_the_stricter_they_are(
 
 @pytest.mark.slow
 @pytest.mark.skipif(not VIDEOS.exists(), reason="the real videos are not at ../shared/phase-test")
+def test_predicates_are_chosen_on_the_first_half(tmp_path: Path) -> None:
+    report: dict[str, Any] = figures(tmp_path, "predicate.py", "--limit", "4", "--workers", "1")
+    scores = [found["log_score"] for found in report["first"]]
+    assert len(scores) == len(report["settings"])
+    assert report["chosen"] == scores.index(max(scores))
+    assert 0 <= report["second"]["goal_accuracy"]["value"] <= 1
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not VIDEOS.exists(), reason="the real videos are not at ../shared/phase-test")
 def test_accuracy_is_kept_and_weighed_anew(tmp_path: Path) -> None:
     tiny = ["--limit", "1", "--chains", "2", "--budget", "4", "--judging-seeds", "1"]
     options = [*tiny, "--keep", str(tmp_path / "kept"), "--set", "simulations=20"]

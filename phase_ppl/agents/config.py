@@ -28,6 +28,8 @@ class PlannerConfig:
         swivel: agents imagine that a held item hangs on a rod, free to swivel (authors' code).
         touch_override: ablation: a subgoal to touch something wins over V (authors' code).
         full_observation: ablation: agents see everything.
+        true_state: ablation: agents plan on the true state in place of belief particles; what they
+            see only decides what they head straight for.
     """
 
     particles: int = 50
@@ -44,6 +46,7 @@ class PlannerConfig:
     swivel: bool = True
     touch_override: bool = False
     full_observation: bool = False
+    true_state: bool = False
 
     def __post_init__(self) -> None:
         for name in ("particles", "simulations", "rollout_length", "inner_steps"):

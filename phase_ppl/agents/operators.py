@@ -159,10 +159,18 @@ def _door_free(node: Node, abilities: Abilities, ray: int, carried: int) -> bool
     )
 
 
-def _moves(
+def moves(
     node: Node, agent: int, willing: tuple[int, ...], targets: frozenset[int], abilities: Abilities
 ) -> Iterator[Step]:
-    """Operators of one agent; ``willing`` are the agents that take part in the plan."""
+    """Yield the operators of one agent that can be used in a state.
+
+    Args:
+        node: the state.
+        agent: who acts, 0 red or 1 green.
+        willing: agents that take part in the plan.
+        targets: entities that matter; others are not touched, carried or placed.
+        abilities: what the bodies can do.
+    """
     other = 1 - agent
     item = node.held[agent]
     room = node.rooms[agent]
@@ -287,7 +295,7 @@ def plan(
                 steps.append(step)
             return steps[::-1]
         for agent in willing:
-            for step in _moves(node, agent, willing, targets, abilities):
+            for step in moves(node, agent, willing, targets, abilities):
                 total = cost + step.cost
                 if total < best.get(step.result, np.inf):
                     best[step.result] = total

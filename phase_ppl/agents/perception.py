@@ -68,6 +68,9 @@ class Perception:
             beliefs.cells,
             beliefs.observed,
         )
+        if self.config.true_state:
+            beliefs.bodies[:], beliefs.held[:], beliefs.weld[:] = bodies, held, weld
+            return
         own_action = Action.NO_FORCE if self._last_action is None else self._last_action
         belief.update(
             beliefs,

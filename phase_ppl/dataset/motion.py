@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.world.geometry import GRAB_POINTS
-from phase_ppl.world.names import AGENTS, BLUE_ITEM, ENTITIES
+from phase_ppl.world.names import AGENTS, ITEMS, NOTHING
 from phase_ppl.world.observation import FRAMES_PER_SECOND
 
 FloatArray = NDArray[np.float64]
@@ -24,7 +24,7 @@ original ones that were cut go on for 5 to 9 frames."""
 _MOVING: Final = 0.02
 """Units per frame that count as motion where the end of it is looked for."""
 
-_HELD_WITHIN: Final = 0.05
+HELD_WITHIN: Final = 0.05
 """How far a held item may be from its place at a grab point, units: frames are means over a step,
 in which a body that turns blurs."""
 
@@ -57,17 +57,35 @@ def seems_to_hold(trajectory: FloatArray, radius: FloatArray) -> Flags:
         trajectory: (time, entity, coord) x, y [units], angle [rad].
         radius: (entity,) sizes, units.
     """
-    held = np.zeros((len(trajectory), len(AGENTS)), bool)
+    return np.asarray(items_held(trajectory, radius) != NOTHING)
+
+
+def items_held(
+    trajectory: FloatArray, radius: FloatArray, within: float = HELD_WITHIN
+) -> NDArray[np.int64]:
+    """Return (time, agent): the item that the agent seems to hold, or ``NOTHING``.
+
+    As :func:`seems_to_hold` tells it; of two items, the one nearer to its place.
+
+    Args:
+        trajectory: (time, entity, coord) x, y [units], angle [rad].
+        radius: (entity,) sizes, units.
+        within: how far an item may be from its place at a grab point, units.
+    """
+    off = np.full((len(trajectory), len(AGENTS), len(ITEMS)), np.inf)
     for agent in range(len(AGENTS)):
         cos, sin = np.cos(trajectory[:, agent, 2]), np.sin(trajectory[:, agent, 2])
-        for item in range(BLUE_ITEM, len(ENTITIES)):
+        for which in range(len(ITEMS)):
+            item = len(AGENTS) + which
             x, y = (trajectory[:, item, :2] - trajectory[:, agent, :2]).T
             local = np.column_stack([cos * x + sin * y, cos * y - sin * x])
             for point in GRAB_POINTS:
                 place = point * (radius[agent] + radius[item])
-                there = np.linalg.norm(local - place, axis=1) < _HELD_WITHIN
-                held[:, agent] |= _lasting(_closed(there))
-    return held
+                distance = np.linalg.norm(local - place, axis=1)
+                held = _lasting(_closed(distance < within))
+                off[held, agent, which] = np.minimum(off[held, agent, which], distance[held])
+    nearest = len(AGENTS) + off.argmin(axis=2)
+    return np.where(np.isfinite(off.min(axis=2)), nearest, NOTHING)
 
 
 def _runs(flags: Flags) -> list[tuple[int, int]]:

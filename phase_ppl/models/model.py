@@ -104,10 +104,13 @@ class Model:
         """Return what distinguishes this model, as plain data for a run's settings.
 
         Names of prior and simulator with a hash of their source where it can be had, the
-        likelihood, the planner's values and the kind of noise.
+        likelihood, the planner's values and the kind of noise; of a simulator with a method
+        ``settings()`` what that returns.
         """
         own = self.simulator is not None
+        details = getattr(self.simulator, "settings", None)
         return {
+            **({"simulator_settings": details()} if callable(details) else {}),
             "prior": qualified_name(self.prior),
             "prior_source": source_hash(self.prior),
             "simulator": qualified_name(self.simulator) if own else "joint",

@@ -59,6 +59,18 @@ def sparse_social() -> None:
     sites.strengths()
 
 
+def no_social_goals() -> None:
+    """Nobody helps or hinders: alpha is (0, 0) for certain. An ablation.
+
+    Two agents share a goal, or have opposite ones, by chance only. Everything else as in
+    :func:`uniform`.
+    """
+    sites.goals()
+    logits = jnp.full(len(ALPHAS), IMPOSSIBLE).at[ALPHAS.index((0, 0))].set(0.0)
+    numpyro.sample(ALPHA_SITE, dist.Categorical(logits=logits))
+    sites.strengths()
+
+
 def symmetric_alphas() -> None:
     """All five alphas alike: 1/5 each.
 
@@ -198,6 +210,7 @@ PRIORS: Final[dict[str, Program]] = {
     for prior in (
         uniform,
         sparse_social,
+        no_social_goals,
         symmetric_alphas,
         relation_first,
         correlated_strengths,

@@ -272,6 +272,19 @@ class PymunkWorld:
             body.force = tuple(rotation(self._pose(agent)[2]) @ force)
             body.torque = -arm * float(force[0])
 
+    def deflect(self, factors: FloatArray, angles: FloatArray) -> None:
+        """Change the velocities of all bodies at once; poses stay.
+
+        Args:
+            factors: (4,) by which each body becomes faster.
+            angles: (4,) by which its direction of motion turns to the left, rad.
+        """
+        for body, factor, angle in zip(self._bodies, factors, angles, strict=True):
+            before = np.array(body.velocity)
+            after = float(factor) * rotation(float(angle)) @ before
+            body.position += tuple((before - after) * self._dt)
+            body.velocity = tuple(after)
+
     def find_grab(self, agent: int) -> tuple[int, int]:
         """Return the item that ``agent`` would grab now, and the grab point it would use.
 

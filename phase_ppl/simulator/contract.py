@@ -38,10 +38,12 @@ class Simulator(Protocol):
     and alpha = (0, 0). All randomness comes from ``rng``. Ending early, raising, or a value that
     is not finite is a failed simulation.
 
-    A simulator may have two more methods:
+    A simulator may have three more methods:
 
     * ``simulate_batch(scene, hypotheses, rngs, n_frames) -> (batch, time, 4, 3)``, for an engine
       that runs many simulations at once; where there is one, it is used, in this process.
+    * ``settings() -> dict``: what else determines its simulations, as plain data, to be kept with
+      a run.
     * ``warm_up()``: does once what all processes can then share, such as compiling.
     """
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +16,41 @@ from phase_ppl.agents.mind import Mind
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import executed
 from phase_ppl.physics.pymunk_world import PymunkWorld
+from phase_ppl.simulator.contract import Simulator
+from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.hypothesis import Hypothesis
-from phase_ppl.world.names import AGENTS
+from phase_ppl.world.names import AGENTS, ENTITIES
 from phase_ppl.world.scene import Scene
+
+
+@dataclasses.dataclass(frozen=True)
+class DynamicsNoise:
+    """Noise on the dynamics: after each step every body's velocity is off at random.
+
+    The agents know nothing of it: they imagine the dynamics without.
+
+    Attributes:
+        speed: standard deviation of the log of the factor on the speed, per step of 1/12 s.
+        direction: standard deviation of the turn of the direction of motion, rad per step.
+
+    Raises:
+        InvalidSettingError: one of them is negative or no finite number.
+    """
+
+    speed: float = 0.2
+    direction: float = 0.2
+
+    def __post_init__(self) -> None:
+        for name, value in dataclasses.asdict(self).items():
+            known = isinstance(value, int | float) and not isinstance(value, bool)
+            if not (known and 0 <= value < math.inf):
+                raise InvalidSettingError(f"{name}={value!r}, expected a number >= 0")
+
+    def disturb(self, world: PymunkWorld, rng: np.random.Generator) -> None:
+        """Change the velocities of a world's bodies."""
+        n = len(ENTITIES)
+        factors = np.exp(self.speed * rng.standard_normal(n))
+        world.deflect(factors, self.direction * rng.standard_normal(n))
 
 
 class JointSimulator:
@@ -25,21 +59,30 @@ class JointSimulator:
     Args:
         planner: "fast", "paper" or a :class:`PlannerConfig`.
         inner_steps: solver steps per physics substep of the world.
+        noise: on the dynamics; None: they are exact.
     """
 
-    def __init__(self, planner: str | PlannerConfig = "fast", inner_steps: int = 4) -> None:
+    def __init__(
+        self,
+        planner: str | PlannerConfig = "fast",
+        inner_steps: int = 4,
+        noise: DynamicsNoise | None = None,
+    ) -> None:
         self.planner = PlannerConfig.named(planner)
         self.inner_steps = inner_steps
+        self.noise = noise
+
+    def settings(self) -> dict[str, Any]:
+        """Return what determines the simulations, as plain data."""
+        return {
+            "planner": self.planner.to_dict(),
+            "inner_steps": self.inner_steps,
+            "noise": None if self.noise is None else dataclasses.asdict(self.noise),
+        }
 
     def warm_up(self) -> None:
         """Compile what simulating needs, or load it from the cache on disk."""
-        spots = [[8.0, 20.0, 0.0], [24.0, 20.0, 0.0], [24.0, 4.0, 0.0], [8.0, 4.0, 0.0]]
-        scene = Scene(start=np.array(spots), radius=np.full(4, 0.8))
-        hypothesis = Hypothesis("Get blue item to red lm", "Get red agent to red lm")  # type: ignore[arg-type]
-        planner = dataclasses.replace(self.planner, simulations=2)
-        frames = JointSimulator(planner)(scene, hypothesis, np.random.default_rng(0))
-        for _ in range(3):
-            next(frames)
+        run_briefly(JointSimulator(dataclasses.replace(self.planner, simulations=2)))
 
     def __call__(
         self, scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator
@@ -58,6 +101,7 @@ class JointSimulator:
         agents = [
             Agent(agent, goals, mind, self.planner, rng.spawn(1)[0]) for agent in range(len(AGENTS))
         ]
+        disturbing = rng.spawn(1)[0]
         world = PymunkWorld(scene, strengths, self.inner_steps)
         yield scene.start.copy(), ()
         while True:
@@ -65,3 +109,15 @@ class JointSimulator:
             decisions = tuple(agent.decide(bodies, held, weld) for agent in agents)
             red, green = (executed(decision.action, scene.turning) for decision in decisions)
             yield world.step((red, green)), decisions
+            if self.noise is not None:
+                self.noise.disturb(world, disturbing)
+
+
+def run_briefly(simulator: Simulator) -> None:
+    """Take a few frames from a simulator, so that what it needs is compiled."""
+    spots = [[8.0, 20.0, 0.0], [24.0, 20.0, 0.0], [24.0, 4.0, 0.0], [8.0, 4.0, 0.0]]
+    scene = Scene(start=np.array(spots), radius=np.full(4, 0.8))
+    hypothesis = Hypothesis("Get blue item to red lm", "Get red agent to red lm")  # type: ignore[arg-type]
+    frames = iter(simulator(scene, hypothesis, np.random.default_rng(0)))
+    for _ in range(3):
+        next(frames)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import numbers
 
 from phase_ppl.world.errors import InvalidSettingError, shown
@@ -16,3 +17,15 @@ def whole_number(name: str, value: object, minimum: int = 1) -> int:
     if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < minimum:
         raise InvalidSettingError(f"{name}={shown(value)}, expected a whole number >= {minimum}")
     return int(value)
+
+
+def positive_number(name: str, value: object) -> float:
+    """Return ``value`` as a float.
+
+    Raises:
+        InvalidSettingError: it is no positive finite number; the message begins with ``name``.
+    """
+    known = isinstance(value, numbers.Real) and not isinstance(value, bool)
+    if not (known and 0 < float(value) < math.inf):  # type: ignore[arg-type]
+        raise InvalidSettingError(f"{name}={shown(value)}, expected a positive number")
+    return float(value)  # type: ignore[arg-type]

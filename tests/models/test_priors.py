@@ -51,7 +51,7 @@ def draws(name: str, n: int = 20_000) -> dict[str, np.ndarray]:
     return {site: np.asarray(v) for site, v in many(random.split(random.key(0), n)).items()}
 
 
-REFERENCE = CODES[np.flatnonzero((CODES == (0, 5, 1)).all(axis=1))[0]]
+REFERENCE = CODES[np.flatnonzero((CODES == (0, 5, 0)).all(axis=1))[0]]
 STRENGTHS = (300.0, 450.0)
 
 
@@ -156,6 +156,12 @@ def test_relations_need_probabilities(given: tuple[float, float, float]) -> None
 
 def test_social_goals_are_rare_under_sparse_social() -> None:
     assert (draws("sparse_social")["alpha"] != 0).mean() == pytest.approx(priors.SOCIAL, abs=0.01)
+
+
+def test_nobody_is_social_without_social_goals() -> None:
+    mass = density("no_social_goals", CODES, STRENGTHS)
+    assert mass[CODES[:, 2] != ALPHAS.index((0, 0))].sum() == 0
+    assert set(draws("no_social_goals")["alpha"].tolist()) == {ALPHAS.index((0, 0))}
 
 
 def test_correlated_strengths_are_correlated_and_each_uniform() -> None:

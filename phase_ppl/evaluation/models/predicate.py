@@ -1,0 +1,96 @@
+"""Predicate inverse planning, the paper's physics-agnostic variant of SIMPLE."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phase_ppl.evaluation.prediction import Prediction
+from phase_ppl.evaluation.registry import register_model
+from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.observation import Observation
+from phase_ppl.world.scene import Scene
+
+if TYPE_CHECKING:
+    from phase_ppl.models.predicate.forward import Rationality
+    from phase_ppl.models.predicate.symbols import Thresholds
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PredicateInversePlanning:
+    """The model with its options, ready to be asked.
+
+    Attributes:
+        prior: name of the prior over pairs of effective goals.
+        log_prior: (goal of red, goal of green).
+        thresholds: of the predicates.
+        rationality: of the agents.
+    """
+
+    prior: str
+    log_prior: NDArray[np.float64]
+    thresholds: Thresholds
+    rationality: Rationality
+
+    def __call__(self, scene: Scene, observation: Observation, seed: int) -> Prediction:
+        """Return the marginals of both effective goals and of the relation; nothing is random."""
+        from phase_ppl.models.predicate.forward import ForwardModel
+        from phase_ppl.models.predicate.posterior import posterior
+        from phase_ppl.models.predicate.symbols import symbolic_trajectory
+
+        trajectory = symbolic_trajectory(scene, observation, self.thresholds)
+        likelihood = ForwardModel(scene, self.rationality).log_likelihood(trajectory)
+        found = posterior(likelihood, self.log_prior)
+        return Prediction(
+            "",
+            {
+                "goal_red": found.goal_red,
+                "goal_green": found.goal_green,
+                "relation": found.relation,
+            },
+        )
+
+    def settings(self) -> dict[str, Any]:
+        """Return what determines the answers."""
+        return {
+            "prior": self.prior,
+            **dataclasses.asdict(self.thresholds),
+            **dataclasses.asdict(self.rationality),
+        }
+
+
+@register_model("predicate")
+def predicate(*, prior: str = "uniform", **options: Any) -> PredicateInversePlanning:
+    """Predicate inverse planning: goals and relation from symbols alone, without physics.
+
+    Args:
+        prior: name of a prior over hypotheses, as SIMPLE takes it; or "independent", under which
+            all pairs of effective goals are alike.
+        **options: fields of :class:`~phase_ppl.models.predicate.symbols.Thresholds` and of
+            :class:`~phase_ppl.models.predicate.forward.Rationality`.
+
+    Raises:
+        InvalidSettingError, UnknownNameError: one of them cannot be used.
+    """
+    from phase_ppl.models.predicate.forward import Rationality
+    from phase_ppl.models.predicate.posterior import log_prior_of_pairs
+    from phase_ppl.models.predicate.symbols import Thresholds
+
+    of_thresholds, of_rationality = (
+        {field.name for field in dataclasses.fields(kind)} for kind in (Thresholds, Rationality)
+    )
+    for name in options:
+        if name not in of_thresholds | of_rationality:
+            known = ", ".join(sorted(of_thresholds | of_rationality))
+            raise InvalidSettingError(
+                f"{name} is no option of model 'predicate': allowed are prior, {known}"
+            )
+    return PredicateInversePlanning(
+        prior,
+        log_prior_of_pairs(prior),
+        Thresholds(**{name: value for name, value in options.items() if name in of_thresholds}),
+        Rationality(**{name: value for name, value in options.items() if name in of_rationality}),
+    )

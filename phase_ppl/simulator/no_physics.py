@@ -1,0 +1,227 @@
+"""A simulator without physics: agents follow the subgoals of the same planner along paths.
+
+An ablation of the joint simulator. Beliefs and subgoals are those of Algorithm 1; the search for
+actions and the dynamics are replaced by motion at a constant speed along the way through the
+doors. There are no forces, masses and collisions: bodies pass through each other, and through
+doors of any width.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phase_ppl.agents.agent import Agent, Mind
+from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.agents.ground import body_origin
+from phase_ppl.physics import compiled
+from phase_ppl.simulator.joint import run_briefly
+from phase_ppl.world.checks import positive_number
+from phase_ppl.world.hypothesis import Hypothesis
+from phase_ppl.world.literals import Literal, Predicate
+from phase_ppl.world.names import AGENTS, NOTHING
+from phase_ppl.world.observation import FRAMES_PER_SECOND
+from phase_ppl.world.rooms import N_ROOMS
+from phase_ppl.world.scene import Scene
+from phase_ppl.world.state import State
+
+FloatArray = NDArray[np.float64]
+
+SPEED: Final = 10.0
+"""Of everything that moves, units per simulated second: about that of the recorded agents while
+they move (7.6 in the mean with their rests, which take a quarter of the time)."""
+
+_INSET: Final = 0.1
+"""How near to the border a body can come, units."""
+
+_MEAN_OF_STEP: Final = 0.6
+"""Where a body that moves evenly is in the mean over the five substeps of a step."""
+
+
+class Wish(NamedTuple):
+    """What an agent wants of the next step.
+
+    Attributes:
+        move: (2,) how its body should move, with the item that it holds, units.
+        grab: item to take hold of, or ``NOTHING``.
+        release: whether to let go.
+    """
+
+    move: FloatArray
+    grab: int = NOTHING
+    release: bool = False
+
+
+_NO_MOVE: Final = np.zeros(2)
+
+
+class PathSimulator:
+    """Two agents with limited views that believe and plan, and move without physics.
+
+    What both hold moves by the mean of what the two want. An agent turns to where it goes at once;
+    one that carries an item does not turn.
+
+    Args:
+        planner: "fast", "paper" or a :class:`PlannerConfig`; nothing is searched, so that only
+            what is about beliefs and subgoals counts.
+        speed: units per simulated second.
+
+    Raises:
+        InvalidSettingError: the speed is no positive number.
+        UnknownNameError: there is no such planner.
+    """
+
+    def __init__(self, planner: str | PlannerConfig = "fast", speed: float = SPEED) -> None:
+        self.planner = PlannerConfig.named(planner)
+        self.speed = positive_number("speed", speed)
+
+    def settings(self) -> dict[str, Any]:
+        """Return what determines the simulations, as plain data."""
+        return {"planner": self.planner.to_dict(), "speed": self.speed}
+
+    def warm_up(self) -> None:
+        """Compile what simulating needs, or load it from the cache on disk."""
+        run_briefly(self)
+
+    def __call__(
+        self, scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator
+    ) -> Iterator[FloatArray]:
+        """Yield frames (4, 3) = x, y [units], angle [rad] per entity, the start first."""
+        mind = Mind.of(scene, hypothesis.strengths, self.planner)
+        goals = hypothesis.effective_goals
+        agents = [
+            Agent(agent, goals, mind, self.planner, rng.spawn(1)[0]) for agent in range(len(AGENTS))
+        ]
+        state = State.at_start(scene)
+        yield state.pose.copy()
+        while True:
+            before = state.pose.copy()
+            arrays = compiled.from_state(state, scene.radius)
+            wishes = []
+            for agent in agents:
+                # it is never told what it has done, so that its beliefs imagine no dynamics
+                agent.perceive(*arrays)
+                subgoal, agreeing = agent.choose_subgoal()
+                imagined = agent.beliefs.bodies[agreeing[0]]
+                wishes.append(self._wish(agent.agent, subgoal, imagined, state, mind))
+            _move(state, wishes, scene)
+            frame = state.pose.copy()
+            frame[:, :2] = before[:, :2] + _MEAN_OF_STEP * (state.pose - before)[:, :2]
+            yield frame
+
+    def _wish(
+        self, agent: int, subgoal: Literal, imagined: FloatArray, state: State, mind: Mind
+    ) -> Wish:
+        """Return what an agent wants for a subgoal, where it imagines the others."""
+        predicate, subject, target, positive = subgoal
+        held = int(state.held[agent])
+        if predicate is Predicate.STOP:
+            return Wish(_NO_MOVE)
+        if predicate is Predicate.ATTACH and not positive:
+            return Wish(_NO_MOVE, release=True)
+        places = np.array([body_origin(imagined, entity, mind.params.cog) for entity in range(4)])
+        item = target if predicate is Predicate.ATTACH else subject
+        if item >= len(AGENTS):
+            if held != item:
+                return self._towards_item(agent, item, places, state, mind)
+            return Wish(self._along(state.pose[item, :2], _place(subgoal, places, mind), mind))
+        if predicate is Predicate.TOUCH and positive:
+            return Wish(self._up_to(agent, target, places, mind))
+        if subject != agent:
+            # all that is left of pushing the other about
+            return Wish(self._up_to(agent, subject, places, mind))
+        return Wish(self._along(places[agent], _place(subgoal, places, mind), mind))
+
+    def _towards_item(
+        self, agent: int, item: int, places: FloatArray, state: State, mind: Mind
+    ) -> Wish:
+        """Go to an item, and take hold of it where that is possible."""
+        bodies, held, _ = compiled.from_state(state, mind.scene.radius)
+        found, _ = compiled.find_grab(bodies, held, agent, mind.params)
+        if found == item:
+            return Wish(_NO_MOVE, grab=item)
+        return Wish(self._up_to(agent, item, places, mind))
+
+    def _up_to(self, agent: int, other: int, places: FloatArray, mind: Mind) -> FloatArray:
+        """Return a move towards another body that ends where the two touch."""
+        apart = mind.scene.radius[agent] + mind.scene.radius[other]
+        return self._along(places[agent], places[other], mind, apart)
+
+    def _along(
+        self, start: FloatArray, end: FloatArray, mind: Mind, apart: float = 0.0
+    ) -> FloatArray:
+        """Return the move of one step along the way from start to end, stopping ``apart``."""
+        left = mind.scene.rooms.path_distance(start, end) - apart
+        length = min(self.speed / FRAMES_PER_SECOND, left)
+        place = start
+        for corner in _way(start, end, mind.scene):
+            stretch = float(np.linalg.norm(corner - place))
+            if length <= 0:
+                break
+            if stretch > 0:
+                place = place + min(1.0, length / stretch) * (corner - place)
+            length -= stretch
+        return place - start
+
+
+def _way(start: FloatArray, end: FloatArray, scene: Scene) -> list[FloatArray]:
+    """Return the corners of the way from start to end; none where there is no way."""
+    rooms = scene.rooms
+    if rooms.is_open:
+        return [end]
+    doors = rooms.route(int(rooms.room_of(start)), int(rooms.room_of(end)))
+    return [] if doors is None else [*rooms.door_position[list(doors)], end]
+
+
+def _place(subgoal: Literal, places: FloatArray, mind: Mind) -> FloatArray:
+    """Return where the subject of a subgoal is to go.
+
+    "Not" on a landmark is on the one farthest from it, away from an agent on the one that can be
+    reached with the greatest lead on it.
+    """
+    ground, target = mind.ground, subgoal.target
+    if subgoal.predicate is Predicate.CLOSE:
+        return ground.room_points[target] if target < N_ROOMS else ground.doors[target - N_ROOMS]
+    landmarks, path_distance = mind.scene.landmark_centres, mind.scene.rooms.path_distance
+    if subgoal.predicate is Predicate.TOUCH:
+        fugitive, pursuer = places[subgoal.subject], places[target]
+        lead = [path_distance(pursuer, to) - path_distance(fugitive, to) for to in landmarks]
+        return landmarks[int(np.argmax(lead))]
+    if subgoal.positive:
+        return landmarks[target]
+    return landmarks[int(np.argmax([path_distance(landmarks[target], to) for to in landmarks]))]
+
+
+def _move(state: State, wishes: list[Wish], scene: Scene) -> None:
+    """Change the state as both agents want; nobody leaves the arena."""
+    together = state.held[0] == state.held[1] != NOTHING
+    moves = [wish.move for wish in wishes]
+    if together:
+        moves = [(moves[0] + moves[1]) / 2] * 2
+    for agent, (move, wish) in enumerate(zip(moves, wishes, strict=True)):
+        item = state.held[agent]
+        state.pose[agent, :2] += move
+        if item == NOTHING:
+            state.pose[agent, 2] = _facing(move, float(state.pose[agent, 2]))
+        elif not (together and agent == 1):
+            state.pose[item, :2] += move
+        if wish.release:
+            state.held[agent] = NOTHING
+        elif wish.grab != NOTHING:
+            state.held[agent] = wish.grab
+    x0, x1, y0, y1 = scene.arena
+    state.pose[:, :2] = state.pose[:, :2].clip(
+        [x0 + _INSET, y0 + _INSET], [x1 - _INSET, y1 - _INSET]
+    )
+
+
+def _facing(move: FloatArray, angle: float) -> float:
+    """Return the angle at which an agent looks along its move, nearest to the present one."""
+    if not move.any():
+        return angle
+    wanted = math.atan2(-move[0], move[1])
+    return angle + math.remainder(wanted - angle, 2 * math.pi)
