@@ -116,6 +116,20 @@ def test_the_filters_keep_what_people_kept_and_no_more_the_stricter_they_are(
     assert [row["value"] for row in nearness if row["filter"]] == [NEAR]
 
 
+@pytest.mark.skipif(not VIDEOS.exists(), reason="the real videos are not at ../shared/phase-test")
+def test_what_a_reader_recovers(tmp_path: Path) -> None:
+    report = figures(tmp_path, "stepwise.py", "replays", "--limit", "4")
+    assert report["alike"] > 0.85
+    assert report["actions"] < report["alike"]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not VIDEOS.exists(), reason="the real videos are not at ../shared/phase-test")
+def test_sharper_policies_are_compared(tmp_path: Path) -> None:
+    report: dict[str, Any] = figures(tmp_path, "stepwise.py", "fit", "--limit", "4")
+    assert report["4, 0.2"]["nats_per_frame"] > report["2, 0.5"]["nats_per_frame"]
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(not VIDEOS.exists(), reason="the real videos are not at ../shared/phase-test")
 def test_predicates_are_chosen_on_the_first_half(tmp_path: Path) -> None:

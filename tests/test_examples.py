@@ -22,6 +22,7 @@ PROMISED: dict[str, tuple[list[str], list[str]]] = {
         ["between_chain_tv", "r_hat", "goal_red["],
         ["diagnostics.png", "over_time.png"],
     ),
+    "watch": (["3.0 s  red: ", "What decided most between"], []),
     "queries": (["P(friendly) = ", "E[strength_red | ", "Best single hypothesis: red: "], []),
 }
 

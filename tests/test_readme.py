@@ -23,9 +23,9 @@ def run(example: str, folder: Path) -> str:
     return done.stdout
 
 
-def test_there_are_four_examples() -> None:
-    told_by = ("ppl.render.video", "ppl.Model", "ppl.resume", "ppl.evaluate")
-    assert [name in e for name, e in zip(told_by, EXAMPLES, strict=True)] == [True] * 4
+def test_there_are_five_examples() -> None:
+    told_by = ("ppl.render.video", "ppl.watch", "def helpers", "ppl.resume", "ppl.evaluate")
+    assert [name in e for name, e in zip(told_by, EXAMPLES, strict=True)] == [True] * 5
 
 
 def test_the_main_example_prints_a_posterior_and_writes_its_files(tmp_path: Path) -> None:
@@ -35,18 +35,25 @@ def test_the_main_example_prints_a_posterior_and_writes_its_files(tmp_path: Path
         assert (tmp_path / name).stat().st_size > 1000
 
 
+def test_an_event_is_watched(tmp_path: Path) -> None:
+    printed = run(EXAMPLES[1], tmp_path)
+    assert printed.count("±") == 9
+    for name in ("why.png", "watch.mp4"):
+        assert (tmp_path / name).stat().st_size > 1000
+
+
 def test_a_prior_and_a_simulator_defined_in_a_script_work(tmp_path: Path) -> None:
-    printed = run(EXAMPLES[1] + "\nprint(post)\n", tmp_path)
+    printed = run(EXAMPLES[2] + "\nprint(post)\n", tmp_path)
     assert "15 particles x 6 iterations" in printed
 
 
 def test_a_model_of_ones_own_is_evaluated(tmp_path: Path) -> None:
-    assert "collaborative" in run(EXAMPLES[3], tmp_path)
+    assert "collaborative" in run(EXAMPLES[4], tmp_path)
 
 
 @pytest.mark.slow
 def test_a_run_on_a_cluster_is_kept_and_extended(tmp_path: Path) -> None:
-    printed = run(EXAMPLES[2] + "\n    print(post)\n", tmp_path)
+    printed = run(EXAMPLES[3] + "\n    print(post)\n", tmp_path)
     assert "4 particles x 2 iterations" in printed
     assert (tmp_path / "run.ckpt").stat().st_size > 1000
 
