@@ -8,6 +8,8 @@ python benchmarks/stepwise.py accuracy [--jitter S] [--planner P] [--keep DIR] [
     Goals, relation, log score and agreement with people; seconds per second of video.
 python benchmarks/stepwise.py seeds [--limit N] [--noise-seeds K] [--json FILE]
     Standard deviation over seeds of the true hypothesis' log likelihood, beside SIMPLE's.
+python benchmarks/stepwise.py curve [--limit N] [--budgets 30,105] [--keep DIR] [--json FILE]
+    Accuracy against CPU seconds per second of video, for both likelihoods, by budget.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ import argparse
 import dataclasses
 import itertools
 import time
+from pathlib import Path
 from typing import Any
 
 import common
@@ -27,6 +30,7 @@ from phase_ppl.models.stepwise import StepwiseLikelihood
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import goal_index
 from phase_ppl.world.observation import Observation
+from phase_ppl.world.relations import RELATIONS
 
 SHARPNESS, LAPSE, WEIGHT = (2.0, 3.0, 4.0, 6.0), (0.1, 0.2, 0.3, 0.5), (0.1, 0.15, 0.2, 0.3, 1.0)
 
@@ -168,12 +172,51 @@ def of_truth(task: tuple[Event, int]) -> dict[str, float]:
     }
 
 
+def curve(options: argparse.Namespace) -> dict[str, Any]:
+    """Print accuracy against cost of both likelihoods with more and less to spend."""
+    events = common.dev_events(options.half, options.limit)
+    shown = sum(0.25 * (event.observation.n_frames - 1) for event in events)
+    runs: dict[str, tuple[str, dict[str, Any]]] = {
+        f"simple, {n} simulations": ("simple", {"budget": ppl.simulations(n)})
+        for n in map(int, options.budgets.split(","))
+    }
+    for n in (25, 100, 300):
+        planner = dataclasses.replace(ppl.PlannerConfig.fast(), simulations=n)
+        runs[f"stepwise, {n} a search"] = "stepwise", {"planner": planner}
+    runs["stepwise, paper's planner"] = "stepwise", {"planner": "paper"}
+    found: dict[str, Any] = {}
+    print(f"{'':<26}{'CPU s / s':>10}{'goals':>8}{'relation':>10}{'log score':>11}")
+    for name, (model, settings) in runs.items():
+        folder = None if options.keep is None else Path(options.keep) / name.replace(" ", "_")
+        made = ppl.evaluate(
+            events, model, out=folder, resume=folder is not None, seed=options.seed, **settings
+        )
+        cost = sum(p.cost["cpu_seconds"] for p in made.predictions.values()) / shown
+        values = {key: made.metrics[key]["value"] for key in ("goal_accuracy", "relation_accuracy")}
+        score = float(np.mean([log_score(made, event) for event in events]))
+        found[name] = {"cpu_seconds_per_second": cost, "log_score": score, **values}
+        print(f"{name:<26}{cost:10.2f}{values['goal_accuracy']:8.2f}"
+              f"{values['relation_accuracy']:10.2f}{score:11.2f}", flush=True)  # fmt: skip
+    return found
+
+
+def log_score(found: ppl.Evaluation, event: Event) -> float:
+    """Return the mean log probability of the true goals and relation; zeros count as 1e-3."""
+    truth, prediction = event.truth, found.predictions[event.id]
+    assert truth is not None
+    answers = {"goal_red": truth.goal_red, "goal_green": truth.goal_green}
+    answers["relation"] = truth.relation
+    labels = {"goal_red": ppl.GOALS, "goal_green": ppl.GOALS, "relation": RELATIONS}
+    shares = [prediction.probabilities[q][labels[q].index(a)] for q, a in answers.items()]
+    return float(np.mean(np.log(np.maximum(shares, 1e-3))))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     commands = parser.add_subparsers(dest="command", required=True)
-    for function in (replays, fit, accuracy, seeds):
+    for function in (replays, fit, accuracy, seeds, curve):
         command = commands.add_parser(function.__name__)
         command.set_defaults(run=function)
         command.add_argument("--limit", type=int, help="a stratified subset of about so many")
@@ -184,6 +227,7 @@ def main() -> None:
         command.add_argument("--keep", metavar="DIR", help="go on with what is there")
         command.add_argument("--seed", type=int, default=0)
         command.add_argument("--noise-seeds", type=int, default=8)
+        command.add_argument("--budgets", default="30,105", help="simulations")
     options = parser.parse_args()
     common.write(options.run(options), options.json)
 
