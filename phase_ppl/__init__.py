@@ -72,6 +72,7 @@ _WHERE = {
     "simulate": "phase_ppl.simulator.simulate",
     "simulations": "phase_ppl.inference.infer",
     "statistics": "phase_ppl.dataset.statistics",
+    "train_socialgnn": "phase_ppl.evaluation.training",
     "with_judgments": "phase_ppl.evaluation.judgments",
 }
 
@@ -126,6 +127,7 @@ if TYPE_CHECKING:
     from phase_ppl.evaluation.registry import model_info as model_info
     from phase_ppl.evaluation.registry import register_model as register_model
     from phase_ppl.evaluation.report import report as report
+    from phase_ppl.evaluation.training import train_socialgnn as train_socialgnn
     from phase_ppl.evaluation.votes import Judgments as Judgments
     from phase_ppl.inference.compare import ComparisonInterrupted as ComparisonInterrupted
     from phase_ppl.inference.compare import compare as compare

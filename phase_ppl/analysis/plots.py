@@ -17,6 +17,7 @@ from phase_ppl.analysis.diagnostic_plots import errors as errors
 from phase_ppl.analysis.diagnostic_plots import goal_map as goal_map
 from phase_ppl.analysis.over_time_plot import over_time as over_time
 from phase_ppl.analysis.style import INK, NORMAL, SMALL, bare, new_figure, written
+from phase_ppl.analysis.training_plot import training_curves as training_curves
 from phase_ppl.analysis.tree import array
 from phase_ppl.world.geometry import agent_outline, is_agent
 from phase_ppl.world.hypothesis import STRENGTH_RANGE
