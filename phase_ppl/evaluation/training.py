@@ -20,17 +20,20 @@ import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
 
 from phase_ppl.dataset.documents import read_json
 from phase_ppl.dataset.generation.store import GeneratedEvents
-from phase_ppl.evaluation.answer import as_prediction
 from phase_ppl.evaluation.metrics import evaluate_predictions
-from phase_ppl.evaluation.models.socialgnn import SocialGNNModel
-from phase_ppl.inference.runs.progress import Bar
+from phase_ppl.evaluation.prediction import Prediction
+from phase_ppl.inference.runs.progress import Bar, counted
 from phase_ppl.models.neural import needs_torch
 from phase_ppl.models.socialgnn import store
 from phase_ppl.models.socialgnn.examples import Examples
+from phase_ppl.models.socialgnn.graphs import frame_graphs
 from phase_ppl.models.socialgnn.settings import TrainingSettings
 from phase_ppl.models.socialgnn.store import Trained
 from phase_ppl.world.checks import whole_number
@@ -45,6 +48,9 @@ the third, the report scores it too."""
 
 ASKED: Final = "training.json"
 MEMBERS: Final = "members"
+
+Shares: TypeAlias = dict[str, NDArray[np.float64]]
+"""Question -> probabilities of its answers."""
 
 _SCORED: Final = ("goal_accuracy", "relation_accuracy")
 _DIGITS: Final = 4
@@ -95,7 +101,7 @@ def train_socialgnn(
     missing = [one for one in wanted if not _is_finished(folder, one)]
     if missing:
         _train(folder, missing, splits, settings, progress)
-    return _finish(folder, wanted, splits, settings, asked)
+    return _finish(folder, wanted, splits, settings, asked, progress)
 
 
 class _Epochs(Bar):
@@ -194,6 +200,7 @@ def _finish(
     splits: dict[str, list[Event]],
     settings: TrainingSettings,
     asked: dict[str, Any],
+    progress: bool | None,
 ) -> dict[str, Any]:
     """Put the networks together, score them, write the report and draw the curves."""
     from phase_ppl.analysis.training_plot import training_curves
@@ -201,19 +208,20 @@ def _finish(
     variant = settings.variant
     members = [store.load(folder / MEMBERS / f"{seed}.npz").members[0] for seed in seeds]
     store.save(members, folder / f"{variant}.npz")
+    said = _said(Trained(variant, tuple(members)), splits, settings, progress)
     records = [
         {
             **read_json(folder / MEMBERS / f"{seed}.json"),
-            "accuracy": _accuracy([member], splits, settings),
+            "accuracy": _accuracy(splits, [of_event[number] for of_event in said]),
         }
-        for seed, member in zip(seeds, members, strict=True)
+        for number, seed in enumerate(seeds)
     ]
     report = {
         "command": f"phase-ppl train socialgnn --seeds {len(seeds)} --seed {seeds[0]}",
         "note": "trained on generated events, not on PHASE; accuracies are on generated events too",
         "torch": str(needs_torch().__version__),
         **asked,
-        "together": _accuracy(members, splits, settings, intervals=True),
+        "together": _accuracy(splits, [_mean(of_event) for of_event in said], intervals=True),
         "members": records,
     }
     write_json(folder / f"{variant}.json", report)
@@ -221,27 +229,45 @@ def _finish(
     return report
 
 
-def _accuracy(
-    members: Sequence[store.Arrays],
+def _said(
+    trained: Trained,
     splits: dict[str, list[Event]],
     settings: TrainingSettings,
-    intervals: bool = False,
+    progress: bool | None,
+) -> list[list[Shares]]:
+    """Return per event, split after split, what each network says."""
+    from phase_ppl.models.socialgnn.answers import Ensemble
+
+    networks = [
+        Ensemble(Trained(trained.variant, (member,)), settings.threads)
+        for member in trained.members
+    ]
+    events = [event for of_split in splits.values() for event in of_split]
+    found = []
+    for event in counted(events, progress, "event", "scoring"):
+        graphs = frame_graphs(event.scene, event.observation, trained.variant)
+        found.append([network.of(graphs) for network in networks])
+    return found
+
+
+def _mean(said: Sequence[Shares]) -> Shares:
+    return {name: np.mean([one[name] for one in said], axis=0) for name in said[0]}
+
+
+def _accuracy(
+    splits: dict[str, list[Event]], said: Sequence[Shares], intervals: bool = False
 ) -> dict[str, Any]:
     """Return split -> accuracies over all its events and by scenario."""
-    model = SocialGNNModel(Trained(settings.variant, tuple(members)), settings.threads)
+    rest = iter(said)
     result: dict[str, Any] = {}
     for split, events in splits.items():
-        predictions = {
-            event.id: as_prediction(model(event.scene, event.observation, 0), event.id)
-            for event in events
-        }
+        predictions = {event.id: Prediction(event.id, next(rest)) for event in events}
         metrics = evaluate_predictions(events, predictions)
-        found = _scores(metrics, intervals)
-        found["by_scenario"] = {
+        result[split] = _scores(metrics, intervals)
+        result[split]["by_scenario"] = {
             name: {"n": of["n"], **_scores(of, intervals)}
             for name, of in metrics["by_scenario"].items()
         }
-        result[split] = found
     return result
 
 

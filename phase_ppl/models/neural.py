@@ -10,11 +10,8 @@ from typing import Any
 from phase_ppl.world.errors import InvalidSettingError
 
 
-def needs_torch(what: str = "training") -> Any:
+def needs_torch() -> Any:
     """Return PyTorch.
-
-    Args:
-        what: what needs it, for the message.
 
     Raises:
         InvalidSettingError: it is not installed.
@@ -23,7 +20,7 @@ def needs_torch(what: str = "training") -> Any:
         return importlib.import_module("torch")
     except ImportError as error:
         raise InvalidSettingError(
-            f"{what} needs PyTorch: pip install 'phase_ppl[neural]'"
+            "training needs PyTorch: pip install 'phase_ppl[neural]'"
         ) from error
 
 

@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 
 from phase_ppl.models.neural import threads
-from phase_ppl.models.socialgnn.graphs import Variant, batch, frame_graphs
+from phase_ppl.models.socialgnn.graphs import Graphs, Variant, batch, frame_graphs
 from phase_ppl.models.socialgnn.network import SocialGNN
 from phase_ppl.models.socialgnn.store import Arrays, Trained
 from phase_ppl.world.observation import Observation
@@ -25,12 +25,17 @@ class Ensemble:
     """
 
     def __init__(self, trained: Trained, n_threads: int = 1) -> None:
-        self._variant, self._threads = trained.variant, n_threads
+        self._variant: Variant = trained.variant
+        self._threads = n_threads
         self._networks = [_network(arrays, trained.variant) for arrays in trained.members]
 
     def __call__(self, scene: Scene, observation: Observation) -> dict[str, NDArray[np.float64]]:
         """Return the probabilities of the answers of each head, by its name."""
-        given = batch([frame_graphs(scene, observation, self._variant)])
+        return self.of(frame_graphs(scene, observation, self._variant))
+
+    def of(self, graphs: Graphs) -> dict[str, NDArray[np.float64]]:
+        """Return the same for the graphs of an event's frames."""
+        given = batch([graphs])
         with threads(self._threads), torch.no_grad():
             said = [network(given) for network in self._networks]
             found = {"relation": _mean([one.relation[0] for one in said])}

@@ -111,7 +111,8 @@ def load(path: str | Path) -> Trained:
             arrays = {name: kept[name] for name in kept.files}
         return _checked(arrays)
     except _DAMAGED as error:
-        raise InvalidSettingError(f"{source} holds no weights of a SocialGNN: {error}") from None
+        reason = getattr(error, "strerror", None) or error
+        raise InvalidSettingError(f"{source} holds no weights of a SocialGNN: {reason}") from None
 
 
 @functools.cache
