@@ -33,9 +33,9 @@ class TrainingSettings:
     """
 
     variant: Variant = "extended"
-    epochs: int = 200
-    patience: int = 30
-    batch: int = 32
+    epochs: int = 250
+    patience: int = 40
+    batch: int = 16
     learning_rate: float = 3e-3
     decay: float = 3e-5
     dropout: float = 0.2
