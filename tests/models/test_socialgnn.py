@@ -261,6 +261,17 @@ def test_it_stops_when_the_validation_gets_no_better() -> None:
 
 
 @needs_torch
+def test_training_that_leads_nowhere_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    from phase_ppl.models.socialgnn import training
+
+    right = training.loss
+    monkeypatch.setattr(training, "loss", lambda *given: right(*given) * float("nan"))
+    examples = Examples(eight(), "original")
+    with pytest.raises(InvalidSettingError, match=r"after 1 epochs with learning_rate=0\.02"):
+        training.fit(examples, examples, dataclasses.replace(SETTINGS, variant="original"), 0)
+
+
+@needs_torch
 def test_rare_relations_weigh_more_and_events_one_on_average() -> None:
     from phase_ppl.models.socialgnn.training import class_weights
 
@@ -268,7 +279,7 @@ def test_rare_relations_weigh_more_and_events_one_on_average() -> None:
     weights = class_weights(relations).numpy()
     np.testing.assert_allclose(weights, [8 / 12, 8 / 3, 8 / 9])
     assert weights[relations].mean() == pytest.approx(1)
-    np.testing.assert_allclose(class_weights([0, 0, 2]).numpy(), [0.75, 0, 1.5])
+    np.testing.assert_allclose(class_weights([0, 0, 2]).numpy(), [0.75, 1, 1.5])
 
 
 @needs_torch

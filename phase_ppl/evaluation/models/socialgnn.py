@@ -41,6 +41,10 @@ class SocialGNNModel:
 
         return Ensemble(self.trained, self.n_threads)
 
+    def warm_up(self) -> None:
+        """Import PyTorch and make the networks, so that the first event does not pay for it."""
+        _ = self._ensemble
+
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the networks: each process makes its own."""
         return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}

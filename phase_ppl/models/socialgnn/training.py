@@ -17,6 +17,7 @@ from phase_ppl.models.socialgnn.graphs import batch
 from phase_ppl.models.socialgnn.network import Outputs, SocialGNN
 from phase_ppl.models.socialgnn.settings import TrainingSettings
 from phase_ppl.models.socialgnn.store import halved
+from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.relations import RELATIONS
 
 Curves = dict[str, list[float]]
@@ -55,6 +56,9 @@ def fit(
         settings: how.
         seed: of the first weights, the order and looks of the events, and the dropout.
         after_epoch: called with the number of each epoch that is done, from 0.
+
+    Raises:
+        InvalidSettingError: it leads nowhere, as with far too large a learning rate.
     """
     with threads(settings.threads), torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
@@ -85,6 +89,11 @@ class _Fit:
         best, kept = 0, self.network.state_dict()
         for epoch in range(self.settings.epochs):
             curves["training"].append(self._epoch())
+            if not np.isfinite(curves["training"][-1]):
+                raise InvalidSettingError(
+                    f"the loss is no number any more after {epoch + 1} epochs with "
+                    f"learning_rate={self.settings.learning_rate:g}; try a smaller one"
+                )
             for name, value in self._validate().items():
                 curves[name].append(value)
             now = curves["validation"][-1]
@@ -133,11 +142,11 @@ class _Fit:
 def class_weights(relations: Sequence[int]) -> Any:
     """Return (relation,) weights in inverse proportion to how often each is there.
 
-    Those of the events themselves have mean 1; a relation that is never there has weight 0.
+    Those of the events themselves have mean 1; a relation that is never there has weight 1.
     """
     counts = np.bincount(relations, minlength=len(RELATIONS))
     there = counts > 0
-    weights = np.where(there, len(relations) / (there.sum() * np.maximum(counts, 1)), 0.0)
+    weights = np.where(there, len(relations) / (there.sum() * np.maximum(counts, 1)), 1.0)
     return torch.from_numpy(weights.astype(np.float32))
 
 
