@@ -217,7 +217,8 @@ def _finish(
         for number, seed in enumerate(seeds)
     ]
     report = {
-        "command": f"phase-ppl train socialgnn --seeds {len(seeds)} --seed {seeds[0]}",
+        "command": f"phase-ppl train socialgnn --variant {variant} --seeds {len(seeds)} "
+        f"--seed {seeds[0]}",
         "note": "trained on generated events, not on PHASE; accuracies are on generated events too",
         "torch": str(needs_torch().__version__),
         **asked,
