@@ -81,6 +81,7 @@ _WHERE = {
     "simulate": "phase_ppl.simulator.simulate",
     "simulations": "phase_ppl.inference.infer",
     "statistics": "phase_ppl.dataset.statistics",
+    "train_socialgnn": "phase_ppl.evaluation.training",
     "watch": "phase_ppl.inference.stepwise.watch",
     "watch_film": "phase_ppl.analysis.watch_film",
     "with_judgments": "phase_ppl.evaluation.judgments",
@@ -144,6 +145,7 @@ if TYPE_CHECKING:
     from phase_ppl.evaluation.registry import model_info as model_info
     from phase_ppl.evaluation.registry import register_model as register_model
     from phase_ppl.evaluation.report import report as report
+    from phase_ppl.evaluation.training import train_socialgnn as train_socialgnn
     from phase_ppl.evaluation.votes import Judgments as Judgments
     from phase_ppl.inference.compare import ComparisonInterrupted as ComparisonInterrupted
     from phase_ppl.inference.compare import compare as compare

@@ -203,6 +203,7 @@ def test_a_strip_of_a_short_event_has_all_its_frames(tmp_path: Path) -> None:
         ["generate"],
         ["verify"],
         ["export"],
+        ["train"],
     ],
 )
 def test_help_gives_an_example(command: list[str], capsys: pytest.CaptureFixture[str]) -> None:

@@ -18,6 +18,7 @@ from phase_ppl.analysis.diagnostic_plots import goal_map as goal_map
 from phase_ppl.analysis.over_time_plot import over_time as over_time
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.analysis.style import INK, NORMAL, SMALL, bare, new_figure, written
+from phase_ppl.analysis.training_plot import training_curves as training_curves
 from phase_ppl.analysis.why_plot import why as why
 from phase_ppl.world.geometry import agent_outline, is_agent
 from phase_ppl.world.hypothesis import STRENGTH_RANGE

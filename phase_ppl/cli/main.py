@@ -21,6 +21,7 @@ from phase_ppl.cli import (
     query,
     render,
     report,
+    train,
 )
 from phase_ppl.cli.shared import (
     BAD_INPUT,
@@ -144,5 +145,6 @@ def _parser() -> argparse.ArgumentParser:
     diagnose.add_to(commands)
     generate.add_to(commands)
     describe.add_to(commands)
+    train.add_to(commands)
     export.add_to(commands)
     return parser

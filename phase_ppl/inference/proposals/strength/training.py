@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import importlib
 import json
 from pathlib import Path
 from typing import Any, Final
@@ -35,6 +34,7 @@ from phase_ppl.inference.proposals.strength.network import (
     StrengthNetwork,
 )
 from phase_ppl.inference.proposals.strength.scenes import Simulated, cached_events, simulate_events
+from phase_ppl.models.neural import needs_torch, threads
 from phase_ppl.world.errors import InvalidSettingError, PhasePPLError
 from phase_ppl.world.hypothesis import STRENGTH_RANGE
 
@@ -76,20 +76,6 @@ class TrainingSettings:
                 raise InvalidSettingError(f"{name}={getattr(self, name)}, expected >= {least}")
 
 
-def needs_torch() -> Any:
-    """Return PyTorch.
-
-    Raises:
-        InvalidSettingError: it is not installed.
-    """
-    try:
-        return importlib.import_module("torch")
-    except ImportError as error:
-        raise InvalidSettingError(
-            "training needs PyTorch: pip install 'phase_ppl[neural]'"
-        ) from error
-
-
 def train(events: Simulated, settings: TrainingSettings) -> tuple[StrengthNetwork, dict[str, Any]]:
     """Return the trained network and the report on it."""
     torch = needs_torch()
@@ -104,14 +90,10 @@ def train(events: Simulated, settings: TrainingSettings) -> tuple[StrengthNetwor
         x = np.clip((data.features - centre) / scale, -FARTHEST, FARTHEST)
         return torch.from_numpy(x), torch.from_numpy(data.strength)
 
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)  # sums, and so the weights, depend on the number
-    try:
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(settings.seed)
-            curves, layers = _fit(torch, tensors(examples), tensors(validation), settings)
-    finally:
-        torch.set_num_threads(threads)
+    # sums, and so the weights, depend on the number of threads
+    with threads(1), torch.random.fork_rng(devices=[]):
+        torch.manual_seed(settings.seed)
+        curves, layers = _fit(torch, tensors(examples), tensors(validation), settings)
     weights = {"centre": centre, "scale": scale}
     for number, layer in enumerate(layers, start=1):
         weights |= {f"weight_{number}": layer[0].T, f"bias_{number}": layer[1]}

@@ -1,0 +1,108 @@
+"""The command ``train``."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import shlex
+import sys
+from pathlib import Path
+from typing import Any, Final
+
+import phase_ppl
+from phase_ppl.cli.shared import INTERRUPTED, named_value, whole, writable_folder
+from phase_ppl.models.socialgnn.graphs import VARIANTS
+from phase_ppl.models.socialgnn.settings import TrainingSettings
+from phase_ppl.world.errors import unknown_name
+
+MODELS: Final = ("socialgnn",)
+"""Models that can be trained."""
+
+
+def add_to(commands: Any) -> None:
+    """Add the command."""
+    description = "train a model of social perception on a generated data set"
+    parser = commands.add_parser(
+        "train",
+        help=description,
+        description=f"{description[0].upper()}{description[1:]}: networks from several seeds, "
+        "whose answers are averaged. Needs the extra neural (PyTorch).",
+        epilog="example: phase-ppl train socialgnn --data events --out gnn",
+    )
+    parser.set_defaults(run=_train)
+    parser.add_argument("model", choices=MODELS)
+    parser.add_argument(
+        "--data",
+        metavar="SET",
+        type=Path,
+        required=True,
+        help="the folder of a generated set, with the splits train and validation",
+    )
+    parser.add_argument("--out", metavar="DIR", type=Path, required=True)
+    parser.add_argument(
+        "--seeds", metavar="K", type=whole(1), default=5, help="networks; default 5"
+    )
+    parser.add_argument(
+        "--seed", metavar="N", type=whole(0), default=0, help="first one; default 0"
+    )
+    parser.add_argument("--variant", choices=VARIANTS, default=VARIANTS[0])
+    parser.add_argument(
+        "--option",
+        metavar="NAME=VALUE",
+        type=named_value,
+        action="append",
+        default=[],
+        help="how to train, such as epochs=100 or looks=false; may be given several times",
+    )
+    parser.add_argument("--resume", action="store_true", help="go on with what DIR holds")
+    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+
+
+def _train(options: argparse.Namespace) -> int:
+    given = dict(options.option)
+    known = [field.name for field in dataclasses.fields(TrainingSettings)][1:]
+    for name in given:
+        if name not in known:
+            raise unknown_name("option", name, known)
+    settings = TrainingSettings(options.variant, **given)
+    writable_folder(options.out)
+    try:
+        report = phase_ppl.train_socialgnn(
+            options.data,
+            options.out,
+            seeds=options.seeds,
+            seed=options.seed,
+            settings=settings,
+            resume=options.resume,
+            progress=False if options.quiet else None,
+        )
+    except KeyboardInterrupt:
+        print("phase-ppl: interrupted; go on with the same command and --resume", file=sys.stderr)
+        return INTERRUPTED
+    _print(report)
+    print(f"\nKept in {options.out}; to ask them: phase-ppl evaluate EVENTS --model socialgnn "
+          f"--weights {shlex.quote(str(options.out))}")  # fmt: skip
+    return 0
+
+
+def _print(report: dict[str, Any]) -> None:
+    """Print the accuracies of each network and of all together, by split."""
+    splits = list(report["together"])
+    print("right answers, %" + "".join(f"{split:>24}" for split in splits))
+    print(" " * 16 + f"{'goals':>12}{'relation':>12}" * len(splits) + f"{'epochs':>8}{'CPU s':>8}")
+    for member in report["members"]:
+        scores = "".join(_cells(member["accuracy"][split]) for split in splits)
+        print(
+            f"seed {member['seed']:<11}{scores}{member['epochs']:>8}{member['cpu_seconds']:>8.0f}"
+        )
+    print("all together    " + "".join(_cells(report["together"][split]) for split in splits))
+
+
+def _cells(scores: dict[str, Any]) -> str:
+    """Return goals and relation as two columns."""
+    cells = ""
+    for name in ("goal_accuracy", "relation_accuracy"):
+        figure = scores.get(name)
+        value = figure["value"] if isinstance(figure, dict) else figure
+        cells += f"{'-' if value is None else f'{100 * value:.0f}':>12}"
+    return cells

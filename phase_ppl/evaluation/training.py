@@ -1,0 +1,285 @@
+"""Training SocialGNN on a generated data set, from several seeds, with a report.
+
+The folder that it writes::
+
+    DIR/
+      training.json           what was asked for
+      members/3.npz, 3.json   a finished network, by seed, and how its training went
+      extended.npz            all networks ("original.npz" of the original variant)
+      extended.json           the report
+      extended.png            the curves
+
+A network is written whole or not at all, so interrupted training goes on with those that are
+missing, and more can be added; each follows from its seed, whatever the others.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phase_ppl.dataset.documents import read_json
+from phase_ppl.dataset.generation.store import GeneratedEvents
+from phase_ppl.evaluation.metrics import evaluate_predictions
+from phase_ppl.evaluation.prediction import Prediction
+from phase_ppl.inference.runs.progress import Bar, counted
+from phase_ppl.models.neural import needs_torch
+from phase_ppl.models.socialgnn import store
+from phase_ppl.models.socialgnn.examples import Examples
+from phase_ppl.models.socialgnn.graphs import frame_graphs
+from phase_ppl.models.socialgnn.settings import TrainingSettings
+from phase_ppl.models.socialgnn.store import Trained
+from phase_ppl.world.checks import whole_number
+from phase_ppl.world.errors import OutputError
+from phase_ppl.world.event import Event
+from phase_ppl.world.files import write_json
+from phase_ppl.world.identity import differences
+
+TRAINING, VALIDATION, TEST = "train", "validation", "test"
+"""Splits of the set: networks learn from the first, the second says when to stop; where there is
+the third, the report scores it too."""
+
+ASKED: Final = "training.json"
+MEMBERS: Final = "members"
+
+Shares: TypeAlias = dict[str, NDArray[np.float64]]
+"""Question -> probabilities of its answers."""
+
+_SCORED: Final = ("goal_accuracy", "relation_accuracy")
+_DIGITS: Final = 4
+
+
+def train_socialgnn(
+    data: str | os.PathLike[str],
+    out: str | os.PathLike[str],
+    *,
+    seeds: int = 5,
+    seed: int = 0,
+    settings: TrainingSettings | None = None,
+    resume: bool = False,
+    progress: bool | None = None,
+) -> dict[str, Any]:
+    """Train networks on a generated data set, and return the report, which is written too.
+
+    They are asked by ``evaluate(events, "socialgnn", weights=out)``.
+
+    Args:
+        data: folder of the set (:func:`phase_ppl.generate`), with the splits "train" and
+            "validation".
+        out: folder for the networks, see the module.
+        seeds: number of networks.
+        seed: of the first; the others have those that follow.
+        settings: how each is trained.
+        resume: go on with what ``out`` holds, or add networks to it.
+        progress: True or False for a bar on stderr; None: where stderr is a terminal.
+
+    Returns:
+        Per network and for all together the accuracies by split and scenario, the latter with 95 %
+        intervals; the curves, losses and accuracies per epoch; seconds of CPU.
+
+    Raises:
+        InvalidSettingError: PyTorch is not installed, or a number is not allowed.
+        InvalidEventError: ``data`` holds no generated set, or none of a split.
+        OutputError: ``out`` cannot be written, or holds a training of something else.
+    """
+    needs_torch()
+    settings = settings or TrainingSettings()
+    wanted = range(whole_number("seed", seed, 0), seed + whole_number("seeds", seeds))
+    found = GeneratedEvents(data)
+    splits = {name: list(found.split(name)) for name in (TRAINING, VALIDATION)}
+    if any(entry["split"] == TEST for entry in found.entries):
+        splits[TEST] = list(found.split(TEST))
+    asked = {"settings": settings.to_dict(), "data": _identity(found, splits)}
+    folder = _prepared(Path(out), asked, resume)
+    missing = [one for one in wanted if not _is_finished(folder, one)]
+    if missing:
+        _train(folder, missing, splits, settings, progress)
+    return _finish(folder, wanted, splits, settings, asked, progress)
+
+
+class _Epochs(Bar):
+    """A bar that counts epochs of networks, which end early or late."""
+
+    def __init__(self, networks: int, epochs: int, shown: bool | None) -> None:
+        self._epochs, self._done = epochs, 0
+        super().__init__(networks * epochs, 0, shown, "epoch", "training")
+
+    def one_more(self, epoch: int) -> None:
+        """Count an epoch of the present network."""
+        self._done = epoch + 1
+        self._bar.update(1)
+
+    def next_network(self) -> None:
+        """Count the epochs that the present network did not need."""
+        self._bar.update(self._epochs - self._done)
+        self._done = 0
+
+
+def _identity(found: GeneratedEvents, splits: dict[str, list[Event]]) -> dict[str, Any]:
+    """Return which set it is, as plain data."""
+    plan = found.manifest["plan"]
+    sums = "".join(entry["checksum"] for entry in found.entries)
+    return {
+        "events": {name: len(events) for name, events in splits.items()},
+        "checksum": hashlib.sha256(sums.encode()).hexdigest()[:16],
+        "seed": plan["seed"],
+        "cells": plan["cells"],
+        "copies": plan["copies"],
+        "turning": plan["turning"],
+        "planner": plan["planner"],
+    }
+
+
+def _prepared(folder: Path, asked: dict[str, Any], resume: bool) -> Path:
+    target = folder / ASKED
+    if target.exists():
+        if not resume:
+            raise OutputError(f"{folder} holds a training already; resume it, or name another")
+        apart = differences(read_json(target), asked)
+        if apart:
+            raise OutputError(f"{folder} holds a training of something else: {'; '.join(apart)}")
+    try:
+        (folder / MEMBERS).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"cannot write into {folder}: {error.strerror or error}") from None
+    if not target.exists():
+        write_json(target, asked)
+    return folder
+
+
+def _is_finished(folder: Path, seed: int) -> bool:
+    # the record is written last
+    return (folder / MEMBERS / f"{seed}.json").is_file()
+
+
+def _train(
+    folder: Path,
+    seeds: Sequence[int],
+    splits: dict[str, list[Event]],
+    settings: TrainingSettings,
+    progress: bool | None,
+) -> None:
+    from phase_ppl.models.socialgnn.training import fit
+
+    training, validation = (
+        Examples(splits[name], settings.variant) for name in (TRAINING, VALIDATION)
+    )
+    with _Epochs(len(seeds), settings.epochs, progress) as bar:
+        for seed in seeds:
+            clock = time.process_time()
+            fitted = fit(training, validation, settings, seed, bar.one_more)
+            seconds = time.process_time() - clock
+            bar.next_network()
+            store.save([fitted.arrays], folder / MEMBERS / f"{seed}.npz")
+            curves = {
+                name: [round(value, _DIGITS) for value in values]
+                for name, values in fitted.curves.items()
+            }
+            write_json(
+                folder / MEMBERS / f"{seed}.json",
+                {
+                    "seed": seed,
+                    "epochs": len(curves["training"]),
+                    "best_epoch": fitted.best + 1,
+                    "cpu_seconds": round(seconds, 1),
+                    "curves": curves,
+                },
+            )
+
+
+def _finish(
+    folder: Path,
+    seeds: Sequence[int],
+    splits: dict[str, list[Event]],
+    settings: TrainingSettings,
+    asked: dict[str, Any],
+    progress: bool | None,
+) -> dict[str, Any]:
+    """Put the networks together, score them, write the report and draw the curves."""
+    from phase_ppl.analysis.training_plot import training_curves
+
+    variant = settings.variant
+    members = [store.load(folder / MEMBERS / f"{seed}.npz").members[0] for seed in seeds]
+    store.save(members, folder / f"{variant}.npz")
+    said = _said(Trained(variant, tuple(members)), splits, settings, progress)
+    records = [
+        {
+            **read_json(folder / MEMBERS / f"{seed}.json"),
+            "accuracy": _accuracy(splits, [of_event[number] for of_event in said]),
+        }
+        for number, seed in enumerate(seeds)
+    ]
+    report = {
+        "command": f"phase-ppl train socialgnn --variant {variant} --seeds {len(seeds)} "
+        f"--seed {seeds[0]}",
+        "note": "trained on generated events, not on PHASE; accuracies are on generated events too",
+        "torch": str(needs_torch().__version__),
+        **asked,
+        "together": _accuracy(splits, [_mean(of_event) for of_event in said], intervals=True),
+        "members": records,
+    }
+    write_json(folder / f"{variant}.json", report)
+    training_curves(report, folder / f"{variant}.png")
+    return report
+
+
+def _said(
+    trained: Trained,
+    splits: dict[str, list[Event]],
+    settings: TrainingSettings,
+    progress: bool | None,
+) -> list[list[Shares]]:
+    """Return per event, split after split, what each network says."""
+    from phase_ppl.models.socialgnn.answers import Ensemble
+
+    networks = [
+        Ensemble(Trained(trained.variant, (member,)), settings.threads)
+        for member in trained.members
+    ]
+    events = [event for of_split in splits.values() for event in of_split]
+    found = []
+    for event in counted(events, progress, "event", "scoring"):
+        graphs = frame_graphs(event.scene, event.observation, trained.variant)
+        found.append([network.of(graphs) for network in networks])
+    return found
+
+
+def _mean(said: Sequence[Shares]) -> Shares:
+    return {name: np.mean([one[name] for one in said], axis=0) for name in said[0]}
+
+
+def _accuracy(
+    splits: dict[str, list[Event]], said: Sequence[Shares], intervals: bool = False
+) -> dict[str, Any]:
+    """Return split -> accuracies over all its events and by scenario."""
+    rest = iter(said)
+    result: dict[str, Any] = {}
+    for split, events in splits.items():
+        predictions = {event.id: Prediction(event.id, next(rest)) for event in events}
+        metrics = evaluate_predictions(events, predictions)
+        result[split] = _scores(metrics, intervals)
+        result[split]["by_scenario"] = {
+            name: {"n": of["n"], **_scores(of, intervals)}
+            for name, of in metrics["by_scenario"].items()
+        }
+    return result
+
+
+def _scores(metrics: dict[str, Any], intervals: bool) -> dict[str, Any]:
+    found = {}
+    for name in _SCORED:
+        figure = metrics.get(name)
+        if figure is not None:
+            rounded = {
+                part: None if value is None else round(value, _DIGITS)
+                for part, value in figure.items()
+            }
+            found[name] = rounded if intervals else rounded["value"]
+    return found

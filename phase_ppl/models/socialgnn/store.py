@@ -1,0 +1,155 @@
+"""Trained networks in files: plain arrays in half precision, no code.
+
+A file ``extended.npz`` or ``original.npz`` holds one or more *members*, networks of the same
+variant that were trained from different seeds; their arrays are called ``MEMBER/NAME``, MEMBER
+being 0, 1, ... The JSON file beside it says how they were made.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import io
+import zipfile
+import zlib
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phase_ppl.models.socialgnn.graphs import VARIANTS, Variant
+from phase_ppl.models.socialgnn.sizes import shapes
+from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.files import atomic_output
+
+Arrays = Mapping[str, NDArray[np.float16]]
+
+_WEIGHTS: Final = resources.files("phase_ppl.models.socialgnn") / "weights"
+_LARGEST: Final = 64 * 2**20
+"""Bytes of a file above which it is not read: those of the package have under one megabyte."""
+
+_DAMAGED: Final = (
+    *(OSError, EOFError, ValueError, AttributeError, NotImplementedError),
+    *(zipfile.BadZipFile, zlib.error),
+)
+"""What NumPy raises where a file is not what it should be."""
+
+
+class Trained(NamedTuple):
+    """Trained networks.
+
+    Attributes:
+        variant: "extended" or "original".
+        members: arrays by name, per member.
+    """
+
+    variant: Variant
+    members: tuple[Arrays, ...]
+
+    def digest(self) -> str:
+        """Return a hash of the variant and of all numbers."""
+        found = hashlib.sha256(self.variant.encode())
+        for member in self.members:
+            for name in sorted(member):
+                found.update(np.ascontiguousarray(member[name]).tobytes())
+        return found.hexdigest()[:16]
+
+
+def halved(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[np.float16]]:
+    """Return arrays in half precision, in which they are stored and used.
+
+    Raises:
+        InvalidSettingError: a number is too large for it, or none at all.
+    """
+    with np.errstate(over="ignore"):
+        found = {name: array.astype(np.float16) for name, array in arrays.items()}
+    for name, array in found.items():
+        if not np.isfinite(array).all():
+            raise InvalidSettingError(f"{name} holds something else than finite numbers")
+    return found
+
+
+def save(members: Sequence[Arrays], file: str | Path) -> None:
+    """Write members to an npz file.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    arrays = {
+        f"{number}/{name}": array
+        for number, member in enumerate(members)
+        for name, array in member.items()
+    }
+    with atomic_output(file, (".npz",)) as part:
+        np.savez_compressed(part, allow_pickle=False, **arrays)
+
+
+def load(path: str | Path) -> Trained:
+    """Return the networks of an npz file, or of the folder that training wrote.
+
+    Raises:
+        InvalidSettingError: there is no such file, several in the folder, or it is damaged; the
+            message says what is wrong.
+    """
+    source = Path(path)
+    if source.is_dir():
+        known = [source / f"{variant}.npz" for variant in VARIANTS]
+        there = [file for file in known if file.is_file()]
+        if len(there) != 1:
+            names = " nor ".join(f.name for f in known) if not there else ""
+            why = f"holds neither {names}" if names else "holds both variants: name one file"
+            raise InvalidSettingError(f"{source} {why}")
+        source = there[0]
+    try:
+        if source.stat().st_size > _LARGEST:
+            raise ValueError(f"it has more than {_LARGEST} bytes")
+        # from memory: NumPy leaves a damaged file open
+        with np.load(io.BytesIO(source.read_bytes()), allow_pickle=False) as kept:
+            arrays = {name: kept[name] for name in kept.files}
+        return _checked(arrays)
+    except _DAMAGED as error:
+        reason = getattr(error, "strerror", None) or error
+        raise InvalidSettingError(f"{source} holds no weights of a SocialGNN: {reason}") from None
+
+
+@functools.cache
+def shipped(variant: Variant) -> Trained:
+    """Return the networks that come with the package."""
+    with resources.as_file(_WEIGHTS / f"{variant}.npz") as file:
+        return load(file)
+
+
+def _checked(arrays: dict[str, NDArray[Any]]) -> Trained:
+    by_member: dict[str, dict[str, NDArray[Any]]] = {}
+    for key, array in arrays.items():
+        number, _, name = key.partition("/")
+        by_member.setdefault(number, {})[name] = array
+    if not by_member or set(by_member) != {str(n) for n in range(len(by_member))}:
+        names = ", ".join(sorted(by_member)) or "none"
+        raise ValueError(f"expected members 0, 1, ..., found {names}")
+    first = by_member["0"]
+    variant: Variant = "extended" if "heads.goal_red.weight" in first else "original"
+    members = [_member(number, by_member[str(number)], variant) for number in range(len(by_member))]
+    return Trained(variant, tuple(members))
+
+
+def _member(number: int, arrays: dict[str, NDArray[Any]], variant: Variant) -> Arrays:
+    wanted = shapes(variant)
+    apart = sorted(set(arrays) ^ set(wanted))
+    if apart:
+        what = "is missing" if apart[0] in wanted else "is unknown"
+        raise ValueError(f"member {number}: the array {apart[0]} {what}")
+    for name, array in arrays.items():
+        if array.shape != wanted[name]:
+            raise ValueError(
+                f"member {number}: {name} has shape {array.shape}, expected {wanted[name]}"
+            )
+        if array.dtype != np.float16 or not np.isfinite(array).all():
+            raise ValueError(
+                f"member {number}: {name} holds something else than finite numbers in half "
+                "precision"
+            )
+    return arrays

@@ -1,0 +1,230 @@
+"""SocialGNN as a model that is asked by name, and its training from a set to a folder."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import pickle
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import phase_ppl as ppl
+from phase_ppl.cli.main import main
+from phase_ppl.evaluation.models.socialgnn import socialgnn
+from phase_ppl.evaluation.prediction import GOAL_QUESTIONS
+from phase_ppl.evaluation.registry import ready
+from phase_ppl.models.socialgnn.graphs import VARIANTS
+from phase_ppl.models.socialgnn.settings import TrainingSettings
+from phase_ppl.models.socialgnn.store import load, shipped
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, OutputError
+from phase_ppl.world.goals import GOALS
+from phase_ppl.world.relations import RELATIONS
+from tests.models.walks import eight, make_set, needs_torch, walk
+
+QUICK = TrainingSettings(epochs=3)
+SPLITS = ["train"] * 5 + ["validation"] * 2 + ["test"]
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_set(tmp_path_factory.mktemp("set") / "events", eight(), SPLITS)
+
+
+@pytest.fixture(scope="module")
+def trained(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("trained")
+    ppl.train_socialgnn(data, out, seeds=2, settings=QUICK, progress=False)
+    return out
+
+
+# --- those of the package ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_five_networks_come_with_the_package_and_how_they_were_made(variant: Any) -> None:
+    found = shipped(variant)
+    assert found.variant == variant
+    assert len(found.members) == 5
+    folder = Path(ppl.__file__).parent / "models" / "socialgnn" / "weights"
+    assert sum(file.stat().st_size for file in folder.glob("*.npz")) < 1_000_000
+    made = json.loads((folder / f"{variant}.json").read_text())
+    assert [member["seed"] for member in made["members"]] == [0, 1, 2, 3, 4]
+    assert made["settings"]["variant"] == variant
+    assert made["data"]["events"] == {"train": 320, "validation": 80, "test": 100}
+
+
+@needs_torch
+def test_the_default_averages_all_and_a_member_can_be_asked_alone() -> None:
+    event = ppl.load_event("collaborate")
+    each = [socialgnn(member=n)(event.scene, event.observation, 0) for n in range(5)]
+    found = socialgnn()(event.scene, event.observation, 0)
+    for question in ("goal_red", "goal_green", "relation"):
+        mean = np.mean([one.probabilities[question] for one in each], axis=0)
+        np.testing.assert_allclose(found.probabilities[question], mean)
+    assert (each[0].probabilities["goal_red"] != each[1].probabilities["goal_red"]).any()
+
+
+@needs_torch
+def test_the_original_says_the_relation_only() -> None:
+    found = ppl.evaluate("collaborate", "socialgnn", variant="original", progress=False)
+    assert set(found.predictions["collaborate"].answers) == {"relation"}
+
+
+@needs_torch
+def test_what_is_true_of_the_bundled_events_gets_more_than_its_share() -> None:
+    predict, goals, relations = socialgnn(), [], []
+    for event in map(ppl.load_event, ppl.bundled_events()):
+        shares, truth = predict(event.scene, event.observation, 0).probabilities, event.truth
+        assert truth is not None
+        goals += [
+            shares[name][GOALS.index(getattr(truth, name))] for name in GOAL_QUESTIONS.values()
+        ]
+        relations.append(shares["relation"][RELATIONS.index(truth.relation)])
+    assert np.mean(goals) > 4 / 36
+    assert np.mean(relations) > 1 / 3
+
+
+@needs_torch
+def test_who_is_red_hardly_matters_to_the_relation() -> None:
+    from phase_ppl.models.socialgnn.answers import Ensemble
+    from phase_ppl.models.socialgnn.examples import LOOKS, Examples
+
+    # learned, not built in: so only on average
+    swapped = next(n for n, look in enumerate(LOOKS) if look == ("none", True, False))
+    examples = Examples([ppl.load_event(name) for name in ppl.bundled_events()], "extended")
+    ensemble = Ensemble(shipped("extended"))
+    apart = [
+        np.abs(
+            ensemble.of(examples(event).graphs)["relation"]
+            - ensemble.of(examples(event, swapped).graphs)["relation"]
+        ).max()
+        for event in range(len(examples))
+    ]
+    assert np.mean(apart) < 0.25
+
+
+def test_options_that_cannot_be_used_are_refused(tmp_path: Path) -> None:
+    for options, message in (
+        ({"member": 5}, "member=5, expected 0 to 4"),
+        ({"member": True}, "member=True"),
+        ({"threads": 0}, "threads=0"),
+        ({"variant": "other"}, "variant 'other'"),
+        ({"weights": tmp_path, "variant": "original"}, "either weights or variant"),
+        ({"weights": tmp_path / "no.npz"}, r"no\.npz holds no weights"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            socialgnn(**options)  # type: ignore[arg-type]
+
+
+def test_without_torch_the_model_and_the_training_name_the_extra(
+    monkeypatch: pytest.MonkeyPatch, data: Path, tmp_path: Path
+) -> None:
+    find = importlib.util.find_spec
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda name, *more: None if name == "torch" else find(name)
+    )
+    monkeypatch.setitem(sys.modules, "torch", None)
+    with pytest.raises(InvalidSettingError, match=r"'socialgnn' needs torch.*phase_ppl\[neural\]"):
+        ready("socialgnn", {})
+    with pytest.raises(InvalidSettingError, match=r"PyTorch: pip install 'phase_ppl\[neural\]'"):
+        ppl.train_socialgnn(data, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+# --- training ------------------------------------------------------------------------------------
+
+
+@needs_torch
+def test_training_leaves_networks_a_report_and_its_curves(trained: Path) -> None:
+    report = json.loads((trained / "extended.json").read_text())
+    assert report["data"]["events"] == {"train": 5, "validation": 2, "test": 1}
+    assert [member["seed"] for member in report["members"]] == [0, 1]
+    for member in report["members"]:
+        assert {len(values) for values in member["curves"].values()} == {3}
+        assert set(member["accuracy"]) == {"train", "validation", "test"}
+    assert set(report["together"]["train"]["goal_accuracy"]) == {"value", "ci_low", "ci_high"}
+    assert len(load(trained).members) == 2
+    assert (trained / "extended.png").stat().st_size > 5000
+
+
+@needs_torch
+def test_networks_can_be_added_and_are_those_that_come_of_one_go(
+    data: Path, trained: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    ppl.train_socialgnn(data, out, seeds=1, settings=QUICK, progress=False)
+    with pytest.raises(OutputError, match="holds a training already; resume it"):
+        ppl.train_socialgnn(data, out, seeds=2, settings=QUICK, progress=False)
+    with pytest.raises(OutputError, match=r"something else: settings\.epochs is 4, was 3"):
+        ppl.train_socialgnn(data, out, settings=TrainingSettings(epochs=4), resume=True)
+    ppl.train_socialgnn(data, out, seeds=2, settings=QUICK, resume=True, progress=False)
+    assert load(out).digest() == load(trained).digest()
+
+
+@needs_torch
+def test_interrupted_training_keeps_what_is_finished(
+    data: Path, trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    from phase_ppl.models.socialgnn import training
+
+    fit, out = training.fit, tmp_path / "out"
+
+    def stops(*given: Any) -> Any:
+        if given[3] == 1:
+            raise KeyboardInterrupt
+        return fit(*given)
+
+    monkeypatch.setattr(training, "fit", stops)
+    command = ["train", "socialgnn", "--data", str(data), "--out", str(out), "--seeds", "2",
+               "--option", "epochs=3", "--quiet"]  # fmt: skip
+    assert main(command) == 130
+    assert "--resume" in capsys.readouterr().err
+    monkeypatch.undo()
+    assert main([*command, "--resume"]) == 0
+    printed = capsys.readouterr().out
+    assert "seed 1" in printed
+    assert f"--weights {out}" in printed
+    assert load(out).digest() == load(trained).digest()
+
+
+@needs_torch
+def test_what_was_trained_is_asked_by_its_folder(trained: Path, tmp_path: Path) -> None:
+    found = ppl.evaluate(
+        [walk(0, 1, 2)], "socialgnn", weights=trained, member=1, out=tmp_path, progress=False
+    )
+    assert found.settings["model_settings"]["networks"] == 1
+    assert len(found.predictions["0-1-2-False"].probabilities) == 3
+    model = socialgnn(weights=trained)
+    event = walk(1, 2)
+    before = model(event.scene, event.observation, 0)
+    again = pickle.loads(pickle.dumps(model))(event.scene, event.observation, 7)
+    for question, shares in before.probabilities.items():
+        np.testing.assert_array_equal(shares, again.probabilities[question])
+
+
+@needs_torch
+def test_what_is_no_set_to_learn_from_is_refused(data: Path, tmp_path: Path) -> None:
+    with pytest.raises(InvalidEventError, match="holds no generated data set"):
+        ppl.train_socialgnn(tmp_path, tmp_path / "out")
+    only = make_set(tmp_path / "only", eight(), ["train"] * 8)
+    with pytest.raises(InvalidEventError, match="no events in split 'validation'"):
+        ppl.train_socialgnn(only, tmp_path / "out")
+
+
+@needs_torch
+def test_wrong_options_of_the_command_are_refused(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["train", "socialgnn", "--data", str(data), "--out", str(tmp_path / "out")]
+    for option, message in (
+        ("epoch=3", "unknown option 'epoch'; did you mean 'epochs'"),
+        ("dropout=2", "dropout=2, expected a number from 0 to 0.9"),
+        ("looks=3", "looks=3, expected True or False"),
+    ):
+        assert main([*command, "--option", option]) == 2
+        assert message in capsys.readouterr().err

@@ -1,0 +1,461 @@
+"""SocialGNN: the graphs of frames, what the network can learn, and its files."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from phase_ppl.models.socialgnn import store
+from phase_ppl.models.socialgnn.examples import AS_IT_IS, LOOKS, Examples
+from phase_ppl.models.socialgnn.graphs import (
+    CONTACT,
+    NEAR,
+    PROXIMITY,
+    VARIANTS,
+    Graphs,
+    Variant,
+    contacts,
+    frame_graphs,
+)
+from phase_ppl.models.socialgnn.settings import TrainingSettings
+from phase_ppl.models.socialgnn.sizes import shapes
+from phase_ppl.models.socialgnn.store import Trained
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
+from phase_ppl.world.geometry import touches
+from phase_ppl.world.goals import GOALS
+from phase_ppl.world.observation import Observation
+from phase_ppl.world.relations import RELATIONS
+from tests.models.walks import START, eight, needs_torch, walk
+
+SETTINGS = TrainingSettings(epochs=60, looks=False, dropout=0.0, learning_rate=0.02)
+
+
+def graphs(variant: Variant = "extended") -> Graphs:
+    event = walk(2, 1, n_frames=9, with_item=True)
+    return frame_graphs(event.scene, event.observation, variant)
+
+
+def edges(of: Graphs, kind: int) -> set[tuple[int, int, int]]:
+    """Return (frame, sender, receiver) of the edges of a kind."""
+    return {(int(f), int(s), int(r)) for f, s, r, k in of.edges if k == kind}
+
+
+# --- graphs ------------------------------------------------------------------------------------
+
+
+def test_features_are_in_the_units_that_they_say() -> None:
+    event = walk(2, 1, n_frames=9)
+    nodes = frame_graphs(event.scene, event.observation, "extended").nodes
+    assert nodes.shape == (9, 8, 7)
+    np.testing.assert_allclose(nodes[0, 0, :2], [(14 - 16) / 10, (11 - 12) / 10], atol=1e-6)
+    step = np.diff(event.observation.positions, axis=0)
+    np.testing.assert_array_equal(nodes[0, :, 2:4], 0)
+    np.testing.assert_allclose(nodes[1:, :4, 2:4], step, atol=1e-5)
+    np.testing.assert_allclose(nodes[3, 0, 4:6], [-np.sin(0.3), np.cos(0.3)], atol=1e-6)
+    np.testing.assert_allclose(nodes[3, :, 6], [0.8, 1.2, 1.01, 0.8, 2.5, 2.5, 2.5, 2.5])
+    # items and landmarks have no heading, landmarks no velocity
+    np.testing.assert_array_equal(nodes[:, 2:, 4:6], 0)
+    np.testing.assert_array_equal(nodes[:, 4:, 2:4], 0)
+    np.testing.assert_allclose(nodes[5, 4:, :2], np.array([[-3, 3], [3, 3], [3, -3], [-3, -3]]) / 4)
+
+
+def test_bodies_that_touch_are_joined_in_both_directions_and_no_others() -> None:
+    event = walk(2, 1, n_frames=9, with_item=True)
+    found = edges(graphs(), CONTACT)
+    wanted = {
+        (frame, one, other)
+        for frame, poses in enumerate(event.observation.trajectory)
+        for one in range(4)
+        for other in range(4)
+        if one != other
+        and (
+            touches(one, other, poses, event.scene.radius)
+            or touches(other, one, poses, event.scene.radius)
+        )
+    }
+    assert found == wanted
+    assert (8, 0, 2) in found  # it has the item
+    assert found == {(frame, other, one) for frame, one, other in found}
+
+
+def test_entities_are_joined_with_the_landmarks_near_them() -> None:
+    event = walk(2, 1, n_frames=9, with_item=True)
+    found = edges(graphs(), PROXIMITY)
+    wanted = set()
+    for frame, places in enumerate(event.observation.positions):
+        for entity, place in enumerate(places):
+            for landmark, centre in enumerate(event.scene.landmark_centres):
+                if np.linalg.norm(place - centre) < NEAR:
+                    wanted |= {(frame, entity, 4 + landmark), (frame, 4 + landmark, entity)}
+    assert found == wanted
+    assert (8, 0, 4 + 2) in found
+    assert (0, 0, 4 + 2) not in found
+
+
+def test_the_original_has_entities_only_and_landmarks_and_walls_as_context() -> None:
+    found = graphs("original")
+    assert found.nodes.shape == (9, 4, 7)
+    assert not edges(found, PROXIMITY)
+    assert edges(found, CONTACT) == edges(graphs(), CONTACT)
+    walls = [0, 1, -0.5, 0, 0, 0, 0, 0]  # ends on the rays up, left, down, right
+    np.testing.assert_allclose(found.context[:8], walls, atol=1e-7)
+    np.testing.assert_allclose(graphs().context, walls, atol=1e-7)
+    np.testing.assert_allclose(found.context[8:10], [-0.75, 0.75])
+
+
+def test_graphs_do_not_depend_on_whole_turns_nor_on_the_angles_of_items() -> None:
+    event = walk(0, 1)
+    turned = event.observation.trajectory + np.array([0.0, 0.0, 2 * np.pi])
+    turned[:, 2:, 2] = 1.0
+    again = frame_graphs(event.scene, Observation(turned), "extended")
+    for one, other in zip(
+        again, frame_graphs(event.scene, event.observation, "extended"), strict=True
+    ):
+        np.testing.assert_allclose(one, other, atol=1e-5)
+
+
+# --- looks -------------------------------------------------------------------------------------
+
+
+def test_an_example_is_the_event_itself_unless_it_is_asked_for_in_another_look() -> None:
+    events = eight()
+    examples = Examples(events, "extended")
+    for number, event in enumerate(events):
+        made, truth = examples(number), event.truth
+        assert truth is not None
+        assert [GOALS[goal] for goal in made.goals] == [truth.goal_red, truth.goal_green]
+        assert RELATIONS[made.relation] == truth.relation
+        seen = frame_graphs(event.scene, event.observation, "extended")
+        for one, other in zip(made.graphs, seen, strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("look", range(len(LOOKS)))
+def test_goals_follow_what_is_seen_in_every_look(look: int) -> None:
+    made = Examples([walk(2, 1, n_frames=9, with_item=True)], "extended")(0, look)
+    red, green = (GOALS[goal] for goal in made.goals)
+    end = made.graphs.nodes[-1]
+    for goal in (red, green):
+        entity, landmark = goal.removeprefix("Get ").split(" to ")
+        node = ("red agent", "green agent", "blue item", "pink item").index(entity)
+        place = 4 + ("blue lm", "green lm", "red lm", "yellow lm").index(landmark)
+        assert np.linalg.norm(end[node, :2] - end[place, :2]) < 0.15
+    # who touched whom beforehand is what is found in the look itself
+    swapped = LOOKS[look].agents
+    item = 2 + LOOKS[look].items
+    assert (8, int(swapped), item) in edges(made.graphs, CONTACT)
+    assert len(edges(made.graphs, CONTACT)) == len(edges(graphs(), CONTACT))
+
+
+def test_there_is_one_look_that_changes_nothing() -> None:
+    assert len(set(LOOKS)) == 20
+    assert LOOKS[AS_IT_IS] == ("none", False, False)
+
+
+def test_events_without_truth_teach_nothing() -> None:
+    event = dataclasses.replace(walk(0, 1), truth=None)
+    with pytest.raises(InvalidEventError, match=r"'0-1-6-False' has no truth"):
+        Examples([event], "extended")
+
+
+def test_contacts_of_two_frames() -> None:
+    event = walk(0, 1, n_frames=2)
+    assert contacts(event.scene, event.observation).shape == (2, 4, 4)
+
+
+# --- settings ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"epochs": 0}, "epochs=0"),
+        ({"patience": 1.5}, "patience=1.5"),
+        ({"learning_rate": float("nan")}, "learning_rate=nan, expected a number from 1e-07 to 1"),
+        ({"decay": -1}, "decay=-1"),
+        ({"dropout": 1.0}, "dropout=1.0"),
+        ({"looks": 1}, "looks=1, expected True or False"),
+    ],
+)
+def test_settings_out_of_range_are_refused(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(InvalidSettingError, match=message):
+        TrainingSettings(**change)
+
+
+def test_an_unknown_variant_gets_close_ones() -> None:
+    with pytest.raises(UnknownNameError, match="'original'"):
+        TrainingSettings(variant="origina")  # type: ignore[arg-type]
+
+
+# --- learning ----------------------------------------------------------------------------------
+
+
+@needs_torch
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_the_arrays_of_a_network_are_those_that_files_hold(variant: Variant) -> None:
+    from phase_ppl.models.socialgnn.network import SocialGNN
+
+    network = SocialGNN(variant)
+    assert {n: tuple(a.shape) for n, a in network.state_dict().items()} == shapes(variant)
+
+
+@needs_torch
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_it_learns_eight_events_by_heart(variant: Variant) -> None:
+    from phase_ppl.models.socialgnn.answers import Ensemble
+    from phase_ppl.models.socialgnn.training import fit
+
+    events = eight()
+    examples = Examples(events, variant)
+    fitted = fit(examples, examples, dataclasses.replace(SETTINGS, variant=variant), seed=0)
+    assert fitted.curves["validation"][fitted.best] < 0.3
+    ensemble = Ensemble(Trained(variant, (fitted.arrays,)))
+    for number, event in enumerate(events):
+        found, wanted = ensemble(event.scene, event.observation), examples(number)
+        assert found["relation"].argmax() == wanted.relation
+        if variant == "extended":
+            assert found["goal_red"].argmax() == wanted.goals[0]
+            assert found["goal_green"].argmax() == wanted.goals[1]
+        else:
+            assert set(found) == {"relation"}
+
+
+@needs_torch
+def test_a_seed_makes_one_network_whatever_was_drawn_before() -> None:
+    import torch
+
+    from phase_ppl.models.socialgnn.training import fit
+
+    settings = TrainingSettings(epochs=2)
+    examples = Examples(eight(), "extended")
+    one = fit(examples, examples, settings, seed=3)
+    torch.rand(3)
+    threads = torch.get_num_threads()
+    again, other = (fit(examples, examples, settings, seed) for seed in (3, 4))
+    for name, array in one.arrays.items():
+        np.testing.assert_array_equal(array, again.arrays[name])
+    assert one.curves == again.curves
+    assert any((array != other.arrays[name]).any() for name, array in one.arrays.items())
+    assert torch.get_num_threads() == threads
+
+
+@needs_torch
+def test_it_stops_when_the_validation_gets_no_better() -> None:
+    from phase_ppl.models.socialgnn.training import fit
+
+    events = eight()
+    settings = dataclasses.replace(SETTINGS, epochs=400, patience=3)
+    fitted = fit(
+        Examples(events[:4], "extended"), Examples(events[4:], "extended"), settings, seed=0
+    )
+    losses = fitted.curves["validation"]
+    assert len(losses) == fitted.best + 1 + 3 < 400
+    assert min(losses) == losses[fitted.best]
+
+
+@needs_torch
+def test_training_that_leads_nowhere_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    from phase_ppl.models.socialgnn import training
+
+    right = training.loss
+    monkeypatch.setattr(training, "loss", lambda *given: right(*given) * float("nan"))
+    examples = Examples(eight(), "original")
+    with pytest.raises(InvalidSettingError, match=r"after 1 epochs with learning_rate=0\.02"):
+        training.fit(examples, examples, dataclasses.replace(SETTINGS, variant="original"), 0)
+
+
+@needs_torch
+def test_rare_relations_weigh_more_and_events_one_on_average() -> None:
+    from phase_ppl.models.socialgnn.training import class_weights
+
+    relations = [0, 0, 0, 0, 1, 2, 2, 2]
+    weights = class_weights(relations).numpy()
+    np.testing.assert_allclose(weights, [8 / 12, 8 / 3, 8 / 9])
+    assert weights[relations].mean() == pytest.approx(1)
+    np.testing.assert_allclose(class_weights([0, 0, 2]).numpy(), [0.75, 1, 1.5])
+
+
+@needs_torch
+def test_the_loss_is_that_of_the_relation_and_of_each_agents_goal() -> None:
+    import torch
+
+    from phase_ppl.models.socialgnn.network import Outputs
+    from phase_ppl.models.socialgnn.training import loss
+
+    examples = [Examples([walk(0, 1)], "extended")(0)]
+    even = Outputs(torch.zeros(1, 3), torch.zeros(1, 2, 36))
+    assert loss(even, examples).item() == pytest.approx(np.log(3) + 2 * np.log(36))
+    assert loss(even._replace(goals=None), examples).item() == pytest.approx(np.log(3))
+
+
+# --- answers -----------------------------------------------------------------------------------
+
+
+def random_member(variant: Variant, seed: int = 0) -> dict[str, NDArray[np.float16]]:
+    """Return the arrays of a network that has learned nothing."""
+    rng = np.random.default_rng(seed)
+    return store.halved(
+        {name: rng.normal(0, 0.3, shape) for name, shape in shapes(variant).items()}
+    )
+
+
+def answers(trained: Trained, n_frames: int = 6) -> dict[str, NDArray[np.float64]]:
+    from phase_ppl.models.socialgnn.answers import Ensemble
+
+    event = walk(2, 0, n_frames, with_item=True)
+    return Ensemble(trained)(event.scene, event.observation)
+
+
+@needs_torch
+def test_networks_together_say_the_mean_of_their_probabilities() -> None:
+    members = tuple(random_member("extended", seed) for seed in range(3))
+    each = [answers(Trained("extended", (member,))) for member in members]
+    for name, shares in answers(Trained("extended", members)).items():
+        np.testing.assert_allclose(shares, np.mean([one[name] for one in each], axis=0))
+        assert shares.sum() == pytest.approx(1)
+
+
+@needs_torch
+@pytest.mark.parametrize("n_frames", [2, 3, 150])
+def test_events_of_any_length_are_answered(n_frames: int) -> None:
+    for shares in answers(Trained("extended", (random_member("extended"),)), n_frames).values():
+        assert np.isfinite(shares).all()
+
+
+@needs_torch
+def test_an_event_alone_gets_the_answer_that_it_gets_among_longer_ones() -> None:
+    import torch
+
+    from phase_ppl.models.socialgnn.answers import Ensemble
+    from phase_ppl.models.socialgnn.graphs import batch
+
+    ensemble = Ensemble(Trained("extended", (random_member("extended"),)))
+    events = [walk(2, 0, 3), walk(1, 0, 40, with_item=True), walk(0, 3, 2)]
+    together = batch([frame_graphs(e.scene, e.observation, "extended") for e in events])
+    with torch.no_grad():
+        said = ensemble._networks[0](together)
+    for number, event in enumerate(events):
+        alone = ensemble(event.scene, event.observation)
+        np.testing.assert_allclose(
+            said.relation[number].softmax(-1).numpy(), alone["relation"], atol=1e-5
+        )
+
+
+@needs_torch
+def test_nobody_near_and_nobody_touching_is_answered_too() -> None:
+    from phase_ppl.models.socialgnn.answers import Ensemble
+    from phase_ppl.world.scene import Scene
+
+    start = START.copy()
+    start[:, :2] = [[14, 15], [18, 15], [14, 9], [18, 9]]
+    scene = Scene(start, np.full(4, 0.8))
+    observation = Observation(np.stack([start, start]))
+    for variant in VARIANTS:
+        assert not len(frame_graphs(scene, observation, variant).edges)
+        found = Ensemble(Trained(variant, (random_member(variant),)))(scene, observation)
+        assert found["relation"].sum() == pytest.approx(1)
+
+
+# --- files -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_networks_come_back_bit_by_bit(variant: Variant, tmp_path: Path) -> None:
+    members = [random_member(variant, seed) for seed in range(2)]
+    store.save(members, tmp_path / f"{variant}.npz")
+    for source in (tmp_path, tmp_path / f"{variant}.npz"):
+        found = store.load(source)
+        assert found.variant == variant
+        for one, other in zip(found.members, members, strict=True):
+            assert set(one) == set(other)
+            for name, array in one.items():
+                np.testing.assert_array_equal(array, other[name])
+        assert found.digest() == Trained(variant, tuple(members)).digest()
+    assert found.digest() != Trained(variant, tuple(members[:1])).digest()
+
+
+@needs_torch
+def test_a_trained_network_says_the_same_after_it_was_saved(tmp_path: Path) -> None:
+    from phase_ppl.models.socialgnn.training import fit
+
+    examples = Examples(eight(), "extended")
+    fitted = fit(examples, examples, TrainingSettings(epochs=2), seed=0)
+    store.save([fitted.arrays], tmp_path / "extended.npz")
+    before = answers(Trained("extended", (fitted.arrays,)))
+    for name, shares in answers(store.load(tmp_path)).items():
+        np.testing.assert_array_equal(shares, before[name])
+
+
+def damaged(change: Any) -> bytes:
+    """Return a file of one network to which something was done."""
+    arrays: dict[str, Any] = {f"0/{n}": a for n, a in random_member("original").items()}
+    change(arrays)
+    file = io.BytesIO()
+    np.savez(file, **arrays)
+    return file.getvalue()
+
+
+def _numbers(name: str, value: Any) -> Any:
+    return lambda arrays: arrays.update({name: value})
+
+
+DAMAGES = {
+    "the array lstm.bias_hh_l0 is missing": lambda a: a.pop("0/lstm.bias_hh_l0"),
+    "the array more is unknown": _numbers("0/more", np.zeros(3, np.float16)),
+    r"node.bias has shape \(3,\), expected \(16,\)": _numbers(
+        "0/node.bias", np.zeros(3, np.float16)
+    ),
+    "node.bias holds something else than finite numbers": _numbers(
+        "0/node.bias", np.full(16, np.nan, np.float16)
+    ),
+    "edge.bias holds something else than finite numbers in half": _numbers(
+        "0/edge.bias", np.zeros(32)
+    ),
+    "expected members 0, 1, ..., found 0, 7": _numbers("7/edge.bias", np.zeros(32, np.float16)),
+    "Object arrays cannot be loaded": _numbers("0/edge.bias", np.array([{}] * 32)),
+}
+
+
+@pytest.mark.parametrize("message", DAMAGES)
+def test_a_damaged_file_is_refused_with_the_reason(message: str, tmp_path: Path) -> None:
+    file = tmp_path / "original.npz"
+    file.write_bytes(damaged(DAMAGES[message]))
+    with pytest.raises(InvalidSettingError, match=f"original.npz holds no weights.*{message}"):
+        store.load(file)
+
+
+def test_what_is_no_file_of_arrays_is_refused(tmp_path: Path) -> None:
+    whole = damaged(lambda arrays: None)
+    with zipfile.ZipFile(tmp_path / "empty.npz", "w"):
+        pass
+    flipped = bytearray(whole)
+    for place in range(200, len(flipped), 97):
+        flipped[place] ^= 0xFF
+    contents = {"none.npz": b"", "text.npz": b"weights", "half.npz": whole[: len(whole) // 2],
+                "flipped.npz": bytes(flipped)}  # fmt: skip
+    for name, content in contents.items():
+        (tmp_path / name).write_bytes(content)
+    for name in (*contents, "empty.npz", "missing.npz"):
+        with pytest.raises(InvalidSettingError, match=f"{name} holds no weights of a SocialGNN"):
+            store.load(tmp_path / name)
+
+
+def test_a_folder_with_no_weights_or_with_two_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InvalidSettingError, match=r"neither extended\.npz nor original\.npz"):
+        store.load(tmp_path)
+    for variant in VARIANTS:
+        store.save([random_member(variant)], tmp_path / f"{variant}.npz")
+    with pytest.raises(InvalidSettingError, match="both variants: name one"):
+        store.load(tmp_path)
+
+
+def test_numbers_too_large_for_half_precision_are_refused() -> None:
+    with pytest.raises(InvalidSettingError, match="edge holds something else than finite"):
+        store.halved({"edge": np.array([1e6])})
