@@ -166,6 +166,15 @@ def test_equivalence_with_people_is_of_right_answers_event_by_event(
     assert c.people["relation_accuracy"]["value"] == pytest.approx((20 - wrong) / 20)
 
 
+def test_a_handful_of_events_that_agree_shows_no_equivalence() -> None:
+    few = judged_events(n=9, wrong=0)
+    c = ppl.compare_models([evaluation(of=few), evaluation("other", of=few)])
+    assert c.equivalence
+    for found in c.equivalence:
+        assert found["p_equivalent"] is None
+        assert found["verdict"] == "undecided"
+
+
 def test_what_is_not_there_is_none_and_never_a_guess() -> None:
     part = {i: p for i, p in evaluation().predictions.items() if i != "event 3"}
     half = evaluation("half", predictions=part)

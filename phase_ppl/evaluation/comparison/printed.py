@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 from phase_ppl.evaluation.bootstrap import LEVEL
+from phase_ppl.evaluation.comparison.statistics import LEAST_EVENTS
 from phase_ppl.evaluation.curves import at
 from phase_ppl.world.relations import SCENARIOS
 
@@ -215,7 +216,7 @@ def _equivalence(c: ModelComparison) -> list[str]:
         f"Tested is a model's being right minus the share of people who are right, event by event. "
         f"Equivalent: both one-sided tests reject a difference of {margin:g} or more (p equiv.); "
         "higher, lower: there is one (p differ). Both corrected by Holm over the models; neither "
-        "shown: undecided."
+        f"shown: undecided. Fewer than {LEAST_EVENTS} events are not tested for equivalence."
     )
     title = f"equivalence with people, margin {margin:g}"
     return ["", title, *_aligned(table), *_wrapped(words)]

@@ -32,6 +32,9 @@ from phase_ppl.world.relations import SCENARIOS
 
 Row = dict[str, Any]
 
+LEAST_EVENTS: Final = 10
+"""Events without which nothing is said of equivalence."""
+
 ALPHA: Final = 1 - LEVEL
 """Corrected p up to which a difference, or an equivalence, counts as shown."""
 
@@ -124,7 +127,8 @@ def equivalence(
         of no difference), ``p_equivalent`` (of the two one-sided tests), both with ``_holm``,
         corrected as in :func:`differences`; ``n_events``, and ``verdict``: "equivalent" where the
         corrected ``p_equivalent`` is at most 0.05; "higher" or "lower" where the corrected ``p``
-        is; both joined where both are; else "undecided".
+        is; both joined where both are; else "undecided". Fewer than :data:`LEAST_EVENTS` events
+        are not tested for equivalence: resampling a handful that agree shows no spread.
     """
     rows: list[Row] = []
     for one in compared:
@@ -158,6 +162,7 @@ def _tested(values: FloatArray, n: int, margin: float) -> Row | None:
     low = high = p = None
     if n > 1 and drawn.size:
         low, high = interval(values, 1 - 2 * ALPHA)
+    if n >= LEAST_EVENTS and drawn.size:
         beyond = max((drawn <= -margin).sum(), (drawn >= margin).sum())
         p = float((beyond + 1) / (drawn.size + 1))
     return {**found, "low": low, "high": high, "p_equivalent": p, "n_events": n}
