@@ -44,8 +44,8 @@ _VELOCITY_BIN: Final = 3.0
 class Tracking:
     """How the hidden state is followed.
 
-    The values were chosen on every other of the real videos, by agreement with the actions
-    recovered from them.
+    The values were chosen on ten of the real videos, by agreement with the actions recovered
+    from them, and confirmed on all 50 (``benchmarks/stepwise.py replays``).
 
     Attributes:
         strengths: newtons that each agent may have, ascending.

@@ -117,9 +117,7 @@ def _entity_log_density(
 
 
 @bare_kernel
-def _is_apart(
-    bodies: FloatArray, held: IntArray, params: Params, scratch: Scratch, trial: Trial
-) -> bool:
+def _is_apart(bodies: FloatArray, held: IntArray, params: Params, scratch: Scratch) -> bool:
     """Whether the agents cannot meet anything, nor grab, whatever they do."""
     if not compiled.stay_apart(bodies, held, _UP, _UP, params, scratch):
         return False
@@ -163,7 +161,7 @@ def try_all(
     for b in range(bodies.shape[0]):
         params.force[0], params.force[1] = strengths[b, 0], strengths[b, 1]
         state, holds, welds = bodies[b], held[b], weld[b]
-        if _is_apart(state, holds, params, scratch, trial):
+        if _is_apart(state, holds, params, scratch):
             for action in range(N_ACTIONS):
                 attempt(state, holds, welds, action, action, params, scratch, trial)
                 for agent in range(2):
