@@ -146,7 +146,11 @@ def test_options_that_are_no_plain_data_are_kept_as_text(
     options = {"a": np.nan, "b": raises, "c": (1, np.float32(2))}
     evaluate(model="any", out=tmp_path, **options)
     found = evaluate(model="any", out=tmp_path, resume=True, **options)
-    assert found.settings["options"] == {"a": None, "b": "tests.evaluation.test_evaluate.raises", "c": [1, 2.0]}
+    assert found.settings["options"] == {
+        "a": None,
+        "b": "tests.evaluation.test_evaluate.raises",
+        "c": [1, 2.0],
+    }
 
 
 # --- what a model gets to know -----------------------------------------------------------------
