@@ -78,6 +78,7 @@ class Watch:
             self.threads,
         )
         self._frames: list[FloatArray] = []
+        self._torn = False  # a frame was begun and not finished
         start = np.full((len(levels), len(levels)), 1.0 / len(levels) ** 2)
         nothing_yet = np.zeros((N_GOALS, N_GOALS))
         unknown = np.full((len(AGENTS), len(ACTION_NAMES)), 1.0 / len(ACTION_NAMES))
@@ -104,13 +105,21 @@ class Watch:
         Raises:
             InvalidEventError: another shape, a number that is not finite, or a body outside of
                 the arena. What was read before stays, and the next frame can follow.
+            InvalidSettingError: an earlier frame was interrupted while it was read. What was
+                read before that stays.
         """
         name = f"frame {len(self._frames)}"
         pose = finite_array(name, frame, (len(ENTITIES), 3))
         check_inside(pose[None], self._scene, name)
+        if self._torn:
+            raise InvalidSettingError(
+                f"reading {name} was interrupted, which left agents half way: watch it anew"
+            )
         if self._frames:
+            self._torn = True
             self._readings.append(self._reader.read(pose))
         self._frames.append(pose)
+        self._torn = False
 
     def update(self, frame: ArrayLike) -> StepwisePosterior:
         """Take in the next frame, as :meth:`take`, and return the posterior now."""
@@ -128,7 +137,7 @@ class Watch:
         return StepwisePosterior(self._dataset())
 
     def _dataset(self) -> xr.Dataset:
-        readings = self._readings
+        readings = self._readings[: len(self._frames)]
         columns: dict[str, Any] = {
             "log_likelihood": np.stack([one.log_likelihood for one in readings]),
             "strengths": np.stack([one.strengths for one in readings]),

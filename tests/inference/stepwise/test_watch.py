@@ -11,6 +11,7 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.cli.main import main
+from phase_ppl.closed_loop.reader import Reader
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.event import Event
 from phase_ppl.world.observation import Observation
@@ -88,6 +89,31 @@ def test_a_bad_frame_is_refused_and_loses_nothing() -> None:
                 watch.update(bad)
         post = watch.update(frames[2])
     assert len(post.observed()) == 3
+
+
+def test_an_interrupted_reading_keeps_what_was_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    event = short(6)
+    read, calls = Reader.read, []
+
+    def interrupted(self: Reader, frame: np.ndarray) -> Any:
+        calls.append(frame)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return read(self, frame)
+
+    monkeypatch.setattr(Reader, "read", interrupted)
+    with pytest.raises(ppl.StepwiseInterrupted, match="after 3 frames") as stopped:
+        ppl.infer(event, MODEL, workers=1, progress=False)
+    assert len(stopped.value.posterior.observed()) == 3
+    calls.clear()
+    with ppl.watch(event.scene, MODEL, threads=1) as watch:
+        for frame in event.observation.trajectory[:3]:
+            watch.take(frame)
+        with pytest.raises(KeyboardInterrupt):
+            watch.take(event.observation.trajectory[3])
+        with pytest.raises(InvalidSettingError, match="frame 3 was interrupted"):
+            watch.take(event.observation.trajectory[3])
+        assert len(watch.posterior().observed()) == 3
 
 
 def test_other_likelihoods_and_simulators_cannot_be_read() -> None:
