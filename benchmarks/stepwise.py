@@ -18,6 +18,7 @@ import argparse
 import dataclasses
 import itertools
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +31,8 @@ from phase_ppl.models.stepwise import StepwiseLikelihood
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import goal_index
 from phase_ppl.world.observation import Observation
-from phase_ppl.world.relations import RELATIONS
 
+KINDS = ("goal", "relation")
 SHARPNESS, LAPSE, WEIGHT = (2.0, 3.0, 4.0, 6.0), (0.1, 0.2, 0.3, 0.5), (0.1, 0.15, 0.2, 0.3, 1.0)
 
 
@@ -193,22 +194,30 @@ def curve(options: argparse.Namespace) -> dict[str, Any]:
         )
         cost = sum(p.cost["cpu_seconds"] for p in made.predictions.values()) / shown
         values = {key: made.metrics[key]["value"] for key in ("goal_accuracy", "relation_accuracy")}
-        score = float(np.mean([log_score(made, event) for event in events]))
+        goals, relation = (made.metrics[f"{kind}_log_score_truth"]["value"] for kind in KINDS)
+        score = (2 * goals + relation) / 3  # of both goals and the relation
         found[name] = {"cpu_seconds_per_second": cost, "log_score": score, **values}
         print(f"{name:<26}{cost:10.2f}{values['goal_accuracy']:8.2f}"
               f"{values['relation_accuracy']:10.2f}{score:11.2f}", flush=True)  # fmt: skip
     return found
 
 
-def log_score(found: ppl.Evaluation, event: Event) -> float:
-    """Return the mean log probability of the true goals and relation; zeros count as 1e-3."""
-    truth, prediction = event.truth, found.predictions[event.id]
-    assert truth is not None
-    answers = {"goal_red": truth.goal_red, "goal_green": truth.goal_green}
-    answers["relation"] = truth.relation
-    labels = {"goal_red": ppl.GOALS, "goal_green": ppl.GOALS, "relation": RELATIONS}
-    shares = [prediction.probabilities[q][labels[q].index(a)] for q, a in answers.items()]
-    return float(np.mean(np.log(np.maximum(shares, 1e-3))))
+OPTIONS: dict[Callable[..., dict[str, Any]], tuple[str, ...]] = {
+    replays: (),
+    fit: ("half",),
+    accuracy: ("half", "jitter", "planner", "keep", "seed"),
+    seeds: ("noise-seeds",),
+    curve: ("half", "budgets", "keep", "seed"),
+}
+KNOWN: dict[str, dict[str, Any]] = {
+    "half": {"choices": common.HALVES, "default": "all"},
+    "jitter": {"type": float, "default": 0.0, "help": "units"},
+    "planner": {"choices": ("fast", "paper"), "default": "fast"},
+    "keep": {"metavar": "DIR", "help": "go on with what is there"},
+    "seed": {"type": int, "default": 0},
+    "noise-seeds": {"type": int, "default": 8, "help": "seeds per video"},
+    "budgets": {"default": "30,105", "help": "simulations"},
+}
 
 
 def main() -> None:
@@ -216,18 +225,13 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     commands = parser.add_subparsers(dest="command", required=True)
-    for function in (replays, fit, accuracy, seeds, curve):
+    for function, taken in OPTIONS.items():
         command = commands.add_parser(function.__name__)
         command.set_defaults(run=function)
         command.add_argument("--limit", type=int, help="a stratified subset of about so many")
-        command.add_argument("--half", choices=common.HALVES, default="all")
         command.add_argument("--json", metavar="FILE", help="write the figures as JSON")
-        command.add_argument("--jitter", type=float, default=0.0, help="units")
-        command.add_argument("--planner", default="fast")
-        command.add_argument("--keep", metavar="DIR", help="go on with what is there")
-        command.add_argument("--seed", type=int, default=0)
-        command.add_argument("--noise-seeds", type=int, default=8)
-        command.add_argument("--budgets", default="30,105", help="simulations")
+        for name in taken:
+            command.add_argument(f"--{name}", **KNOWN[name])
     options = parser.parse_args()
     common.write(options.run(options), options.json)
 
