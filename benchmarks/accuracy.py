@@ -1,9 +1,10 @@
-"""Which goals and relation inference finds in the real videos, and why it misses some.
+"""What inference found in real videos, by weighting of its draws, and why it missed some.
 
-python benchmarks/accuracy.py --keep FOLDER [--kernel NAME] [--option KEY=VALUE ...] [--json FILE]
+python benchmarks/accuracy.py FOLDER [FOLDER ...] [--judging-seeds K] [--keep FILE] [--json FILE]
 
-The posteriors are kept in the folder; a second run goes on from there. All weightings of the
-draws are reported. A miss is laid at the door of
+Each folder is one that ``phase-ppl evaluate EVENTS --model simple --out FOLDER`` has written, with
+any kernel, prior and planner; --kernel, --option and the like are given there. A miss is laid at
+the door of
 
 simulator  the answer explains the video better than the truth does, over many seeds
 proposal   the truth explains it better, but was never tried
@@ -17,90 +18,42 @@ from __future__ import annotations
 import argparse
 import json
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import common
 import numpy as np
-from videos.hypotheses import log_mean_exp
+from videos.judging import Pair, Task, judge, of_simulator, true_pair
 
 import phase_ppl as ppl
-from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.analysis.tree import array
 from phase_ppl.analysis.weights import WEIGHTINGS
-from phase_ppl.models.effective import log_prior_of_effective
-from phase_ppl.simulator.contract import simulate_one
-from phase_ppl.simulator.joint import JointSimulator
+from phase_ppl.evaluation.folder import POSTERIOR, ResultsFolder
 from phase_ppl.world.event import Event
-from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import Hypothesis
 
 CAUSES = ("simulator", "proposal", "chain")
-JUDGING_SEED = 5000
-"""Apart from the seeds that a run is likely to have met."""
-
-Pair = tuple[int, int]
-
-
-class Task(NamedTuple):
-    event: Event
-    planner: PlannerConfig
-    kernel: str
-    options: dict[str, Any]
-    settings: dict[str, Any]
-    budget: int
-    chains: int
-    seed: int
-    folder: str
-    judging_seeds: int
+MEASURES = ("goals", "relation", "log_score", "relation_log_score", "tried", "tried_at_first")
+FLOOR = 1e-3
+"""The least probability in a log score: draws leave zeros."""
 
 
-def explain(task: Task) -> dict[str, Any]:
-    """Infer one video, keep the posterior, and return what it says under every weighting."""
-    event = task.event
-    posterior = ppl.infer(
-        event,
-        kernel=task.kernel,
-        chains=task.chains,
-        budget=ppl.simulations(task.budget),
-        seed=task.seed,
-        planner=task.planner,
-        settings=ppl.SimpleSettings(**task.settings),
-        workers=1,
-        progress=False,
-        **task.options,
-    )
-    posterior.save(Path(task.folder) / f"{event.id}.nc")
-    return judge(task, posterior)
-
-
-def judge(task: Task, posterior: ppl.Posterior) -> dict[str, Any]:
-    event, tree = task.event, posterior.tree
-    truth = true_pair(event)
-    pairs = list(
-        zip(
-            *(array(tree, "simulations", f"goal_{name}").tolist() for name in ("red", "green")),
-            strict=True,
-        )
-    )
+def read(folder: Path, event: Event) -> dict[str, Any]:
+    """Return what the posterior of an event says under every weighting, and what was tried."""
+    kept = ResultsFolder.open(folder).folder_of(event.id)
+    tree = ppl.Posterior.load(kept / POSTERIOR).tree
+    columns = [array(tree, "simulations", f"goal_{name}").tolist() for name in ("red", "green")]
+    pairs = list(zip(*columns, strict=True))
     first = array(tree, "simulations", "iteration") == 0
-    tried = set(pairs)
-    answers = {weights: answer(ppl.Posterior(tree, weights), truth) for weights in WEIGHTINGS}
-    result = {
-        "scenario": event.truth.scenario if event.truth else None,
-        "answers": answers,
-        "tried": truth in tried,
-        "tried_at_first": truth
-        in {pair for pair, at_first in zip(pairs, first, strict=True) if at_first},
-        "pairs": len(tried),
-        "cost": posterior.cost,
-        "log_joint": {},
+    truth = true_pair(event)
+    cost = json.loads((kept / "prediction.json").read_text())["cost"]
+    return {
+        "answers": {weights: answer(ppl.Posterior(tree, weights), truth) for weights in WEIGHTINGS},
+        "tried": truth in pairs,
+        "tried_at_first": any(
+            pair == truth and early for pair, early in zip(pairs, first, strict=True)
+        ),
+        "cost": cost,
     }
-    wrong = {tuple(a["pair"]) for a in answers.values()} - {truth}
-    if wrong:
-        result["log_joint"] = {
-            str(list(pair)): log_joint(task, pair) for pair in sorted({truth, *wrong})
-        }
-    return result
 
 
 def answer(posterior: ppl.Posterior, truth: Pair) -> dict[str, Any]:
@@ -111,161 +64,128 @@ def answer(posterior: ppl.Posterior, truth: Pair) -> dict[str, Any]:
     true_relation = Hypothesis(*truth).relation
     return {
         "goals": [int(m.argmax()) for m in marginals],
-        "pair": [int(i) for i in np.unravel_index(joint.argmax(), joint.shape)],
+        "pair": tuple(int(i) for i in np.unravel_index(joint.argmax(), joint.shape)),
         "relation": str(relation.idxmax().item()),
         "true_goals": [float(m[g]) for m, g in zip(marginals, truth, strict=True)],
         "true_relation": float(relation.sel(relation=true_relation)),
-        "marginals": [m.round(6).tolist() for m in marginals],
     }
 
 
-def log_joint(task: Task, pair: Pair) -> float:
-    """Return log prior + log mean likelihood of a pair of goals at the true strengths."""
-    event, truth = task.event, task.event.truth
-    assert truth is not None
-    strengths = float(truth.strength_red or 0), float(truth.strength_green or 0)
-    hypothesis = Hypothesis(*pair, (0, 0), *strengths)
-    simulator = JointSimulator(task.planner)
-    errors = [
-        simulate_one(
-            simulator, event.scene, hypothesis, seed, event.observation.positions
-        ).total_error
-        for seed in range(JUDGING_SEED, JUDGING_SEED + task.judging_seeds)
-    ]
-    log_likelihood = log_mean_exp(errors)
-    given = {
-        "strength_red": np.array([strengths[0]]),
-        "strength_green": np.array([strengths[1]]),
-    }
-    return float(
-        log_likelihood + log_prior_of_effective(ppl.priors.uniform, np.array([pair]), given)[0]
-    )
-
-
-def true_pair(event: Event) -> Pair:
-    assert event.truth is not None
-    return GOALS.index(event.truth.goal_red), GOALS.index(event.truth.goal_green)
-
-
-def cause(result: dict[str, Any], truth: Pair, weights: str) -> str | None:
+def cause(row: dict[str, Any], log_joint: dict[Pair, float], weights: str) -> str | None:
     """Return why the most probable pair of goals is wrong; None where it is right."""
-    pair = result["answers"][weights]["pair"]
-    if tuple(pair) == truth:
+    pair = row["answers"][weights]["pair"]
+    if pair == row["truth"]:
         return None
-    if result["log_joint"][str(list(truth))] < result["log_joint"][str(pair)]:
+    if log_joint[row["truth"]] < log_joint[pair]:
         return "simulator"
-    return "chain" if result["tried"] else "proposal"
+    return "chain" if row["tried"] else "proposal"
 
 
-def report(tasks: list[Task], results: list[dict[str, Any]], weights: str) -> dict[str, Any]:
-    """Return the figures under a weighting."""
-    rows = []
-    for task, result in zip(tasks, results, strict=True):
-        truth, found = true_pair(task.event), result["answers"][weights]
-        rows.append(
+def report(rows: list[dict[str, Any]], weights: str) -> dict[str, Any]:
+    """Return the figures under a weighting, by scenario and of all."""
+    measured = []
+    for row in rows:
+        found = row["answers"][weights]
+        pairs = zip(found["goals"], row["truth"], strict=True)
+        measured.append(
             {
-                "scenario": result["scenario"],
-                "goals": np.mean([g == t for g, t in zip(found["goals"], truth, strict=True)]),
-                "relation": found["relation"] == Hypothesis(*truth).relation,
-                "log_score": np.mean(np.log(np.maximum(found["true_goals"], 1e-3))),
-                "relation_log_score": np.log(max(found["true_relation"], 1e-3)),
-                "tried": result["tried"],
-                "tried_at_first": result["tried_at_first"],
-                "cause": cause(result, truth, weights),
-                "simulations": result["cost"]["simulations"],
-                "minutes": result["cost"]["seconds"] / 60,
+                **row,
+                "goals": np.mean([goal == true for goal, true in pairs]),
+                "relation": found["relation"] == Hypothesis(*row["truth"]).relation,
+                "log_score": np.mean(np.log(np.maximum(found["true_goals"], FLOOR))),
+                "relation_log_score": np.log(max(found["true_relation"], FLOOR)),
+                "cause": row["causes"].get(weights),
             }
         )
-    measures = ("goals", "relation", "log_score", "relation_log_score", "tried", "tried_at_first")
-    figures: dict[str, Any] = {"weights": weights, "n_videos": len(rows), "by_scenario": {}}
+    figures: dict[str, Any] = {}
     for scenario in (*common.SCENARIOS, "all"):
-        group = [row for row in rows if scenario in (row["scenario"], "all")]
-        if not group:
-            continue
-        found: dict[str, Any] = {m: common.interval([r[m] for r in group]) for m in measures}
-        found["n"] = len(group)
-        found["misses"] = {name: sum(r["cause"] == name for r in group) for name in CAUSES}
-        if scenario == "all":
-            figures |= found
-        else:
-            figures["by_scenario"][scenario] = found
-    figures["simulations"] = float(np.mean([row["simulations"] for row in rows]))
-    figures["minutes_on_one_core"] = float(np.mean([row["minutes"] for row in rows]))
+        group = [row for row in measured if scenario in (row["scenario"], "all")]
+        if group:
+            figures[scenario] = {
+                **{m: common.interval([row[m] for row in group]) for m in MEASURES},
+                "n": len(group),
+                "misses": {name: sum(row["cause"] == name for row in group) for name in CAUSES},
+            }
     return figures
 
 
-def print_figures(figures: dict[str, Any]) -> None:
-    print(f"weights {figures['weights']}: {figures['n_videos']} videos")
-    for name, group in (*figures["by_scenario"].items(), ("all", figures)):
+def print_figures(weights: str, figures: dict[str, Any]) -> None:
+    print(f"  weights {weights}")
+    for name, group in figures.items():
         shown = "  ".join(
             f"{m} {group[m]['value']:.2f} [{group[m]['ci_low']:.2f}, {group[m]['ci_high']:.2f}]"
             for m in ("goals", "relation", "log_score", "tried_at_first", "tried")
         )
-        print(f"  {name:14} {shown}  misses {group['misses']}")
-    print(
-        f"  {figures['simulations']:.0f} simulations, {figures['minutes_on_one_core']:.2f} minutes "
-        "a video on one core"
-    )
+        misses = "  ".join(f"{name} {count}" for name, count in group["misses"].items())
+        print(f"    {name:14}{group['n']:3}  {shown}  missed: {misses}")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    common.add_planner(parser)
-    parser.add_argument("--kernel", default="local_mh")
-    parser.add_argument("--option", action="append", default=[], metavar="KEY=VALUE")
-    parser.add_argument(
-        "--simple", action="append", default=[], metavar="KEY=VALUE", help="a setting of SIMPLE"
-    )
-    parser.add_argument("--budget", type=int, default=105, help="simulations, initial ones too")
-    parser.add_argument("--chains", type=int, default=15)
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("folders", nargs="+", metavar="FOLDER", type=Path)
     parser.add_argument("--half", choices=common.HALVES, default="all")
-    parser.add_argument("--limit", type=int, help="a stratified subset of about so many videos")
     parser.add_argument("--judging-seeds", type=int, default=8, help="per hypothesis, for misses")
-    parser.add_argument("--keep", required=True, metavar="FOLDER", help="posteriors and results")
+    parser.add_argument("--keep", metavar="FILE", type=Path, help="what was judged, to go on from")
     parser.add_argument("--json", metavar="FILE", help="write the figures as JSON")
     options = parser.parse_args()
-    folder = Path(options.keep)
-    folder.mkdir(parents=True, exist_ok=True)
-    planner = common.planner_of(options)
-    run = {
-        "planner": planner,
-        "kernel": options.kernel,
-        "options": common.assignments(options.option),
-        "settings": common.assignments(options.simple),
-        "budget": options.budget,
-        "chains": options.chains,
-        "seed": options.seed,
-        "folder": str(folder),
-        "judging_seeds": options.judging_seeds,
+    asked = {event.id for event in common.dev_events(options.half)}
+    found: dict[Path, list[dict[str, Any]]] = {}
+    tasks: dict[str, Task] = {}
+    for folder in options.folders:
+        results = ResultsFolder.open(folder)
+        model = results.settings["model"], json.dumps(results.settings["options"])
+        found[folder] = []
+        for event in results.events:
+            if event.id not in asked or not results.is_finished(event.id):
+                continue
+            assert event.truth is not None
+            truth = true_pair(event)
+            row: dict[str, Any] = {"id": event.id, "scenario": event.truth.scenario, "truth": truth}
+            row.update(read(folder, event))
+            wrong = {a["pair"] for a in row["answers"].values()} - {truth}
+            row["judged"] = {}
+            for pair in {truth, *wrong} if wrong else ():
+                task = Task(event, pair, *of_simulator(*model), options.judging_seeds)
+                row["judged"][pair] = task.name
+                tasks[task.name] = task
+            found[folder].append(row)
+    judged = common.resumed(
+        judge,
+        list(tasks.values()),
+        lambda task: task.name,
+        "misses",
+        options.keep,
+        {"seeds": options.judging_seeds},
+    )
+    log_joints = dict(zip(tasks, (one["log_joint"] for one in judged), strict=True))
+    figures: dict[str, Any] = {}
+    for folder, rows in found.items():
+        for row in rows:
+            log_joint = {pair: log_joints[name] for pair, name in row["judged"].items()}
+            row["causes"] = {weights: cause(row, log_joint, weights) for weights in WEIGHTINGS}
+        figures[str(folder)] = summary(folder, rows)
+    common.write(figures, options.json)
+
+
+def summary(folder: Path, rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Print the figures of one evaluation and return them."""
+    cost = {
+        "simulations": float(np.mean([row["cost"]["simulations"] for row in rows])),
+        "minutes_on_one_core": float(np.mean([row["cost"]["seconds"] for row in rows])) / 60,
     }
-    tasks = [Task(event, **run) for event in common.dev_events(options.half, options.limit)]
-    JointSimulator(planner).warm_up()
-    results = common.resumed(
-        explain,
-        tasks,
-        lambda task: task.event.id,
-        "videos",
-        folder / "results.jsonl",
-        {**run, "planner": planner.to_dict()},
-    )
-    for task, result in zip(tasks, results, strict=True):
-        truth = true_pair(task.event)
-        marks = "".join(
-            "+" if g == t else "-"
-            for g, t in zip(result["answers"]["visited"]["goals"], truth, strict=True)
-        )
-        print(f"{task.event.id:24} {result['scenario']:14} goals {marks}", end="  ")
-        print(f"relation {result['answers']['visited']['relation']:12}", end="")
-        print(" ".join(f"{w}: {cause(result, truth, w)}" for w in WEIGHTINGS))
-    figures = {weights: report(tasks, results, weights) for weights in WEIGHTINGS}
-    for found in figures.values():
-        print_figures(found)
-    common.write(
-        {"run": json.loads(json.dumps(run, default=repr)), "weights": figures}, options.json
-    )
+    words = ", ".join(f"{value:.1f} {name.replace('_', ' ')}" for name, value in cost.items())
+    print(f"{folder}: {len(rows)} videos, {words} a video")
+    for row in rows:
+        causes = {weights: why for weights, why in row["causes"].items() if why}
+        if causes:
+            words = "  ".join(f"{weights}: {why}" for weights, why in causes.items())
+            print(f"  missed {row['id']:24} {row['scenario']:14} {words}")
+    by_weights = {weights: report(rows, weights) for weights in WEIGHTINGS}
+    for weights, figures in by_weights.items():
+        print_figures(weights, figures)
+    return {**cost, "weights": by_weights}
 
 
 if __name__ == "__main__":

@@ -1,0 +1,82 @@
+"""How well a pair of goals explains an event, under the prior and the simulator of a model."""
+
+from __future__ import annotations
+
+import functools
+import json
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from phase_ppl.evaluation.models.simple import Simple
+from phase_ppl.evaluation.registry import model_info
+from phase_ppl.models.effective import log_prior_of_effective
+from phase_ppl.models.model import Model
+from phase_ppl.simulator.contract import simulate_one
+from phase_ppl.world.event import Event
+from phase_ppl.world.goals import goal_index
+from phase_ppl.world.hypothesis import Hypothesis
+from videos.hypotheses import log_mean_exp
+
+JUDGING_SEED = 5000
+"""Apart from the seeds that a run is likely to have met."""
+
+Pair = tuple[int, int]
+
+
+class Task(NamedTuple):
+    """A pair of goals to be judged on an event, under a model's own simulator and prior."""
+
+    event: Event
+    pair: Pair
+    model: str
+    options: str
+    seeds: int
+
+    @property
+    def name(self) -> str:
+        return f"{self.event.id} {self.pair} {self.model} {self.options}"
+
+
+def true_pair(event: Event) -> Pair:
+    assert event.truth is not None
+    return goal_index(event.truth.goal_red), goal_index(event.truth.goal_green)
+
+
+@functools.cache
+def program(model: str, options: str) -> Model:
+    """Return the model that an evaluation's name and options (as JSON) stand for."""
+    found = model_info(model).make(**json.loads(options))
+    assert isinstance(found, Simple)
+    return found.model
+
+
+def judge(task: Task) -> dict[str, Any]:
+    """Return log prior + log mean likelihood of a pair of goals at the true strengths."""
+    truth = task.event.truth
+    assert truth is not None
+    model = program(task.model, task.options)
+    strengths = float(truth.strength_red or 0), float(truth.strength_green or 0)
+    hypothesis = Hypothesis(*task.pair, (0, 0), *strengths)
+    simulator = model.build_simulator()
+    seen = task.event.observation.positions
+    errors = [
+        simulate_one(simulator, task.event.scene, hypothesis, seed, seen).total_error
+        for seed in range(JUDGING_SEED, JUDGING_SEED + task.seeds)
+    ]
+    given = {
+        "strength_red": np.array([strengths[0]]),
+        "strength_green": np.array([strengths[1]]),
+    }
+    log_prior = log_prior_of_effective(model.prior, np.array([task.pair]), given)[0]
+    return {"log_joint": float(log_mean_exp(errors) + log_prior)}
+
+
+def of_simulator(model: str, options: str) -> tuple[str, str]:
+    """Return name and options, less those that do not bear on the joint of a hypothesis.
+
+    So what was judged for one kernel holds for others.
+    """
+    bearing = {"prior", "planner", "simulator", "noise", "speed", "speed_noise", "direction_noise"}
+    given = {name: value for name, value in json.loads(options).items() if name in bearing}
+    return model, json.dumps(given, sort_keys=True)
