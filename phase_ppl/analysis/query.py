@@ -69,7 +69,7 @@ def answer(post: Hypotheses, quantities: Mapping[str, Quantity], text: str) -> A
         meaning.check_asked(query.question, name, query.names[:place])
     event, given = meaning.conditions(query.event), meaning.conditions(query.given)
     if given and not post.probability(**given) > 0:
-        reason = "cannot condition on this: it has probability 0 in this posterior"
+        reason = f"cannot condition on this: {post.why_impossible(given)}"
         raise QueryError(reason, text, query.given_at)
     try:
         return _ask(post, query, event, given)

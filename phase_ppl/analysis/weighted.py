@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,9 @@ from phase_ppl.analysis.weights import Rows
 from phase_ppl.world.errors import InvalidSettingError, unknown_name
 
 FloatArray = NDArray[np.float64]
+
+_LISTED: Final = 5
+"""Labels that a message names at most, the most probable first."""
 
 
 class WeightedRows:
@@ -63,6 +66,23 @@ class WeightedRows:
             result &= self._quantity(name).satisfied(self._rows.values[name], wanted)
         return result
 
+    def why_impossible(self, given: Mapping[str, Any]) -> str:
+        """Return why nothing can be conditioned on ``given``, and what could be instead."""
+        why = "it has probability 0 in this posterior"
+        for name, wanted in given.items():
+            quantity, values = self._quantity(name), self._rows.values[name]
+            if self._rows.weights[quantity.satisfied(values, wanted)].sum() > 0:
+                continue
+            has_mass = values[self._rows.weights > 0]
+            if quantity.labels is None:
+                return f"{why}, where {name} is between {has_mass.min():g} and {has_mass.max():g}"
+            mass = np.bincount(values, self._rows.weights, len(quantity.labels))
+            likely = np.argsort(-mass, kind="stable")[: np.count_nonzero(mass)]
+            listed = ", ".join(repr(quantity.labels[code]) for code in likely[:_LISTED])
+            others = len(likely) - _LISTED
+            return f"{why}, where {name} is {listed}" + (f" or {others} others" * (others > 0))
+        return f"{why}, though each of these alone has more"
+
     def _jackknife(self, share: float) -> Jackknife | None:
         if self._n_groups < 2:
             return None
@@ -83,7 +103,7 @@ class WeightedRows:
         total = weights.sum()
         if not total > 0:
             raise InvalidSettingError(
-                f"cannot condition on {dict(given or {})}: it has probability 0 in this posterior"
+                f"cannot condition on {dict(given or {})}: {self.why_impossible(given or {})}"
             )
         without = self._jackknife(share)
         return rows, weights / total, None if without is None else without.only(rows)

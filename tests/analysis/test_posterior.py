@@ -236,6 +236,20 @@ def test_unknown_names_raise_with_close_matches(small: Posterior, query, named: 
     ("query", "said"),
     [
         (lambda post: post.probability({"goal_red": TO_RED}, relation="friendly"), "probability 0"),
+        (
+            lambda post: post.marginal("relation", given={"goal_red": TO_RED}),
+            "where goal_red is 'Get blue item to red lm', 'get to green agent'$",
+        ),
+        (
+            lambda post: post.marginal("relation", given={"strength_red": (500, 550)}),
+            "where strength_red is between 200 and 600$",
+        ),
+        (
+            lambda post: post.mean(
+                "strength_red", given={"goal_red": TO_GREEN, "relation": "friendly"}
+            ),
+            "though each of these alone has more$",
+        ),
         (lambda post: post.probability({"strength_red": (500, 550)}, relation="friendly"), "500"),
         (lambda post: post.probability(), "name the event"),
         (lambda post: post.probability(strength_red=300), "interval"),
