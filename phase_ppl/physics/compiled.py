@@ -38,7 +38,7 @@ from phase_ppl.physics.flat import (
 )
 from phase_ppl.physics.jit import bare_kernel, inlined_kernel
 from phase_ppl.physics.solver import rub, solve
-from phase_ppl.physics.welds import attach, find_grab, mend, place_frame
+from phase_ppl.physics.welds import attach, find_grab, mend, place_frame, turn_frame
 from phase_ppl.world.names import NOTHING
 
 __all__ = [
@@ -143,9 +143,10 @@ def _move(bodies: FloatArray, body: int, vx: int, dt: float, scratch: Scratch) -
     bodies[body, X] += bodies[body, vx] * dt
     bodies[body, Y] += bodies[body, vx + 1] * dt
     if bodies[body, vx + 2] != 0.0:
-        bodies[body, ANGLE] += bodies[body, vx + 2] * dt
+        turn = bodies[body, vx + 2] * dt
+        bodies[body, ANGLE] += turn
         if body < 2:
-            place_frame(bodies, body, scratch)
+            turn_frame(bodies, body, turn, scratch)
 
 
 @inlined_kernel
@@ -278,10 +279,10 @@ def _advance(
         _substep(bodies, held, weld, action_red, action_green, apart, params, scratch)
         if with_mean:
             for body in range(4):
-                angle, cog = bodies[body, ANGLE], params.cog[body]
-                frame[body, 0] += (bodies[body, X] + math.sin(angle) * cog) / params.substeps
-                frame[body, 1] += (bodies[body, Y] - math.cos(angle) * cog) / params.substeps
-                frame[body, 2] += angle / params.substeps
+                c, s, cog = scratch.rotation[body, 0], scratch.rotation[body, 1], params.cog[body]
+                frame[body, 0] += (bodies[body, X] + s * cog) / params.substeps
+                frame[body, 1] += (bodies[body, Y] - c * cog) / params.substeps
+                frame[body, 2] += bodies[body, ANGLE] / params.substeps
     bodies[0, SPIN] = 0.0
     bodies[1, SPIN] = 0.0
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phase_ppl.physics import constants
+from phase_ppl.physics import compiled, constants
 from phase_ppl.physics.actions import (
     ACTION_NAMES,
     DIRECTIONS,
@@ -16,6 +16,8 @@ from phase_ppl.physics.actions import (
     NO_ACTION,
     Action,
 )
+from phase_ppl.physics.flat import ANGLE
+from phase_ppl.physics.welds import turn_frame
 
 SIZES = (0.8, 1.01, 1.2, 1.6)
 STRENGTHS = (150.0, 300.0, 450.0, 600.0)
@@ -168,3 +170,13 @@ def test_bodies_have_the_masses_of_their_areas() -> None:
     assert constants.mass(3, 1.2) == pytest.approx(math.pi * 1.44)
     assert constants.inertia(3, 2.0) == pytest.approx(0.5 * 4 * math.pi * 4)
     assert constants.inertia(1, 2.0) == pytest.approx(26 / 9 * 16)
+
+
+@pytest.mark.parametrize("turn", [1e-9, 0.01, -0.2, 0.25, -0.2500001, 3.0])
+def test_frames_that_are_turned_stay_those_of_the_angle(turn: float) -> None:
+    scratch, bodies = compiled.make_scratch(), np.zeros((4, 9))
+    for _ in range(40):  # more than in any planner step
+        bodies[1, ANGLE] += turn
+        turn_frame(bodies, 1, turn, scratch)
+    angle = bodies[1, ANGLE]
+    assert scratch.rotation[1] == pytest.approx([math.cos(angle), math.sin(angle)], abs=1e-13)
