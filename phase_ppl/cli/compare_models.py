@@ -118,7 +118,7 @@ def _sources(given: Sequence[str]) -> dict[str, Any] | list[str]:
     named = {name: folder for name, folder in pairs if folder}
     if not named:
         return list(given)
-    if len(named) < len(given):
+    if len(named) < len(given) or "" in named:
         raise InvalidSettingError(
             f"{' '.join(given)}: expected a different name for each, as in one=DIR other=DIR"
         )

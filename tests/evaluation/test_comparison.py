@@ -34,6 +34,12 @@ from tests.evaluation.judged import (
 from tests.evaluation.test_figures import check_texts
 from tests.world.examples import DEV, needs_dev
 
+WRITTEN = {
+    **{"name": "x", "kind": "model", "predictions": [], "settings": {}},
+    **{"failures": {}, "folder": None},
+}
+"""A model in comparison.json."""
+
 STORED = {"theirs": {"relation": "friendly"}, "right": {"relation": "neutral"}}
 
 
@@ -255,6 +261,17 @@ def test_models_are_called_by_their_names_or_their_folders_or_as_one_likes(tmp_p
         ((evaluation(),), {"margin": "x"}, InvalidSettingError, "margin='x'"),
         ((evaluation(),), {"resamples": 0}, InvalidSettingError, "resamples=0"),
         ((evaluation(),), {"stored": ["thers"]}, UnknownNameError, "'theirs'"),
+        ((evaluation(),), {"stored": 3}, InvalidSettingError, "stored=3, expected names of models"),
+        ((evaluation("people"),), {}, InvalidSettingError, "called 'people', as people are"),
+        (({"people": evaluation()},), {}, InvalidSettingError, "called 'people', as people are"),
+        (({"": evaluation()},), {}, InvalidSettingError, "called '', expected a name"),
+        (({1: evaluation()},), {}, InvalidSettingError, "called 1, expected a name"),
+        (
+            ({"theirs": evaluation(), "theirs (stored)": evaluation()},),
+            {"stored": "all"},
+            InvalidSettingError,
+            r"two models are called 'theirs \(stored\)'",
+        ),
     ],
 )
 def test_bad_input_is_named(
@@ -271,6 +288,9 @@ def test_models_in_the_events_are_compared_by_name() -> None:
     assert c.metrics["right (stored)"]["relation_accuracy"]["value"] == 0
     assert c.metrics["theirs"]["cpu_seconds"] is None
     assert compare(evaluation(), stored=["theirs"]).models == ["right", "theirs"]
+    assert compare(evaluation(), stored="theirs").models == ["right", "theirs"]
+    of = [dataclasses.replace(e, predictions={"people": STORED["theirs"]}) for e in EVENTS]
+    assert compare(evaluation(of=of), stored="all").models == ["right", "people (stored)"]
 
 
 # --- kept, printed, drawn ----------------------------------------------------------------------
@@ -328,8 +348,21 @@ def test_a_comparison_is_saved_and_read_again(crowd: ppl.ModelComparison, tmp_pa
     ("field", "value", "message"),
     [
         ("schema", "other", "its schema is 'other'"),
-        ("models", None, "comparison.json"),
-        ("models", [{"name": "x"}], "has no 'predictions'"),
+        ("models", None, "models is None, expected a list"),
+        ("models", [3], "a model is 3, expected an object"),
+        ("models", [{"name": "x"}], "has no 'kind'"),
+        ("models", [WRITTEN | {"predictions": {}}], "predictions of a model is {}"),
+        ("models", [WRITTEN | {"predictions": [3]}], "a prediction is 3"),
+        ("models", [WRITTEN | {"failures": []}], r"failures of a model is \[\]"),
+        ("models", [WRITTEN | {"name": 3}], "a model is called 3"),
+        ("models", [WRITTEN, WRITTEN], "two models are called 'x'"),
+        (
+            "models",
+            [WRITTEN | {"predictions": [answers("event 9").to_dict()]}],
+            "x predicts 'event 9', which is no event of events.json",
+        ),
+        ("notes", "a note", "notes is 'a note', expected a list"),
+        ("settings", [], r"settings is \[\], expected an object"),
         ("settings", {"margin": 2, "against": None, "seed": 0, "resamples": 1}, "margin=2"),
         ("settings", {}, "has no 'margin'"),
     ],

@@ -152,6 +152,7 @@ def test_labels_are_names_of_folders_and_different() -> None:
         ("--model right --model wrong --planner fast", "planner: none of the models"),
         ("--model right --model wrong --against nobody", "model to compare with 'nobody'"),
         ("--model right --model wrong --stored theirs", "stored model 'theirs'"),
+        ("--model right --model people=wrong", "called 'people', as people are"),
         ("--model right --model wrong --resume", "--resume needs --out"),
         ("--model right --stored theirs", "--stored is for several models"),
         ("--model right --model wrong --out single", "holds an evaluation of one model"),
@@ -187,6 +188,7 @@ def test_folders_are_compared_later_and_under_names(
     assert kept["settings"] == {"margin": 0.2, "against": "y", "seed": 0, "resamples": 50}
     for arguments, message in (
         ("x=right wrong", "a different name for each"),
+        ("x=right =wrong", "a different name for each"),
         ("right --margin 2", "margin=2.0"),
         ("nowhere", "nowhere: no such folder"),
         ("right --out wrong", "--out wrong holds an evaluation"),

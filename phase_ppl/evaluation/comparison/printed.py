@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 from phase_ppl.evaluation.bootstrap import LEVEL
 from phase_ppl.evaluation.comparison.statistics import LEAST_EVENTS
 from phase_ppl.evaluation.curves import at
+from phase_ppl.evaluation.observers import PEOPLE
 from phase_ppl.world.relations import SCENARIOS
 
 if TYPE_CHECKING:
@@ -18,7 +19,6 @@ WIDTH: Final = 100
 PAIRS: Final = 15
 """Pairs of models that are printed at most; of more, those with the first model."""
 
-PEOPLE: Final = "people"
 MAJORITY: Final = "people, majority"
 
 _LABEL: Final = 24
