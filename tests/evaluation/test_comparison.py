@@ -199,6 +199,32 @@ def test_what_is_not_there_is_none_and_never_a_guess() -> None:
     assert c.metrics["free"]["cpu_seconds"] is None
 
 
+def test_a_model_that_answers_nothing_is_right_about_nothing(tmp_path: Path) -> None:
+    silent = evaluation("silent", predictions={e.id: ppl.Prediction(e.id) for e in EVENTS})
+    nothing = evaluation("nothing", predictions={})
+    c = compare(evaluation(), silent, nothing, resamples=50)
+    c.save(tmp_path)
+    text = ppl.report(tmp_path, progress=False).read_text("utf-8")
+    assert "right, silent, nothing on 12 events" in text
+    assert text.count("right in all they answered: right<") == 12
+    draw_comparison(c, tmp_path, progress=False)
+    assert c.metrics["nothing"]["relation_accuracy"] is None
+    assert c.differences == []
+
+
+@pytest.mark.parametrize("seconds", [0.0, -1.0])
+def test_a_cost_that_has_no_place_on_the_axis_is_left_out(seconds: float) -> None:
+    costed = {
+        i: dataclasses.replace(p, cost={"cpu_seconds": seconds})
+        for i, p in evaluation().predictions.items()
+    }
+    free = evaluation("free", predictions=costed)
+    with pytest.raises(NothingToDrawError, match="CPU seconds"):
+        COMPARED["costs"](ComparedResults(compare(free, resamples=50)))
+    figure = COMPARED["costs"](ComparedResults(compare(free, evaluation(), resamples=50)))
+    assert "free" not in {text.get_text() for text in figure.texts}
+
+
 def test_without_truth_and_people_there_are_no_figures_but_costs() -> None:
     of = [dataclasses.replace(e, truth=None, judgments=None) for e in EVENTS]
     c = compare(evaluation(of=EVENTS, relation="neutral"), evaluation("b", "neutral"))
