@@ -199,6 +199,25 @@ def test_what_is_not_there_is_none_and_never_a_guess() -> None:
     assert c.metrics["free"]["cpu_seconds"] is None
 
 
+def test_figures_say_of_how_many_events_who_predicts_fewer() -> None:
+    """The first has all 4 competing and 8 collaborative events, the second 3 and 7."""
+    goals = {e.id: (e.truth.goal_red, e.truth.goal_green) for e in EVENTS if e.truth is not None}
+    every, part = (
+        by_id(*(answers(e.id, *goals[e.id], relation="friendly") for e in EVENTS[first:]))
+        for first in (0, 2)
+    )
+    models = evaluation("every", predictions=every), evaluation("part", predictions=part)
+    results = ComparedResults(compare(*models, resamples=50))
+    for name in ("accuracy", "confusion", "equivalence"):
+        figure = COMPARED[name](results)
+        labels = [tick.get_text() for axes in figure.axes for tick in axes.get_yticklabels()]
+        shown = [text.get_text() for text in figure.texts] + labels
+        for numbers in ("3 to 4", "7 to 8"):
+            assert any(f"n = {numbers}" in text for text in shown), (name, numbers)
+        check_texts(figure)
+    assert "part predicts 10 of 12 events; its scores are about those" in str(results.comparison)
+
+
 def test_a_model_that_answers_nothing_is_right_about_nothing(tmp_path: Path) -> None:
     silent = evaluation("silent", predictions={e.id: ppl.Prediction(e.id) for e in EVENTS})
     nothing = evaluation("nothing", predictions={})

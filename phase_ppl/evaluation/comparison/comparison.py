@@ -247,8 +247,11 @@ def compare_models(
     for one in compared:
         missing = len(events) - len(one.predictions)
         if missing:
-            why = f", {len(one.failures)} of them failed" if one.failures else ""
-            notes.append(f"{one.name} predicts {len(one.predictions)} of {len(events)} events{why}")
+            why = f" ({len(one.failures)} failed)" if one.failures else ""
+            notes.append(
+                f"{one.name} predicts {len(one.predictions)} of {len(events)} events{why}; its "
+                "scores are about those"
+            )
     return ModelComparison(events, compared, settings, tuple(notes))
 
 

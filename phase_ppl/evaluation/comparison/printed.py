@@ -34,7 +34,7 @@ Column = tuple[str, Callable[[Mapping[str, Any]], str]]
 def comparison_text(c: ModelComparison) -> str:
     """Return all tables of a comparison."""
     judged = c.people["n_events"]
-    head = f"{len(c.models)} models on {len(c.events)} events"
+    head = f"{_number(len(c.models), 'model')} on {_number(len(c.events), 'event')}"
     if judged:
         head += f", {judged} of them with truth and people's judgments"
     lines = _wrapped(f"{head}; intervals of {LEVEL:.0%} from resampled events")
@@ -255,6 +255,10 @@ def short(name: str, most: int = _NAME) -> str:
     """Return a name; of a long one both ends, as one of them tells it from others."""
     half = (most - 3) // 2
     return name if len(name) <= most else f"{name[: most - 3 - half]}...{name[-half:]}"
+
+
+def _number(n: int, what: str) -> str:
+    return f"{n} {what}" if n == 1 else f"{n} {what}s"
 
 
 def _wrapped(text: str) -> list[str]:

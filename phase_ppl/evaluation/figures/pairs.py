@@ -9,7 +9,7 @@ from phase_ppl.analysis.style import INK, NORMAL, SMALL, bare
 from phase_ppl.evaluation.comparison.statistics import ALPHA
 from phase_ppl.evaluation.figures.accuracies import TITLES
 from phase_ppl.evaluation.figures.results import NothingToDrawError
-from phase_ppl.evaluation.sheet import GREY, Sheet, fitting, label_column, tint
+from phase_ppl.evaluation.sheet import GREY, Sheet, fitting, in_words, label_column, tint
 from phase_ppl.world.relations import SCENARIOS
 
 if TYPE_CHECKING:
@@ -160,8 +160,8 @@ def equivalence(results: ComparedResults) -> Figure:
                 for r in rows
                 if r["measure"] == f"{kind}_accuracy" and r["scenario"] == scenario
             }
-            n = max((r["n_events"] for r in found.values()), default=0)
-            sheet.write(x, top + 0.4, f"n = {n}", size=SMALL, colour=GREY)
+            n = in_words(r["n_events"] for r in found.values()) if found else "n = 0"
+            sheet.write(x, top + 0.4, n, size=SMALL, colour=GREY)
             _against_people(axes, [(found.get(m), labels[m][1]) for m in models],
                             results.comparison.settings["margin"], reach)  # fmt: skip
         top += heights[kind]
