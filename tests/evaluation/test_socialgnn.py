@@ -115,6 +115,7 @@ def test_options_that_cannot_be_used_are_refused(tmp_path: Path) -> None:
         ({"variant": "other"}, "variant 'other'"),
         ({"weights": tmp_path, "variant": "original"}, "either weights or variant"),
         ({"weights": tmp_path / "no.npz"}, r"no\.npz holds no weights"),
+        ({"weights": 3}, "weights=3, expected the name of a file or folder"),
     ):
         with pytest.raises(ValueError, match=message):
             socialgnn(**options)  # type: ignore[arg-type]
