@@ -27,6 +27,9 @@ PAGES: Final = "pages"
 """The folder of the pages, one per event, in that of a comparison."""
 
 
+_PAGE: Final = "[0-9][0-9][0-9][0-9]-*.png"
+
+
 def add_to(commands: Any) -> None:
     """Add the command."""
     parser = commands.add_parser(
@@ -143,6 +146,8 @@ def keep(found: ModelComparison, out: Path, options: argparse.Namespace) -> int:
             problems.append(f"the figures cannot be drawn: {one_line(error)}")
         results = ComparedResults(found)
         pages = writable_folder(out / PAGES)
+        for old in pages.glob(_PAGE):  # of an earlier comparison, perhaps of other events
+            old.unlink(missing_ok=True)
         events = list(enumerate(found.events))
         for place, event in counted(events, shows_progress(options), "page", "drawing"):
             shown = [one for one in results.observers if event.id in one.predictions]

@@ -66,6 +66,8 @@ def test_each_model_has_a_folder_as_if_it_were_alone_and_they_are_compared(
 ) -> None:
     out = tmp_path / "out"
     both = ["--model", "right", "--model", "other=wrong", "--out", out, "--limit", 2]
+    (out / "pages").mkdir(parents=True)
+    (out / "pages" / "0007-of_an_event_no_more_compared.png").touch()
     assert evaluate(events, *both) == 0
     printed = capsys.readouterr().out
     assert "2 models on 2 events" in printed
