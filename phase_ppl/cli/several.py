@@ -164,11 +164,16 @@ def _check(
     from phase_ppl.evaluation.folder import SETTINGS, holds_predictions
     from phase_ppl.evaluation.references import reference_predictions
     from phase_ppl.evaluation.registry import ready
+    from phase_ppl.evaluation.resuming import check_resumable, settings_of
 
-    for label, model in models.items():
-        ready(model, of_models[label])
     check_names(list(models))
-    references = reference_predictions(events[: options.limit])
+    chosen = events[: options.limit]
+    for label, model in models.items():
+        asked = ready(model, of_models[label])
+        if options.resume:
+            settings = settings_of(asked, options.seed or 0, chosen)
+            check_resumable(options.out / label, settings)
+    references = reference_predictions(chosen)
     stored = stored_names(stored_models(options.stored), references)
     known = [*models, *(stored_label(name, models) for name in stored)]
     if options.against is not None and options.against not in known:

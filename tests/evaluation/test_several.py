@@ -97,6 +97,12 @@ def test_an_interrupted_evaluation_of_several_models_goes_on(
     assert not (out / "comparison.json").exists()
     error = fails(capsys, "evaluate", events, *both)
     assert f"{out / 'right'} already holds an evaluation" in error
+    # that one cannot go on is said before another is asked, which would stop
+    Path("stop").touch()
+    others = ["--model", "stops_once", "--model", "right", "--option", "right.size=2"]
+    error = fails(capsys, "evaluate", events, *others, *both[4:], "--resume")
+    assert "holds an evaluation with other settings: options.size is 2, was None" in error
+    Path("stop").unlink()
     assert evaluate(events, *both, "--resume") == 0
     assert ppl.ModelComparison.load(out).models == ["right", "stops_once"]
 
