@@ -429,6 +429,13 @@ def test_no_text_of_a_figure_leaves_the_page_or_covers_another(
     check_texts(COMPARED[name](ComparedResults(crowd)))
 
 
+def test_names_of_columns_take_no_more_room_than_they_need(crowd: ppl.ModelComparison) -> None:
+    one = dataclasses.replace(crowd, settings={**crowd.settings, "against": "vlm"})
+    pairs, column = (COMPARED["differences"](ComparedResults(c)) for c in (crowd, one))
+    check_texts(column)
+    assert column.get_figheight() < pairs.get_figheight() - 0.5
+
+
 def test_a_page_has_a_column_for_everybody(crowd: ppl.ModelComparison) -> None:
     results = ComparedResults(crowd)
     figure = page_of(crowd.events[0], results.observers)

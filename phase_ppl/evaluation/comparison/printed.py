@@ -216,7 +216,8 @@ def _equivalence(c: ModelComparison) -> list[str]:
         f"Tested is a model's being right minus the share of people who are right, event by event. "
         f"Equivalent: both one-sided tests reject a difference of {margin:g} or more (p equiv.); "
         "higher, lower: there is one (p differ). Both corrected by Holm over the models; neither "
-        f"shown: undecided. Fewer than {LEAST_EVENTS} events are not tested for equivalence."
+        f"shown: undecided. Fewer than {LEAST_EVENTS} events are not tested for equivalence. "
+        "comparison.json has differences and equivalence by scenario too."
     )
     title = f"equivalence with people, margin {margin:g}"
     return ["", title, *_aligned(table), *_wrapped(words)]

@@ -50,7 +50,8 @@ def differences(results: ComparedResults) -> Figure:
             names if against is None else [against],
         )
     # the slanted names of the columns reach up, and beyond the last one
-    slanted = 0.7 * (left - 0.2)
+    named = {name for _, columns in grids.values() for name in columns}
+    slanted = 0.7 * (label_column(labels[name][0] for name in named) - 0.2)
     apart = max(0.15, slanted - 0.58 * _CELL)
     sheet = Sheet(
         max(sum(left + _CELL * len(columns) + apart for _, columns in grids.values()), 4.2),
