@@ -27,6 +27,9 @@ PAGES: Final = "pages"
 """The folder of the pages, one per event, in that of a comparison."""
 
 
+_PAGE: Final = "[0-9][0-9][0-9][0-9]-*.png"
+
+
 def add_to(commands: Any) -> None:
     """Add the command."""
     parser = commands.add_parser(
@@ -118,7 +121,7 @@ def _sources(given: Sequence[str]) -> dict[str, Any] | list[str]:
     named = {name: folder for name, folder in pairs if folder}
     if not named:
         return list(given)
-    if len(named) < len(given):
+    if len(named) < len(given) or "" in named:
         raise InvalidSettingError(
             f"{' '.join(given)}: expected a different name for each, as in one=DIR other=DIR"
         )
@@ -143,6 +146,8 @@ def keep(found: ModelComparison, out: Path, options: argparse.Namespace) -> int:
             problems.append(f"the figures cannot be drawn: {one_line(error)}")
         results = ComparedResults(found)
         pages = writable_folder(out / PAGES)
+        for old in pages.glob(_PAGE):  # of an earlier comparison, perhaps of other events
+            old.unlink(missing_ok=True)
         events = list(enumerate(found.events))
         for place, event in counted(events, shows_progress(options), "page", "drawing"):
             shown = [one for one in results.observers if event.id in one.predictions]

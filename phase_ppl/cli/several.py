@@ -160,19 +160,22 @@ def _check(
     of_models: Mapping[str, Mapping[str, Any]],
 ) -> None:
     """Find out what is wrong before the first model is asked."""
+    from phase_ppl.evaluation.comparison.contenders import check_names, stored_label, stored_names
     from phase_ppl.evaluation.folder import SETTINGS, holds_predictions
     from phase_ppl.evaluation.references import reference_predictions
     from phase_ppl.evaluation.registry import ready
+    from phase_ppl.evaluation.resuming import check_resumable, settings_of
 
+    check_names(list(models))
+    chosen = events[: options.limit]
     for label, model in models.items():
-        ready(model, of_models[label])
-    references = reference_predictions(events[: options.limit])
-    stored = stored_models(options.stored)
-    wanted = references if isinstance(stored, str) else stored
-    for name in wanted:
-        if name not in references:
-            raise unknown_name("stored model", name, references)
-    known = [*models, *wanted]
+        asked = ready(model, of_models[label])
+        if options.resume:
+            settings = settings_of(asked, options.seed or 0, chosen)
+            check_resumable(options.out / label, settings)
+    references = reference_predictions(chosen)
+    stored = stored_names(stored_models(options.stored), references)
+    known = [*models, *(stored_label(name, models) for name in stored)]
     if options.against is not None and options.against not in known:
         raise unknown_name("model to compare with", options.against, known)
     if options.out is None:

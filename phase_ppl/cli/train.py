@@ -10,10 +10,17 @@ from pathlib import Path
 from typing import Any, Final
 
 import phase_ppl
-from phase_ppl.cli.shared import INTERRUPTED, named_value, whole, writable_folder
+from phase_ppl.cli.shared import (
+    INTERRUPTED,
+    add_progress,
+    named_value,
+    shows_progress,
+    whole,
+    writable_folder,
+)
 from phase_ppl.models.socialgnn.graphs import VARIANTS
 from phase_ppl.models.socialgnn.settings import TrainingSettings
-from phase_ppl.world.errors import unknown_name
+from phase_ppl.world.errors import InvalidSettingError, unknown_name
 
 MODELS: Final = ("socialgnn",)
 """Models that can be trained."""
@@ -55,15 +62,18 @@ def add_to(commands: Any) -> None:
         help="how to train, such as epochs=100 or looks=false; may be given several times",
     )
     parser.add_argument("--resume", action="store_true", help="go on with what DIR holds")
-    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    add_progress(parser)
 
 
 def _train(options: argparse.Namespace) -> int:
-    given = dict(options.option)
+    given: dict[str, Any] = {}
     known = [field.name for field in dataclasses.fields(TrainingSettings)][1:]
-    for name in given:
+    for name, value in options.option:
         if name not in known:
             raise unknown_name("option", name, known)
+        if name in given:
+            raise InvalidSettingError(f"--option {name}: given twice")
+        given[name] = value
     settings = TrainingSettings(options.variant, **given)
     writable_folder(options.out)
     try:
@@ -74,7 +84,7 @@ def _train(options: argparse.Namespace) -> int:
             seed=options.seed,
             settings=settings,
             resume=options.resume,
-            progress=False if options.quiet else None,
+            progress=shows_progress(options),
         )
     except KeyboardInterrupt:
         print("phase-ppl: interrupted; go on with the same command and --resume", file=sys.stderr)

@@ -132,7 +132,9 @@ def difference(one: FloatArray, other: FloatArray, n: int) -> Figure | None:
     """Return ``one - other`` with its interval and a two-sided p, over the same resamples.
 
     p is twice the share of resamples (the data among them) in which the difference is not above
-    0, or not below 0, whichever is smaller; None, like the interval, with one event.
+    0, or not below 0, whichever is smaller, but at least 2 ** (1 - n): resamples of a few events
+    that agree all agree, while the signs of n differences are all alike by chance that often.
+    None, like the interval, with one event.
     """
     values = one - other
     # what is equal but for rounding is equal
@@ -142,5 +144,5 @@ def difference(one: FloatArray, other: FloatArray, n: int) -> Figure | None:
         return None
     drawn = values[1:][np.isfinite(values[1:])]
     tail = min((drawn <= 0).sum(), (drawn >= 0).sum()) + 1
-    p = min(1.0, float(2 * tail / (drawn.size + 1)))
+    p = min(1.0, max(float(2 * tail / (drawn.size + 1)), 2.0 ** (1 - n)))
     return {**found, "p": p if n > 1 and drawn.size else None}

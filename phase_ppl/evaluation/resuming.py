@@ -63,6 +63,17 @@ def open_folder(
     return folder, done, notes
 
 
+def check_resumable(path: str | os.PathLike[str], settings: Mapping[str, Any]) -> None:
+    """Raise what :func:`open_folder` would for other settings or events; change nothing.
+
+    Raises:
+        InvalidSettingError: the evaluation has other settings or events.
+        InvalidEventError: it is damaged.
+    """
+    if holds_predictions(Path(path)):
+        _check_same(ResultsFolder.open(path), settings)
+
+
 def _check_same(folder: ResultsFolder, settings: Mapping[str, Any]) -> None:
     before, now = (
         {name: given.get(name) for name in _DETERMINE} for given in (folder.settings, settings)

@@ -91,6 +91,13 @@ def in_lines(text: str, width: float) -> list[str]:
     return textwrap.wrap(text, max(1, int(72 * width / (_CHARACTER * SMALL)))) or [text]
 
 
+def in_words(counts: Iterable[int]) -> str:
+    """Return how many there are, such as of the events of several models: "n = 9 to 10"."""
+    known = sorted(counts)
+    least, most = known[0], known[-1]
+    return f"n = {most}" if least == most else f"n = {least} to {most}"
+
+
 def tint(colour: str, share: float) -> tuple[float, float, float]:
     """Return ``colour`` mixed with white; ``share`` is what is kept of it."""
     from matplotlib.colors import to_rgb

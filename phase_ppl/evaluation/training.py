@@ -16,9 +16,10 @@ missing, and more can be added; each follows from its seed, whatever the others.
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
@@ -26,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.dataset.documents import read_json
-from phase_ppl.dataset.generation.store import GeneratedEvents
+from phase_ppl.dataset.generation.store import MANIFEST, GeneratedEvents
 from phase_ppl.evaluation.metrics import evaluate_predictions
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.inference.runs.progress import Bar, counted
@@ -37,7 +38,7 @@ from phase_ppl.models.socialgnn.graphs import frame_graphs
 from phase_ppl.models.socialgnn.settings import TrainingSettings
 from phase_ppl.models.socialgnn.store import Trained
 from phase_ppl.world.checks import whole_number
-from phase_ppl.world.errors import OutputError
+from phase_ppl.world.errors import InvalidEventError, OutputError, shown
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import write_json
 from phase_ppl.world.identity import differences
@@ -124,16 +125,14 @@ class _Epochs(Bar):
 
 def _identity(found: GeneratedEvents, splits: dict[str, list[Event]]) -> dict[str, Any]:
     """Return which set it is, as plain data."""
-    plan = found.manifest["plan"]
+    plan = found.manifest.get("plan")
+    if not isinstance(plan, Mapping):
+        raise InvalidEventError(f"{found.path / MANIFEST}: plan is {shown(plan)}, not an object")
     sums = "".join(entry["checksum"] for entry in found.entries)
     return {
         "events": {name: len(events) for name, events in splits.items()},
         "checksum": hashlib.sha256(sums.encode()).hexdigest()[:16],
-        "seed": plan["seed"],
-        "cells": plan["cells"],
-        "copies": plan["copies"],
-        "turning": plan["turning"],
-        "planner": plan["planner"],
+        **{name: plan.get(name) for name in ("seed", "cells", "copies", "turning", "planner")},
     }
 
 
@@ -217,8 +216,7 @@ def _finish(
         for number, seed in enumerate(seeds)
     ]
     report = {
-        "command": f"phase-ppl train socialgnn --variant {variant} --seeds {len(seeds)} "
-        f"--seed {seeds[0]}",
+        "command": _command(settings, seeds),
         "note": "trained on generated events, not on PHASE; accuracies are on generated events too",
         "torch": str(needs_torch().__version__),
         **asked,
@@ -228,6 +226,19 @@ def _finish(
     write_json(folder / f"{variant}.json", report)
     training_curves(report, folder / f"{variant}.png")
     return report
+
+
+def _command(settings: TrainingSettings, seeds: Sequence[int]) -> str:
+    """Return the command that makes these networks, of a set and in a folder of any name."""
+    usual = TrainingSettings(settings.variant).to_dict()
+    changed = {name: v for name, v in settings.to_dict().items() if v != usual[name]}
+    return " ".join(
+        [
+            f"phase-ppl train socialgnn --data SET --variant {settings.variant}",
+            *(f"--option {name}={json.dumps(value)}" for name, value in changed.items()),
+            f"--seeds {len(seeds)} --seed {seeds[0]} --out DIR",
+        ]
+    )
 
 
 def _said(

@@ -34,6 +34,12 @@ from tests.evaluation.judged import (
 from tests.evaluation.test_figures import check_texts
 from tests.world.examples import DEV, needs_dev
 
+WRITTEN = {
+    **{"name": "x", "kind": "model", "predictions": [], "settings": {}},
+    **{"failures": {}, "folder": None},
+}
+"""A model in comparison.json."""
+
 STORED = {"theirs": {"relation": "friendly"}, "right": {"relation": "neutral"}}
 
 
@@ -145,6 +151,7 @@ def test_against_one_model_only_its_pairs_are_tested() -> None:
         (0.1, None, 0, "equivalent"),
         (0.1, None, 1, "equivalent, higher"),
         (0.02, None, 1, "higher"),
+        (0.1, None, 2, "higher"),  # the margin itself is no equivalence
         (0.1, "neutral", 1, "lower"),
         (0.1, "friendly", 13, "undecided"),
     ],
@@ -190,6 +197,51 @@ def test_what_is_not_there_is_none_and_never_a_guess() -> None:
     costless = {i: dataclasses.replace(p, cost={}) for i, p in part.items()}
     c = compare(evaluation("free", predictions=costless))
     assert c.metrics["free"]["cpu_seconds"] is None
+
+
+def test_figures_say_of_how_many_events_who_predicts_fewer() -> None:
+    """The first has all 4 competing and 8 collaborative events, the second 3 and 7."""
+    goals = {e.id: (e.truth.goal_red, e.truth.goal_green) for e in EVENTS if e.truth is not None}
+    every, part = (
+        by_id(*(answers(e.id, *goals[e.id], relation="friendly") for e in EVENTS[first:]))
+        for first in (0, 2)
+    )
+    models = evaluation("every", predictions=every), evaluation("part", predictions=part)
+    results = ComparedResults(compare(*models, resamples=50))
+    for name in ("accuracy", "confusion", "equivalence"):
+        figure = COMPARED[name](results)
+        labels = [tick.get_text() for axes in figure.axes for tick in axes.get_yticklabels()]
+        shown = [text.get_text() for text in figure.texts] + labels
+        for numbers in ("3 to 4", "7 to 8"):
+            assert any(f"n = {numbers}" in text for text in shown), (name, numbers)
+        check_texts(figure)
+    assert "part predicts 10 of 12 events; its scores are about those" in str(results.comparison)
+
+
+def test_a_model_that_answers_nothing_is_right_about_nothing(tmp_path: Path) -> None:
+    silent = evaluation("silent", predictions={e.id: ppl.Prediction(e.id) for e in EVENTS})
+    nothing = evaluation("nothing", predictions={})
+    c = compare(evaluation(), silent, nothing, resamples=50)
+    c.save(tmp_path)
+    text = ppl.report(tmp_path, progress=False).read_text("utf-8")
+    assert "right, silent, nothing on 12 events" in text
+    assert text.count("right in all they answered: right<") == 12
+    draw_comparison(c, tmp_path, progress=False)
+    assert c.metrics["nothing"]["relation_accuracy"] is None
+    assert c.differences == []
+
+
+@pytest.mark.parametrize("seconds", [0.0, -1.0])
+def test_a_cost_that_has_no_place_on_the_axis_is_left_out(seconds: float) -> None:
+    costed = {
+        i: dataclasses.replace(p, cost={"cpu_seconds": seconds})
+        for i, p in evaluation().predictions.items()
+    }
+    free = evaluation("free", predictions=costed)
+    with pytest.raises(NothingToDrawError, match="CPU seconds"):
+        COMPARED["costs"](ComparedResults(compare(free, resamples=50)))
+    figure = COMPARED["costs"](ComparedResults(compare(free, evaluation(), resamples=50)))
+    assert "free" not in {text.get_text() for text in figure.texts}
 
 
 def test_without_truth_and_people_there_are_no_figures_but_costs() -> None:
@@ -254,6 +306,17 @@ def test_models_are_called_by_their_names_or_their_folders_or_as_one_likes(tmp_p
         ((evaluation(),), {"margin": "x"}, InvalidSettingError, "margin='x'"),
         ((evaluation(),), {"resamples": 0}, InvalidSettingError, "resamples=0"),
         ((evaluation(),), {"stored": ["thers"]}, UnknownNameError, "'theirs'"),
+        ((evaluation(),), {"stored": 3}, InvalidSettingError, "stored=3, expected names of models"),
+        ((evaluation("people"),), {}, InvalidSettingError, "called 'people', as people are"),
+        (({"people": evaluation()},), {}, InvalidSettingError, "called 'people', as people are"),
+        (({"": evaluation()},), {}, InvalidSettingError, "called '', expected a name"),
+        (({1: evaluation()},), {}, InvalidSettingError, "called 1, expected a name"),
+        (
+            ({"theirs": evaluation(), "theirs (stored)": evaluation()},),
+            {"stored": "all"},
+            InvalidSettingError,
+            r"two models are called 'theirs \(stored\)'",
+        ),
     ],
 )
 def test_bad_input_is_named(
@@ -270,6 +333,9 @@ def test_models_in_the_events_are_compared_by_name() -> None:
     assert c.metrics["right (stored)"]["relation_accuracy"]["value"] == 0
     assert c.metrics["theirs"]["cpu_seconds"] is None
     assert compare(evaluation(), stored=["theirs"]).models == ["right", "theirs"]
+    assert compare(evaluation(), stored="theirs").models == ["right", "theirs"]
+    of = [dataclasses.replace(e, predictions={"people": STORED["theirs"]}) for e in EVENTS]
+    assert compare(evaluation(of=of), stored="all").models == ["right", "people (stored)"]
 
 
 # --- kept, printed, drawn ----------------------------------------------------------------------
@@ -327,8 +393,21 @@ def test_a_comparison_is_saved_and_read_again(crowd: ppl.ModelComparison, tmp_pa
     ("field", "value", "message"),
     [
         ("schema", "other", "its schema is 'other'"),
-        ("models", None, "comparison.json"),
-        ("models", [{"name": "x"}], "has no 'predictions'"),
+        ("models", None, "models is None, expected a list"),
+        ("models", [3], "a model is 3, expected an object"),
+        ("models", [{"name": "x"}], "has no 'kind'"),
+        ("models", [WRITTEN | {"predictions": {}}], "predictions of a model is {}"),
+        ("models", [WRITTEN | {"predictions": [3]}], "a prediction is 3"),
+        ("models", [WRITTEN | {"failures": []}], r"failures of a model is \[\]"),
+        ("models", [WRITTEN | {"name": 3}], "a model is called 3"),
+        ("models", [WRITTEN, WRITTEN], "two models are called 'x'"),
+        (
+            "models",
+            [WRITTEN | {"predictions": [answers("event 9").to_dict()]}],
+            "x predicts 'event 9', which is no event of events.json",
+        ),
+        ("notes", "a note", "notes is 'a note', expected a list"),
+        ("settings", [], r"settings is \[\], expected an object"),
         ("settings", {"margin": 2, "against": None, "seed": 0, "resamples": 1}, "margin=2"),
         ("settings", {}, "has no 'margin'"),
     ],
@@ -348,6 +427,13 @@ def test_no_text_of_a_figure_leaves_the_page_or_covers_another(
     name: str, crowd: ppl.ModelComparison
 ) -> None:
     check_texts(COMPARED[name](ComparedResults(crowd)))
+
+
+def test_names_of_columns_take_no_more_room_than_they_need(crowd: ppl.ModelComparison) -> None:
+    one = dataclasses.replace(crowd, settings={**crowd.settings, "against": "vlm"})
+    pairs, column = (COMPARED["differences"](ComparedResults(c)) for c in (crowd, one))
+    check_texts(column)
+    assert column.get_figheight() < pairs.get_figheight() - 0.5
 
 
 def test_a_page_has_a_column_for_everybody(crowd: ppl.ModelComparison) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import phase_ppl as ppl
+from phase_ppl.cli.several import options_of
 from phase_ppl.evaluation.registry import ready
 from phase_ppl.models import priors
 from phase_ppl.simulator.joint import DynamicsNoise, JointSimulator
@@ -91,6 +92,18 @@ def test_options_of_simple_are_taken(name: str) -> None:
 def test_what_a_lesion_changes_cannot_be_given(name: str, option: str) -> None:
     with pytest.raises(InvalidSettingError, match=f"{option} is no option here"):
         ready(name, {option: None})
+
+
+def test_of_several_models_each_gets_the_options_that_it_takes() -> None:
+    names = ("simple", *LESIONS)
+    given = [("speed", 5), ("speed_noise", 0.1), ("chains", 3), ("rule", "paper")]
+    found = options_of(dict(zip(names, names, strict=True)), {"prior": "sparse_social"}, given)
+    for name, options in found.items():
+        assert options.get("prior") == (None if name == "no_social_goals" else "sparse_social")
+        assert options.get("speed") == (5 if name == "no_physics" else None)
+        assert options.get("speed_noise") == (0.1 if name == "noisy_physics" else None)
+        assert (options["chains"], options["rule"]) == (3, "paper")
+        ready(name, options)
 
 
 @pytest.mark.slow

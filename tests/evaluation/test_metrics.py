@@ -261,6 +261,17 @@ def test_p_is_small_only_where_the_difference_is_clear() -> None:
     assert unclear["p"] == pytest.approx(2 * 0.126, abs=0.06)
 
 
+@pytest.mark.parametrize(("n", "least"), [(2, 1 / 2), (3, 1 / 4), (5, 1 / 16)])
+def test_a_few_events_that_agree_are_no_more_than_their_signs(n: int, least: float) -> None:
+    events = [make_event(str(i), COLLABORATIVE) for i in range(n)]
+    right, wrong = (
+        by_id(*(answers(str(i), relation=relation) for i in range(n)))
+        for relation in ("friendly", "neutral")
+    )
+    for one, other in ((right, wrong), (wrong, right)):
+        assert paired_difference(events, one, other)["relation_accuracy"]["p"] == least
+
+
 def test_difference_is_over_what_both_answer() -> None:
     one = by_id(answers("a", BLUE_TO_RED, PINK_TO_BLUE), answers("b", BLUE_TO_RED))
     other = by_id(

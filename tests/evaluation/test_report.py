@@ -69,6 +69,14 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return ppl.report(folder)
 
 
+@pytest.fixture(scope="module")
+def comparison(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = make_folder(tmp_path_factory.mktemp("compared") / "one")
+    sources = {HOSTILE: folder.path, "<i>second</i>": folder.path}
+    found = ppl.compare_models(sources, stored="all", resamples=50)
+    return ppl.report(found.save(folder.path.parent / "both"), progress=False)
+
+
 def test_the_report_of_an_evaluation_has_all_its_parts(evaluation: Path) -> None:
     page = Page(evaluation.read_text("utf-8"))
     for words in ("Evaluation of SIMPLE", "3 of 3 events", "Summary", "Figures", "Failures",
@@ -92,7 +100,7 @@ def test_the_report_of_a_run_has_all_its_parts(run: Path) -> None:
     assert len(page.all("video")) == 1
 
 
-@pytest.mark.parametrize("which", ["evaluation", "run"])
+@pytest.mark.parametrize("which", ["evaluation", "run", "comparison"])
 def test_nothing_is_fetched_and_nothing_of_a_file_becomes_html(
     which: str, request: pytest.FixtureRequest
 ) -> None:
@@ -101,7 +109,7 @@ def test_nothing_is_fetched_and_nothing_of_a_file_becomes_html(
     assert "<script>alert" not in text
     assert HOSTILE in page.text
     assert len(page.all("script")) == 1
-    assert page.all("b") == []
+    assert page.all("b") == page.all("i") == []
     sources = [a[k] for _, a in page.elements for k in ("src", "href", "srcset") if k in a]
     assert sources
     assert all(str(source).startswith("data:") for source in sources)
@@ -111,7 +119,7 @@ def test_nothing_is_fetched_and_nothing_of_a_file_becomes_html(
     assert "unsafe-inline" not in policy.split("script-src")[1]
 
 
-@pytest.mark.parametrize("which", ["evaluation", "run"])
+@pytest.mark.parametrize("which", ["evaluation", "run", "comparison"])
 def test_pictures_and_tables_say_what_they_are(which: str, request: pytest.FixtureRequest) -> None:
     page = Page(request.getfixturevalue(which).read_text("utf-8"))
     assert page.all("html")[0]["lang"] == "en"
@@ -193,7 +201,7 @@ def opened(path: Path, folder: Path) -> tuple[str, str]:
 
 
 @needs_chromium
-@pytest.mark.parametrize("which", ["evaluation", "run"])
+@pytest.mark.parametrize("which", ["evaluation", "run", "comparison"])
 def test_a_browser_shows_the_page_without_complaint(
     which: str, request: pytest.FixtureRequest, tmp_path: Path
 ) -> None:

@@ -66,6 +66,8 @@ def test_each_model_has_a_folder_as_if_it_were_alone_and_they_are_compared(
 ) -> None:
     out = tmp_path / "out"
     both = ["--model", "right", "--model", "other=wrong", "--out", out, "--limit", 2]
+    (out / "pages").mkdir(parents=True)
+    (out / "pages" / "0007-of_an_event_no_more_compared.png").touch()
     assert evaluate(events, *both) == 0
     printed = capsys.readouterr().out
     assert "2 models on 2 events" in printed
@@ -95,6 +97,12 @@ def test_an_interrupted_evaluation_of_several_models_goes_on(
     assert not (out / "comparison.json").exists()
     error = fails(capsys, "evaluate", events, *both)
     assert f"{out / 'right'} already holds an evaluation" in error
+    # that one cannot go on is said before another is asked, which would stop
+    Path("stop").touch()
+    others = ["--model", "stops_once", "--model", "right", "--option", "right.size=2"]
+    error = fails(capsys, "evaluate", events, *others, *both[4:], "--resume")
+    assert "holds an evaluation with other settings: options.size is 2, was None" in error
+    Path("stop").unlink()
     assert evaluate(events, *both, "--resume") == 0
     assert ppl.ModelComparison.load(out).models == ["right", "stops_once"]
 
@@ -152,6 +160,7 @@ def test_labels_are_names_of_folders_and_different() -> None:
         ("--model right --model wrong --planner fast", "planner: none of the models"),
         ("--model right --model wrong --against nobody", "model to compare with 'nobody'"),
         ("--model right --model wrong --stored theirs", "stored model 'theirs'"),
+        ("--model right --model people=wrong", "called 'people', as people are"),
         ("--model right --model wrong --resume", "--resume needs --out"),
         ("--model right --stored theirs", "--stored is for several models"),
         ("--model right --model wrong --out single", "holds an evaluation of one model"),
@@ -187,6 +196,7 @@ def test_folders_are_compared_later_and_under_names(
     assert kept["settings"] == {"margin": 0.2, "against": "y", "seed": 0, "resamples": 50}
     for arguments, message in (
         ("x=right wrong", "a different name for each"),
+        ("x=right =wrong", "a different name for each"),
         ("right --margin 2", "margin=2.0"),
         ("nowhere", "nowhere: no such folder"),
         ("right --out wrong", "--out wrong holds an evaluation"),
@@ -209,4 +219,5 @@ def test_a_failing_event_is_told_by_the_exit_code(
     assert evaluate(events, *args) == 1
     written = capsys.readouterr()
     assert "fails: failed: b: ValueError: not today" in written.err
-    assert "fails predicts 2 of 3 events, 1 of them failed" in " ".join(written.out.split())
+    words = "fails predicts 2 of 3 events (1 failed); its scores are about those"
+    assert words in " ".join(written.out.split())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import pickle
+import shutil
 import sys
 from pathlib import Path
 from typing import Any
@@ -115,6 +116,7 @@ def test_options_that_cannot_be_used_are_refused(tmp_path: Path) -> None:
         ({"variant": "other"}, "variant 'other'"),
         ({"weights": tmp_path, "variant": "original"}, "either weights or variant"),
         ({"weights": tmp_path / "no.npz"}, r"no\.npz holds no weights"),
+        ({"weights": 3}, "weights=3, expected the name of a file or folder"),
     ):
         with pytest.raises(ValueError, match=message):
             socialgnn(**options)  # type: ignore[arg-type]
@@ -142,6 +144,10 @@ def test_without_torch_the_model_and_the_training_name_the_extra(
 def test_training_leaves_networks_a_report_and_its_curves(trained: Path) -> None:
     report = json.loads((trained / "extended.json").read_text())
     assert report["data"]["events"] == {"train": 5, "validation": 2, "test": 1}
+    assert report["command"] == (
+        "phase-ppl train socialgnn --data SET --variant extended --option epochs=3 "
+        "--seeds 2 --seed 0 --out DIR"
+    )
     assert [member["seed"] for member in report["members"]] == [0, 1]
     for member in report["members"]:
         assert {len(values) for values in member["curves"].values()} == {3}
@@ -214,6 +220,11 @@ def test_what_is_no_set_to_learn_from_is_refused(data: Path, tmp_path: Path) -> 
     only = make_set(tmp_path / "only", eight(), ["train"] * 8)
     with pytest.raises(InvalidEventError, match="no events in split 'validation'"):
         ppl.train_socialgnn(only, tmp_path / "out")
+    manifest = data.parent / "damaged" / "manifest.json"
+    shutil.copytree(data, manifest.parent)
+    manifest.write_text(json.dumps({**json.loads(manifest.read_text()), "plan": 3}))
+    with pytest.raises(InvalidEventError, match=r"manifest\.json: plan is 3, not an object"):
+        ppl.train_socialgnn(manifest.parent, tmp_path / "out")
 
 
 @needs_torch
@@ -221,6 +232,8 @@ def test_wrong_options_of_the_command_are_refused(
     data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     command = ["train", "socialgnn", "--data", str(data), "--out", str(tmp_path / "out")]
+    assert main([*command, "--option", "epochs=3", "--option", "epochs=4"]) == 2
+    assert "--option epochs: given twice" in capsys.readouterr().err
     for option, message in (
         ("epoch=3", "unknown option 'epoch'; did you mean 'epochs'"),
         ("dropout=2", "dropout=2, expected a number from 0 to 0.9"),

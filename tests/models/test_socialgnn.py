@@ -447,6 +447,25 @@ def test_what_is_no_file_of_arrays_is_refused(tmp_path: Path) -> None:
             store.load(tmp_path / name)
 
 
+def test_a_file_that_claims_or_unpacks_to_gigabytes_is_refused(tmp_path: Path) -> None:
+    def header(shape: str) -> bytes:
+        text = f"{{'descr': '<f2', 'fortran_order': False, 'shape': {shape}, }}".ljust(117) + "\n"
+        return b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text.encode()
+
+    contents = {
+        "claims.npz": (header("(1000000000000000,)"), "Unable to allocate"),
+        "unpacks.npz": (header("(50000000,)") + bytes(10**8), "unpacks to more than 67108864"),
+        "open.npz": (header("(" * 300), ""),
+        "deep.npz": (header("(" * 3000 + ")" * 3000), "Cannot parse header"),
+    }
+    for name, (content, message) in contents.items():
+        with zipfile.ZipFile(tmp_path / name, "w", zipfile.ZIP_DEFLATED) as packed:
+            packed.writestr("0/edge.bias.npy", content)
+        with pytest.raises(InvalidSettingError, match=f"{name} holds no .*{message}") as told:
+            store.load(tmp_path / name)
+        assert len(str(told.value)) < 300 + len(str(tmp_path))
+
+
 def test_a_folder_with_no_weights_or_with_two_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidSettingError, match=r"neither extended\.npz nor original\.npz"):
         store.load(tmp_path)

@@ -8,7 +8,7 @@ import numbers
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from phase_ppl.analysis.summary import plain
 from phase_ppl.dataset.documents import read_json
@@ -17,6 +17,7 @@ from phase_ppl.evaluation.comparison import statistics
 from phase_ppl.evaluation.comparison.contenders import (
     Contender,
     Source,
+    check_names,
     contenders,
     evaluations,
     shared_events,
@@ -48,6 +49,8 @@ SCHEMA: Final = "phase-ppl-model-comparison-1"
 MARGIN: Final = 0.1
 RESAMPLES: Final = 10_000
 """Resamples for differences: with 1000 no p is below 0.002, which many pairs make useless."""
+
+_Kind = TypeVar("_Kind")
 
 _TABLE: Final = (
     *("goal_accuracy", "goal_top3_accuracy", "relation_accuracy"),
@@ -175,14 +178,18 @@ class ModelComparison:
                 raise InvalidEventError(
                     f"its schema is {shown(record.get('schema'))}, not {SCHEMA!r}"
                 )
-            read = [_contender(one) for one in record["models"]]
+            read = [_contender(one) for one in _of_kind(list, "models", record["models"])]
             ids = {event.id for event in events}
             for one in read:
-                if not set(one.predictions) <= ids:
-                    raise InvalidEventError(f"{one.name} predicts events that are not there")
-            notes = tuple(str(note) for note in record["notes"])
-            return cls(events, read, _checked(record["settings"], read), notes)
-        except (PhasePPLError, KeyError, TypeError, AttributeError) as error:
+                unknown = [name for name in one.predictions if name not in ids]
+                if unknown:
+                    raise InvalidEventError(
+                        f"{one.name} predicts {shown(unknown[0])}, which is no event of {EVENTS}"
+                    )
+            settings = _of_kind(dict, "settings", record["settings"])
+            notes = tuple(map(str, _of_kind(list, "notes", record["notes"])))
+            return cls(events, read, _checked(settings, read), notes)
+        except (PhasePPLError, KeyError) as error:
             reason = f"it has no {error}" if isinstance(error, KeyError) else str(error)
             raise InvalidEventError(f"{path / COMPARISON}: {reason}") from None
 
@@ -227,7 +234,7 @@ def compare_models(
         InvalidEventError: a folder holds no evaluation, or a damaged one; or the evaluations
             are about different events, the message says which.
         InvalidSettingError: a source is no evaluation; there are none; two would have the same
-            name; or a number is out of range.
+            name, or one that of people; or a number is out of range.
         UnknownNameError: there is no model of that name to compare with, or stored.
     """
     found = evaluations(sources)
@@ -240,8 +247,11 @@ def compare_models(
     for one in compared:
         missing = len(events) - len(one.predictions)
         if missing:
-            why = f", {len(one.failures)} of them failed" if one.failures else ""
-            notes.append(f"{one.name} predicts {len(one.predictions)} of {len(events)} events{why}")
+            why = f" ({len(one.failures)} failed)" if one.failures else ""
+            notes.append(
+                f"{one.name} predicts {len(one.predictions)} of {len(events)} events{why}; its "
+                "scores are about those"
+            )
     return ModelComparison(events, compared, settings, tuple(notes))
 
 
@@ -251,6 +261,7 @@ def _checked(settings: Mapping[str, Any], compared: Sequence[Contender]) -> dict
     if not (number and 0 < margin < 1):
         raise InvalidSettingError(f"margin={shown(margin)}, expected a number between 0 and 1")
     names = [one.name for one in compared]
+    check_names(names)
     if against is not None and against not in names:
         raise unknown_name("model to compare with", against, names)
     return {
@@ -274,11 +285,26 @@ def _record(one: Contender) -> dict[str, Any]:
     return {**fields, "predictions": predictions}
 
 
-def _contender(record: Mapping[str, Any]) -> Contender:
-    predictions = [Prediction.from_dict(given) for given in record["predictions"]]
-    fields = {field.name: record[field.name] for field in dataclasses.fields(Contender)}
+def _contender(record: object) -> Contender:
+    given = _of_kind(dict, "a model", record)
+    fields = {field.name: given[field.name] for field in dataclasses.fields(Contender)}
     for name in ("settings", "failures"):
-        if not isinstance(fields[name], Mapping):
-            raise InvalidEventError(f"{name} of a model is {shown(fields[name])}, not an object")
+        _of_kind(dict, f"{name} of a model", fields[name])
+    predictions = [
+        Prediction.from_dict(_of_kind(dict, "a prediction", one))
+        for one in _of_kind(list, "predictions of a model", fields["predictions"])
+    ]
     by_id = {prediction.event_id: prediction for prediction in predictions}
-    return Contender(**{**fields, "name": str(fields["name"]), "predictions": by_id})
+    return Contender(**{**fields, "predictions": by_id})
+
+
+def _of_kind(kind: type[_Kind], name: str, value: object) -> _Kind:
+    """Return a value of a file, which is a list or an object.
+
+    Raises:
+        InvalidEventError: it is not.
+    """
+    if not isinstance(value, kind):
+        what = "a list" if kind is list else "an object"
+        raise InvalidEventError(f"{name} is {shown(value)}, expected {what}")
+    return value

@@ -10,6 +10,7 @@ from typing import Any, Final
 
 from phase_ppl.evaluation.evaluation import Evaluation
 from phase_ppl.evaluation.folder import SETTINGS
+from phase_ppl.evaluation.observers import PEOPLE
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.references import reference_predictions
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown, unknown_name
@@ -59,7 +60,8 @@ def evaluations(
         InvalidSettingError: a source is none; or two would have the same name.
     """
     if isinstance(sources, Mapping):
-        return {str(name): _evaluation(source) for name, source in sources.items()}
+        check_names(list(sources))
+        return {name: _evaluation(source) for name, source in sources.items()}
     if isinstance(sources, str | os.PathLike | Evaluation):
         sources = [sources]
     found: list[tuple[str | None, Evaluation]] = []
@@ -83,6 +85,18 @@ def evaluations(
             )
         named[name] = evaluation
     return named
+
+
+def check_names(names: Sequence[object]) -> None:
+    """Raise InvalidSettingError unless all are names by which models can be told apart."""
+    for place, name in enumerate(names):
+        if not (isinstance(name, str) and name.strip()):
+            raise InvalidSettingError(f"a model is called {shown(name)}, expected a name")
+        if name == PEOPLE:
+            raise InvalidSettingError(f"a model is called {name!r}, as people are: name it, as in "
+                                      "{'mine': ...} or mine=DIR")  # fmt: skip
+        if name in names[:place]:
+            raise InvalidSettingError(f"two models are called {name!r}: expected different names")
 
 
 def _inside(source: object) -> list[Path]:
@@ -175,6 +189,7 @@ def contenders(
 
     Raises:
         UnknownNameError: the events carry no answers of such a model.
+        InvalidSettingError: ``stored`` names none.
         InvalidEventError: stored answers cannot be read.
     """
     ids = [event.id for event in events]
@@ -190,10 +205,33 @@ def contenders(
         for name, one in found.items()
     ]
     references = reference_predictions(events)
-    wanted = [stored] if isinstance(stored, str) and stored != ALL else stored
-    for name in references if wanted == ALL else dict.fromkeys(wanted):
-        if name not in references:
-            raise unknown_name("stored model", name, references)
-        label = f"{name} (stored)" if name in found else name
-        made.append(Contender(label, "stored", references[name]))
+    for name in stored_names(stored, references):
+        made.append(Contender(stored_label(name, found), "stored", references[name]))
     return made
+
+
+def stored_label(name: str, models: Collection[str]) -> str:
+    """Return how a model whose answers the events carry is called beside other models."""
+    return f"{name} (stored)" if name in models or name == PEOPLE else name
+
+
+def stored_names(stored: str | Sequence[str], references: Iterable[str]) -> list[str]:
+    """Return the names of the models, whose answers the events carry, that are wanted.
+
+    Args:
+        stored: one or several; or :data:`ALL`.
+        references: those that there are.
+
+    Raises:
+        UnknownNameError: there is no such model.
+        InvalidSettingError: ``stored`` is no name, and no names.
+    """
+    known = list(references)
+    if isinstance(stored, str):
+        stored = known if stored == ALL else [stored]
+    if not isinstance(stored, Iterable):
+        raise InvalidSettingError(f"stored={shown(stored)}, expected names of models, or {ALL!r}")
+    for name in stored:
+        if name not in known:
+            raise unknown_name("stored model", name, known)
+    return list(dict.fromkeys(stored))

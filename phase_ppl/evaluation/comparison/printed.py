@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 from phase_ppl.evaluation.bootstrap import LEVEL
 from phase_ppl.evaluation.comparison.statistics import LEAST_EVENTS
 from phase_ppl.evaluation.curves import at
+from phase_ppl.evaluation.observers import PEOPLE
 from phase_ppl.world.relations import SCENARIOS
 
 if TYPE_CHECKING:
@@ -18,7 +19,6 @@ WIDTH: Final = 100
 PAIRS: Final = 15
 """Pairs of models that are printed at most; of more, those with the first model."""
 
-PEOPLE: Final = "people"
 MAJORITY: Final = "people, majority"
 
 _LABEL: Final = 24
@@ -34,7 +34,7 @@ Column = tuple[str, Callable[[Mapping[str, Any]], str]]
 def comparison_text(c: ModelComparison) -> str:
     """Return all tables of a comparison."""
     judged = c.people["n_events"]
-    head = f"{len(c.models)} models on {len(c.events)} events"
+    head = f"{_number(len(c.models), 'model')} on {_number(len(c.events), 'event')}"
     if judged:
         head += f", {judged} of them with truth and people's judgments"
     lines = _wrapped(f"{head}; intervals of {LEVEL:.0%} from resampled events")
@@ -216,7 +216,8 @@ def _equivalence(c: ModelComparison) -> list[str]:
         f"Tested is a model's being right minus the share of people who are right, event by event. "
         f"Equivalent: both one-sided tests reject a difference of {margin:g} or more (p equiv.); "
         "higher, lower: there is one (p differ). Both corrected by Holm over the models; neither "
-        f"shown: undecided. Fewer than {LEAST_EVENTS} events are not tested for equivalence."
+        f"shown: undecided. Fewer than {LEAST_EVENTS} events are not tested for equivalence. "
+        "comparison.json has differences and equivalence by scenario too."
     )
     title = f"equivalence with people, margin {margin:g}"
     return ["", title, *_aligned(table), *_wrapped(words)]
@@ -255,6 +256,10 @@ def short(name: str, most: int = _NAME) -> str:
     """Return a name; of a long one both ends, as one of them tells it from others."""
     half = (most - 3) // 2
     return name if len(name) <= most else f"{name[: most - 3 - half]}...{name[-half:]}"
+
+
+def _number(n: int, what: str) -> str:
+    return f"{n} {what}" if n == 1 else f"{n} {what}s"
 
 
 def _wrapped(text: str) -> list[str]:

@@ -38,6 +38,9 @@ LEAST_EVENTS: Final = 10
 ALPHA: Final = 1 - LEVEL
 """Corrected p up to which a difference, or an equivalence, counts as shown."""
 
+_ROUNDING: Final = 1e-12
+"""Difference of shares that is rounding: what is the margin but for it is the margin."""
+
 COSTS: Final = ("cpu_seconds", "seconds")
 
 
@@ -60,9 +63,9 @@ def differences(
     Returns:
         Rows of ``one``, ``other``, ``measure`` (place in the metrics, such as "human.js"),
         ``scenario`` (None: all), ``value`` (one minus other), ``ci_low``, ``ci_high`` (95 %),
-        ``p`` (two-sided bootstrap), ``p_holm`` and ``n_events`` (that both predict). Holm's
-        correction is over all pairs that are compared on the measure; for the scenarios over all
-        pairs and scenarios of the measure.
+        ``p`` (two-sided, :func:`~phase_ppl.evaluation.bootstrap.difference`), ``p_holm`` and
+        ``n_events`` (that both predict). Holm's correction is over all pairs that are compared on
+        the measure; for the scenarios over all pairs and scenarios of the measure.
     """
     if against is None:
         pairs = list(itertools.combinations(compared, 2))
@@ -163,7 +166,8 @@ def _tested(values: FloatArray, n: int, margin: float) -> Row | None:
     if n > 1 and drawn.size:
         low, high = interval(values, 1 - 2 * ALPHA)
     if n >= LEAST_EVENTS and drawn.size:
-        beyond = max((drawn <= -margin).sum(), (drawn >= margin).sum())
+        inside = margin - _ROUNDING
+        beyond = max((drawn <= -inside).sum(), (drawn >= inside).sum())
         p = float((beyond + 1) / (drawn.size + 1))
     return {**found, "low": low, "high": high, "p_equivalent": p, "n_events": n}
 

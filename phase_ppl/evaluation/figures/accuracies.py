@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 from phase_ppl.analysis.style import INK, NORMAL, SMALL, bare
 from phase_ppl.evaluation.figures.results import NothingToDrawError, Results
 from phase_ppl.evaluation.observers import Observer
-from phase_ppl.evaluation.sheet import GREY, Sheet, fitting, label_column, tint
+from phase_ppl.evaluation.sheet import GREY, Sheet, fitting, in_words, label_column, tint
 from phase_ppl.world.relations import SCENARIOS
 
 if TYPE_CHECKING:
@@ -87,9 +87,7 @@ def _block(
         if not counts:
             continue
         sheet.write(left, top + 0.2, scenario or "all")
-        least, most = min(counts), max(counts)
-        n = f"n = {most}" if least == most else f"n = {least} to {most}"
-        sheet.write(left, top + 0.37, n, size=SMALL, colour=GREY)
+        sheet.write(left, top + 0.37, in_words(counts), size=SMALL, colour=GREY)
         axes = sheet.axes(left, top + _HEADING, _PANEL - _NUMBER - 0.06, _ROW * len(rows))
         for row, observer in enumerate(rows):
             found = measure(observer.metrics, f"{kind}_accuracy", scenario)

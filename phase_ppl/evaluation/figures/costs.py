@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 from phase_ppl.analysis.style import INK, NORMAL, SMALL, bare
@@ -60,8 +60,13 @@ def _shown(results: Results, kind: str) -> list[Observer]:
     return [
         o
         for o in results.measured
-        if measure(o.metrics, name) and (o.metrics.get("cpu_seconds") or {}).get("value")
+        if measure(o.metrics, name) and _positive(o.metrics.get("cpu_seconds"), "value")
     ]
+
+
+def _positive(figure: Mapping[str, Any] | None, part: str) -> bool:
+    """Whether part of a figure is known and has a place on an axis without 0."""
+    return figure is not None and figure[part] is not None and figure[part] > 0
 
 
 def _points(axes: Axes, shown: Sequence[Observer], kind: str) -> None:
@@ -72,7 +77,7 @@ def _points(axes: Axes, shown: Sequence[Observer], kind: str) -> None:
         style: dict[str, Any] = {"color": observer.colour, "lw": 1.2, "zorder": 2}
         if right["ci_low"] is not None:
             axes.plot([x, x], [right["ci_low"], right["ci_high"]], **style)
-        if cost["ci_low"]:  # there is no 0 on the axis
+        if _positive(cost, "ci_low"):
             axes.plot([cost["ci_low"], cost["ci_high"]], [y, y], **style)
             ends += [cost["ci_low"], cost["ci_high"]]
         axes.plot([x], [y], "o", ms=5.5, color=observer.colour, mec="white", mew=0.8, zorder=3)

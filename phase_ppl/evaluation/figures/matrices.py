@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from phase_ppl.analysis.style import INK, NORMAL, SMALL
 from phase_ppl.evaluation.figures.results import NothingToDrawError, Results
 from phase_ppl.evaluation.observers import Observer
-from phase_ppl.evaluation.sheet import GREY, Sheet, fitting, in_lines
+from phase_ppl.evaluation.sheet import GREY, Sheet, fitting, in_lines, in_words
 from phase_ppl.world.relations import SCENARIOS
 
 if TYPE_CHECKING:
@@ -44,6 +45,7 @@ def confusion(results: Results) -> Figure:
     n_columns = min(len(shown), per_row)
     n_rows = -(-len(shown) // per_row)
     height = _HEADING + _SIDE
+    labels = _row_labels([counts for _, counts in shown])
     sheet = Sheet(_LEFT + n_columns * (_SIDE + _GAP), n_rows * height + _BELOW + 0.1)
     for place, (observer, counts) in enumerate(shown):
         row, column = divmod(place, per_row)
@@ -60,7 +62,7 @@ def confusion(results: Results) -> Figure:
         # above the last row there is a matrix to the lower left, which slanted names would reach
         style = {"rotation": 40, "ha": "right"} if row == n_rows - 1 else {"rotation": 90}
         axes.set_xticks(range(len(SCENARIOS)), SCENARIOS if lowest else [], **style)
-        axes.set_yticks(range(len(SCENARIOS)), _row_labels(counts) if column == 0 else [])
+        axes.set_yticks(range(len(SCENARIOS)), labels if column == 0 else [])
         axes.tick_params(length=0, labelsize=SMALL, pad=3, colors=INK)
     middle = (n_rows * height + _HEADING) / 2
     sheet.figure.text(
@@ -104,5 +106,7 @@ def _matrix(axes: Axes, counts: IntArray) -> None:
         spine.set_visible(False)
 
 
-def _row_labels(counts: IntArray) -> list[str]:
-    return [f"{name}\nn = {n}" for name, n in zip(SCENARIOS, counts.sum(axis=1), strict=True)]
+def _row_labels(counts: Sequence[IntArray]) -> list[str]:
+    """Return the scenarios with how many events of each everybody answered."""
+    of_rows = np.sum(counts, axis=2).T
+    return [f"{name}\n{in_words(row)}" for name, row in zip(SCENARIOS, of_rows, strict=True)]

@@ -9,7 +9,7 @@ from phase_ppl.analysis.style import INK, NORMAL, SMALL, bare
 from phase_ppl.evaluation.comparison.statistics import ALPHA
 from phase_ppl.evaluation.figures.accuracies import TITLES
 from phase_ppl.evaluation.figures.results import NothingToDrawError
-from phase_ppl.evaluation.sheet import GREY, Sheet, fitting, label_column, tint
+from phase_ppl.evaluation.sheet import GREY, Sheet, fitting, in_words, label_column, tint
 from phase_ppl.world.relations import SCENARIOS
 
 if TYPE_CHECKING:
@@ -50,7 +50,8 @@ def differences(results: ComparedResults) -> Figure:
             names if against is None else [against],
         )
     # the slanted names of the columns reach up, and beyond the last one
-    slanted = 0.7 * (left - 0.2)
+    named = {name for _, columns in grids.values() for name in columns}
+    slanted = 0.7 * (label_column(labels[name][0] for name in named) - 0.2)
     apart = max(0.15, slanted - 0.58 * _CELL)
     sheet = Sheet(
         max(sum(left + _CELL * len(columns) + apart for _, columns in grids.values()), 4.2),
@@ -160,8 +161,8 @@ def equivalence(results: ComparedResults) -> Figure:
                 for r in rows
                 if r["measure"] == f"{kind}_accuracy" and r["scenario"] == scenario
             }
-            n = max((r["n_events"] for r in found.values()), default=0)
-            sheet.write(x, top + 0.4, f"n = {n}", size=SMALL, colour=GREY)
+            n = in_words(r["n_events"] for r in found.values()) if found else "n = 0"
+            sheet.write(x, top + 0.4, n, size=SMALL, colour=GREY)
             _against_people(axes, [(found.get(m), labels[m][1]) for m in models],
                             results.comparison.settings["margin"], reach)  # fmt: skip
         top += heights[kind]

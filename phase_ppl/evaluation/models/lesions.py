@@ -7,15 +7,32 @@ what a lesion changes itself cannot be given.
 from __future__ import annotations
 
 import dataclasses
+import inspect
+from collections.abc import Mapping
 from typing import Any
 
 from phase_ppl.evaluation.answer import Predict
+from phase_ppl.evaluation.models.simple import more_options as more_of_simple
 from phase_ppl.evaluation.models.simple import simple
-from phase_ppl.evaluation.registry import register_model
+from phase_ppl.evaluation.registry import MoreOptions, register_model
 from phase_ppl.world.errors import InvalidSettingError
 
 
-@register_model("no_physics")
+def _without(changed: str) -> MoreOptions:
+    """Return what tells the options of the model ``simple``, but for what a lesion changes."""
+
+    def more_options(given: Mapping[str, Any]) -> list[str] | None:
+        others = more_of_simple(given)
+        if others is None:
+            return None
+        parameters = inspect.signature(simple).parameters.values()
+        own = [p.name for p in parameters if p.kind is p.KEYWORD_ONLY]
+        return [name for name in (*own, *others) if name != changed]
+
+    return more_options
+
+
+@register_model("no_physics", more_options=_without("simulator"))
 def no_physics(*, planner: Any = None, speed: float | None = None, **options: Any) -> Predict:
     """SIMPLE without physics: agents and items move along paths at a constant speed.
 
@@ -31,7 +48,7 @@ def no_physics(*, planner: Any = None, speed: float | None = None, **options: An
     return simple(simulator=simulator, **options)
 
 
-@register_model("noisy_physics")
+@register_model("noisy_physics", more_options=_without("simulator"))
 def noisy_physics(
     *,
     planner: Any = None,
@@ -55,25 +72,25 @@ def noisy_physics(
     return simple(simulator=JointSimulator(_planner(planner), noise=noise), **options)
 
 
-@register_model("full_observation")
+@register_model("full_observation", more_options=_without("simulator"))
 def full_observation(*, planner: Any = None, **options: Any) -> Predict:
     """SIMPLE with full observation: agents see everything at all times."""
     return simple(planner=_planner(planner, full_observation=True), **options)
 
 
-@register_model("true_state")
+@register_model("true_state", more_options=_without("simulator"))
 def true_state(*, planner: Any = None, **options: Any) -> Predict:
     """SIMPLE without belief particles: agents plan on the true state, whatever they have seen."""
     return simple(planner=_planner(planner, true_state=True), **options)
 
 
-@register_model("no_cost_weight")
+@register_model("no_cost_weight", more_options=_without("simulator"))
 def no_cost_weight(*, planner: Any = None, **options: Any) -> Predict:
     """SIMPLE with lambda = 0: subgoals are chosen by their probability, whatever they cost."""
     return simple(planner=_planner(planner, cost_weight=0.0), **options)
 
 
-@register_model("no_social_goals")
+@register_model("no_social_goals", more_options=_without("prior"))
 def no_social_goals(*, planner: Any = None, **options: Any) -> Predict:
     """SIMPLE with alpha = 0: nobody helps or hinders; goals agree or clash by chance only."""
     _refuse(options, "prior")

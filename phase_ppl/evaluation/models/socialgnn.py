@@ -71,7 +71,9 @@ def socialgnn(
     """SocialGNN: a graph neural network that says goals and relation from the motion alone.
 
     Those that come with the package were trained on events that the package generated, not on
-    PHASE; ``phase-ppl train socialgnn`` makes others.
+    PHASE: on the splits train and validation of the set that ``phase-ppl generate --planner paper
+    --seed 0`` makes, of which only the split test is new to them. ``phase-ppl train socialgnn``
+    makes others.
 
     Args:
         variant: "extended", the default, or "original", which says the relation only; not with

@@ -9,7 +9,7 @@ import phase_ppl
 from phase_ppl.evaluation.comparison.comparison import ModelComparison
 from phase_ppl.evaluation.comparison.results import ComparedResults
 from phase_ppl.evaluation.figures import COMPARED
-from phase_ppl.evaluation.observers import Observer
+from phase_ppl.evaluation.observers import Observer, label_of
 from phase_ppl.evaluation.pages import TITLES
 from phase_ppl.evaluation.report import parts
 from phase_ppl.evaluation.report.html import (
@@ -42,7 +42,9 @@ def comparison_report(comparison: ModelComparison, *, progress: bool | None = No
     """
     results = ComparedResults(comparison)
     title = "Comparison of models"
-    names = ", ".join(o.label for o in results.observers if o.kind != "people")
+    labels = {observer.name: observer.label for observer in results.observers}
+    # a model that predicts nothing observes nothing
+    names = ", ".join(labels.get(name, label_of(name)) for name in comparison.models)
     settings = [pair for one in comparison.contenders for pair in parts.flat(
         {one.name: {"folder": one.folder, **one.settings}})]  # fmt: skip
     events = counted(comparison.events, progress, "event", "showing")
@@ -144,10 +146,10 @@ def _right(event: Event, shown: Sequence[Observer]) -> str:
     """Return who is right about all that they answered."""
     if event.truth is None:
         return ""
+    given = [(o.label, o.predictions[event.id].answers) for o in shown if o.kind != "people"]
     names = [
-        o.label
-        for o in shown
-        if o.kind != "people"
-        and all(a == true_answer(event, q) for q, a in o.predictions[event.id].answers.items())
+        label
+        for label, answers in given
+        if answers and all(a == true_answer(event, q) for q, a in answers.items())
     ]
     return f" \N{MIDDLE DOT} right in all they answered: {', '.join(names) or 'nobody'}"

@@ -24,7 +24,8 @@ class TrainingSettings:
         learning_rate: of Adam at the start; halved after a third of the patience without progress.
         decay: lambda, weight of the squared norm of all weights in the loss.
         dropout: share of units left out in each step.
-        balanced: whether relations that are rare among the training events weigh more.
+        balanced: whether relations that are rare among the training events weigh more. The loss of
+            a batch is their weighted mean, so that in batches of one event this changes nothing.
         looks: whether an event is reflected and recoloured anew in each epoch.
         threads: of PyTorch; the result depends on it.
 

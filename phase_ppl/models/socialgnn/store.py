@@ -10,8 +10,8 @@ from __future__ import annotations
 import functools
 import hashlib
 import io
+import os
 import zipfile
-import zlib
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
@@ -22,20 +22,17 @@ from numpy.typing import NDArray
 
 from phase_ppl.models.socialgnn.graphs import VARIANTS, Variant
 from phase_ppl.models.socialgnn.sizes import shapes
-from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.files import atomic_output
 
 Arrays = Mapping[str, NDArray[np.float16]]
 
 _WEIGHTS: Final = resources.files("phase_ppl.models.socialgnn") / "weights"
 _LARGEST: Final = 64 * 2**20
-"""Bytes of a file above which it is not read: those of the package have under one megabyte."""
+"""Bytes, of a file or of what it unpacks to, above which it is not read: those of the package have
+under one megabyte."""
 
-_DAMAGED: Final = (
-    *(OSError, EOFError, ValueError, AttributeError, NotImplementedError),
-    *(zipfile.BadZipFile, zlib.error),
-)
-"""What NumPy raises where a file is not what it should be."""
+_LONGEST_REASON: Final = 200
 
 
 class Trained(NamedTuple):
@@ -87,13 +84,15 @@ def save(members: Sequence[Arrays], file: str | Path) -> None:
         np.savez_compressed(part, allow_pickle=False, **arrays)
 
 
-def load(path: str | Path) -> Trained:
+def load(path: str | os.PathLike[str]) -> Trained:
     """Return the networks of an npz file, or of the folder that training wrote.
 
     Raises:
         InvalidSettingError: there is no such file, several in the folder, or it is damaged; the
             message says what is wrong.
     """
+    if not isinstance(path, str | os.PathLike):
+        raise InvalidSettingError(f"weights={shown(path)}, expected the name of a file or folder")
     source = Path(path)
     if source.is_dir():
         known = [source / f"{variant}.npz" for variant in VARIANTS]
@@ -107,11 +106,17 @@ def load(path: str | Path) -> Trained:
         if source.stat().st_size > _LARGEST:
             raise ValueError(f"it has more than {_LARGEST} bytes")
         # from memory: NumPy leaves a damaged file open
-        with np.load(io.BytesIO(source.read_bytes()), allow_pickle=False) as kept:
+        content = io.BytesIO(source.read_bytes())
+        with zipfile.ZipFile(content) as packed:
+            if sum(entry.file_size for entry in packed.infolist()) > _LARGEST:
+                raise ValueError(f"it unpacks to more than {_LARGEST} bytes")
+        with np.load(content, allow_pickle=False) as kept:
             arrays = {name: kept[name] for name in kept.files}
         return _checked(arrays)
-    except _DAMAGED as error:
-        reason = getattr(error, "strerror", None) or error
+    except Exception as error:  # NumPy has a dozen kinds for what is not as it should be
+        reason = str(getattr(error, "strerror", None) or error)
+        if len(reason) > _LONGEST_REASON:  # NumPy's shows what it could not read
+            reason = f"{reason[:_LONGEST_REASON]}..."
         raise InvalidSettingError(f"{source} holds no weights of a SocialGNN: {reason}") from None
 
 
