@@ -38,7 +38,7 @@ from phase_ppl.models.socialgnn.graphs import frame_graphs
 from phase_ppl.models.socialgnn.settings import TrainingSettings
 from phase_ppl.models.socialgnn.store import Trained
 from phase_ppl.world.checks import whole_number
-from phase_ppl.world.errors import InvalidEventError, OutputError, shown
+from phase_ppl.world.errors import InvalidEventError, OutputError, PhasePPLError, shown
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import write_json
 from phase_ppl.world.identity import differences
@@ -49,6 +49,7 @@ the third, the report scores it too."""
 
 ASKED: Final = "training.json"
 MEMBERS: Final = "members"
+_RECORDED: Final = {"seed", "epochs", "best_epoch", "cpu_seconds", "curves"}
 
 Shares: TypeAlias = dict[str, NDArray[np.float64]]
 """Question -> probabilities of its answers."""
@@ -154,8 +155,14 @@ def _prepared(folder: Path, asked: dict[str, Any], resume: bool) -> Path:
 
 
 def _is_finished(folder: Path, seed: int) -> bool:
-    # the record is written last
-    return (folder / MEMBERS / f"{seed}.json").is_file()
+    record = folder / MEMBERS / f"{seed}.json"
+    if not record.is_file():  # it is written last
+        return False
+    try:
+        store.load(record.with_suffix(".npz"))
+        return _RECORDED <= read_json(record).keys()
+    except PhasePPLError:  # damaged: it is trained again
+        return False
 
 
 def _train(

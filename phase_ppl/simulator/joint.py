@@ -44,7 +44,7 @@ class DynamicsNoise:
         for name, value in dataclasses.asdict(self).items():
             known = isinstance(value, int | float) and not isinstance(value, bool)
             if not (known and 0 <= value < math.inf):
-                raise InvalidSettingError(f"{name}={value!r}, expected a number >= 0")
+                raise InvalidSettingError(f"noise of {name}: {value!r}, expected a number >= 0")
 
     def disturb(self, world: PymunkWorld, rng: np.random.Generator) -> None:
         """Change the velocities of a world's bodies."""

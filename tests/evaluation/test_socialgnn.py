@@ -172,6 +172,20 @@ def test_networks_can_be_added_and_are_those_that_come_of_one_go(
 
 
 @needs_torch
+@pytest.mark.parametrize(("name", "content"), [("0.json", '{"seed": 0}'), ("1.npz", "PK")])
+def test_a_damaged_network_is_trained_again(
+    data: Path, trained: Path, tmp_path: Path, name: str, content: str
+) -> None:
+    out = tmp_path / "out"
+    shutil.copytree(trained, out)
+    (out / "members" / name).write_text(content)
+    ppl.train_socialgnn(data, out, seeds=2, settings=QUICK, resume=True, progress=False)
+    assert load(out).digest() == load(trained).digest()
+    report, before = (json.loads((d / "extended.json").read_text()) for d in (out, trained))
+    assert report["together"] == before["together"]
+
+
+@needs_torch
 def test_interrupted_training_keeps_what_is_finished(
     data: Path, trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
