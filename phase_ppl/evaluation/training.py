@@ -160,7 +160,7 @@ def _is_finished(folder: Path, seed: int) -> bool:
         return False
     try:
         store.load(record.with_suffix(".npz"))
-        return _RECORDED <= read_json(record).keys()
+        return read_json(record).keys() >= _RECORDED
     except PhasePPLError:  # damaged: it is trained again
         return False
 
