@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Final
 
 from phase_ppl.agents.operators import Abilities, Node, Step, moves, plan
@@ -37,9 +37,29 @@ def without_physics(scene: Scene) -> Abilities:
     )
 
 
-def operators(node: Node, agent: int, abilities: Abilities) -> list[Step]:
-    """Return all that an agent can do in a state."""
-    return list(moves(node, agent, (agent,), _ALL, abilities))
+def operators(
+    node: Node, agent: int, touched: Sequence[int], abilities: Abilities
+) -> list[Step]:
+    """Return all that an agent can do in a state.
+
+    Args:
+        node: the state, in which an agent is at one entity only.
+        agent: 0 red, 1 green.
+        touched: all entities that it touches: none is touched anew, and any item among them can
+            be gripped.
+        abilities: of the bodies.
+    """
+    found = dict[Literal, Step]()
+    for near in dict.fromkeys([node.near[agent], *touched]):
+        at = tuple(near if a == agent else other for a, other in enumerate(node.near))
+        for step in moves(node._replace(near=at), agent, (agent,), _ALL, abilities):  # type: ignore[arg-type]
+            predicate, _, target, positive = step.literal
+            if predicate is Predicate.TOUCH and target in touched:
+                continue
+            if predicate is Predicate.ATTACH and positive:
+                step = step._replace(result=step.result._replace(near=node.near))
+            found.setdefault(step.literal, step)
+    return list(found.values())
 
 
 class CostToGo:

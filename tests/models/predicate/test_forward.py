@@ -95,6 +95,32 @@ def test_pure_chance_says_nothing_about_goals() -> None:
     assert posterior(likelihood, prior).joint == pytest.approx(np.exp(prior))
 
 
+@pytest.mark.parametrize("goal", ["Get red agent to blue lm", "Get blue item to red lm"])
+def test_what_is_touched_can_be_gripped_and_is_not_touched_anew(goal: str) -> None:
+    model = ForwardModel(scene(), GIVEN)
+    beside_both = state(rooms=(BLUE, BLUE, BLUE, BLUE), near=((0, 1), (0, 2)))
+    known = model.policy(beside_both, 0, goal_index(goal))
+    touching = [o.target for o in known if o.predicate is Predicate.TOUCH]
+    assert touching == [3]
+    assert [o for o in known if o.predicate is Predicate.ATTACH] == [
+        Literal(Predicate.ATTACH, 0, 2)
+    ]
+
+
+def test_to_grip_is_to_touch() -> None:
+    before = state(rooms=(BLUE, RED, BLUE, RED))
+    done = [literal for _, literal in own_changes(before, before._replace(held=(2, NOTHING)), 0)]
+    assert done == [Literal(Predicate.TOUCH, 0, 2), Literal(Predicate.ATTACH, 0, 2)]
+
+
+def test_what_is_left_behind_is_touched_no_more() -> None:
+    before = state(rooms=(BLUE, RED, GREEN, BLUE), near=((0, 3),))
+    after = state(rooms=(GREEN, RED, GREEN, BLUE), near=((0, 2),))
+    (_, going), (there, touching) = own_changes(before, after, 0)
+    assert (going, touching) == (go(0, GREEN), Literal(Predicate.TOUCH, 0, 2))
+    assert not any(there.near[0])
+
+
 def test_what_no_operator_brings_about_has_the_lapse_only() -> None:
     model = ForwardModel(scene(), GIVEN)
     jumped = state(rooms=(RED, RED, RED, RED))  # to the room diagonally opposite, at once
