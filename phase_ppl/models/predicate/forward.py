@@ -16,6 +16,8 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+import numbers
+import sys
 from collections.abc import Iterator, Sequence
 from typing import Final
 
@@ -63,8 +65,10 @@ class Rationality:
         for name in ("operator_frames", "lapse"):
             positive_number(name, getattr(self, name))
         for name in ("rationality", "wait_cost"):
-            if getattr(self, name) != 0:
-                positive_number(name, getattr(self, name))
+            value = getattr(self, name)
+            known = isinstance(value, numbers.Real) and not isinstance(value, bool)
+            if not (known and 0 <= value <= sys.float_info.max):
+                raise InvalidSettingError(f"{name}={shown(value)}, expected a number >= 0")
         if not self.operator_frames > 1:
             raise InvalidSettingError(
                 f"operator_frames={shown(self.operator_frames)}, expected a number > 1"

@@ -78,6 +78,8 @@ class CostToGo:
                            hinder anyone
     =====================  =================================================================
 
+    Farthest of the rooms in reach; none is farther than one without a way.
+
     Args:
         abilities: of the bodies, :func:`without_physics`.
         agent: who plans, 0 red or 1 green.
@@ -137,13 +139,14 @@ class CostToGo:
                 node, {subject}, lambda n: n.placed[subject] and n.rooms[subject] == target
             )
         if predicate is Predicate.ON and subject >= len(AGENTS):
-            away = self._farthest(target)
+            away = self._farthest(target, node.rooms[subject])
             return self._plan(
                 node, {subject}, lambda n: n.held[agent] == subject and n.rooms[subject] in away
             )
         if positive or subject == 1 - agent:
             return self._plan(node, {1 - agent}, lambda n: n.near[agent] == 1 - agent)
-        away = self._farthest(node.rooms[target] if predicate is Predicate.TOUCH else target)
+        fled = node.rooms[target] if predicate is Predicate.TOUCH else target
+        away = self._farthest(fled, node.rooms[agent])
         return self._plan(node, set(), lambda n: n.rooms[agent] in away)
 
     def _plan(self, node: Node, targets: set[int], is_goal: Callable[[Node], bool]) -> float:
@@ -152,11 +155,15 @@ class CostToGo:
         )
         return math.inf if steps is None else sum(step.cost for step in steps)
 
-    def _farthest(self, room: int) -> frozenset[int]:
-        """Return the rooms at the greatest distance from a room, of those with a way to it."""
-        distance = self.abilities.room_distance[room]
-        most = max(length for length in distance if math.isfinite(length))
-        return frozenset(r for r in range(N_ROOMS) if most - _TIE < distance[r] < math.inf)
+    def _farthest(self, room: int, start: int) -> frozenset[int]:
+        """Return the rooms farthest from ``room``, of those that one gets to from ``start``.
+
+        None is farther than one without a way to it.
+        """
+        distance = self.abilities.room_distance
+        there = [r for r in range(N_ROOMS) if math.isfinite(distance[start][r])]
+        most = max(distance[room][r] for r in there)
+        return frozenset(r for r in there if distance[room][r] >= most - _TIE)
 
 
 @functools.lru_cache(maxsize=1024)

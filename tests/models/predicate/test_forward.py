@@ -177,6 +177,15 @@ def test_a_room_without_a_way_is_nobodys_to_reach(rationality: float) -> None:
     assert len(set(model.policy(state(), 0, there).values())) == 1
 
 
+@pytest.mark.parametrize("goal", ["Get red agent away from red lm", "get away from green agent"])
+def test_nothing_is_farther_than_a_room_without_a_way(goal: str) -> None:
+    walls = [FULL_WALL_UP, [[16.0, 12.0], [6.0, 12.0]]]  # shuts the blue room
+    to_go = CostToGo(without_physics(scene(walls=walls)), 0, goal_literal(goal, 0))
+    assert to_go(to_go.node(state())) == 0
+    outside = state(rooms=(RED, RED, RED, RED))
+    assert 15 <= to_go(to_go.node(outside)) < 20, "one room on"
+
+
 def test_an_agent_that_carries_goes_and_arrives_with_its_item() -> None:
     before = state(rooms=(BLUE, RED, BLUE, RED), near=((0, 2),))
     gripped = before._replace(held=(2, NOTHING))
@@ -243,9 +252,12 @@ def test_an_unknown_prior_gets_close_names() -> None:
 @pytest.mark.parametrize(
     "wrong",
     [{"rationality": -1}, {"operator_frames": 1}, {"wait_cost": math.inf}, {"lapse": 1},
-     {"lapse": 0}, {"rationality": "high"}],
+     {"lapse": 0}, {"rationality": "high"}, {"rationality": False}, {"wait_cost": math.nan},
+     {"rationality": 10**400}],
 )  # fmt: skip
 def test_rationality_is_checked(wrong: dict[str, Any]) -> None:
     (name,) = wrong
-    with pytest.raises(InvalidSettingError, match=f"{name}="):
+    zero = name in ("rationality", "wait_cost")
+    expected = "number >= 0$" if zero else "number"
+    with pytest.raises(InvalidSettingError, match=f"{name}=.*, expected a.*{expected}"):
         Rationality(**wrong)
