@@ -37,9 +37,7 @@ def without_physics(scene: Scene) -> Abilities:
     )
 
 
-def operators(
-    node: Node, agent: int, touched: Sequence[int], abilities: Abilities
-) -> list[Step]:
+def operators(node: Node, agent: int, touched: Sequence[int], abilities: Abilities) -> list[Step]:
     """Return all that an agent can do in a state.
 
     Args:
