@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -62,7 +63,15 @@ class PredicateInversePlanning:
         }
 
 
-@register_model("predicate")
+def more_options(given: Mapping[str, Any]) -> list[str]:
+    """Return the options beside the prior: thresholds and rationality, whatever is given."""
+    from phase_ppl.models.predicate.forward import Rationality
+    from phase_ppl.models.predicate.symbols import Thresholds
+
+    return [field.name for kind in (Thresholds, Rationality) for field in dataclasses.fields(kind)]
+
+
+@register_model("predicate", more_options=more_options)
 def predicate(*, prior: str = "uniform", **options: Any) -> PredicateInversePlanning:
     """Predicate inverse planning: goals and relation from symbols alone, without physics.
 
@@ -79,18 +88,21 @@ def predicate(*, prior: str = "uniform", **options: Any) -> PredicateInversePlan
     from phase_ppl.models.predicate.posterior import log_prior_of_pairs
     from phase_ppl.models.predicate.symbols import Thresholds
 
-    of_thresholds, of_rationality = (
-        {field.name for field in dataclasses.fields(kind)} for kind in (Thresholds, Rationality)
-    )
+    known = more_options(options)
     for name in options:
-        if name not in of_thresholds | of_rationality:
-            known = ", ".join(sorted(of_thresholds | of_rationality))
+        if name not in known:
             raise InvalidSettingError(
-                f"{name} is no option of model 'predicate': allowed are prior, {known}"
+                f"{name} is no option of model 'predicate': allowed are "
+                f"{', '.join(['prior', *known])}"
             )
+
+    def given(kind: type) -> dict[str, Any]:
+        names = {field.name for field in dataclasses.fields(kind)}
+        return {name: value for name, value in options.items() if name in names}
+
     return PredicateInversePlanning(
         prior,
         log_prior_of_pairs(prior),
-        Thresholds(**{name: value for name, value in options.items() if name in of_thresholds}),
-        Rationality(**{name: value for name, value in options.items() if name in of_rationality}),
+        Thresholds(**given(Thresholds)),
+        Rationality(**given(Rationality)),
     )

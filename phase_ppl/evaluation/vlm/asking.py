@@ -8,7 +8,14 @@ from collections.abc import Callable, Sequence
 from typing import Final
 
 from phase_ppl.evaluation.vlm.parser import Parsed, parse
-from phase_ppl.evaluation.vlm.request import Client, NoReply, Reply, Request
+from phase_ppl.evaluation.vlm.request import (
+    Client,
+    NoReply,
+    Reply,
+    Request,
+    in_a_line,
+    writable,
+)
 from phase_ppl.evaluation.vlm.store import Attempt
 from phase_ppl.world.errors import AnswerError, shown
 
@@ -86,23 +93,24 @@ def _try(client: Client, request: Request) -> tuple[Attempt, bool, float | None]
     now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
     clock = time.perf_counter()
 
-    def attempt(reply: Reply | None, failure: str | None) -> Attempt:
-        seconds = round(time.perf_counter() - clock, 3)
-        if reply is None:
-            return Attempt(now, seconds, failure=failure)
-        # half of a surrogate pair is no text that a file could hold
-        text = reply.text.encode("utf-8", "replace").decode()
-        counts = reply.tokens_in, reply.tokens_out
-        return Attempt(now, seconds, text, None, reply.finish, reply.model, *counts)
+    def seconds() -> float:
+        return round(time.perf_counter() - clock, 3)
+
+    def failed(reason: str) -> Attempt:
+        return Attempt(now, seconds(), failure=writable(reason))
 
     try:
         given = client(request)
     except NoReply as error:
-        return attempt(None, str(error)), error.again, error.wait
+        return failed(str(error)), error.again, error.wait
     except (ConnectionError, TimeoutError) as error:
-        return attempt(None, f"{type(error).__name__}: {error}"), True, None
+        return failed(in_a_line(f"{type(error).__name__}: {error}")), True, None
     if isinstance(given, str):
         given = Reply(given)
     if not isinstance(given, Reply):
-        return attempt(None, f"the client returned {shown(given)}, expected text"), False, None
-    return attempt(given, None), True, None
+        return failed(f"the client returned {shown(given)}, expected text"), False, None
+    finish, model = (
+        None if words is None else in_a_line(words) for words in (given.finish, given.model)
+    )
+    counts = given.tokens_in, given.tokens_out
+    return Attempt(now, seconds(), writable(given.text), None, finish, model, *counts), True, None

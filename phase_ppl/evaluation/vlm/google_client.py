@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, ClassVar, Final
 
 from phase_ppl.evaluation.vlm.film import PICTURE_TYPE, VIDEO_TYPE
-from phase_ppl.evaluation.vlm.request import NoReply, Reply, Request
+from phase_ppl.evaluation.vlm.request import NoReply, Reply, Request, in_a_line
 from phase_ppl.evaluation.vlm.service import Service
 
 BASE_URL: Final = "https://generativelanguage.googleapis.com"
@@ -59,7 +59,13 @@ class GoogleClient(Service):
 
     def _error(self, error: Exception, key: str) -> Exception:
         from google.genai import errors
+        from pydantic import ValidationError
 
+        if isinstance(error, ValidationError):
+            # its own text has pieces of what was sent, which may be pieces of the key
+            wrong = error.errors(include_url=False, include_input=False, include_context=False)
+            places = (f"{'.'.join(map(str, each['loc']))}: {each['msg']}" for each in wrong)
+            return NoReply(in_a_line(f"an answer of another form: {'; '.join(places)}"), again=True)
         if not isinstance(error, errors.APIError):
             return self._broken(error, key)
         details = list(_details(error.details))
@@ -80,16 +86,15 @@ def _reply(found: Any) -> Reply:
         raise NoReply("the service sent no candidates", again=True)
     if candidate is None:
         finish = f"blocked: {_word(found.prompt_feedback.block_reason)}"
-    tokens_out = None
-    if usage and usage.candidates_token_count is not None:
-        # what it thought is paid for too
-        tokens_out = usage.candidates_token_count + (usage.thoughts_token_count or 0)
+    # what it thought is paid for too, also where it thought until the limit
+    counts = (usage.candidates_token_count, usage.thoughts_token_count) if usage else ()
+    written = [count for count in counts if count is not None]
     return Reply(
         text=found.text or "",
         finish=finish,
         model=found.model_version,
         tokens_in=usage.prompt_token_count if usage else None,
-        tokens_out=tokens_out,
+        tokens_out=sum(written) if written else None,
     )
 
 

@@ -57,14 +57,18 @@ def _reply(found: Any) -> Reply:
     """Return an answer in our terms; one without text is an empty one, with the reason."""
     # the library hands on, unchecked, whatever else a server sends
     choices = getattr(found, "choices", None)
-    if not isinstance(choices, list) or not choices:
+    choice: Any = choices[0] if isinstance(choices, list) and choices else None
+    if not hasattr(choice, "message"):
         what = "text that is no chat completion" if isinstance(found, str) else "no choices"
-        raise NoReply(f"the service sent {what}", again=True)
-    message, usage = choices[0].message, getattr(found, "usage", None)
+        error = getattr(found, "error", None)  # some servers send one with status 200
+        beside = f", but {error}" if error else ""
+        raise NoReply(f"the service sent {what}{beside}", again=True)
+    message, usage = choice.message, getattr(found, "usage", None)
     refusal = getattr(message, "refusal", None)
-    finish = getattr(choices[0], "finish_reason", None)
+    finish = getattr(choice, "finish_reason", None)
+    content = getattr(message, "content", None)
     return Reply(
-        text=(message.content or "") if message else "",
+        text="" if content is None else content,
         finish=f"refusal: {refusal}" if refusal else finish,
         model=getattr(found, "model", None),
         tokens_in=getattr(usage, "prompt_tokens", None),

@@ -25,7 +25,7 @@ does not name, or left out, those named being scaled to sum 1."""
 
 _SUM_TOLERANCE: Final = 0.05
 _SUM_EXACT: Final = 1e-6
-_FENCE: Final = re.compile(r"```[ \t]*\w*[ \t]*\n(.*?)```", re.DOTALL)
+_FENCE: Final = re.compile(r"```[ \t]*(?:\w+[ \t]*)?\r?\n(.*?)```", re.DOTALL)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

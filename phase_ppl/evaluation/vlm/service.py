@@ -18,7 +18,7 @@ import urllib.parse
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Final
 
-from phase_ppl.evaluation.vlm.request import NoReply, Reply, Request
+from phase_ppl.evaluation.vlm.request import NoReply, Reply, Request, in_a_line
 from phase_ppl.world.errors import InvalidSettingError, shown
 
 _HIDDEN: Final = "[key]"
@@ -30,7 +30,6 @@ _SECRET_LENGTH: Final = 12
 hiding it would spoil the answers."""
 
 _VARIABLE: Final = re.compile(r"[A-Z_][A-Z0-9_]*")
-_EXCERPT: Final = 200
 _PASSING: Final = (408, 409, 425, 429)
 """Failures, beside 5xx, after which the same request may succeed."""
 
@@ -96,9 +95,13 @@ class Service(abc.ABC):
         try:
             return self._ask(request, key)
         except NoReply as error:
-            return error
+            return NoReply(_excerpt(str(error), key), error.again, error.wait)
         except Exception as error:
-            return self._error(error, key)
+            # nothing may leave the thread, which would print it, and all that it holds
+            try:
+                return self._error(error, key)
+            except Exception as odd:
+                return self._broken(odd, key)
 
     def _key(self) -> str:
         for variable in self.variables:
@@ -160,7 +163,7 @@ def seconds_to_wait(headers: Mapping[str, str]) -> float | None:
         return float(given)
     try:
         moment = email.utils.parsedate_to_datetime(given)
-    except ValueError:
+    except (ValueError, OverflowError):
         return None
     if moment.tzinfo is None:
         moment = moment.replace(tzinfo=datetime.UTC)
@@ -218,5 +221,4 @@ def _excerpt(body: object, key: str) -> str:
         if isinstance(body, Mapping) and body.get(name):
             body = body[name]
     # hidden before the cut, which could leave half of it
-    words = " ".join(str(_without(key, str(body))).split()) or "without a word"
-    return words if len(words) <= _EXCERPT else words[: _EXCERPT - 3] + "..."
+    return in_a_line(_without(key, str(body))) or "without a word"

@@ -8,7 +8,7 @@ nothing happens. Which one it is is boundedly rational: with the cost to go C af
 over the n operators that the planner knows in that state, waiting among them. Waiting costs
 ``wait_cost`` as long as there is something left to do and nothing otherwise, and cannot be told
 from completing nothing. What comes true without an operator of the agent that explains it has
-only the lapse. Facts that are no agent's doing (a pushed item, an agent dragged along) are given.
+only the lapse. Facts that are no agent's doing (a pushed item, where a holder is) are given.
 """
 
 from __future__ import annotations
@@ -16,6 +16,8 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+import numbers
+import sys
 from collections.abc import Iterator, Sequence
 from typing import Final
 
@@ -63,8 +65,10 @@ class Rationality:
         for name in ("operator_frames", "lapse"):
             positive_number(name, getattr(self, name))
         for name in ("rationality", "wait_cost"):
-            if getattr(self, name) != 0:
-                positive_number(name, getattr(self, name))
+            value = getattr(self, name)
+            known = isinstance(value, numbers.Real) and not isinstance(value, bool)
+            if not (known and 0 <= value <= sys.float_info.max):
+                raise InvalidSettingError(f"{name}={shown(value)}, expected a number >= 0")
         if not self.operator_frames > 1:
             raise InvalidSettingError(
                 f"operator_frames={shown(self.operator_frames)}, expected a number > 1"
@@ -78,9 +82,9 @@ def own_changes(
 ) -> Iterator[tuple[SymbolicState, Literal]]:
     """Yield what an agent did between two frames, each with the state in which it did it.
 
-    Letting go, going to a room, touching, gripping, arriving, in this order; an agent that holds
-    an item goes and arrives with it. That a predicate ceases to hold is no doing of its own, but
-    for letting go: it comes with going on.
+    Letting go, going to a room, touching, gripping, arriving, in this order. To grip is to touch;
+    an agent that holds an item goes and arrives with it, and so do two that hold the same. That a
+    predicate ceases to hold is no doing of its own, but for letting go: it comes with going on.
     """
     had, has = before.held[agent], after.held[agent]
     state = before
@@ -91,10 +95,13 @@ def own_changes(
     if after.rooms[mover] != before.rooms[mover]:
         yield state, Literal(Predicate.CLOSE, mover, after.rooms[mover])
         state = state._replace(placed=_put(state.placed, mover, False))
+        still = [was and yes for was, yes in zip(state.near[agent], after.near[agent], strict=True)]
+        state = state._replace(near=_put(state.near, agent, tuple(still)))
     state = state._replace(rooms=after.rooms)
     if state.held[agent] == NOTHING:
         for entity in range(len(ENTITIES)):
-            if after.near[agent][entity] and not state.near[agent][entity]:
+            touches = after.near[agent][entity] or entity == has
+            if touches and not state.near[agent][entity]:
                 yield state, Literal(Predicate.TOUCH, agent, entity)
                 state = _with_near(state, agent, entity)
     if has not in (NOTHING, had):
@@ -122,7 +129,7 @@ class ForwardModel:
             for goal in range(N_GOALS)
             if not is_self_referring(goal, agent)
         }
-        self._steps: dict[tuple[Node, int], list[Step]] = {}
+        self._steps: dict[tuple[Node, int, tuple[int, ...]], list[Step]] = {}
         self._known: dict[tuple[SymbolicState, int, int], dict[Literal, float]] = {}
 
     def policy(self, state: SymbolicState, agent: int, goal: int) -> dict[Literal, float]:
@@ -146,7 +153,8 @@ class ForwardModel:
         node = left_after.node(state)
         left = left_after(node)
         costs = {STOP: left + (given.wait_cost if left > 0 else 0.0)}
-        for step in self._operators(node, agent):
+        touched = tuple(entity for entity, yes in enumerate(state.near[agent]) if yes)
+        for step in self._operators(node, agent, touched):
             costs[step.literal] = step.cost + left_after(step.result)
         # where there is no way to the goal, nothing is better than anything else
         least = min(costs.values())
@@ -159,10 +167,11 @@ class ForwardModel:
             for literal, weight in weights.items()
         }
 
-    def _operators(self, node: Node, agent: int) -> list[Step]:
-        if (node, agent) not in self._steps:
-            self._steps[node, agent] = operators(node, agent, self._abilities)
-        return self._steps[node, agent]
+    def _operators(self, node: Node, agent: int, touched: tuple[int, ...]) -> list[Step]:
+        key = node, agent, touched
+        if key not in self._steps:
+            self._steps[key] = operators(*key, self._abilities)
+        return self._steps[key]
 
     def log_likelihood(self, trajectory: Sequence[SymbolicState]) -> FloatArray:
         """Return (agent, goal) log P(trajectory | goal), 0 for goals that name their holder.

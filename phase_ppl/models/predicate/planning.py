@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Final
 
 from phase_ppl.agents.operators import Abilities, Node, Step, moves, plan
@@ -37,9 +37,27 @@ def without_physics(scene: Scene) -> Abilities:
     )
 
 
-def operators(node: Node, agent: int, abilities: Abilities) -> list[Step]:
-    """Return all that an agent can do in a state."""
-    return list(moves(node, agent, (agent,), _ALL, abilities))
+def operators(node: Node, agent: int, touched: Sequence[int], abilities: Abilities) -> list[Step]:
+    """Return all that an agent can do in a state.
+
+    Args:
+        node: the state, in which an agent is at one entity only.
+        agent: 0 red, 1 green.
+        touched: all entities that it touches: none is touched anew, and any item among them can
+            be gripped.
+        abilities: of the bodies.
+    """
+    found = dict[Literal, Step]()
+    for near in dict.fromkeys([node.near[agent], *touched]):
+        at = tuple(near if a == agent else other for a, other in enumerate(node.near))
+        for step in moves(node._replace(near=at), agent, (agent,), _ALL, abilities):  # type: ignore[arg-type]
+            predicate, _, target, positive = step.literal
+            if predicate is Predicate.TOUCH and target in touched:
+                continue
+            if predicate is Predicate.ATTACH and positive:
+                step = step._replace(result=step.result._replace(near=node.near))
+            found.setdefault(step.literal, step)
+    return list(found.values())
 
 
 class CostToGo:
@@ -57,6 +75,8 @@ class CostToGo:
     not ON(other, l)       it touches the other: without physics there is no other way to
                            hinder anyone
     =====================  =================================================================
+
+    Farthest of the rooms in reach; none is farther than one without a way.
 
     Args:
         abilities: of the bodies, :func:`without_physics`.
@@ -117,13 +137,14 @@ class CostToGo:
                 node, {subject}, lambda n: n.placed[subject] and n.rooms[subject] == target
             )
         if predicate is Predicate.ON and subject >= len(AGENTS):
-            away = self._farthest(target)
+            away = self._farthest(target, node.rooms[subject])
             return self._plan(
                 node, {subject}, lambda n: n.held[agent] == subject and n.rooms[subject] in away
             )
         if positive or subject == 1 - agent:
             return self._plan(node, {1 - agent}, lambda n: n.near[agent] == 1 - agent)
-        away = self._farthest(node.rooms[target] if predicate is Predicate.TOUCH else target)
+        fled = node.rooms[target] if predicate is Predicate.TOUCH else target
+        away = self._farthest(fled, node.rooms[agent])
         return self._plan(node, set(), lambda n: n.rooms[agent] in away)
 
     def _plan(self, node: Node, targets: set[int], is_goal: Callable[[Node], bool]) -> float:
@@ -132,11 +153,15 @@ class CostToGo:
         )
         return math.inf if steps is None else sum(step.cost for step in steps)
 
-    def _farthest(self, room: int) -> frozenset[int]:
-        """Return the rooms at the greatest distance from a room, of those with a way to it."""
-        distance = self.abilities.room_distance[room]
-        most = max(length for length in distance if math.isfinite(length))
-        return frozenset(r for r in range(N_ROOMS) if most - _TIE < distance[r] < math.inf)
+    def _farthest(self, room: int, start: int) -> frozenset[int]:
+        """Return the rooms farthest from ``room``, of those that one gets to from ``start``.
+
+        None is farther than one without a way to it.
+        """
+        distance = self.abilities.room_distance
+        there = [r for r in range(N_ROOMS) if math.isfinite(distance[start][r])]
+        most = max(distance[room][r] for r in there)
+        return frozenset(r for r in there if distance[room][r] >= most - _TIE)
 
 
 @functools.lru_cache(maxsize=1024)

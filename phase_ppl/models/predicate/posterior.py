@@ -58,7 +58,6 @@ def posterior(log_likelihood: FloatArray, log_prior: FloatArray) -> Inverse:
     return Inverse(joint, joint.sum(axis=1), joint.sum(axis=0), relation)
 
 
-@functools.cache
 def log_prior_of_pairs(name: str) -> FloatArray:
     """Return the log prior of pairs of effective goals (goal of red, goal of green), sum 1.
 
@@ -69,6 +68,16 @@ def log_prior_of_pairs(name: str) -> FloatArray:
     Raises:
         UnknownNameError: there is none of that name; the message names close matches.
     """
+    if name != INDEPENDENT:
+        from phase_ppl.models import priors
+
+        if not isinstance(name, str) or name not in priors.available():
+            raise unknown_name("prior", name, [INDEPENDENT, *priors.available()])
+    return _log_prior_of_pairs(name)
+
+
+@functools.cache
+def _log_prior_of_pairs(name: str) -> FloatArray:
     possible = [
         np.array([not is_self_referring(goal, agent) for goal in range(N_GOALS)])
         for agent in range(len(AGENTS))
@@ -89,8 +98,6 @@ def _of_simple(name: str) -> FloatArray:
     from phase_ppl.models import priors
     from phase_ppl.models.effective import log_prior_of_effective
 
-    if name not in priors.available():
-        raise unknown_name("prior", name, [INDEPENDENT, *priors.available()])
     pairs = np.argwhere(np.ones((N_GOALS, N_GOALS)))
     strengths = {
         site: np.full(len(pairs), _STRENGTH) for site in ("strength_red", "strength_green")

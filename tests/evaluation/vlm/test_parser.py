@@ -37,6 +37,7 @@ def test_whole_numbers_are_probabilities_too() -> None:
     [
         (f"```json\n{text()}\n```", "code fence removed"),
         (f"```\n{text()}```\n", "code fence removed"),
+        (f"```json\r\n{text()}\r\n```\r\n", "code fence removed"),
         (f"Here you are:\n```json\n{text()}\n```\nAny more?", "code fence and text around it"),
         (text(Goal_Red=goals(), goal_red=None), "'Goal_Red' read as 'goal_red'"),
         (
@@ -107,6 +108,9 @@ REFUSED: dict[str, tuple[str, str]] = {
     "an empty fence": ("```json\n\n```", "is empty"),
     "a refusal": ("I'm sorry, I cannot help with that.", r"not JSON.*it begins \"I'm sorry"),
     "a refusal like a pickle": ("cannot\n", "not JSON"),
+    "spaces for ever": ("```" + " " * 1_000_000 + "x", "not JSON"),  # in no time
+    "word for ever": ("```" + "j" * 1_000_000, "not JSON"),
+    "fences for ever": ("```\n" * 100_000, "50000 blocks of code"),
     "cut": (text()[:200], "not JSON: line 1"),
     "text before": (f"Here you are: {text()}", "not JSON"),
     "two fences": (f"```json\n{text()}\n```\nor\n```json\n{text()}\n```", "2 blocks of code"),

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import pytest
 
 from phase_ppl.evaluation.registry import is_installed, ready
+from phase_ppl.evaluation.vlm import service as service_module
 from phase_ppl.evaluation.vlm.film import Film, Picture
 from phase_ppl.evaluation.vlm.request import NoReply, Request
 from phase_ppl.evaluation.vlm.service import Service, seconds_to_wait
@@ -232,6 +233,54 @@ def test_what_is_no_answer_may_be_one_the_next_time(asked: Asked, behaviour: Any
     assert len(str(found)) < 300
 
 
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"choices": [None]}, "sent no choices$"),
+        ({"choices": None, "error": {"message": "busy"}}, "no choices, but .*busy"),
+        ({"choices": [{"message": {"content": [{"text": ""}]}}]}, "of type list, expected str"),
+    ],
+    ids=["null", "an error that is called a success", "parts"],
+)
+def test_what_openais_library_hands_on_unchecked_is_no_answer(
+    openai: Asked, changes: dict[str, Any], reason: str
+) -> None:
+    found = openai.failure(sends({**openai.envelope("{}"), **changes}))
+    assert found.again
+    assert re.search(reason, str(found))
+
+
+def test_what_stands_beside_an_answer_does_not_cost_it(openai: Asked) -> None:
+    odd = {"usage": {"prompt_tokens": "12", "completion_tokens": 3.0}, "model": 3}
+    openai.server.behaviours = [sends({**openai.envelope("{}"), **odd})]
+    reply = openai.service()(request())
+    assert (reply.text, reply.model, reply.tokens_in, reply.tokens_out) == ("{}", "3", None, 3)
+
+
+def test_google_counts_what_was_thought_until_the_limit(google: Asked) -> None:
+    body = google.envelope(None, finish="MAX_TOKENS")
+    del body["usageMetadata"]["candidatesTokenCount"]
+    google.server.behaviours = [sends(body)]
+    assert google.service()(request()).tokens_out == 30
+
+
+def test_an_answer_of_another_form_does_not_show_pieces_of_the_key(google: Asked) -> None:
+    text = "x" * 15 + KEY + "y" * 60  # a cut would go through the key
+    found = google.failure(sends({"candidates": [{"content": {"parts": text}}]}))
+    assert found.again
+    assert "candidates.0.content.parts" in str(found)
+    assert KEY[:6] not in str(found)
+
+
+def test_nothing_leaves_the_thread_that_asks(
+    asked: Asked, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(service_module, "seconds_to_wait", lambda headers: 1 / 0)
+    found = asked.failure(sends({"error": {"message": f"you sent {KEY}"}}, 503))
+    assert (found.again, str(found)) == (True, "ZeroDivisionError: division by zero")
+    assert capfd.readouterr().err == ""
+
+
 @pytest.mark.parametrize("behaviour", [says_nothing(1.0), drips(1.0)], ids=["silent", "dripping"])
 def test_an_answer_that_takes_too_long_is_given_up(asked: Asked, behaviour: Any) -> None:
     asked.service()  # imports the library
@@ -342,4 +391,5 @@ def test_a_date_says_when_to_come_back() -> None:
     assert 25 < found <= 30
     assert seconds_to_wait({"retry-after": "Thu, 01 Jan 1970 00:00:00 GMT"}) == 0
     assert seconds_to_wait({"retry-after": "soon"}) is None
+    assert seconds_to_wait({"retry-after": "Thu, 01 Jan 2030 00:00:00 +9999999999999"}) is None
     assert seconds_to_wait({}) is None

@@ -143,6 +143,7 @@ def test_failures_that_may_pass_are_waited_for_ever_longer(waits: list[float]) -
         (Reply("", finish="SAFETY"), 1, 2, r"the answer is empty \(ended by: SAFETY\)"),
         (Reply(text()[:99], finish="MAX_TOKENS"), 0, 1, r"not JSON.*MAX_TOKENS"),
         (b"bytes", 4, 1, "the client returned b'bytes', expected text"),
+        (Reply("", finish="refusal: " + "no " * 999), 0, 1, r"refusal: no no .*no\.\.\.\)$"),
     ],
 )
 def test_there_is_a_limit(
@@ -280,7 +281,24 @@ def test_a_damaged_store_names_the_file(
 def test_half_a_character_can_be_kept(tmp_path: Path, waits: list[float]) -> None:
     with pytest.raises(AnswerError, match="not JSON"):
         predict(Says("\ud800"), store=tmp_path, retries=0)
+    odd = Reply(text(), finish="\ud800", model="\ud800")
+    busy = NoReply("HTTP 500: \ud800", again=True)
+    predict(Says(busy, ConnectionError("\ud800"), odd), store=tmp_path)
     assert len(files(tmp_path)) == 1
+    assert predict(Says(), store=tmp_path, replay=True).cost["requests"] == 4
+
+
+def test_what_a_reply_counts_can_be_kept(tmp_path: Path) -> None:
+    reply = Reply(text(), tokens_in=np.int64(5), tokens_out="7")  # type: ignore[arg-type]
+    cost = predict(Says(reply), store=tmp_path).cost
+    assert cost["tokens_in"] == 5
+    assert "tokens_out" not in cost
+    assert predict(Says(), store=tmp_path, replay=True).cost == {**cost, "from_store": True}
+
+
+def test_a_reply_without_a_text_is_none() -> None:
+    with pytest.raises(AnswerError, match="of type NoneType, expected str"):
+        Reply(None)  # type: ignore[arg-type]
 
 
 # --- settings --------------------------------------------------------------------------------

@@ -95,6 +95,32 @@ def test_pure_chance_says_nothing_about_goals() -> None:
     assert posterior(likelihood, prior).joint == pytest.approx(np.exp(prior))
 
 
+@pytest.mark.parametrize("goal", ["Get red agent to blue lm", "Get blue item to red lm"])
+def test_what_is_touched_can_be_gripped_and_is_not_touched_anew(goal: str) -> None:
+    model = ForwardModel(scene(), GIVEN)
+    beside_both = state(rooms=(BLUE, BLUE, BLUE, BLUE), near=((0, 1), (0, 2)))
+    known = model.policy(beside_both, 0, goal_index(goal))
+    touching = [o.target for o in known if o.predicate is Predicate.TOUCH]
+    assert touching == [3]
+    assert [o for o in known if o.predicate is Predicate.ATTACH] == [
+        Literal(Predicate.ATTACH, 0, 2)
+    ]
+
+
+def test_to_grip_is_to_touch() -> None:
+    before = state(rooms=(BLUE, RED, BLUE, RED))
+    done = [literal for _, literal in own_changes(before, before._replace(held=(2, NOTHING)), 0)]
+    assert done == [Literal(Predicate.TOUCH, 0, 2), Literal(Predicate.ATTACH, 0, 2)]
+
+
+def test_what_is_left_behind_is_touched_no_more() -> None:
+    before = state(rooms=(BLUE, RED, GREEN, BLUE), near=((0, 3),))
+    after = state(rooms=(GREEN, RED, GREEN, BLUE), near=((0, 2),))
+    (_, going), (there, touching) = own_changes(before, after, 0)
+    assert (going, touching) == (go(0, GREEN), Literal(Predicate.TOUCH, 0, 2))
+    assert not any(there.near[0])
+
+
 def test_what_no_operator_brings_about_has_the_lapse_only() -> None:
     model = ForwardModel(scene(), GIVEN)
     jumped = state(rooms=(RED, RED, RED, RED))  # to the room diagonally opposite, at once
@@ -149,6 +175,15 @@ def test_a_room_without_a_way_is_nobodys_to_reach(rationality: float) -> None:
         assert sum(policy.values()) == pytest.approx(1)
         assert min(policy.values()) > 0
     assert len(set(model.policy(state(), 0, there).values())) == 1
+
+
+@pytest.mark.parametrize("goal", ["Get red agent away from red lm", "get away from green agent"])
+def test_nothing_is_farther_than_a_room_without_a_way(goal: str) -> None:
+    walls = [FULL_WALL_UP, [[16.0, 12.0], [6.0, 12.0]]]  # shuts the blue room
+    to_go = CostToGo(without_physics(scene(walls=walls)), 0, goal_literal(goal, 0))
+    assert to_go(to_go.node(state())) == 0
+    outside = state(rooms=(RED, RED, RED, RED))
+    assert 15 <= to_go(to_go.node(outside)) < 20, "one room on"
 
 
 def test_an_agent_that_carries_goes_and_arrives_with_its_item() -> None:
@@ -217,9 +252,12 @@ def test_an_unknown_prior_gets_close_names() -> None:
 @pytest.mark.parametrize(
     "wrong",
     [{"rationality": -1}, {"operator_frames": 1}, {"wait_cost": math.inf}, {"lapse": 1},
-     {"lapse": 0}, {"rationality": "high"}],
+     {"lapse": 0}, {"rationality": "high"}, {"rationality": False}, {"wait_cost": math.nan},
+     {"rationality": 10**400}],
 )  # fmt: skip
 def test_rationality_is_checked(wrong: dict[str, Any]) -> None:
     (name,) = wrong
-    with pytest.raises(InvalidSettingError, match=f"{name}="):
+    zero = name in ("rationality", "wait_cost")
+    expected = "number >= 0$" if zero else "number"
+    with pytest.raises(InvalidSettingError, match=f"{name}=.*, expected a.*{expected}"):
         Rationality(**wrong)
