@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import numbers
 
@@ -25,7 +26,10 @@ def positive_number(name: str, value: object) -> float:
     Raises:
         InvalidSettingError: it is no positive finite number; the message begins with ``name``.
     """
-    known = isinstance(value, numbers.Real) and not isinstance(value, bool)
-    if not (known and 0 < float(value) < math.inf):  # type: ignore[arg-type]
+    number = math.nan
+    if isinstance(value, numbers.Real) and not isinstance(value, bool):
+        with contextlib.suppress(OverflowError):  # of a whole number of hundreds of digits
+            number = float(value)
+    if not 0 < number < math.inf:
         raise InvalidSettingError(f"{name}={shown(value)}, expected a positive number")
-    return float(value)  # type: ignore[arg-type]
+    return number

@@ -72,7 +72,7 @@ def test_density_is_the_same_in_numpy_and_jax() -> None:
     )
 
 
-@pytest.mark.parametrize("beta", [0, -1.0, math.nan, math.inf, "0.05", True])
+@pytest.mark.parametrize("beta", [0, -1.0, math.nan, math.inf, 10**400, "0.05", True])
 def test_beta_must_be_a_positive_number(beta: Any) -> None:
     with pytest.raises(InvalidSettingError, match="beta"):
         RadialLikelihood(beta)
