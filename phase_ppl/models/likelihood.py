@@ -20,7 +20,7 @@ import numpyro.distributions as dist
 from jax import random
 from numpyro.distributions import constraints
 
-from phase_ppl.world.errors import InvalidSettingError, shown
+from phase_ppl.world.checks import positive_number
 from phase_ppl.world.names import ENTITIES
 
 DIMENSIONS: Final = 2 * len(ENTITIES)
@@ -65,9 +65,7 @@ class RadialLikelihood:
     beta: float = 0.05
 
     def __post_init__(self) -> None:
-        number = isinstance(self.beta, int | float) and not isinstance(self.beta, bool)
-        if not (number and math.isfinite(self.beta) and self.beta > 0):
-            raise InvalidSettingError(f"beta={shown(self.beta)}, expected a positive number")
+        positive_number("beta", self.beta)
 
     def log_prob(self, errors: _Array) -> _Array:
         """Return the log density of each frame from its error, units; -inf for an infinite one."""
