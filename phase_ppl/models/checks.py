@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, Final
 
 import jax
@@ -14,6 +14,7 @@ from jax import random
 from numpy.typing import NDArray
 from numpyro import handlers
 
+from phase_ppl.models.compiling import compiled_quickly
 from phase_ppl.models.density import (
     NO_DENSITY,
     Program,
@@ -185,7 +186,7 @@ def _check_draws(name: str, prior: Program, sites: Mapping[str, tuple[int, ...]]
 
     keys = random.split(random.key(1), _TRIES)
     try:
-        values, by_site = _vectorised(drawn)(keys)
+        values, by_site = compiled_quickly(jax.vmap(drawn))(keys)
     except InvalidSettingError:
         raise
     except Exception as error:
@@ -210,7 +211,7 @@ def _check_draws(name: str, prior: Program, sites: Mapping[str, tuple[int, ...]]
                 "expected a finite number"
             )
     try:
-        density = _vectorised(given)(values)
+        density = compiled_quickly(jax.vmap(given))(values)
     except Exception as error:
         raise InvalidSettingError(
             f"the density of the prior {name} cannot be evaluated at given values of its sites: "
@@ -228,13 +229,6 @@ def _log_prob(prior: str, name: str, site: Mapping[str, Any]) -> jax.Array:
             f"the prior {prior} samples {name!r}, which has no density: {_reason(error)}; expected "
             "a distribution with log_prob"
         ) from error
-
-
-def _vectorised(one: Callable[..., Any]) -> Callable[..., Any]:
-    # compiling well would take longer than running
-    options: dict[str, Any] = {"xla_backend_optimization_level": 0}
-    function: Callable[..., Any] = jax.jit(jax.vmap(one), compiler_options=options)
-    return function
 
 
 def _check_values(prior: str, columns: Mapping[str, NDArray[Any]]) -> None:

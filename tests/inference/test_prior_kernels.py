@@ -18,6 +18,7 @@ import phase_ppl as ppl
 from phase_ppl.inference.kernels.local_mh import LocalMH
 from phase_ppl.inference.proposals.guide import bottom_up_guide
 from phase_ppl.inference.proposals.tables import BottomUpTables, window_count
+from phase_ppl.models.compiling import compiled_quickly
 from phase_ppl.models.density import log_density
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.model import Model
@@ -29,7 +30,6 @@ from tests.inference.toy import (
     N_FRAMES,
     SETTINGS,
     TableRunner,
-    compiled,
     run,
     table_errors,
     table_guide,
@@ -105,7 +105,7 @@ def test_relation_first_reaches_the_enumerated_posterior() -> None:
     names = ("goal_red", "goal_green", "alpha")
     sites = {name: jnp.asarray(codes[:, i]) for i, name in enumerate(names)}
     sites |= {f"strength_{c}": jnp.full(len(codes), 300.0) for c in ("red", "green")}
-    log_prior = compiled(jax.vmap(lambda z: log_density(prior, z)))(sites)
+    log_prior = compiled_quickly(jax.vmap(lambda z: log_density(prior, z)))(sites)
     likelihood = np.exp(-RadialLikelihood().beta * ERRORS.sum(axis=-1)).mean(axis=-1)
     mass = np.exp(np.asarray(log_prior, float)) * likelihood[tuple(pairs.T)]
     relation = RELATION_TABLE[tuple(pairs.T)].astype(int)
@@ -131,7 +131,9 @@ def guide_density(prior: Any, windows: Sequence[int], strengths: Any) -> np.ndar
         return log_density(guide, z, window)
 
     of_all = jax.vmap(jax.vmap(density, (None, 0)), (0, None))
-    return np.exp(np.asarray(compiled(of_all)(jnp.array(windows), jnp.asarray(strengths)), float))
+    return np.exp(
+        np.asarray(compiled_quickly(of_all)(jnp.array(windows), jnp.asarray(strengths)), float)
+    )
 
 
 def test_guide_proposes_just_the_values_that_the_prior_allows() -> None:

@@ -24,12 +24,13 @@ from phase_ppl.inference.proposals.tables import (
     window_length,
 )
 from phase_ppl.models import priors, sites
+from phase_ppl.models.compiling import compiled_quickly
 from phase_ppl.models.density import draw, log_density
 from phase_ppl.models.model import Model
 from phase_ppl.world.goals import GOALS, goal_index
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
-from tests.inference.toy import compiled, few_goals, never_called, table_guide
+from tests.inference.toy import few_goals, never_called, table_guide
 
 START = np.array([[8, 10, 0.3], [20, 8, 1.0], [10, 16, 0], [18, 12, 0]], float)
 SCENE = Scene(START, np.array([0.8, 1.2, 1.01, 0.8]))
@@ -138,7 +139,7 @@ WINDOW = 3
 
 def drawn_from(program: Any, n: int, *args: Any) -> dict[str, np.ndarray]:
     keys = random.split(random.key(0), n)
-    drawn = compiled(jax.vmap(lambda key: draw(program, key, *args)))(keys)
+    drawn = compiled_quickly(jax.vmap(lambda key: draw(program, key, *args)))(keys)
     return {name: np.asarray(values) for name, values in drawn.items()}
 
 
@@ -149,7 +150,7 @@ def proposed(prior: Callable[[], Any], form: Form = "learned") -> dict[str, np.n
 
 
 def densities(program: Any, z: Any, *args: Any) -> np.ndarray:
-    return np.asarray(compiled(jax.vmap(lambda one: log_density(program, one, *args)))(z))
+    return np.asarray(compiled_quickly(jax.vmap(lambda one: log_density(program, one, *args)))(z))
 
 
 def helpful_moods() -> None:
@@ -193,7 +194,7 @@ def test_guides_goal_frequencies_are_those_of_its_density() -> None:
 
         return jnp.exp(jax.vmap(density)(jnp.asarray(red), jnp.asarray(green))).sum() * cell
 
-    masses = np.asarray(compiled(jax.vmap(mass))(jnp.asarray(codes)))
+    masses = np.asarray(compiled_quickly(jax.vmap(mass))(jnp.asarray(codes)))
     assert masses.sum() == pytest.approx(1, abs=0.01)
     np.testing.assert_allclose(counts, masses, atol=0.015)
 

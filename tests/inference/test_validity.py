@@ -18,6 +18,7 @@ from jax import lax, random
 from phase_ppl.inference.registry import available_kernels, kernel_info
 from phase_ppl.inference.sampling.particle import ParticleKernel
 from phase_ppl.models.bridge import SimulatorBridge
+from phase_ppl.models.compiling import compiled_quickly
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import EventProgram
 from phase_ppl.world.errors import InvalidSettingError
@@ -27,7 +28,6 @@ from tests.inference.toy import (
     SETTINGS,
     TableRunner,
     characters,
-    compiled,
     exact_characters,
     never_called,
     table_errors,
@@ -105,7 +105,7 @@ def programs(name: str) -> tuple[Any, Any]:
 
         return lax.scan(advance, state, None, length=BLOCK)
 
-    return compiled(init), compiled(block)
+    return compiled_quickly(init), compiled_quickly(block)
 
 
 @functools.cache

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import itertools
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
@@ -21,6 +20,7 @@ from phase_ppl.inference.proposals.tables import BottomUpTables, window_count
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models import sites
 from phase_ppl.models.bridge import SimulatorBridge
+from phase_ppl.models.compiling import compiled_quickly
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import EventProgram
@@ -199,10 +199,6 @@ def visited_share(z: dict[str, NDArray[Any]]) -> FloatArray:
     return share / share.sum()
 
 
-compiled = functools.partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
-"""Compilation that does not take longer than the test."""
-
-
 def run(kernel: MCMCKernel, n_steps: int, keys: jax.Array) -> Any:
     """Return the states (step, chain, ...) of all chains together; (step, ...) for a single key."""
 
@@ -213,7 +209,7 @@ def run(kernel: MCMCKernel, n_steps: int, keys: jax.Array) -> Any:
 
         return lax.scan(advance, kernel.init(keys, 0, None, (), {}), None, length=n_steps)[1]
 
-    return jax.block_until_ready(compiled(whole)(keys))
+    return jax.block_until_ready(compiled_quickly(whole)(keys))
 
 
 def total_variation(one: FloatArray, other: FloatArray) -> float:

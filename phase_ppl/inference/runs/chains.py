@@ -20,15 +20,13 @@ from phase_ppl.inference.proposals.tables import BottomUpTables
 from phase_ppl.inference.registry import KernelInfo
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.bridge import SimulatorBridge
+from phase_ppl.models.compiling import compiled_quickly
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import EventProgram
 from phase_ppl.world.errors import InvalidSettingError, SimulationError
 
 POLL_SECONDS: Final = 0.1
 """How long Ctrl-C may go unnoticed."""
-
-_COMPILER_OPTIONS: Final = {"xla_backend_optimization_level": 0}
-"""The programs run for milliseconds beside simulations of seconds; compiling well does not pay."""
 
 _KEPT_PROGRAMS: Final = 16
 
@@ -101,10 +99,7 @@ def _compiled(recipe: Recipe) -> Compiled:
             jax.eval_shape(lambda keys: kernel.init(keys, 0, None, (), {}), state.rng_key)
         return kernel.sample(state, (), {})
 
-    return Compiled(
-        jax.jit(init, compiler_options=_COMPILER_OPTIONS),
-        jax.jit(step, compiler_options=_COMPILER_OPTIONS),
-    )
+    return Compiled(compiled_quickly(init), compiled_quickly(step))
 
 
 _compiled_once = functools.lru_cache(_KEPT_PROGRAMS)(_compiled)

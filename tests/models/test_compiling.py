@@ -1,0 +1,27 @@
+"""Compilation of small programs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import jax.numpy as jnp
+import pytest
+
+from phase_ppl.models import compiling
+
+
+@pytest.fixture(autouse=True)
+def _asked_anew() -> Iterator[None]:
+    compiling._known_options.cache_clear()
+    yield
+    compiling._known_options.cache_clear()
+
+
+def test_options_that_this_version_does_not_know_are_left_out(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    known = dict(compiling._WANTED)
+    monkeypatch.setattr(compiling, "_WANTED", {"xla_no_such_option": True, **known})
+    assert compiling.compiled_quickly(lambda x: 2 * x)(jnp.float32(3.0)) == 6.0
+    assert "xla_no_such_option" not in compiling._known_options()
+    assert compiling._known_options()["xla_backend_optimization_level"] == 0
