@@ -13,6 +13,7 @@ import pytest
 from jax import random
 
 from phase_ppl.models import priors, sites
+from phase_ppl.models.compiling import compiled_quickly
 from phase_ppl.models.density import draw, log_density
 from phase_ppl.models.effective import log_prior_of_effective
 from phase_ppl.models.model import Model
@@ -20,7 +21,6 @@ from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from phase_ppl.world.goals import N_GOALS, effective_goals
 from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_LEVELS, STRENGTH_RANGE
 from phase_ppl.world.relations import RELATION_TABLE, RELATIONS
-from tests.inference.toy import compiled
 
 CODES = np.array(list(itertools.product(range(N_GOALS), range(N_GOALS), range(len(ALPHAS)))))
 EFFECTIVE = np.array([effective_goals(r, g, ALPHAS[a]) for r, g, a in CODES])
@@ -31,7 +31,7 @@ ALL = pytest.mark.parametrize("name", priors.available())
 
 @functools.cache
 def compiled_density(name: str) -> Any:
-    return compiled(jax.vmap(lambda z: log_density(priors.named(name), z)))
+    return compiled_quickly(jax.vmap(lambda z: log_density(priors.named(name), z)))
 
 
 def density(name: str, codes: Any, strengths: Any) -> np.ndarray:
@@ -47,7 +47,7 @@ def density(name: str, codes: Any, strengths: Any) -> np.ndarray:
 
 @functools.cache
 def draws(name: str, n: int = 20_000) -> dict[str, np.ndarray]:
-    many = compiled(jax.vmap(lambda key: draw(priors.named(name), key)))
+    many = compiled_quickly(jax.vmap(lambda key: draw(priors.named(name), key)))
     return {site: np.asarray(v) for site, v in many(random.split(random.key(0), n)).items()}
 
 
@@ -139,7 +139,7 @@ def test_relations_can_have_other_probabilities() -> None:
     def mostly_friends() -> None:
         priors.relation_first(friendly=0.7, neutral=0.1, adversarial=0.2)
 
-    many = compiled(jax.vmap(lambda key: draw(mostly_friends, key)))
+    many = compiled_quickly(jax.vmap(lambda key: draw(mostly_friends, key)))
     z = {site: np.asarray(v) for site, v in many(random.split(random.key(0), 4000)).items()}
     stated = zip(z["goal_red"], z["goal_green"], z["alpha"], strict=True)
     pairs = [effective_goals(int(r), int(g), ALPHAS[a]) for r, g, a in stated]
