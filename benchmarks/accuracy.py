@@ -16,13 +16,13 @@ Weightings other than "count" use rejected proposals too.
 from __future__ import annotations
 
 import argparse
-import json
+import sys
 from pathlib import Path
 from typing import Any
 
 import common
 import numpy as np
-from videos.judging import Pair, Task, judge, of_simulator, true_pair
+from videos.judging import Pair, Task, judge, model_of, true_pair
 
 import phase_ppl as ppl
 from phase_ppl.analysis.tree import array
@@ -37,22 +37,26 @@ FLOOR = 1e-3
 """The least probability in a log score: draws leave zeros."""
 
 
-def read(folder: Path, event: Event) -> dict[str, Any]:
-    """Return what the posterior of an event says under every weighting, and what was tried."""
-    kept = ResultsFolder.open(folder).folder_of(event.id)
-    tree = ppl.Posterior.load(kept / POSTERIOR).tree
+def read(results: ResultsFolder, event: Event) -> dict[str, Any] | None:
+    """Return what the posterior of an event says under every weighting, and what was tried.
+
+    None where the event is not finished.
+    """
+    prediction = results.prediction(event.id)
+    if prediction is None:
+        return None
+    tree = ppl.Posterior.load(results.folder_of(event.id) / POSTERIOR).tree
     columns = [array(tree, "simulations", f"goal_{name}").tolist() for name in ("red", "green")]
     pairs = list(zip(*columns, strict=True))
     first = array(tree, "simulations", "iteration") == 0
     truth = true_pair(event)
-    cost = json.loads((kept / "prediction.json").read_text())["cost"]
     return {
         "answers": {weights: answer(ppl.Posterior(tree, weights), truth) for weights in WEIGHTINGS},
         "tried": truth in pairs,
         "tried_at_first": any(
             pair == truth and early for pair, early in zip(pairs, first, strict=True)
         ),
-        "cost": cost,
+        "cost": prediction.cost,
     }
 
 
@@ -135,22 +139,29 @@ def main() -> None:
     tasks: dict[str, Task] = {}
     for folder in options.folders:
         results = ResultsFolder.open(folder)
-        model = results.settings["model"], json.dumps(results.settings["options"])
+        model = model_of(results.settings)
+        if model is None:
+            sys.exit(
+                f"{folder} is of the model {results.settings['model']}, not SIMPLE or a lesion"
+            )
         found[folder] = []
         for event in results.events:
-            if event.id not in asked or not results.is_finished(event.id):
+            answers = read(results, event) if event.id in asked else None
+            if answers is None:
                 continue
             assert event.truth is not None
             truth = true_pair(event)
             row: dict[str, Any] = {"id": event.id, "scenario": event.truth.scenario, "truth": truth}
-            row.update(read(folder, event))
+            row |= answers
             wrong = {a["pair"] for a in row["answers"].values()} - {truth}
             row["judged"] = {}
             for pair in {truth, *wrong} if wrong else ():
-                task = Task(event, pair, *of_simulator(*model), options.judging_seeds)
+                task = Task(event, pair, *model, options.judging_seeds)
                 row["judged"][pair] = task.name
                 tasks[task.name] = task
             found[folder].append(row)
+        if not found[folder]:
+            sys.exit(f"{folder} has answers for none of the real videos of this half")
     judged = common.resumed(
         judge,
         list(tasks.values()),

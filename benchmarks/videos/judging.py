@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import functools
+import hashlib
 import json
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,17 +27,39 @@ Pair = tuple[int, int]
 
 
 class Task(NamedTuple):
-    """A pair of goals to be judged on an event, under a model's own simulator and prior."""
+    """A pair of goals to be judged on an event, under a model's own prior and simulator.
+
+    Attributes:
+        event: with its true strengths.
+        pair: goals of red and green.
+        model: name by which ``evaluate`` knows it; options: its options, as JSON.
+        identity: stands for all that bears on the joint, so not for the kernel: what was judged
+            for one kernel holds for others.
+        seeds: simulations.
+    """
 
     event: Event
     pair: Pair
     model: str
     options: str
+    identity: str
     seeds: int
 
     @property
     def name(self) -> str:
-        return f"{self.event.id} {self.pair} {self.model} {self.options}"
+        return f"{self.event.id} {self.pair} {self.identity}"
+
+
+def model_of(settings: Mapping[str, Any]) -> tuple[str, str, str] | None:
+    """Return model, options and identity of a task from an evaluation's settings.
+
+    None where it is of a model that is not SIMPLE.
+    """
+    program = settings["model_settings"].get("model")
+    if program is None:
+        return None
+    identity = hashlib.sha256(json.dumps(program, sort_keys=True).encode()).hexdigest()[:16]
+    return settings["model"], json.dumps(settings["options"]), identity
 
 
 def true_pair(event: Event) -> Pair:
@@ -70,13 +94,3 @@ def judge(task: Task) -> dict[str, Any]:
     }
     log_prior = log_prior_of_effective(model.prior, np.array([task.pair]), given)[0]
     return {"log_joint": float(log_mean_exp(errors) + log_prior)}
-
-
-def of_simulator(model: str, options: str) -> tuple[str, str]:
-    """Return name and options, less those that do not bear on the joint of a hypothesis.
-
-    So what was judged for one kernel holds for others.
-    """
-    bearing = {"prior", "planner", "simulator", "noise", "speed", "speed_noise", "direction_noise"}
-    given = {name: value for name, value in json.loads(options).items() if name in bearing}
-    return model, json.dumps(given, sort_keys=True)
