@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any
 
+from phase_ppl.world.checks import nonnegative_number, positive_number
 from phase_ppl.world.errors import InvalidSettingError, unknown_name
 
 
@@ -56,10 +57,8 @@ class PlannerConfig:
         if not 0 < self.discount <= 1:
             raise InvalidSettingError(f"discount={self.discount!r}, expected a number in (0, 1]")
         for name in ("cost_weight", "c_init"):
-            if not getattr(self, name) >= 0:
-                raise InvalidSettingError(f"{name}={getattr(self, name)!r}, expected >= 0")
-        if not self.c_base > 0:
-            raise InvalidSettingError(f"c_base={self.c_base!r}, expected > 0")
+            nonnegative_number(name, getattr(self, name))
+        positive_number("c_base", self.c_base)
 
     @classmethod
     def fast(cls) -> PlannerConfig:

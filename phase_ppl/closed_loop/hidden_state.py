@@ -18,6 +18,7 @@ from phase_ppl.closed_loop.noise import NoiseEstimate, filter_gains
 from phase_ppl.physics import compiled, inverse
 from phase_ppl.physics.actions import N_ACTIONS, Action, executed
 from phase_ppl.physics.constants import WORLD_INNER_STEPS
+from phase_ppl.world.checks import nonnegative_number, positive_number
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS, STRENGTH_RANGE
 from phase_ppl.world.names import AGENTS, ENTITIES
@@ -79,10 +80,9 @@ class Tracking:
         if isinstance(self.states, bool) or not isinstance(self.states, int) or self.states < 1:
             raise InvalidSettingError(f"states={self.states!r}, expected a whole number >= 1")
         for name in ("scale", "angle_scale", "tail"):
-            if not 0 < getattr(self, name) < np.inf:
-                raise InvalidSettingError(f"{name}={getattr(self, name)!r}, expected > 0")
-        if self.noise is not None and not 0 <= self.noise < np.inf:
-            raise InvalidSettingError(f"noise={self.noise!r}, expected >= 0, or None")
+            positive_number(name, getattr(self, name))
+        if self.noise is not None:
+            nonnegative_number("noise", self.noise)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -15,6 +15,7 @@ from phase_ppl.inference.proposals.tables import (
     Sign,
     bottom_up_tables,
 )
+from phase_ppl.world.checks import nonnegative_number
 from phase_ppl.world.checks import whole_number as whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.observation import Observation
@@ -54,9 +55,7 @@ class SimpleSettings:
 
     def __post_init__(self) -> None:
         for name in ("eta", "gamma"):
-            value = getattr(self, name)
-            if not (_is_number(value) and value >= 0):
-                raise InvalidSettingError(f"{name}={shown(value)}, expected a number >= 0")
+            nonnegative_number(name, getattr(self, name))
         if not (_is_number(self.prior_share) and 0 < self.prior_share < 1):
             raise InvalidSettingError(
                 f"prior_share={shown(self.prior_share)}, expected a number in (0, 1)"
@@ -88,17 +87,6 @@ class SimpleSettings:
 
 def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-
-
-def positive_number(name: str, value: object) -> float:
-    """Return ``value`` if it is a finite number above 0.
-
-    Raises:
-        InvalidSettingError: it is not.
-    """
-    if not (_is_number(value) and value > 0):  # type: ignore[operator]
-        raise InvalidSettingError(f"{name}={shown(value)}, expected a positive number")
-    return float(value)  # type: ignore[arg-type]
 
 
 def probability(name: str, value: object) -> float:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.closed_loop.hidden_state import Tracking
+from phase_ppl.world.checks import nonnegative_number, positive_number
 from phase_ppl.world.errors import InvalidSettingError, shown
 
 _Array = TypeVar("_Array")
@@ -47,17 +48,13 @@ class StepwiseLikelihood:
     tracking: Tracking = dataclasses.field(default_factory=Tracking)
 
     def __post_init__(self) -> None:
-        for name in ("sharpness", "lapse", "weight"):
-            value = getattr(self, name)
-            number = isinstance(value, int | float) and not isinstance(value, bool)
-            if not (number and 0 <= value < np.inf):
-                raise InvalidSettingError(f"{name}={shown(value)}, expected a number >= 0")
+        for name in ("sharpness", "lapse"):
+            nonnegative_number(name, getattr(self, name))
+        positive_number("weight", self.weight)
         if not 0 < self.lapse <= 1:
             raise InvalidSettingError(
                 f"lapse={self.lapse!r}, expected a number in (0, 1], or frames could be impossible"
             )
-        if not self.weight > 0:
-            raise InvalidSettingError(f"weight={self.weight!r}, expected a number > 0")
         if not isinstance(self.tracking, Tracking):
             raise InvalidSettingError(f"tracking={shown(self.tracking)}, expected a Tracking")
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -17,7 +16,7 @@ from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import executed
 from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.simulator.contract import Simulator
-from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.checks import nonnegative_number
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.names import AGENTS, ENTITIES
 from phase_ppl.world.scene import Scene
@@ -42,9 +41,7 @@ class DynamicsNoise:
 
     def __post_init__(self) -> None:
         for name, value in dataclasses.asdict(self).items():
-            known = isinstance(value, int | float) and not isinstance(value, bool)
-            if not (known and 0 <= value < math.inf):
-                raise InvalidSettingError(f"noise of {name}: {value!r}, expected a number >= 0")
+            nonnegative_number(f"noise of {name}", value)
 
     def disturb(self, world: PymunkWorld, rng: np.random.Generator) -> None:
         """Change the velocities of a world's bodies."""

@@ -26,10 +26,27 @@ def positive_number(name: str, value: object) -> float:
     Raises:
         InvalidSettingError: it is no positive finite number; the message begins with ``name``.
     """
-    number = math.nan
-    if isinstance(value, numbers.Real) and not isinstance(value, bool):
-        with contextlib.suppress(OverflowError):  # of a whole number of hundreds of digits
-            number = float(value)
+    number = _number(value)
     if not 0 < number < math.inf:
         raise InvalidSettingError(f"{name}={shown(value)}, expected a positive number")
     return number
+
+
+def nonnegative_number(name: str, value: object) -> float:
+    """Return ``value`` as a float.
+
+    Raises:
+        InvalidSettingError: it is no finite number from 0; the message begins with ``name``.
+    """
+    number = _number(value)
+    if not 0 <= number < math.inf:
+        raise InvalidSettingError(f"{name}={shown(value)}, expected a number >= 0")
+    return number
+
+
+def _number(value: object) -> float:
+    """Return ``value`` as a float; NaN for what is no number, or too large for one."""
+    if isinstance(value, numbers.Real) and not isinstance(value, bool):
+        with contextlib.suppress(OverflowError):  # of a whole number of hundreds of digits
+            return float(value)
+    return math.nan

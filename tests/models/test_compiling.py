@@ -24,4 +24,5 @@ def test_options_that_this_version_does_not_know_are_left_out(
     monkeypatch.setattr(compiling, "_WANTED", {"xla_no_such_option": True, **known})
     assert compiling.compiled_quickly(lambda x: 2 * x)(jnp.float32(3.0)) == 6.0
     assert "xla_no_such_option" not in compiling._known_options()
-    assert compiling._known_options()["xla_backend_optimization_level"] == 0
+    assert compiling._known_options()
+    assert compiling._known_options().items() <= known.items()

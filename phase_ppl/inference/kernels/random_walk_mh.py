@@ -16,9 +16,9 @@ from phase_ppl.inference.proposals.guide import NEVER
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.inference.sampling.metropolis import MHState, ProposalKernel
 from phase_ppl.inference.sampling.site_moves import SiteMove, moved_site
-from phase_ppl.inference.settings import positive_number
 from phase_ppl.models.program import EventProgram
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, SELF_REFERRING, STRENGTH_SITES
+from phase_ppl.world.checks import positive_number
 from phase_ppl.world.goals import N_GOALS, neighbouring_goals
 from phase_ppl.world.hypothesis import ALPHAS
 

@@ -16,8 +16,6 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-import numbers
-import sys
 from collections.abc import Iterator, Sequence
 from typing import Final
 
@@ -27,7 +25,7 @@ from numpy.typing import NDArray
 from phase_ppl.agents.operators import TOUCH_COST, Node, Step
 from phase_ppl.models.predicate.planning import cost_to_go, operators, without_physics
 from phase_ppl.models.predicate.symbols import SymbolicState
-from phase_ppl.world.checks import positive_number
+from phase_ppl.world.checks import nonnegative_number, positive_number
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.goals import N_GOALS, goal_literal, is_self_referring
 from phase_ppl.world.literals import STOP, Literal, Predicate
@@ -65,10 +63,7 @@ class Rationality:
         for name in ("operator_frames", "lapse"):
             positive_number(name, getattr(self, name))
         for name in ("rationality", "wait_cost"):
-            value = getattr(self, name)
-            known = isinstance(value, numbers.Real) and not isinstance(value, bool)
-            if not (known and 0 <= value <= sys.float_info.max):
-                raise InvalidSettingError(f"{name}={shown(value)}, expected a number >= 0")
+            nonnegative_number(name, getattr(self, name))
         if not self.operator_frames > 1:
             raise InvalidSettingError(
                 f"operator_frames={shown(self.operator_frames)}, expected a number > 1"
