@@ -67,7 +67,11 @@ class WeightedRows:
         return result
 
     def why_impossible(self, given: Mapping[str, Any]) -> str:
-        """Return why nothing can be conditioned on ``given``, and what could be instead."""
+        """Return why nothing can be conditioned on ``given``, and what could be instead.
+
+        Args:
+            given: quantity -> value, together of probability 0.
+        """
         why = "it has probability 0 in this posterior"
         for name, wanted in given.items():
             quantity, values = self._quantity(name), self._rows.values[name]
@@ -79,8 +83,8 @@ class WeightedRows:
             mass = np.bincount(values, self._rows.weights, len(quantity.labels))
             likely = np.argsort(-mass, kind="stable")[: np.count_nonzero(mass)]
             listed = ", ".join(repr(quantity.labels[code]) for code in likely[:_LISTED])
-            others = len(likely) - _LISTED
-            return f"{why}, where {name} is {listed}" + (f" or {others} others" * (others > 0))
+            more = len(likely) - _LISTED
+            return f"{why}, where {name} is {listed}" + (f" and {more} more" if more > 0 else "")
         return f"{why}, though each of these alone has more"
 
     def _jackknife(self, share: float) -> Jackknife | None:

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 PAGES: Final = "pages"
 """The folder of the pages, one per event, in that of a comparison."""
 
-
 _PAGE: Final = "[0-9][0-9][0-9][0-9]-*.png"
+"""What pages are called (``entry_name``)."""
 
 
 def add_to(commands: Any) -> None:

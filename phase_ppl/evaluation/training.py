@@ -50,6 +50,7 @@ the third, the report scores it too."""
 ASKED: Final = "training.json"
 MEMBERS: Final = "members"
 _RECORDED: Final = {"seed", "epochs", "best_epoch", "cpu_seconds", "curves"}
+"""What the record of a network has."""
 
 Shares: TypeAlias = dict[str, NDArray[np.float64]]
 """Question -> probabilities of its answers."""
