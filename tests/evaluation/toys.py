@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+import phase_ppl as ppl
 from phase_ppl.world.event import Event, Truth
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
@@ -75,3 +76,16 @@ class FailsAt:
         if observation.n_frames == self.n_frames:
             return self.does()
         return right(scene, observation, seed)
+
+
+EVENTS = several(4)
+
+
+def evaluate(events: Any = EVENTS, model: Any = right, **more: Any) -> ppl.Evaluation:
+    """Evaluate quietly in one process."""
+    return ppl.evaluate(events, model, **{"workers": 1, "progress": False, **more})
+
+
+def raises() -> Any:
+    """Fail, with a message of two lines."""
+    raise ValueError("not\ntoday")
