@@ -1,7 +1,8 @@
 """Belief particles: possible world states consistent with what an agent has observed.
 
 Source: paper, Appendix "Belief Representation and Update": K particles; each step predict with
-the physics, overwrite what is observed, and resample what contradicts the observation.
+the physics, overwrite what is observed, and resample what contradicts the observation. Ours is
+that a hand which closed on nothing counts as an observation: no item was in reach.
 """
 
 from __future__ import annotations
@@ -14,9 +15,9 @@ from numpy.typing import NDArray
 
 from phase_ppl.agents.ground import Ground
 from phase_ppl.agents.rng import below
-from phase_ppl.agents.shapes import MAX_OUTLINE_CELLS, OUTSIDE, outline_cells, shapes_meet
+from phase_ppl.agents.shapes import MAX_OUTLINE_CELLS, OUTSIDE, can_grab, outline_cells, shapes_meet
 from phase_ppl.physics import compiled
-from phase_ppl.physics.actions import NO_ACTION
+from phase_ppl.physics.actions import NO_ACTION, Action
 from phase_ppl.physics.compiled import Params, Scratch
 from phase_ppl.physics.jit import bare_kernel
 from phase_ppl.world.names import AGENTS, ENTITIES, NOTHING
@@ -37,6 +38,8 @@ START_INSET: Final = 2.0
 N_HEADINGS: Final = 8
 DRAWS_WITHOUT_OVERLAP: Final = 10
 DRAWS_IN_ALL: Final = 20
+
+_ATTACH = int(Action.ATTACH)
 
 
 class Beliefs(NamedTuple):
@@ -96,11 +99,18 @@ def _consistent(
     bodies: FloatArray,
     entity: int,
     truth: FloatArray,
+    missed_by: int,
     beliefs: Beliefs,
     params: Params,
     ground: Ground,
 ) -> bool:
-    """Whether a particle's unobserved entity agrees with what is seen."""
+    """Whether a particle's unobserved entity agrees with what is seen and felt.
+
+    Args:
+        missed_by: the agent, if it has just tried to grab and holds nothing; else NOTHING.
+    """
+    if entity >= 2 and missed_by >= 0 and can_grab(bodies, missed_by, entity, params):
+        return False
     n = outline_cells(bodies, entity, params, ground, beliefs.cells)
     off = (
         abs(bodies[entity, 0] - truth[entity, 0]) > POSITION_TOLERANCE
@@ -134,6 +144,7 @@ def _resample(
     settled: int,
     n_open: int,
     truth: FloatArray,
+    missed_by: int,
     beliefs: Beliefs,
     params: Params,
     ground: Ground,
@@ -155,7 +166,7 @@ def _resample(
             cog = params.cog[entity]
             bodies[entity, 0] = ground.origin[0] + cell % ground.size - math.sin(angle) * cog
             bodies[entity, 1] = ground.origin[1] - cell // ground.size + math.cos(angle) * cog
-            if _consistent(bodies, entity, truth, beliefs, params, ground) and (
+            if _consistent(bodies, entity, truth, missed_by, beliefs, params, ground) and (
                 draw >= DRAWS_WITHOUT_OVERLAP or not _overlaps(bodies, entity, settled, params)
             ):
                 return
@@ -214,6 +225,8 @@ def update(
     n_open = _list_open_cells(beliefs)
     red_action = own_action if agent == 0 else NO_ACTION
     green_action = own_action if agent == 1 else NO_ACTION
+    grabbed_nothing = predict and own_action == _ATTACH and truth_held[agent] < 0
+    missed_by = agent if grabbed_nothing else NOTHING
     all_observed = True
     for entity in range(4):
         all_observed = all_observed and beliefs.observed[entity]
@@ -239,7 +252,7 @@ def update(
         for entity in range(4):
             if beliefs.observed[entity]:
                 continue
-            if _consistent(bodies, entity, truth, beliefs, params, ground):
+            if _consistent(bodies, entity, truth, missed_by, beliefs, params, ground):
                 settled |= 1 << entity
             else:
                 moved |= 1 << entity
@@ -247,5 +260,7 @@ def update(
             held[other] = NOTHING
         for entity in range(4):
             if (moved >> entity) & 1:
-                _resample(bodies, entity, settled, n_open, truth, beliefs, params, ground, rng)
+                _resample(
+                    bodies, entity, settled, n_open, truth, missed_by, beliefs, params, ground, rng
+                )
                 settled |= 1 << entity

@@ -5,16 +5,15 @@ Source: paper, Appendix "Predicates, Symbolic States, Goals, and Subgoals".
 
 from __future__ import annotations
 
-import math
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.agents.ground import DISTANCE_UNIT, Ground, body_origin, path_distance, room_of
+from phase_ppl.agents.shapes import can_grab
 from phase_ppl.physics.compiled import Params
 from phase_ppl.physics.jit import bare_kernel
-from phase_ppl.world.geometry import GRAB_REACH
 from phase_ppl.world.literals import Predicate
 
 FloatArray = NDArray[np.float64]
@@ -66,22 +65,6 @@ def unpack(facts: NDArray[np.int8]) -> SymbolicState:
         other_done=bool(f[11]),
         door_filled_by=(f[12], f[13]),
     )
-
-
-@bare_kernel
-def _in_reach(bodies: FloatArray, agent: int, item: int, params: Params) -> bool:
-    x, y = body_origin(bodies, agent, params.cog)
-    radius = params.radius[agent]
-    c, s = math.cos(bodies[agent, 2]), math.sin(bodies[agent, 2])
-    reach = params.radius[item] + GRAB_REACH
-    for side in range(4):
-        lx = radius * (1 if side == 2 else -1) if side >= 2 else 0.0
-        ly = radius * (1 if side == 0 else -1) if side < 2 else 0.0
-        dx = x + lx * c - ly * s - bodies[item, 0]
-        dy = y + lx * s + ly * c - bodies[item, 1]
-        if dx * dx + dy * dy < reach * reach:
-            return True
-    return False
 
 
 @bare_kernel
@@ -146,7 +129,7 @@ def describe(
         for a in range(2):
             facts[k, 4 + a] = held[k, a]
             for i in range(2):
-                facts[k, 6 + 2 * a + i] = _in_reach(particle, a, 2 + i, params)
+                facts[k, 6 + 2 * a + i] = can_grab(particle, a, 2 + i, params)
         facts[k, 10] = _done(particle, own_goal, params, ground)
         facts[k, 11] = _done(particle, other_goal, params, ground)
         for i in range(2):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -10,8 +11,12 @@ import pytest
 from phase_ppl.agents.agent import Agent
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.mind import Mind
+from phase_ppl.agents.shapes import can_grab
 from phase_ppl.physics import compiled
+from phase_ppl.physics.actions import Action
+from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.goals import goal_index
+from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.scene import Scene
 from phase_ppl.world.state import State
 from tests.agents.scenes import FULL_WALL_UP, NARROW_WALL_DOWN, scene
@@ -121,3 +126,38 @@ def test_another_seed_gives_other_particles_and_the_same_seed_the_same() -> None
         perceive(agent, HIDDEN)
     np.testing.assert_array_equal(first.beliefs.bodies, again.beliefs.bodies)
     assert not np.array_equal(first.beliefs.bodies, other.beliefs.bodies)
+
+
+def test_a_hand_that_closed_on_nothing_refutes_what_was_believed_in_its_reach() -> None:
+    agent = agent_in(HIDDEN)
+    perceive(agent, HIDDEN)
+    agent.beliefs.ever_seen[:] = False  # so that places behind the agent's back stay possible
+    red, blue = 0, 2
+    behind = agent.beliefs.bodies[0, red, :2] - 1.75 * np.array([-math.sin(0.6), math.cos(0.6)])
+    for action, stays in ((Action.STOP, True), (Action.ATTACH, False)):
+        agent.beliefs.bodies[:, blue] = 0.0
+        agent.beliefs.bodies[:, blue, :2] = behind
+        assert all(can_grab(b, red, blue, agent.mind.params) for b in agent.beliefs.bodies)
+        agent.done(action)
+        perceive(agent, HIDDEN)
+        reach = [can_grab(b, red, blue, agent.mind.params) for b in agent.beliefs.bodies]
+        assert all(reach) if stays else not any(reach)
+
+
+def test_nobody_tries_again_and_again_to_grab_what_is_not_there() -> None:
+    searching = scene(
+        red=(18.0, 16.0, 1.4),
+        green=(24.0, 10.0, 4.0),
+        blue=(8.0, 4.0),
+        pink=(8.0, 14.0),
+        walls=[FULL_WALL_UP, NARROW_WALL_DOWN],
+    )
+    hypothesis = Hypothesis("Get pink item to red lm", "Get pink item to red lm").effective()
+    tries = []
+    for seed in range(30):
+        run = JointSimulator(CONFIG).steps(searching, hypothesis, np.random.default_rng(seed))
+        first_steps = itertools.islice(run, 1, 15)
+        tries.append(sum(red.action == Action.ATTACH for _, (red, _) in first_steps))
+    # a few believe at first that it lies behind them, where they cannot see
+    assert 1 <= sum(n > 0 for n in tries) <= 10
+    assert max(tries) <= 3
