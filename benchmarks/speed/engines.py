@@ -63,7 +63,7 @@ def transitions() -> dict[str, Any]:
     def slow() -> None:
         for state, pair in mix:
             world.restore(state)
-            world.step(pair)
+            world.advance(pair)
             _ = world.state
 
     seconds = interleaved({"compiled": fast, "pymunk": slow})

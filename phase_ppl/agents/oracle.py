@@ -114,7 +114,7 @@ class SlowSearch:
 
     def _step(self, agent: int, own: int, other: int, code: IntArray) -> float:
         """Move the imagined world on and return the reward of the agent's action."""
-        self.world.step((own, other) if agent == 0 else (other, own))
+        self.world.advance((own, other) if agent == 0 else (other, own))
         bodies, held, _ = compiled.from_state(self.world.state, self.mind.scene.radius)
         return rewards.reward(bodies, held, code, own, self.mind.params, self.mind.ground)
 

@@ -24,6 +24,7 @@ motion then does not depend on the number of inner steps.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
@@ -225,19 +226,29 @@ class PymunkWorld:
         Returns:
             (4, 3) mean pose over the five substeps; angles are not wrapped.
         """
+        frame = np.zeros((len(ENTITIES), 3))
+        for _ in self._substeps(actions):
+            frame += self._poses()
+        return frame / constants.SUBSTEPS
+
+    def advance(self, actions: tuple[int, int]) -> None:
+        """Advance by one planner step, as :meth:`step`, without the work of a frame."""
+        for _ in self._substeps(actions):
+            pass
+
+    def _substeps(self, actions: tuple[int, int]) -> Iterator[None]:
+        """Do one planner step; yield after each substep."""
         for agent, action in enumerate(actions):
             if action == Action.ATTACH:
                 self._attach(agent)
             elif action == Action.DETACH:
                 self._detach(agent)
-        frame = np.zeros((len(ENTITIES), 3))
         for _ in range(constants.SUBSTEPS):
             self._substep(actions)
-            frame += self._poses()
+            yield
         for body in self._bodies[:_N_AGENTS]:
             body.angle += body.angular_velocity * self._dt
             body.angular_velocity = 0.0
-        return frame / constants.SUBSTEPS
 
     def _substep(self, actions: tuple[int, int]) -> None:
         n = self._inner_steps

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import Any
 
@@ -17,7 +18,9 @@ from phase_ppl.physics.actions import (
     Action,
 )
 from phase_ppl.physics.flat import ANGLE
+from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.physics.welds import turn_frame
+from phase_ppl.world.state import State
 
 SIZES = (0.8, 1.01, 1.2, 1.6)
 STRENGTHS = (150.0, 300.0, 450.0, 600.0)
@@ -180,3 +183,15 @@ def test_frames_that_are_turned_stay_those_of_the_angle(turn: float) -> None:
         turn_frame(bodies, 1, turn, scratch)
     angle = bodies[1, ANGLE]
     assert scratch.rotation[1] == pytest.approx([math.cos(angle), math.sin(angle)], abs=1e-13)
+
+
+def test_advancing_is_a_step_without_its_frame(make_scene: Any) -> None:
+    scene = make_scene({0: (12, 8), 2: (12, 10)})
+    stepped, advanced = (PymunkWorld(scene, (450.0, 300.0)) for _ in range(2))
+    actions = (Action.ATTACH, WAIT), (Action.UP, Action.TURN_LEFT), (Action.LEFT, Action.STOP)
+    for pair in (*actions, (Action.DETACH, Action.UP)):
+        stepped.step(pair)
+        advanced.advance(pair)
+        for field in dataclasses.fields(State):
+            of_both = [getattr(world.state, field.name) for world in (stepped, advanced)]
+            np.testing.assert_array_equal(*of_both)
