@@ -142,13 +142,31 @@ def test_predicates_are_chosen_on_the_first_half(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.skipif(not VIDEOS.exists(), reason="the real videos are not at ../shared/phase-test")
-def test_accuracy_is_kept_and_weighed_anew(tmp_path: Path) -> None:
-    tiny = ["--limit", "1", "--chains", "2", "--budget", "4", "--judging-seeds", "1"]
-    options = [*tiny, "--keep", str(tmp_path / "kept"), "--set", "simulations=20"]
-    report = figures(tmp_path, "accuracy.py", *options)
-    assert report["weights"]["count"]["n_videos"] == 4  # type: ignore[index]
-    assert len(list((tmp_path / "kept").glob("*.nc"))) == 4
+def test_misses_of_an_evaluation_are_judged_once(tmp_path: Path) -> None:
+    events = sorted(ppl.load_events(VIDEOS / "dev.json"), key=lambda e: e.observation.n_frames)
+    planner = PlannerConfig(simulations=20)
+    tiny: dict[str, Any] = {"chains": 2, "budget": ppl.simulations(4), "planner": planner}
+    out = tmp_path / "simple"
+    ppl.evaluate(events[:3], "simple", out=out, workers=1, progress=False, **tiny)
+    kept = tmp_path / "judged"
+    options = [str(out), "--judging-seeds", "1", "--keep", str(kept)]
+    report: dict[str, Any] = figures(tmp_path, "accuracy.py", *options)
+    found = report[str(out)]["weights"]["count"]["all"]
+    right = found["n"] - sum(found["misses"].values())
+    assert found["n"] == 3
+    assert 0 <= right <= 3
+    judged = kept.read_text()
     assert figures(tmp_path, "accuracy.py", *options) == report
+    assert kept.read_text() == judged
+
+
+@pytest.mark.skipif(not VIDEOS.exists(), reason="the real videos are not at ../shared/phase-test")
+def test_simulations_of_the_truth_are_told_by_their_errors(tmp_path: Path) -> None:
+    options = ["hypotheses", "--truth-only", "--limit", "4", "--noise-seeds", "2"]
+    report: dict[str, Any] = figures(tmp_path, "realism.py", *options, "--set", "simulations=20")
+    assert report["n_videos"] == len(report["videos"]) >= 4
+    assert report["log_likelihood"]["value"] < 0 < report["mean_error_per_frame"]["value"]
+    assert "true_best_rate" not in report
 
 
 def test_missing_videos_are_reported(tmp_path: Path) -> None:

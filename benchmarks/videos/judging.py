@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.evaluation.models.simple import Simple
 from phase_ppl.evaluation.registry import model_info
 from phase_ppl.models.effective import log_prior_of_effective
@@ -22,6 +23,8 @@ from videos.hypotheses import log_mean_exp
 
 JUDGING_SEED = 5000
 """Apart from the seeds that a run is likely to have met."""
+
+PRESETS = ("fast", "paper")
 
 Pair = tuple[int, int]
 
@@ -59,7 +62,10 @@ def model_of(settings: Mapping[str, Any]) -> tuple[str, str, str] | None:
     if program is None:
         return None
     identity = hashlib.sha256(json.dumps(program, sort_keys=True).encode()).hexdigest()[:16]
-    return settings["model"], json.dumps(settings["options"]), identity
+    options = dict(settings["options"])
+    if options.get("planner") not in (None, *PRESETS):
+        options["planner"] = program["planner"]  # the options keep no more than its text
+    return settings["model"], json.dumps(options), identity
 
 
 def true_pair(event: Event) -> Pair:
@@ -70,7 +76,10 @@ def true_pair(event: Event) -> Pair:
 @functools.cache
 def program(model: str, options: str) -> Model:
     """Return the model that an evaluation's name and options (as JSON) stand for."""
-    found = model_info(model).make(**json.loads(options))
+    given = json.loads(options)
+    if isinstance(given.get("planner"), dict):
+        given["planner"] = PlannerConfig(**given["planner"])
+    found = model_info(model).make(**given)
     assert isinstance(found, Simple)
     return found.model
 
