@@ -24,8 +24,6 @@ from videos.hypotheses import log_mean_exp
 JUDGING_SEED = 5000
 """Apart from the seeds that a run is likely to have met."""
 
-PRESETS = ("fast", "paper")
-
 Pair = tuple[int, int]
 
 
@@ -63,8 +61,8 @@ def model_of(settings: Mapping[str, Any]) -> tuple[str, str, str] | None:
         return None
     identity = hashlib.sha256(json.dumps(program, sort_keys=True).encode()).hexdigest()[:16]
     options = dict(settings["options"])
-    if options.get("planner") not in (None, *PRESETS):
-        options["planner"] = program["planner"]  # the options keep no more than its text
+    if program["planner"] is not None:  # of a planner that is no preset the options keep a text
+        options["planner"] = program["planner"]
     return settings["model"], json.dumps(options), identity
 
 
