@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 
 from phase_ppl.agents.ground import Ground
 from phase_ppl.agents.rng import below
-from phase_ppl.agents.shapes import MAX_OUTLINE_CELLS, OUTSIDE, can_grab, outline_cells, shapes_meet
+from phase_ppl.agents.shapes import MAX_OUTLINE_CELLS, OUTSIDE, outline_cells, shapes_meet
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import NO_ACTION, Action
 from phase_ppl.physics.compiled import Params, Scratch
 from phase_ppl.physics.jit import bare_kernel
+from phase_ppl.physics.welds import in_reach
 from phase_ppl.world.names import AGENTS, ENTITIES, NOTHING
 
 FloatArray = NDArray[np.float64]
@@ -109,7 +110,7 @@ def _consistent(
     Args:
         missed_by: the agent, if it has just tried to grab and holds nothing; else NOTHING.
     """
-    if entity >= 2 and missed_by >= 0 and can_grab(bodies, missed_by, entity, params):
+    if entity >= 2 and missed_by >= 0 and in_reach(bodies, missed_by, entity, params):
         return False
     n = outline_cells(bodies, entity, params, ground, beliefs.cells)
     off = (

@@ -1,4 +1,4 @@
-"""Outlines, overlaps and reach of the entities on flat arrays, for vision, beliefs and symbols.
+"""Outlines and overlaps of the entities on flat arrays, for vision and belief updates.
 
 ``bodies`` is (4, 9) with the centre of mass x, y and the angle in the first three columns.
 """
@@ -11,10 +11,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.agents.ground import Ground, body_origin
+from phase_ppl.agents.ground import Ground
 from phase_ppl.physics.compiled import Params
 from phase_ppl.physics.jit import bare_kernel
-from phase_ppl.world.geometry import GRAB_REACH
 
 MAX_OUTLINE_CELLS: Final = 128
 RIM_POINTS: Final = 16
@@ -150,20 +149,3 @@ def shapes_meet(
     if first == 0:
         return _agents_meet(bodies, scale_1, scale_2, params)
     return _agents_meet(bodies, scale_2, scale_1, params)
-
-
-@bare_kernel
-def can_grab(bodies: FloatArray, agent: int, item: int, params: Params) -> bool:
-    """Whether an item is near enough to a side of an agent to be grabbed."""
-    x, y = body_origin(bodies, agent, params.cog)
-    radius = params.radius[agent]
-    c, s = math.cos(bodies[agent, 2]), math.sin(bodies[agent, 2])
-    reach = params.radius[item] + GRAB_REACH
-    for side in range(4):
-        lx = radius * (1 if side == 2 else -1) if side >= 2 else 0.0
-        ly = radius * (1 if side == 0 else -1) if side < 2 else 0.0
-        dx = x + lx * c - ly * s - bodies[item, 0]
-        dy = y + lx * s + ly * c - bodies[item, 1]
-        if dx * dx + dy * dy < reach * reach:
-            return True
-    return False

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.agents.ground import DISTANCE_UNIT, Ground, body_origin, path_distance, room_of
-from phase_ppl.agents.shapes import can_grab
 from phase_ppl.physics.compiled import Params
 from phase_ppl.physics.jit import bare_kernel
+from phase_ppl.physics.welds import in_reach
 from phase_ppl.world.literals import Predicate
 
 FloatArray = NDArray[np.float64]
@@ -129,7 +129,7 @@ def describe(
         for a in range(2):
             facts[k, 4 + a] = held[k, a]
             for i in range(2):
-                facts[k, 6 + 2 * a + i] = can_grab(particle, a, 2 + i, params)
+                facts[k, 6 + 2 * a + i] = in_reach(particle, a, 2 + i, params)
         facts[k, 10] = _done(particle, own_goal, params, ground)
         facts[k, 11] = _done(particle, other_goal, params, ground)
         for i in range(2):

@@ -24,11 +24,35 @@ _SMALL_TURN: Final = 0.25
 
 
 @bare_kernel
+def nearest_grab_point(
+    bodies: FloatArray, agent: int, item: int, params: Params
+) -> tuple[int, float]:
+    """Return the agent's grab point nearest to an item's centre, and how far it is, units."""
+    c, s = math.cos(bodies[agent, ANGLE]), math.sin(bodies[agent, ANGLE])
+    size = params.radius[agent]
+    dx, dy = bodies[item, X] - bodies[agent, X], bodies[item, Y] - bodies[agent, Y]
+    # the item's centre in the agent's body frame
+    x, y = c * dx + s * dy, c * dy - s * dx + params.cog[agent]
+    nearest, least = -1, math.inf
+    for point in range(_N_POINTS):
+        px, py = size * GRAB_POINTS[point, 0], size * GRAB_POINTS[point, 1]
+        distance = math.sqrt((x - px) ** 2 + (y - py) ** 2)
+        if distance < least:
+            nearest, least = point, distance
+    return nearest, least
+
+
+@bare_kernel
+def in_reach(bodies: FloatArray, agent: int, item: int, params: Params) -> bool:
+    """Whether an item's centre is less than its radius + ``GRAB_REACH`` from a grab point."""
+    return nearest_grab_point(bodies, agent, item, params)[1] < params.radius[item] + GRAB_REACH
+
+
+@bare_kernel
 def find_grab(bodies: FloatArray, held: IntArray, agent: int, params: Params) -> tuple[int, int]:
     """Return the item that ``agent`` would grab now, and the grab point it would use.
 
-    Of the items whose centre is less than their radius + ``GRAB_REACH`` away from a grab point
-    the nearest one, at the nearest point.
+    Of the items in reach the nearest one, at the nearest point.
 
     Returns:
         (entity index, index into ``GRAB_POINTS``); -1, -1 if none is in reach or one is held.
@@ -36,17 +60,10 @@ def find_grab(bodies: FloatArray, held: IntArray, agent: int, params: Params) ->
     best_item, best_point, best = NOTHING, -1, math.inf
     if held[agent] >= 0:
         return best_item, best_point
-    c, s = math.cos(bodies[agent, ANGLE]), math.sin(bodies[agent, ANGLE])
-    size, cog = params.radius[agent], params.cog[agent]
     for item in range(2, 4):
-        dx, dy = bodies[item, X] - bodies[agent, X], bodies[item, Y] - bodies[agent, Y]
-        # the item's centre in the agent's body frame
-        x, y = c * dx + s * dy, c * dy - s * dx + cog
-        for point in range(_N_POINTS):
-            px, py = size * GRAB_POINTS[point, 0], size * GRAB_POINTS[point, 1]
-            distance = math.sqrt((x - px) ** 2 + (y - py) ** 2)
-            if distance < params.radius[item] + GRAB_REACH and distance < best:
-                best_item, best_point, best = item, point, distance
+        point, distance = nearest_grab_point(bodies, agent, item, params)
+        if distance < params.radius[item] + GRAB_REACH and distance < best:
+            best_item, best_point, best = item, point, distance
     return best_item, best_point
 
 

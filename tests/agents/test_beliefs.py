@@ -11,9 +11,9 @@ import pytest
 from phase_ppl.agents.agent import Agent
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.mind import Mind
-from phase_ppl.agents.shapes import can_grab
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import Action
+from phase_ppl.physics.welds import in_reach
 from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.goals import goal_index
 from phase_ppl.world.hypothesis import Hypothesis
@@ -137,10 +137,10 @@ def test_a_hand_that_closed_on_nothing_refutes_what_was_believed_in_its_reach() 
     for action, stays in ((Action.STOP, True), (Action.ATTACH, False)):
         agent.beliefs.bodies[:, blue] = 0.0
         agent.beliefs.bodies[:, blue, :2] = behind
-        assert all(can_grab(b, red, blue, agent.mind.params) for b in agent.beliefs.bodies)
+        assert all(in_reach(b, red, blue, agent.mind.params) for b in agent.beliefs.bodies)
         agent.done(action)
         perceive(agent, HIDDEN)
-        reach = [can_grab(b, red, blue, agent.mind.params) for b in agent.beliefs.bodies]
+        reach = [in_reach(b, red, blue, agent.mind.params) for b in agent.beliefs.bodies]
         assert all(reach) if stays else not any(reach)
 
 
