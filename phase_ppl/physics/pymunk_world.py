@@ -232,7 +232,11 @@ class PymunkWorld:
         return frame / constants.SUBSTEPS
 
     def advance(self, actions: tuple[int, int]) -> None:
-        """Advance by one planner step, as :meth:`step`, without the work of a frame."""
+        """Advance by one planner step, as :meth:`step`, without the work of a frame.
+
+        Args:
+            actions: of red and green, values of ``Action`` or ``NO_ACTION``.
+        """
         for _ in self._substeps(actions):
             pass
 
