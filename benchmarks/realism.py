@@ -4,6 +4,7 @@ replay      open loop: the recovered actions of the real agents through our phys
 decisions   teacher-forced: would our agents do what the real ones did, state by state?
 side        closed loop: simulated and real trajectories under the true hypothesis
 hypotheses  does the true pair of goals explain the video better than wrong ones?
+paired      two reports of `hypotheses`, such as of two planners, video by video
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from __future__ import annotations
 import argparse
 
 import common
-from videos import decisions, hypotheses, replay, side
+from videos import decisions, hypotheses, paired, replay, side
 
 
 def main() -> None:
@@ -19,7 +20,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     commands = parser.add_subparsers(dest="command", required=True)
-    for part in (replay, decisions, side, hypotheses):
+    for part in (replay, decisions, side, hypotheses, paired):
         name = part.__name__.rpartition(".")[2]
         command = commands.add_parser(name, help=(part.__doc__ or "").splitlines()[0])
         part.add_options(command)

@@ -170,6 +170,45 @@ def test_simulations_of_the_truth_are_told_by_their_errors(tmp_path: Path) -> No
     assert "true_best_rate" not in report
 
 
+def hypotheses_report(file: Path, **videos: tuple[list[float], int]) -> str:
+    """Write a report of `realism.py hypotheses`: per video errors and wrong pairs above."""
+    content = {
+        "true_best_rate": {},
+        "videos": {
+            name: {"errors": errors, "frames": 10, "better": [["a", "b", 0.0]] * n}
+            for name, (errors, n) in videos.items()
+        },
+    }
+    file.write_text(json.dumps(content))
+    return str(file)
+
+
+def test_reports_are_compared_video_by_video(tmp_path: Path) -> None:
+    new = hypotheses_report(tmp_path / "new", one=([100.0, 100.0], 0), two=([60.0, 60.0], 0))
+    old = hypotheses_report(tmp_path / "old", one=([140.0], 3), two=([60.0], 0))
+    report: dict[str, Any] = figures(tmp_path, "realism.py", "paired", new, old)
+    means = {name: row["value"] for name, row in report.items() if name != "n_videos"}
+    # the log-likelihood is -0.05 of the error; one video differs, by 40 units in ten frames
+    assert means == pytest.approx(
+        {"log_likelihood": 1.0, "mean_error_per_frame": -2.0, "true_best_rate": 0.5}
+    )
+
+
+@pytest.mark.parametrize(
+    ("other", "said"),
+    [("{}", "no report"), ("[1", "no report"), (None, "different videos: two is in one of them")],
+)
+def test_reports_that_cannot_be_compared(tmp_path: Path, other: str | None, said: str) -> None:
+    new = hypotheses_report(tmp_path / "new", one=([100.0], 0))
+    old = hypotheses_report(tmp_path / "old", one=([100.0], 0), two=([60.0], 0))
+    if other is not None:
+        Path(old).write_text(other)
+    result = run("realism.py", "paired", new, old)
+    assert result.returncode != 0
+    assert said in result.stderr
+    assert "Traceback" not in result.stderr
+
+
 def test_missing_videos_are_reported(tmp_path: Path) -> None:
     result = subprocess.run(
         [sys.executable, str(ROOT / "benchmarks" / "realism.py"), "replay"],

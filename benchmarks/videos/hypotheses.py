@@ -198,7 +198,8 @@ def main(options: argparse.Namespace) -> dict[str, Any]:
     )
     figures = near(results) if options.truth_only else report(results)
     for task, result in zip(tasks, results, strict=True):
-        line = f"{task.event.id:24} {result['scenario']:14} {result['log_likelihood']:8.1f}"
+        near_truth = log_mean_exp(result["errors"])
+        line = f"{task.event.id:24} {result['scenario']:14} {near_truth:8.1f}"
         if not options.truth_only:
             worst = result["better"][0][:2] if result["better"] else ""
             line += f"  better: {len(result['better']):2}  {worst}"

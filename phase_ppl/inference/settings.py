@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 
 from phase_ppl.inference.proposals.strength.estimates import Estimator
 from phase_ppl.inference.proposals.strength.estimators import DEFAULT_ESTIMATOR, strength_estimator
@@ -15,7 +14,7 @@ from phase_ppl.inference.proposals.tables import (
     Sign,
     bottom_up_tables,
 )
-from phase_ppl.world.checks import nonnegative_number
+from phase_ppl.world.checks import nonnegative_number, number_or_nan, positive_number
 from phase_ppl.world.checks import whole_number as whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.observation import Observation
@@ -56,7 +55,7 @@ class SimpleSettings:
     def __post_init__(self) -> None:
         for name in ("eta", "gamma"):
             nonnegative_number(name, getattr(self, name))
-        if not (_is_number(self.prior_share) and 0 < self.prior_share < 1):
+        if not 0 < number_or_nan(self.prior_share) < 1:
             raise InvalidSettingError(
                 f"prior_share={shown(self.prior_share)}, expected a number in (0, 1)"
             )
@@ -85,19 +84,16 @@ class SimpleSettings:
         )
 
 
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-
-
 def probability(name: str, value: object) -> float:
     """Return ``value`` if it is a number in [0, 1].
 
     Raises:
         InvalidSettingError: it is not.
     """
-    if not (_is_number(value) and 0 <= value <= 1):  # type: ignore[operator]
+    number = number_or_nan(value)
+    if not 0 <= number <= 1:
         raise InvalidSettingError(f"{name}={shown(value)}, expected a number in [0, 1]")
-    return float(value)  # type: ignore[arg-type]
+    return number
 
 
 @dataclasses.dataclass(frozen=True)
@@ -150,6 +146,4 @@ def seconds(n: float) -> TimeBudget:
     Raises:
         InvalidSettingError: ``n`` is no positive number.
     """
-    if not (_is_number(n) and n > 0):
-        raise InvalidSettingError(f"seconds={shown(n)}, expected a number > 0")
-    return TimeBudget(float(n))
+    return TimeBudget(positive_number("seconds", n))

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from phase_ppl.world.checks import number_or_nan
 from phase_ppl.world.errors import InvalidEventError, shown, unknown_name
 from phase_ppl.world.names import ENTITIES, LANDMARKS
 from phase_ppl.world.rooms import Rooms
@@ -42,7 +44,7 @@ def finite_array(name: str, value: object, shape: tuple[int | None, ...]) -> Flo
         raise InvalidEventError(f"{name} is ragged: its rows differ in length") from None
     if given.dtype.kind not in "iuf":
         values = np.array(value, dtype=object).ravel().tolist()
-        odd = next((v for v in values if not _is_number(v)), value)
+        odd = next((v for v in values if not math.isfinite(number_or_nan(v))), value)
         raise InvalidEventError(f"{name} holds {shown(odd)}, expected numbers")
     array = np.array(given, dtype=np.float64)
     if array.size == 0 and None in shape:
@@ -58,10 +60,6 @@ def finite_array(name: str, value: object, shape: tuple[int | None, ...]) -> Flo
         raise InvalidEventError(f"{name}{list(where)} is {array[where]}, expected a finite number")
     array.setflags(write=False)
     return array
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < 1e300
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

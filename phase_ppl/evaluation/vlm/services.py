@@ -10,6 +10,7 @@ from phase_ppl.evaluation.vlm import google_client, openai_client
 from phase_ppl.evaluation.vlm.google_client import MAX_FPS, GoogleClient
 from phase_ppl.evaluation.vlm.openai_client import OpenAIClient
 from phase_ppl.evaluation.vlm.service import Service, checked_address, checked_variable
+from phase_ppl.world.checks import number_or_nan
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 
 SERVICES: Final = {"google": "google.genai", "openai": "openai"}
@@ -72,8 +73,8 @@ def make_service(
 
 def _number(name: str, value: object, most: float, zero: bool = True) -> float:
     """Return ``value`` as a float if it is a number in 0..most."""
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    if number and 0 <= value <= most and (zero or value > 0):  # type: ignore[operator]
-        return float(value)  # type: ignore[arg-type]
+    number = number_or_nan(value)
+    if 0 <= number <= most and (zero or number > 0):
+        return number
     least = ">= 0" if zero else "> 0"
     raise InvalidSettingError(f"{name}={shown(value)}, expected a number {least} and <= {most:g}")
