@@ -25,6 +25,9 @@ _REGULAR: Final = 0.58
 _CHARACTER: Final = 0.69
 """Widest mean character of a bold text, as a share of its size."""
 
+_UNBROKEN: Final = 1.3
+"""How much too long, as a share, a word may be and is written smaller instead of broken."""
+
 
 class Sheet:
     """An empty figure of ``width`` x ``height`` inches."""
@@ -85,10 +88,17 @@ def label_column(labels: Iterable[str]) -> float:
 
 
 def in_lines(text: str, width: float) -> list[str]:
-    """Return a name in as many lines as it needs to be legible in ``width`` inches."""
+    """Return a name in as many lines as it needs to be legible in ``width`` inches.
+
+    A word is broken only where it would otherwise be written much smaller than the rest.
+    """
     if fitting(text, width) >= SMALL:
         return [text]
-    return textwrap.wrap(text, max(1, int(72 * width / (_CHARACTER * SMALL)))) or [text]
+    characters = max(1, int(72 * width / (_CHARACTER * SMALL)))
+    longest = max(map(len, text.split()), default=0)
+    if longest <= _UNBROKEN * characters:
+        characters = max(characters, longest)
+    return textwrap.wrap(text, characters) or [text]
 
 
 def in_words(counts: Iterable[int]) -> str:
