@@ -170,10 +170,11 @@ def test_simulations_of_the_truth_are_told_by_their_errors(tmp_path: Path) -> No
     assert "true_best_rate" not in report
 
 
-def hypotheses_report(file: Path, **videos: tuple[list[float], int]) -> str:
+def hypotheses_report(file: Path, seeds: int = 2, **videos: tuple[list[float], int]) -> str:
     """Write a report of `realism.py hypotheses`: per video errors and wrong pairs above."""
     content = {
         "true_best_rate": {},
+        "settings": {"seeds": seeds},
         "videos": {
             name: {"errors": errors, "frames": 10, "better": [["a", "b", 0.0]] * n}
             for name, (errors, n) in videos.items()
@@ -194,9 +195,21 @@ def test_reports_are_compared_video_by_video(tmp_path: Path) -> None:
     )
 
 
+def test_rates_of_different_numbers_of_seeds_are_not_compared(tmp_path: Path) -> None:
+    new = hypotheses_report(tmp_path / "new", seeds=2, one=([100.0], 0))
+    old = hypotheses_report(tmp_path / "old", seeds=1, one=([100.0], 3))
+    report = figures(tmp_path, "realism.py", "paired", new, old)
+    assert set(report) == {"n_videos", "log_likelihood", "mean_error_per_frame"}
+
+
 @pytest.mark.parametrize(
     ("other", "said"),
-    [("{}", "no report"), ("[1", "no report"), (None, "different videos: two is in one of them")],
+    [
+        ("{}", "no report"),
+        ('{"videos": {}}', "no report"),
+        ("[1", "no report"),
+        (None, "different videos: two is in one of them"),
+    ],
 )
 def test_reports_that_cannot_be_compared(tmp_path: Path, other: str | None, said: str) -> None:
     new = hypotheses_report(tmp_path / "new", one=([100.0], 0))

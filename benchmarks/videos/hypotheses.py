@@ -181,6 +181,13 @@ def main(options: argparse.Namespace) -> dict[str, Any]:
         raise SystemExit(f"--noise-seeds {options.noise_seeds}: at least 2, and --seeds of them")
     given = planner, options.seeds, options.noise_seeds, options.truth_only
     tasks = [Task(event, *given) for event in events]
+    settings = {
+        "planner": planner.to_dict(),
+        "seeds": options.seeds,
+        "noise_seeds": options.noise_seeds,
+        "simulated": options.simulated,
+        "truth_only": options.truth_only,
+    }
     JointSimulator(planner).warm_up()
     results = common.resumed(
         judge,
@@ -188,13 +195,7 @@ def main(options: argparse.Namespace) -> dict[str, Any]:
         lambda task: task.event.id,
         "videos",
         Path(options.keep) if options.keep else None,
-        {
-            "planner": planner.to_dict(),
-            "seeds": options.seeds,
-            "noise_seeds": options.noise_seeds,
-            "simulated": options.simulated,
-            "truth_only": options.truth_only,
-        },
+        settings,
     )
     figures = near(results) if options.truth_only else report(results)
     for task, result in zip(tasks, results, strict=True):
@@ -206,7 +207,7 @@ def main(options: argparse.Namespace) -> dict[str, Any]:
         print(line)
     print_figures(figures)
     return figures | {
-        "planner": dataclasses.asdict(planner),
+        "settings": settings,
         "videos": {task.event.id: r for task, r in zip(tasks, results, strict=True)},
     }
 

@@ -23,7 +23,9 @@ def read(file: str) -> dict[str, Any]:
     """Return a report; where the file is none, end and say so."""
     try:
         report = json.loads(Path(file).read_text())
-        if all("errors" in video for video in report["videos"].values()):
+        videos = report["videos"].values()
+        complete = all({"errors", "frames", "better"} <= set(video) for video in videos)
+        if videos and complete and "seeds" in report["settings"]:
             return report
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         pass
@@ -34,7 +36,7 @@ def differences(one: dict[str, Any], other: dict[str, Any]) -> dict[str, dict[st
     """Return the mean differences, one minus the other, with 95 % bootstrap intervals over videos.
 
     Log-likelihoods and errors are those of the noise seeds that both have. Rates need reports that
-    tried wrong pairs.
+    tried wrong pairs, with as many seeds.
     """
     pairs = [(video, other["videos"][name]) for name, video in one["videos"].items()]
     rows: dict[str, list[float]] = {"log_likelihood": [], "mean_error_per_frame": []}
@@ -44,8 +46,9 @@ def differences(one: dict[str, Any], other: dict[str, Any]) -> dict[str, dict[st
         rows["log_likelihood"].append(log_mean_exp(errors[0]) - log_mean_exp(errors[1]))
         apart = float(np.mean(errors[0]) - np.mean(errors[1]))
         rows["mean_error_per_frame"].append(apart / mine["frames"])
+    as_many = one["settings"]["seeds"] == other["settings"]["seeds"]
     for name, rank in (("true_best_rate", 1), ("true_top5_rate", 5)):
-        if name in one and name in other:
+        if as_many and name in one and name in other:
             rows[name] = [
                 float(len(mine["better"]) < rank) - float(len(theirs["better"]) < rank)
                 for mine, theirs in pairs
