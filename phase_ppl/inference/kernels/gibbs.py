@@ -22,7 +22,8 @@ from phase_ppl.inference.sampling.uniform import seed_of
 from phase_ppl.inference.sampling.wrapped import WrappedState, settled
 from phase_ppl.models.density import draw, trace_log_density
 from phase_ppl.models.program import EventProgram
-from phase_ppl.world.errors import InvalidSettingError, shown
+from phase_ppl.world.checks import positive_number
+from phase_ppl.world.errors import InvalidSettingError
 
 SEED_SITE: Final = "_simulator_seed"
 """Uniform number that stands for the simulator's seed."""
@@ -119,9 +120,7 @@ class GibbsKernel(ParticleKernel[WrappedState]):
 
     def __init__(self, program: EventProgram | None = None, *, step: float = 0.5) -> None:
         super().__init__(program)
-        if isinstance(step, bool) or not isinstance(step, int | float) or not 0 < step < np.inf:
-            raise InvalidSettingError(f"step={shown(step)}, expected a positive number")
-        self._step = step
+        self._step = positive_number("step", step)
         if program is not None:
             self.sims_per_step  # noqa: B018  (refuses sites that it cannot update)
 

@@ -33,6 +33,7 @@ from phase_ppl.inference.sampling.tempering import next_temperature, powered, sy
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.density import Program, log_density
 from phase_ppl.models.program import EventProgram
+from phase_ppl.world.checks import number_or_nan
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 
 Move = Literal["local_mh", "prior_mh"]
@@ -115,7 +116,7 @@ class SMC(ParticleKernel[SMCState]):
         move: Move = "local_mh",
     ) -> None:
         super().__init__(program, guide, settings)
-        if isinstance(target, bool) or not isinstance(target, int | float) or not 0 < target < 1:
+        if not 0 < number_or_nan(target) < 1:
             raise InvalidSettingError(f"target={shown(target)}, expected a number in (0, 1)")
         if move not in MOVES:
             raise unknown_name("move", move, MOVES)

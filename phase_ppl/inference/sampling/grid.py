@@ -18,6 +18,7 @@ from phase_ppl.models.effective import (
 )
 from phase_ppl.models.model import Model
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, HYPOTHESIS_SITES, STRENGTH_SITES
+from phase_ppl.world.checks import number_or_nan
 from phase_ppl.world.errors import InvalidSettingError, shown
 
 NEVER: Final = -60.0
@@ -71,8 +72,7 @@ def hypothesis_grid(model: Model, strengths: Sequence[float]) -> Grid:
 
 
 def _is_strength(value: Any) -> bool:
-    number = isinstance(value, int | float) and not isinstance(value, bool)
-    return number and 0 < value < np.inf
+    return 0 < number_or_nan(value) < np.inf
 
 
 @functools.lru_cache(_KEPT)
