@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import common
@@ -59,11 +60,14 @@ def main() -> None:
     parser.add_argument("--json", metavar="FILE", help="write the figures as JSON")
     parser.add_argument("--only", nargs="+", choices=[*PARTS, "oracle"], metavar="NAME")
     parser.add_argument("--oracle-seeds", type=int, default=200)
+    parser.add_argument(
+        "--keep", type=Path, metavar="FILE", help="keep the oracle's draws here; go on from them"
+    )
     options = parser.parse_args()
     for planner in ("paper", "fast"):
         JointSimulator(planner).warm_up()
     report: dict[str, Any] = {}
-    parts = PARTS | {"oracle": lambda: engines.histograms(options.oracle_seeds)}
+    parts = PARTS | {"oracle": lambda: engines.histograms(options.oracle_seeds, options.keep)}
     for name, measure in parts.items():
         if options.only and name not in options.only:
             continue

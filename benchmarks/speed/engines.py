@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import common
@@ -130,18 +131,23 @@ class Draw(NamedTuple):
     simulations: int
 
 
-def choose(draw: Draw) -> int:
+def choose(draw: Draw) -> dict[str, Any]:
     """Return the action that an engine's agent chooses first."""
     config = PlannerConfig(swivel=False, full_observation=True, simulations=draw.simulations)
     agent = agents(config, draw.seed, undecided()[draw.scene])[draw.engine]
-    return int(agent.choose_action(*agent.choose_subgoal()).action)
+    return {"action": int(agent.choose_action(*agent.choose_subgoal()).action)}
 
 
-def histograms(seeds: int, simulations: int = 1000) -> dict[str, Any]:
+def histograms(seeds: int, kept: Path | None = None, simulations: int = 1000) -> dict[str, Any]:
     """Total variation between the engines' first actions, and between sets of seeds of one.
 
     Where one action is as good as certain both are 0 whatever the engine: the share of the most
     frequent action is reported beside.
+
+    Args:
+        seeds: draws of each engine in each scene.
+        kept: where the draws are kept as they come, so that a stopped run goes on.
+        simulations: at most so many a decision.
     """
     groups = {
         "compiled": ("compiled", range(seeds)),
@@ -154,7 +160,9 @@ def histograms(seeds: int, simulations: int = 1000) -> dict[str, Any]:
         for name, (engine, chosen) in groups.items()
     }
     tasks = [draw for group in draws.values() for draw in group]
-    actions = dict(common.parallel(choose, tasks, "oracle"))
+    settings = {"simulations": simulations}
+    found = common.resumed(choose, tasks, str, "oracle", kept, settings)
+    actions = {draw: result["action"] for draw, result in zip(tasks, found, strict=True)}
     counts = {
         key: np.bincount([actions[draw] for draw in group], minlength=N_ACTIONS) / seeds
         for key, group in draws.items()
@@ -173,9 +181,9 @@ def histograms(seeds: int, simulations: int = 1000) -> dict[str, Any]:
     }
     return {
         "oracle_scenes": scenes,
-        "oracle_tv": max(found["tv"] for found in scenes.values()),
+        "oracle_tv": max(scene["tv"] for scene in scenes.values()),
         "oracle_tv_beyond_seeds": max(
-            found["tv"] - max(0.1, found["tv_between_seeds"]) for found in scenes.values()
+            scene["tv"] - max(0.1, scene["tv_between_seeds"]) for scene in scenes.values()
         ),
         "oracle_seeds": seeds,
     }

@@ -56,6 +56,7 @@ from phase_ppl.evaluation import agreement, tables
 from phase_ppl.evaluation.bootstrap import Figure, FloatArray, difference, figure, resampled
 from phase_ppl.evaluation.curves import (
     PREFIX,
+    Curve,
     Path,
     confusion,
     count_scenarios,
@@ -66,7 +67,7 @@ from phase_ppl.evaluation.curves import (
 )
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
 from phase_ppl.evaluation.references import reference_predictions
-from phase_ppl.evaluation.tables import KINDS, Facts
+from phase_ppl.evaluation.tables import KINDS, Facts, Said
 from phase_ppl.world.event import Event
 
 _ORDER: Final = (
@@ -180,19 +181,53 @@ def paired_difference(
     Raises:
         As :func:`evaluate_predictions`.
     """
-    chosen = tables.predicted(tables.predicted(events, one), other)
-    known = tables.facts(chosen)
-    first, second = tables.said(chosen, one), tables.said(chosen, other)
-    weights = resampled(len(chosen), seed, resamples)
-    of_one = model_curves(known, first.where_known(second), weights)
-    of_other = model_curves(known, second.where_known(first), weights)
-    result: dict[str, Any] = {"n_events": len(chosen)}
-    put(
-        result,
-        {path: difference(values, of_other[path][0], n) for path, (values, n) in of_one.items()},
-    )
-    count_scenarios(result, known.scenario)
-    return _ordered(result)
+    return Paired(events, seed=seed, resamples=resamples).difference(one, other)
+
+
+class Paired:
+    """Differences between several models on the same resamples of events.
+
+    What is asked of a model for one pair is kept for the next.
+
+    Args:
+        events: with their truth and judgments, where they have them.
+        seed, resamples: of the events.
+    """
+
+    def __init__(self, events: Sequence[Event], *, seed: int = 0, resamples: int = 1000) -> None:
+        self._events, self._seed, self._resamples = events, seed, resamples
+        self._facts: dict[tuple[str, ...], tuple[Facts, FloatArray]] = {}
+        self._curves: dict[tuple[int, tuple[str, ...], bytes], dict[Path, Curve]] = {}
+        self._models: list[Mapping[str, Prediction]] = []  # kept, so that each has its own id
+
+    def difference(
+        self, one: Mapping[str, Prediction], other: Mapping[str, Prediction]
+    ) -> dict[str, Any]:
+        """Return what :func:`paired_difference` does."""
+        chosen = tables.predicted(tables.predicted(self._events, one), other)
+        ids = tuple(event.id for event in chosen)
+        if ids not in self._facts:
+            weights = resampled(len(chosen), self._seed, self._resamples)
+            self._facts[ids] = tables.facts(chosen), weights
+        first, second = tables.said(chosen, one), tables.said(chosen, other)
+        of_one = self._of(one, ids, first.where_known(second))
+        of_other = self._of(other, ids, second.where_known(first))
+        result: dict[str, Any] = {"n_events": len(chosen)}
+        put(
+            result,
+            {path: difference(drawn, of_other[path][0], n) for path, (drawn, n) in of_one.items()},
+        )
+        count_scenarios(result, self._facts[ids][0].scenario)
+        return _ordered(result)
+
+    def _of(
+        self, model: Mapping[str, Prediction], ids: tuple[str, ...], said: Said
+    ) -> dict[Path, Curve]:
+        key = id(model), ids, said.unknown()
+        if key not in self._curves:
+            self._models.append(model)
+            self._curves[key] = model_curves(self._facts[ids][0], said, self._facts[ids][1])
+        return self._curves[key]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

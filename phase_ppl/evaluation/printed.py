@@ -84,6 +84,7 @@ def _rows(metrics: Mapping[str, Any]) -> Iterator[_Row]:
             yield _Row(f"  {scenario} ({n})" if n else f"  {scenario}", path, path)
         if kind == "goal":
             yield _Row("  among the top 3", ("goal_top3_accuracy",))
+        yield _Row("  log score of truth", (f"{kind}_log_score_truth",))
     for kind, prefix in (("goal", "goal_"), ("relation", "")):
         score, js = f"{prefix}log_score", f"{prefix}js"
         yield _Row(

@@ -82,6 +82,11 @@ class Said:
             probabilities=common(self.probabilities, other.probabilities),
         )
 
+    def unknown(self) -> bytes:
+        """Return which of its entries are unknown, as a key."""
+        arrays = [*self.right.values(), self.in_top, *self.probabilities.values()]
+        return b"".join(np.isnan(array).tobytes() for array in arrays)
+
 
 def predicted(events: Sequence[Event], predictions: Mapping[str, Prediction]) -> list[Event]:
     """Return the events that have a prediction.

@@ -135,6 +135,53 @@ def test_p_is_corrected_over_the_pairs_of_a_measure() -> None:
     assert (equal["value"], equal["p"], equal["p_holm"]) == (0, 1, 1)
 
 
+def test_each_pair_is_compared_as_if_it_were_the_only_one() -> None:
+    """Also where models leave different events, or different questions, unanswered."""
+    every = evaluation("every", goals=COLLABORATIVE)
+    kept = {i: p for i, p in every.predictions.items() if i != "event 0"}
+    some = by_id(
+        *(answers(e.id, *(COLLABORATIVE if i % 5 else ()), relation="friendly")
+          for i, e in enumerate(EVENTS))
+    )  # fmt: skip
+    models = [
+        every,
+        evaluation("twin", goals=COMPETING),
+        evaluation("late", predictions=kept),
+        evaluation("some", predictions=some),
+        evaluation("foe", "adversarial"),
+    ]
+    together = compare(*models).differences
+    assert {r["n_events"] for r in together if r["scenario"] is None} == {11, 12}
+    for i, one in enumerate(models):
+        for other in models[i + 1 :]:
+            alone = ppl.paired_difference(EVENTS, one.predictions, other.predictions, resamples=400)
+            for measure in ("goal_accuracy", "relation_accuracy"):
+                pair = {"one": one.name, "other": other.name, "measure": measure, "scenario": None}
+                if alone[measure] is None:
+                    assert not [r for r in together if all(r[k] == v for k, v in pair.items())]
+                    continue
+                found = row(together, **pair)
+                assert {name: found[name] for name in alone[measure]} == alone[measure]
+
+
+def test_the_log_probability_of_the_truth_tells_apart_who_is_as_often_right() -> None:
+    sure, unsure = (
+        by_id(*(shares(e.id, relation=[p, 0, 1 - p]) for e in EVENTS)) for p in (1, 0.6)
+    )
+    models = evaluation("sure", predictions=sure), evaluation("unsure", predictions=unsure)
+    c = compare(*models)
+    assert row(c.differences, measure="relation_accuracy", scenario=None)["value"] == 0
+    found = row(c.differences, measure="relation_log_score_truth", scenario=None)
+    # 8 of 12 are friendly; the sure one has left 0.01 / 3 for the others
+    gain = 8 * math.log(0.99 + 0.01 / 3) + 4 * math.log(0.01 / 3)
+    loss = 8 * math.log(0.594 + 0.01 / 3) + 4 * math.log(0.396 + 0.01 / 3)
+    assert found["value"] == pytest.approx((gain - loss) / 12)
+    lines = str(c).splitlines()
+    start = next(i for i, line in enumerate(lines) if "differences in the log prob" in line)
+    (shown,) = [line for line in lines[start:] if line.startswith("sure - unsure")]
+    assert f"{found['value']:+.2f} [{found['ci_low']:+.2f}" in shown
+
+
 def test_against_one_model_only_its_pairs_are_tested() -> None:
     models = [evaluation(), evaluation("friend", "friendly"), evaluation("foe", "adversarial")]
     c = compare(*models, against="friend")

@@ -26,6 +26,10 @@ _NAME: Final = 19
 _NOTHING: Final = "-"
 _EVENTS: Final = "events"
 _KINDS: Final = {"goal": "goals", "relation": "relations"}
+_DIFFERENCES: Final = {
+    "right answers": "accuracy",
+    "the log probability of the true answer, nats": "log_score_truth",
+}
 
 Row = tuple[str, Mapping[str, Any]]
 Column = tuple[str, Callable[[Mapping[str, Any]], str]]
@@ -154,27 +158,27 @@ def _aligned(table: Sequence[Sequence[str]]) -> list[str]:
 
 
 def _differences(c: ModelComparison) -> list[str]:
-    measures = ("goal_accuracy", "relation_accuracy")
-    rows = [r for r in c.differences if r["scenario"] is None and r["measure"] in measures]
-    if not rows:
-        return []
-    pairs = list(dict.fromkeys((row["one"], row["other"]) for row in rows))
-    left_out = 0
-    if len(pairs) > PAIRS and c.settings["against"] is None:
-        shown = [pair for pair in pairs if c.models[0] in pair]
-        pairs, left_out = shown, len(pairs) - len(shown)
+    """Return the tables of paired differences: in right answers, in log probabilities."""
+    rows = [r for r in c.differences if r["scenario"] is None]
     found = {(r["one"], r["other"], r["measure"]): r for r in rows}
-    table = [["one minus other", "goals", "p", "relations", "p"]]
-    for one, other in pairs:
-        cells = [f"{short(one)} - {short(other)}"]
-        for measure in measures:
-            cells += _difference(found.get((one, other, measure)))
-        table.append(cells)
-    lines = [
-        "",
-        "paired differences in right answers; p: bootstrap, corrected by Holm over the pairs",
-        *_aligned(table),
-    ]
+    lines, left_out = [], 0
+    for title, measure in _DIFFERENCES.items():
+        measures = [f"{kind}_{measure}" for kind in _KINDS]
+        pairs = list(dict.fromkeys((one, other) for one, other, m in found if m in measures))
+        if not pairs:
+            continue
+        if len(pairs) > PAIRS and c.settings["against"] is None:
+            shown = [pair for pair in pairs if c.models[0] in pair]
+            pairs, left_out = shown, max(left_out, len(pairs) - len(shown))
+        table = [["one minus other", *(cell for word in _KINDS.values() for cell in (word, "p"))]]
+        for one, other in pairs:
+            cells = [f"{short(one)} - {short(other)}"]
+            for name in measures:
+                cells += _difference(found.get((one, other, name)))
+            table.append(cells)
+        lines += ["", f"paired differences in {title}", *_aligned(table)]
+    if lines:
+        lines += _wrapped("p: bootstrap, corrected by Holm over the pairs")
     if left_out:
         lines += _wrapped(
             f"{left_out} more pairs, all corrected together, are in comparison.json; --against "

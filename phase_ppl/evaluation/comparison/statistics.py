@@ -25,7 +25,7 @@ from phase_ppl.evaluation.bootstrap import (
 )
 from phase_ppl.evaluation.comparison.contenders import Contender
 from phase_ppl.evaluation.curves import events_with
-from phase_ppl.evaluation.metrics import paired_difference
+from phase_ppl.evaluation.metrics import Paired
 from phase_ppl.evaluation.tables import KINDS
 from phase_ppl.world.event import Event
 from phase_ppl.world.relations import SCENARIOS
@@ -72,11 +72,10 @@ def differences(
     else:
         other = next(one for one in compared if one.name == against)
         pairs = [(one, other) for one in compared if one is not other]
+    paired = Paired(events, seed=seed, resamples=resamples)
     rows: list[Row] = []
     for one, other in pairs:
-        found = paired_difference(
-            events, one.predictions, other.predictions, seed=seed, resamples=resamples
-        )
+        found = paired.difference(one.predictions, other.predictions)
         counts = {name: part["n"] for name, part in found["by_scenario"].items()}
         for scenario, measure, value in _figures(found):
             rows.append(
@@ -91,7 +90,7 @@ def differences(
 
 
 def _figures(found: Mapping[str, Any]) -> list[tuple[str | None, str, dict[str, Any]]]:
-    """Return scenario, measure and figure of all that ``paired_difference`` found."""
+    """Return scenario, measure and figure of all that :class:`Paired` found."""
     flat: list[tuple[str | None, str, Any]] = []
     for name, value in found.items():
         if name == "by_scenario":

@@ -30,7 +30,12 @@ from phase_ppl.evaluation.tables import true_answer
 from phase_ppl.inference.runs.progress import counted
 from phase_ppl.world.event import Event
 
-_MEASURES = {"goal_accuracy": "goals right", "relation_accuracy": "relations right"}
+_MEASURES = {
+    "goal_accuracy": "goals right",
+    "relation_accuracy": "relations right",
+    "goal_log_score_truth": "log probability of true goals, nats",
+    "relation_log_score_truth": "log probability of true relation, nats",
+}
 
 
 def comparison_report(comparison: ModelComparison, *, progress: bool | None = None) -> str:
