@@ -1,6 +1,7 @@
 """The simulator beside real videos: python benchmarks/realism.py COMMAND [--json FILE]
 
 replay      open loop: the recovered actions of the real agents through our physics
+ahead       likewise, a few steps from each recorded state, by who holds what and where
 decisions   teacher-forced: would our agents do what the real ones did, state by state?
 side        closed loop: simulated and real trajectories under the true hypothesis
 hypotheses  does the true pair of goals explain the video better than wrong ones?
@@ -12,7 +13,7 @@ from __future__ import annotations
 import argparse
 
 import common
-from videos import decisions, hypotheses, paired, replay, side
+from videos import ahead, decisions, hypotheses, paired, replay, side
 
 
 def main() -> None:
@@ -20,7 +21,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     commands = parser.add_subparsers(dest="command", required=True)
-    for part in (replay, decisions, side, hypotheses, paired):
+    for part in (replay, ahead, decisions, side, hypotheses, paired):
         name = part.__name__.rpartition(".")[2]
         command = commands.add_parser(name, help=(part.__doc__ or "").splitlines()[0])
         part.add_options(command)

@@ -80,6 +80,22 @@ def test_replay_of_recovered_actions(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not VIDEOS.exists(), reason="the real videos are not at ../shared/phase-test")
+def test_from_each_recorded_state_our_physics_goes_where_the_real_agents_went(
+    tmp_path: Path,
+) -> None:
+    one, five = (
+        figures(tmp_path, "realism.py", "ahead", "--half", "first", "--steps", steps)
+        for steps in ("1", "5")
+    )
+    for situation, row in five["by_situation"].items():  # type: ignore[attr-defined]
+        assert row["only_ours_stuck"] < 0.02, situation
+        assert row["median_error"] < 0.2, situation
+        assert one["by_situation"][situation]["n"] >= row["n"]  # type: ignore[index]
+    first, fifth = (found["by_situation"]["free"]["error_90"] for found in (one, five))  # type: ignore[index]
+    assert first < fifth
+
+
+@pytest.mark.skipif(not VIDEOS.exists(), reason="the real videos are not at ../shared/phase-test")
 def test_strengths_of_a_few_videos(tmp_path: Path) -> None:
     report = figures(tmp_path, "strength.py", "--limit", "4", "--draws", "1")
     rows: list[dict[str, Any]] = report["rows"]  # type: ignore[assignment]
