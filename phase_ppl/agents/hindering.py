@@ -11,7 +11,7 @@ from phase_ppl.world.rooms import N_ROOMS
 class Hindering(Planning):
     """Subgoals of an agent whose goal is the negation of the other's."""
 
-    def _keep_away(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
+    def _keep_away(self, state: SymbolicState) -> Literal:
         """Not ON(other, landmark): fill a door on its way, or meet it there and push it back."""
         goal_room = self._landmark_room(self.own.target)
         rival_room = state.rooms[self.opponent]
@@ -35,10 +35,11 @@ class Hindering(Planning):
         letting_go = self._free_hands(state)
         if letting_go is not None:
             return letting_go
-        if doors and doors[0] in {ray for ray, _ in self._open(state.rooms[self.agent])}:
-            return Literal(Predicate.CLOSE, self.agent, N_ROOMS + doors[0])
+        narrowed = [door for door in doors if self.abilities.walled[door]][:1]
+        if narrowed and narrowed[0] in {ray for ray, _ in self._open(state.rooms[self.agent])}:
+            return Literal(Predicate.CLOSE, self.agent, N_ROOMS + narrowed[0])
         meeting = set(way[1:]) if len(way) > 1 else set(way)
-        if state.rooms[self.agent] in meeting or observed[self.opponent]:
+        if state.rooms[self.agent] in meeting:
             return self.own
         steps = self._plan(
             state, (self.agent,), frozenset(), lambda node: node.rooms[self.agent] in meeting
@@ -65,45 +66,62 @@ class Hindering(Planning):
             if ability.route((self.opponent, item), item_room, goal_room) is None:
                 return self._free_hands(state) or STOP
             return (
-                Literal(Predicate.ON, item, item_room)
-                if holding
-                else self._take(state, item, observed)
+                self._hold_back(item, item_room) if holding else self._take(state, item, observed)
             )
         if rival_way is None:
             return self._free_hands(state) or STOP
-        refuge = self._refuge(item_room, rival)
+        refuge = self._closed_room(item, item_room, rival)
+        if refuge is None:
+            if not holding and me in rival_way[1:-1]:
+                return self._stand_in_door(state, rival_way)
+            refuge = self._far_room(item, item_room, rival)
         if refuge is None:
             return Literal(Predicate.ON, self.opponent, rival, positive=False)
         if not holding:
             return self._take(state, item, observed)
-        if refuge == item_room:
-            return Literal(Predicate.ON, item, item_room)
         way = ability.route((self.agent, item), item_room, refuge)
-        return Literal(Predicate.CLOSE, item, way[1]) if way else self.own
+        if way is None or len(way) < 2:
+            return self._hold_back(item, item_room)
+        return Literal(Predicate.CLOSE, item, way[1])
 
-    def _refuge(self, item_room: int, rival: int) -> int | None:
-        """Return the best room to take an item to, if there is one.
+    def _hold_back(self, item: int, room: int) -> Literal:
+        """Pull an item into the corner of its room; where that is the goal, off the goal."""
+        if room == self._landmark_room(self.own.target):
+            return self.own
+        return Literal(Predicate.ON, item, room)
 
-        Closed to the rival, or else farthest from it among those nearer to the item than to it.
-        """
-        ability = self.abilities
-        best: tuple[float, int] | None = None
-        for room in range(N_ROOMS):
-            if ability.route((self.agent,), item_room, room) is None:
-                continue
-            if ability.route((self.opponent,), rival, room) is None:
+    def _rooms_to_take_to(self, item: int, item_room: int) -> list[int]:
+        """Return the rooms, but for that of the goal, to which this agent can take an item."""
+        goal_room = self._landmark_room(self.own.target)
+        return [
+            room
+            for room in range(N_ROOMS)
+            if room != goal_room
+            and self.abilities.route((self.agent, item), item_room, room) is not None
+        ]
+
+    def _closed_room(self, item: int, item_room: int, rival: int) -> int | None:
+        """Return a room to take an item to that is closed to the rival, if there is one."""
+        for room in self._rooms_to_take_to(item, item_room):
+            if self.abilities.route((self.opponent,), rival, room) is None:
                 return room
-            from_rival = ability.room_distance[rival][room]
-            if ability.room_distance[item_room][room] < from_rival and (
-                best is None or from_rival > best[0]
-            ):
-                best = (from_rival, room)
-        return None if best is None else best[1]
+        return None
+
+    def _far_room(self, item: int, item_room: int, rival: int) -> int | None:
+        """Return the room farthest from the rival among those nearer to the item than to it."""
+        distance = self.abilities.room_distance
+        nearer = [
+            room
+            for room in self._rooms_to_take_to(item, item_room)
+            if distance[item_room][room] < distance[rival][room]
+        ]
+        return max(nearer, key=lambda room: distance[rival][room], default=None)
 
     def _stand_in_door(self, state: SymbolicState, rival_way: tuple[int, ...]) -> Literal:
         """Go to the nearest door on the rival's way that this agent can get to."""
         for ray in reversed(self._doors(rival_way)):
-            if ray in {r for r, _ in self._open(state.rooms[self.agent])}:
+            here = ray in {r for r, _ in self._open(state.rooms[self.agent])}
+            if here and self.abilities.walled[ray]:
                 return Literal(Predicate.CLOSE, self.agent, N_ROOMS + ray)
         target = rival_way[-2] if len(rival_way) > 1 else rival_way[-1]
         return self._press_on(state, target)

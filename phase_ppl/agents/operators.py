@@ -43,6 +43,7 @@ class Abilities:
         passes: (entity, ray): whether the entity fits through the door.
         fills: (item, ray): whether the item, standing at the door, closes it: it is wider than
             the gap, so that nobody can push it through.
+        walled: (ray,) whether a wall stands on the ray, so that its door can be stood in.
         carries_alone: whether each agent's pull beats the floor friction of itself and an item.
         carries_against_hold: likewise with the other agent hanging on the item, not helping.
         carries_together: whether both beat the friction of all three bodies.
@@ -53,6 +54,7 @@ class Abilities:
 
     passes: tuple[tuple[bool, ...], ...]
     fills: tuple[tuple[bool, ...], ...]
+    walled: tuple[bool, ...]
     carries_alone: tuple[bool, bool]
     carries_against_hold: tuple[bool, bool]
     carries_together: bool
@@ -73,6 +75,7 @@ class Abilities:
                 tuple(bool(0 < gap < 2 * scene.radius[len(AGENTS) + i]) for gap in rooms.door_width)
                 for i in range(len(ITEMS))
             ),
+            walled=tuple((rooms.wall_length > 0).tolist()),
             carries_alone=tuple(f > 2 * FLOOR_FRICTION for f in strengths),  # type: ignore[arg-type]
             carries_against_hold=tuple(  # type: ignore[arg-type]
                 f > 3 * FLOOR_FRICTION for f in strengths

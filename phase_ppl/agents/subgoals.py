@@ -52,13 +52,13 @@ class SubgoalPlanner(Hindering):
             if subject == self.agent:
                 return self._go(state, observed)
             return self._help_to_move(state, observed)
-        if self.abilities.is_open:
-            return self._free_hands(state) or self.own
-        if subject >= 2:
-            return self._guard_item(state, observed)
-        if subject == self.opponent and self.own.predicate is Predicate.ON:
-            return self._keep_away(state, observed)
-        return self._free_hands(state) or self.own
+        if not self.abilities.is_open and self.stance.contested:
+            if subject >= 2:
+                return self._guard_item(state, observed)
+            if subject == self.opponent and self.own.predicate is Predicate.ON:
+                return self._keep_away(state)
+        # nobody to hinder, or no doors to do it by: the goal itself
+        return self._free_hands(state, keep=subject) or self.own
 
     # --- own goals and helping -------------------------------------------------------------
 

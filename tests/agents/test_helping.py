@@ -31,7 +31,7 @@ from tests.agents.test_subgoals import (
     touch,
 )
 
-DOWN = 2
+LEFT, DOWN = 1, 2
 SMALL, WIDE = 0.8, 1.6
 ONE_ROOM = (0, 0, 0, 0)
 
@@ -107,18 +107,61 @@ class TestHelpingWithAnItem:
         both = state((BOTTOM_LEFT,) * 3 + (TOP_LEFT,), held=(BLUE, BLUE))
         assert plan.subgoal(both, IN_VIEW) == close(BLUE, BOTTOM_RIGHT)
 
-    def test_a_helper_takes_hold_of_what_the_helpee_holds(self) -> None:
-        # the authors' helper stops here; their collaborators, who share the goal, join
+    def test_a_helper_that_could_bring_it_itself_joins_the_helpee_that_holds_it(self) -> None:
         plan = planner(self.GOAL, self.GOAL)
         held = state(held=(NOWHERE, BLUE), rooms=(TOP_LEFT,) * 4)
         assert plan.subgoal(held, IN_VIEW) == touch(RED, BLUE)
 
-    def test_bring_the_item_to_a_helpee_that_reaches_the_goal_but_not_the_item(self) -> None:
+    def test_a_helper_that_cannot_bring_it_leaves_it_to_the_helpee_that_holds_it(self) -> None:
+        sizes = [WIDE, SMALL, SMALL, SMALL]
+        plan = planner(self.GOAL, self.GOAL, walls=NARROW_DOWN, radius=sizes)
+        rooms = (BOTTOM_LEFT, BOTTOM_LEFT, BOTTOM_LEFT, TOP_LEFT)
+        assert plan.subgoal(state(rooms, held=(NOWHERE, BLUE)), IN_VIEW) == STOP
+
+    def test_carry_the_item_on_for_a_helpee_that_does_not_fit(self) -> None:
         sizes = [SMALL, WIDE, SMALL, SMALL]
         plan = planner(self.GOAL, self.GOAL, walls=NARROW_DOWN, radius=sizes)
         rooms = (BOTTOM_LEFT, BOTTOM_RIGHT, BOTTOM_LEFT, TOP_LEFT)
         assert plan.subgoal(state(rooms), IN_VIEW) == touch(RED, BLUE)
         reach = state(rooms, in_reach=(True, False, False, False))
+        assert plan.subgoal(reach, IN_VIEW) == attach(RED, BLUE)
+        assert plan.subgoal(state(rooms, held=(BLUE, NOWHERE)), IN_VIEW) == close(
+            BLUE, BOTTOM_RIGHT
+        )
+
+    def test_bring_the_item_through_the_door_to_a_helpee_that_reaches_the_goal_only(self) -> None:
+        # neither fits through the lower door; the item does
+        plan = planner(self.GOAL, self.GOAL, walls=NARROW_DOWN, radius=[WIDE, WIDE, SMALL, SMALL])
+        rooms = (BOTTOM_LEFT, BOTTOM_RIGHT, BOTTOM_LEFT, TOP_LEFT)
+        assert plan.subgoal(state(rooms), IN_VIEW) == touch(RED, BLUE)
+        assert plan.subgoal(state(rooms, held=(BLUE, NOWHERE)), IN_VIEW) == close(
+            BLUE, BOTTOM_RIGHT
+        )
+        both = state(rooms, held=(BLUE, BLUE))
+        assert plan.subgoal(both, IN_VIEW) == attach(RED, BLUE, positive=False)
+
+    def test_the_helpee_takes_over_what_has_been_brought(self) -> None:
+        plan = planner(
+            self.GOAL, self.GOAL, agent=GREEN, walls=NARROW_DOWN, radius=[WIDE, WIDE, SMALL, SMALL]
+        )
+        rooms = (BOTTOM_LEFT, BOTTOM_RIGHT, BOTTOM_LEFT, TOP_LEFT)
+        reach = state(rooms, held=(BLUE, NOWHERE), in_reach=(True, False, True, False))
+        assert plan.subgoal(reach, IN_VIEW) == attach(GREEN, BLUE)
+        # once both hold it, it goes on pulling while the helper lets go
+        both = state(rooms, held=(BLUE, BLUE))
+        assert plan.subgoal(both, IN_VIEW) == close(BLUE, BOTTOM_RIGHT)
+
+    def test_one_that_can_neither_get_at_the_item_nor_is_needed_waits(self) -> None:
+        sizes = [SMALL, WIDE, SMALL, SMALL]
+        plan = planner(self.GOAL, self.GOAL, agent=GREEN, walls=NARROW_DOWN, radius=sizes)
+        rooms = (BOTTOM_LEFT, BOTTOM_RIGHT, BOTTOM_LEFT, TOP_LEFT)
+        assert plan.subgoal(state(rooms, held=(BLUE, NOWHERE)), IN_VIEW) == STOP
+
+    def test_a_holder_beyond_the_door_need_not_pass_it(self) -> None:
+        # red already stands where the item is to go
+        plan = planner(self.GOAL, self.GOAL, walls=NARROW_DOWN, radius=[WIDE, SMALL, SMALL, SMALL])
+        rooms = (BOTTOM_RIGHT, BOTTOM_LEFT, BOTTOM_LEFT, TOP_LEFT)
+        reach = state(rooms, in_reach=(True, False, True, False))
         assert plan.subgoal(reach, IN_VIEW) == attach(RED, BLUE)
         assert plan.subgoal(state(rooms, held=(BLUE, NOWHERE)), IN_VIEW) == close(
             BLUE, BOTTOM_RIGHT
@@ -188,6 +231,13 @@ class TestHelpingAnAgentToItsLandmark:
         rooms = (BOTTOM_RIGHT, TOP_RIGHT, BOTTOM_RIGHT, TOP_LEFT)
         off_the_way = state(rooms, door_filled_by=(DOWN, NOWHERE))
         assert plan.subgoal(off_the_way, IN_VIEW) == STOP  # type: ignore[attr-defined]
+
+    def test_a_helper_that_cannot_get_at_the_item_in_the_door_stops(self) -> None:
+        walls = [*NARROW_DOWN[:-1], [[16.0, 12.0], [16.0, 2.0]]]
+        plan = self.helper(walls=walls, radius=[1.2, SMALL, WIDE, SMALL])
+        rooms = (TOP_RIGHT, BOTTOM_LEFT, TOP_LEFT, TOP_RIGHT)
+        stuck = state(rooms, door_filled_by=(LEFT, NOWHERE))
+        assert plan.subgoal(stuck, IN_VIEW) == STOP  # type: ignore[attr-defined]
 
     def test_with_a_free_way_stop_or_let_go_first(self) -> None:
         plan = self.helper()
