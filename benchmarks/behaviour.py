@@ -72,14 +72,20 @@ def rate(successes: list[bool]) -> dict[str, Any]:
         "n": len(successes),
         "ci_low": figures["ci_low"],
         "ci_high": figures["ci_high"],
+        "successes": successes,
     }
 
 
 def report(results: list[tuple[Try, bool]]) -> dict[str, Any]:
-    """Return rates by behaviour; for the real videos also by scenario and what fails."""
+    """Return rates by behaviour; for the real videos also by scenario and what fails.
+
+    ``successes`` are in the order of the seeds, of the videos' names before that, so that those of
+    two planners can be paired.
+    """
     by_name: dict[str, list[bool]] = {}
     failed: dict[str, list[int]] = {}
-    for task, success in sorted(results, key=lambda result: result[0][:2]):
+    order = lambda r: (r[0].name, r[0].event.id if r[0].event else "", r[0].seed)  # noqa: E731
+    for task, success in sorted(results, key=order):
         if task.event is None:
             by_name.setdefault(task.name, []).append(success)
             continue
@@ -125,7 +131,7 @@ def main() -> None:
             print(f"{name:32} {row['rate']:.2f} {interval:14} n={row['n']:<4} {shown}")
     for video, failing in figures.get(REAL, {}).get("failed_seeds", {}).items():
         print(f"  {video:24} failed with seeds {failing}")
-    common.write(figures, options.json)
+    common.write({"planner": planner.to_dict(), "behaviours": figures}, options.json)
     if options.figure:
         searching.figure(options.figure, planner, options.seeds)
 

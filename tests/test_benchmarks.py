@@ -40,12 +40,17 @@ def test_speed_of_one_transition(tmp_path: Path) -> None:
     report = figures(tmp_path, "simulator.py", "--only", "transitions")
     us = report["transition_us_pymunk"], report["transition_us_compiled"]
     assert report["transition_speedup"] == pytest.approx(us[0] / us[1])
+    assert report["transition_speedup"] > 2  # far below what it is, also on a busy machine
 
 
 def test_one_behaviour_with_a_changed_planner(tmp_path: Path) -> None:
     options = ["--only", "chase", "--seeds", "1", "--set", "simulations=60"]
-    report = figures(tmp_path, "behaviour.py", *options)
-    assert "chase" in json.dumps(report)
+    report: dict[str, Any] = figures(tmp_path, "behaviour.py", *options)
+    assert report["planner"]["simulations"] == 60
+    found = report["behaviours"]
+    assert list(found) == ["chase"]
+    assert found["chase"]["n"] == 1
+    assert found["chase"]["successes"] == [bool(found["chase"]["rate"])]
 
 
 def test_validity_of_one_kernel(tmp_path: Path) -> None:

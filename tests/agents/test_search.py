@@ -48,19 +48,39 @@ def test_an_agent_that_has_its_back_to_the_goal_turns() -> None:
     assert decision.action is Action.TURN_RIGHT
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_early_stop_never_changes_the_action(seed: int) -> None:
-    where = scene(red=(12.0, 9.0, float(seed)), blue=(14.0, 6.0))
-    subgoals = [Literal(Predicate.TOUCH, 0, 2), Literal(Predicate.ON, 2, 2)]
-    for subgoal in subgoals:
-        chosen, run = [], []
-        for early_stop in (False, True):
-            config = dataclasses.replace(CONFIG, early_stop=early_stop)
-            agent = agent_in(where, config, seed)
-            chosen.append(agent.choose_action(subgoal, ALL).action)
-            run.append(int(agent.tree.statistics[0]))
-        assert chosen[0] == chosen[1]
-        assert run[1] <= run[0] == CONFIG.simulations
+@pytest.mark.parametrize("paired", [False, True])
+def test_early_stop_saves_simulations_and_never_changes_the_action(paired: bool) -> None:
+    saved = 0
+    for seed in range(6):
+        where = scene(red=(12.0, 9.0, float(seed)), blue=(14.0, 6.0))
+        for subgoal in (Literal(Predicate.TOUCH, 0, 2), Literal(Predicate.ON, 2, 2)):
+            chosen, run = [], []
+            for early_stop in (False, True):
+                config = dataclasses.replace(CONFIG, early_stop=early_stop, paired=paired)
+                agent = agent_in(where, config, seed)
+                chosen.append(agent.choose_action(subgoal, ALL).action)
+                run.append(int(agent.tree.statistics[0]))
+            assert chosen[0] == chosen[1]
+            assert run[1] <= run[0] == CONFIG.simulations
+            saved += run[0] - run[1]
+    assert saved > 0
+
+
+def test_a_search_goes_on_from_the_subtree_of_the_executed_action_where_that_is_set() -> None:
+    run = {}
+    for reuse in (False, True):
+        config = dataclasses.replace(CONFIG, tree_reuse=reuse, early_stop=False)
+        agent = agent_in(scene(red=(23.5, 14.0, math.pi)), config)
+        subgoal = Literal(Predicate.ON, 0, 2)
+        for _ in range(2):
+            agent.choose_action(subgoal, ALL)
+        again = int(agent.tree.statistics[0])
+        # another subgoal begins anew
+        agent.choose_action(Literal(Predicate.TOUCH, 0, 2), ALL)
+        run[reuse] = again, int(agent.tree.statistics[0]) - again
+    assert run[False] == (2 * CONFIG.simulations, CONFIG.simulations)
+    assert CONFIG.simulations < run[True][0] < 2 * CONFIG.simulations
+    assert run[True][1] == CONFIG.simulations
 
 
 def test_paired_actions_of_the_same_effect_are_worth_exactly_the_same() -> None:

@@ -68,11 +68,14 @@ def test_an_agent_finds_an_item_that_it_cannot_see_at_first() -> None:
 
 
 def test_a_chaser_closes_in_on_one_that_stands_still() -> None:
-    where = scene(red=(10.0, 8.0, 0.0), green=(22.0, 16.0, 0.0), blue=(8, 20), pink=(24, 4))
-    chase = ppl.Hypothesis("get to green agent", "Get green agent away from blue lm")
+    x, y = scene().landmark_centres[1]
+    where = scene(red=(10.0, 8.0, 0.0), green=(x, y, 0.0), blue=(8, 20), pink=(24, 4))
+    chase = ppl.Hypothesis("get to green agent", "Get green agent to green lm")
     path = frames(where, chase, 50)
     gap = np.linalg.norm(path[:, 0, :2] - path[:, 1, :2], axis=1)
     assert gap.min() < 4.0 < gap[0]
+    before = path[: (gap < 4.0).argmax(), 1, :2]
+    assert np.linalg.norm(before - before[0], axis=1).max() < 0.1
 
 
 @pytest.mark.parametrize("goals", [("get away from green agent", "get to red agent")])
