@@ -22,6 +22,9 @@ from phase_ppl.world.hypothesis import Hypothesis
 BEHAVIOURS = {b.name: b for b in (*together.BEHAVIOURS, *against.BEHAVIOURS, *searching.BEHAVIOURS)}
 REAL = "goal_reached_rate"
 REAL_SEEDS = 3
+DEMANDED = 0.9
+"""Share of the real videos whose goals are to be reached from their start."""
+
 STEPS = 100
 
 
@@ -128,6 +131,9 @@ def main() -> None:
             row = figures[name]
             shown = BEHAVIOURS[name].shows if name in BEHAVIOURS else ""
             interval = f"[{row['ci_low']:.2f}, {row['ci_high']:.2f}]"
+            if name == REAL:
+                missed = "" if row["rate"] >= DEMANDED else "   MISSED"
+                shown = f"demanded >= {DEMANDED:g}{missed}"
             print(f"{name:32} {row['rate']:.2f} {interval:14} n={row['n']:<4} {shown}")
     for video, failing in figures.get(REAL, {}).get("failed_seeds", {}).items():
         print(f"  {video:24} failed with seeds {failing}")

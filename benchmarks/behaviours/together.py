@@ -57,8 +57,9 @@ def clear_door(episode: Episode) -> bool:
     """The helper holds the item while it leaves the door; then the helpee comes through."""
     door = np.array([16.0, 3.25])
     away = np.linalg.norm(episode.frames[:, BLUE, :2] - door, axis=1) > LARGE + SMALL
-    cleared = episode.holding(RED, BLUE).any() and away.any()
-    return bool(cleared and episode.reached(episode.goals()[GREEN]).any())
+    leaving = np.flatnonzero(away[1:] & ~away[:-1]) + 1
+    held = [k for k in leaving if episode.holding(RED, BLUE)[k - 1 : k + 1].any()]
+    return bool(held and episode.reached(episode.goals()[GREEN])[held[0] :].any())
 
 
 def stays_home(rng: np.random.Generator) -> tuple[Trial]:
@@ -69,8 +70,19 @@ def stays_home(rng: np.random.Generator) -> tuple[Trial]:
     return (Trial(where, Hypothesis(goal, goal, strength_red=450.0, strength_green=450.0)),)
 
 
-def item_arrives(episode: Episode) -> bool:
-    return bool(episode.is_on(BLUE, BOTTOM_RIGHT).any())
+def changes_hands(rng: np.random.Generator) -> tuple[Trial]:
+    """The item fits through the door to the goal; neither agent does."""
+    sizes = (MIDDLE, MIDDLE, SMALL, SMALL)
+    where = scene(12, (8, 8), (22, 10), (12, 5), (24, 20), rng, sizes)
+    goal = "Get blue item to red lm"
+    return (Trial(where, Hypothesis(goal, goal, strength_red=450.0, strength_green=450.0)),)
+
+
+def hand_over(episode: Episode) -> bool:
+    """The item is brought or pushed through the door by the helper; the helpee takes it on."""
+    over = np.flatnonzero(episode.rooms(BLUE) == BOTTOM_RIGHT)
+    taken = over.size > 0 and episode.holding(GREEN, BLUE)[over[0] :].any()
+    return bool(taken and episode.is_on(BLUE, BOTTOM_RIGHT).any())
 
 
 BEHAVIOURS = (
@@ -90,7 +102,16 @@ BEHAVIOURS = (
         bring_through_door,
     ),
     Behaviour(
-        "put_for_helpee", "the helpee has the item and does not fit", stays_home, item_arrives
+        "put_for_helpee",
+        "the helpee has the item and does not fit",
+        stays_home,
+        bring_through_door,
+    ),
+    Behaviour(
+        "hand_over",
+        "from one that does not fit through the door to one beyond it",
+        changes_hands,
+        hand_over,
     ),
     Behaviour(
         "clear_door",

@@ -13,7 +13,7 @@ from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.mind import Mind
 from phase_ppl.agents.oracle import OracleAgent
 from phase_ppl.physics import compiled
-from phase_ppl.physics.actions import N_ACTIONS, NO_ACTION, Action
+from phase_ppl.physics.actions import N_ACTIONS, NO_ACTION
 from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.goals import goal_index
@@ -46,24 +46,27 @@ def make(
     return agent, PymunkWorld(where, STRENGTHS, initial=State.at_start(where))
 
 
-def follow(where: Scene, oracle: bool, steps: int) -> list[Literal]:
-    """Return the subgoals of red, in order of first appearance."""
+def follow(where: Scene, oracle: bool, steps: int) -> tuple[list[Literal], int]:
+    """Return the subgoals of red, in order of first appearance, and after how many searches."""
     agent, world = make(where, oracle, seed=1)
     subgoals: list[Literal] = []
+    searches = 0
     for _ in range(steps):
         decision = agent.decide(*compiled.from_state(world.state, where.radius))
+        searches += len(decision.actions) > 0
         if decision.subgoal not in subgoals:
             subgoals.append(decision.subgoal)
         world.step((int(decision.action), NO_ACTION))
-    return subgoals
+    return subgoals, searches
 
 
-@pytest.mark.parametrize("name", ["ahead", "beside"])
+@pytest.mark.parametrize("name", SCENES)
 def test_both_searches_take_up_the_same_subgoals_in_the_same_order(name: str) -> None:
-    fast, slow = (follow(SCENES[name], oracle, 14) for oracle in (False, True))
-    n = min(len(fast), len(slow))
-    assert n >= 2
-    assert fast[:n] == slow[:n]
+    (fast, n_fast), (slow, n_slow) = (follow(SCENES[name], oracle, 14) for oracle in (False, True))
+    assert fast == slow
+    # they came to the others by their actions
+    assert len(fast) >= 3
+    assert min(n_fast, n_slow) >= 4
 
 
 def histogram(where: Scene, oracle: bool, seeds: range) -> NDArray[np.float64]:
@@ -80,7 +83,7 @@ def distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", ["ahead", "behind"])
 def test_actions_of_both_searches_differ_no_more_than_those_of_two_sets_of_seeds(
     name: str,
 ) -> None:
@@ -89,13 +92,6 @@ def test_actions_of_both_searches_differ_no_more_than_those_of_two_sets_of_seeds
     fast, again = histogram(where, False, range(40)), histogram(where, False, range(40, 80))
     # of 40 draws each, spread over two or three actions, as many as a quarter may differ
     assert distance(slow, fast) <= max(0.25, distance(fast, again))
-
-
-def test_both_grab_what_lies_in_reach() -> None:
-    for oracle in (False, True):
-        agent, world = make(SCENES["beside"], oracle, 0)
-        decision = agent.decide(*compiled.from_state(world.state, SCENES["beside"].radius))
-        assert decision.action == Action.ATTACH
 
 
 @pytest.mark.parametrize("change", [{"swivel": True}, {"tree_reuse": True}, {"paired": True}])
