@@ -35,8 +35,9 @@ class Hindering(Planning):
         letting_go = self._free_hands(state)
         if letting_go is not None:
             return letting_go
-        narrowed = [door for door in doors if self.abilities.walled[door]][:1]
-        if narrowed and narrowed[0] in {ray for ray, _ in self._open(state.rooms[self.agent])}:
+        here = {ray for ray, _ in self._open(state.rooms[self.agent])}
+        narrowed = [door for door in doors if self.abilities.walled[door] and door in here]
+        if narrowed:
             return Literal(Predicate.CLOSE, self.agent, N_ROOMS + narrowed[0])
         meeting = set(way[1:]) if len(way) > 1 else set(way)
         if state.rooms[self.agent] in meeting:

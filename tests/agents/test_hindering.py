@@ -130,6 +130,12 @@ class TestKeepingAnAgentFromItsLandmark:
         rooms = (BOTTOM_LEFT, BOTTOM_RIGHT, TOP_RIGHT, TOP_RIGHT)
         assert plan.subgoal(state(rooms), OUT_OF_VIEW) == door(RED, LEFT)
 
+    def test_of_the_doors_of_its_way_stand_in_the_one_at_hand(self) -> None:
+        plan = self.hinderer(walls=NARROW_DOWN)
+        for room, ray in ((TOP_LEFT, LEFT), (BOTTOM_LEFT, LEFT), (BOTTOM_RIGHT, DOWN)):
+            rooms = (room, TOP_LEFT, TOP_RIGHT, TOP_RIGHT)
+            assert plan.subgoal(state(rooms), OUT_OF_VIEW) == door(RED, ray)
+
     def test_without_a_wall_on_its_way_meet_it_and_push_it_back(self) -> None:
         plan = self.hinderer(walls=[FULL_WALL_UP, HALF_WALL_LEFT])
         for room, expected in (
