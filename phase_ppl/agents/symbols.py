@@ -87,14 +87,17 @@ def _cost_to_go(
     params: Params,
     ground: Ground,
 ) -> float:
-    if goal[3] < 0 or goal[0] != _ON or goal[1] == 1 - agent:
+    if goal[3] < 0:
         return 0.0
     x, y = body_origin(bodies, agent, params.cog)
     sx, sy = body_origin(bodies, goal[1], params.cog)
     if goal[1] != agent and held[agent] != goal[1]:
         return path_distance(x, y, sx, sy, ground)
-    lx, ly = ground.landmarks[goal[2], 0], ground.landmarks[goal[2], 1]
-    return path_distance(sx, sy, lx, ly, ground)
+    if goal[0] == _ON:
+        lx, ly = ground.landmarks[goal[2], 0], ground.landmarks[goal[2], 1]
+        return path_distance(sx, sy, lx, ly, ground)
+    tx, ty = body_origin(bodies, goal[2], params.cog)
+    return path_distance(sx, sy, tx, ty, ground)
 
 
 @bare_kernel
@@ -116,8 +119,7 @@ def describe(
         own_goal, other_goal: (4,) codes of the goal literals of the agent and of the other.
         facts: (K, N_FACTS) output, the fields of :class:`SymbolicState` in order.
         costs: (K,) output, the cost C of Algorithm 1: path length of the leg the agent is on, to
-            the item it is after or from there to the goal, units; 0 where its goal is not to
-            bring itself or an item to a landmark.
+            the item it is after or from there to the goal, units; 0 for negative goals.
     """
     for k in range(bodies.shape[0]):
         particle = bodies[k]
