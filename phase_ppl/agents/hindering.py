@@ -11,7 +11,7 @@ from phase_ppl.world.rooms import N_ROOMS
 class Hindering(Planning):
     """Subgoals of an agent whose goal is the negation of the other's."""
 
-    def _keep_away(self, state: SymbolicState) -> Literal:
+    def _keep_away(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
         """Not ON(other, landmark): fill a door on its way, or meet it there and push it back."""
         goal_room = self._landmark_room(self.own.target)
         rival_room = state.rooms[self.opponent]
@@ -40,7 +40,7 @@ class Hindering(Planning):
         if narrowed:
             return Literal(Predicate.CLOSE, self.agent, N_ROOMS + narrowed[0])
         meeting = set(way[1:]) if len(way) > 1 else set(way)
-        if state.rooms[self.agent] in meeting:
+        if state.rooms[self.agent] in meeting or observed[self.opponent]:
             return self.own
         steps = self._plan(
             state, (self.agent,), frozenset(), lambda node: node.rooms[self.agent] in meeting

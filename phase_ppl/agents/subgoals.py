@@ -56,7 +56,7 @@ class SubgoalPlanner(Hindering):
             if subject >= 2:
                 return self._guard_item(state, observed)
             if subject == self.opponent and self.own.predicate is Predicate.ON:
-                return self._keep_away(state)
+                return self._keep_away(state, observed)
         # nobody to hinder, or no doors to do it by: the goal itself
         return self._free_hands(state, keep=subject) or self.own
 

@@ -5,8 +5,6 @@ Goals about touching an item are not among the 36, and neither is hindering in t
 
 from __future__ import annotations
 
-import pytest
-
 from phase_ppl.agents.subgoals import SubgoalPlanner
 from phase_ppl.world.literals import STOP, Literal, Predicate
 from phase_ppl.world.rooms import N_ROOMS
@@ -117,12 +115,13 @@ class TestKeepingAnAgentFromItsLandmark:
         there = state((BOTTOM_RIGHT, TOP_LEFT, TOP_RIGHT, TOP_RIGHT))
         assert plan.subgoal(there, OUT_OF_VIEW) == on(GREEN, BOTTOM_RIGHT, positive=False)
 
-    @pytest.mark.parametrize("observed", [IN_VIEW, OUT_OF_VIEW])
-    def test_go_there_also_if_it_is_in_view_through_a_door(
-        self, observed: tuple[bool, ...]
-    ) -> None:
+    def test_one_in_view_through_a_door_is_pushed_back_at_once(self) -> None:
+        # the authors' hinderer goes to its room first; as a rule that made readings of other
+        # videos worse, and those of hinderers no better
         rooms = (BOTTOM_LEFT, BOTTOM_RIGHT, TOP_LEFT, TOP_RIGHT)
-        assert self.hinderer().subgoal(state(rooms), observed) == close(RED, BOTTOM_RIGHT)
+        plan = self.hinderer()
+        assert plan.subgoal(state(rooms), IN_VIEW) == on(GREEN, BOTTOM_RIGHT, positive=False)
+        assert plan.subgoal(state(rooms), OUT_OF_VIEW) == close(RED, BOTTOM_RIGHT)
 
     def test_stand_in_a_door_beside_a_wall_not_in_an_open_side(self) -> None:
         # between the lower rooms there is no wall; between the left ones there is half of one
