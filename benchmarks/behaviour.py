@@ -82,12 +82,15 @@ def rate(successes: list[bool]) -> dict[str, Any]:
 def report(results: list[tuple[Try, bool]]) -> dict[str, Any]:
     """Return rates by behaviour; for the real videos also by scenario and what fails.
 
-    ``successes`` are in the order of the seeds, of the videos' names before that, so that those of
-    two planners can be paired.
+    ``successes`` are in the order of videos and seeds, so that those of two planners can be paired.
     """
+
+    def order(result: tuple[Try, bool]) -> tuple[str, str, int]:
+        task = result[0]
+        return task.name, "" if task.event is None else task.event.id, task.seed
+
     by_name: dict[str, list[bool]] = {}
     failed: dict[str, list[int]] = {}
-    order = lambda r: (r[0].name, r[0].event.id if r[0].event else "", r[0].seed)  # noqa: E731
     for task, success in sorted(results, key=order):
         if task.event is None:
             by_name.setdefault(task.name, []).append(success)

@@ -40,7 +40,6 @@ def test_speed_of_one_transition(tmp_path: Path) -> None:
     report = figures(tmp_path, "simulator.py", "--only", "transitions")
     us = report["transition_us_pymunk"], report["transition_us_compiled"]
     assert report["transition_speedup"] == pytest.approx(us[0] / us[1])
-    assert report["transition_speedup"] > 2  # far below what it is, also on a busy machine
 
 
 def test_one_behaviour_with_a_changed_planner(tmp_path: Path) -> None:

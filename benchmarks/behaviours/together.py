@@ -8,21 +8,25 @@ from behaviours.battery import Behaviour, Trial
 from behaviours.episode import BLUE, BOTTOM_RIGHT, GREEN, RED, Episode
 from behaviours.layouts import LARGE, MIDDLE, SMALL, scene
 from phase_ppl.world.hypothesis import Hypothesis
+from phase_ppl.world.scene import Scene
 
 CARRIED = 3.0
 """An item that both move this far, units, has been carried by both."""
 
 
+def of_both(where: Scene, goal: str, red: float = 450.0, green: float = 450.0) -> tuple[Trial]:
+    """Return the trial of a goal of both, with their strengths in newtons."""
+    return (Trial(where, Hypothesis(goal, goal, strength_red=red, strength_green=green)),)
+
+
 def lift(rng: np.random.Generator) -> tuple[Trial]:
     where = scene(7, (18, 8), (8, 20), (10, 15), (24, 20), rng)
-    goal = "Get blue item to yellow lm"
-    return (Trial(where, Hypothesis(goal, goal, strength_red=300.0, strength_green=150.0)),)
+    return of_both(where, "Get blue item to yellow lm", red=300.0, green=150.0)
 
 
 def collaborate(rng: np.random.Generator) -> tuple[Trial]:
     where = scene(6, (14, 16), (8, 20), (9, 14), (24, 20), rng)
-    goal = "Get blue item to red lm"
-    return (Trial(where, Hypothesis(goal, goal, strength_red=450.0, strength_green=450.0)),)
+    return of_both(where, "Get blue item to red lm")
 
 
 def carry_together(episode: Episode) -> bool:
@@ -34,8 +38,7 @@ def carry_together(episode: Episode) -> bool:
 def too_narrow(rng: np.random.Generator) -> tuple[Trial]:
     sizes = (SMALL, LARGE, SMALL, SMALL)
     where = scene(12, (8, 8), (18, 16), (12, 5), (24, 20), rng, sizes)
-    goal = "Get blue item to red lm"
-    return (Trial(where, Hypothesis(goal, goal, strength_red=450.0, strength_green=450.0)),)
+    return of_both(where, "Get blue item to red lm")
 
 
 def bring_through_door(episode: Episode) -> bool:
@@ -49,8 +52,7 @@ def bring_through_door(episode: Episode) -> bool:
 def filled_door(rng: np.random.Generator) -> tuple[Trial]:
     sizes = (MIDDLE, SMALL, LARGE, SMALL)
     where = scene(12, (22, 9), (8, 8), (17.7, 3.6), (24, 20), rng, sizes)
-    goal = "Get green agent to green lm"
-    return (Trial(where, Hypothesis(goal, goal, strength_red=600.0, strength_green=300.0)),)
+    return of_both(where, "Get green agent to green lm", red=600.0, green=300.0)
 
 
 def clear_door(episode: Episode) -> bool:
@@ -66,16 +68,14 @@ def stays_home(rng: np.random.Generator) -> tuple[Trial]:
     """The item is where the helpee can take it, but the helpee cannot bring it to the goal."""
     sizes = (SMALL, LARGE, SMALL, SMALL)
     where = scene(13, (18, 8), (8, 8), (12, 5), (24, 20), rng, sizes)
-    goal = "Get blue item to red lm"
-    return (Trial(where, Hypothesis(goal, goal, strength_red=450.0, strength_green=450.0)),)
+    return of_both(where, "Get blue item to red lm")
 
 
 def changes_hands(rng: np.random.Generator) -> tuple[Trial]:
     """The item fits through the door to the goal; neither agent does."""
     sizes = (MIDDLE, MIDDLE, SMALL, SMALL)
     where = scene(12, (8, 8), (22, 10), (12, 5), (24, 20), rng, sizes)
-    goal = "Get blue item to red lm"
-    return (Trial(where, Hypothesis(goal, goal, strength_red=450.0, strength_green=450.0)),)
+    return of_both(where, "Get blue item to red lm")
 
 
 def hand_over(episode: Episode) -> bool:

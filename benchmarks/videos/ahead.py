@@ -21,12 +21,14 @@ from videos.decisions import Task, states
 from videos.replay import actions_of, scene_of
 
 NEAR: Final = 0.15
-"""What is nearer than this to an inner wall is at it, units; of agents, their widest point."""
+"""What comes nearer than this to an inner wall is at it, units."""
 
 WIDEST: Final = 1.6
+"""How far an agent reaches from its origin, in units of its size."""
+
 MOVED: Final = 0.5
 STUCK: Final = 0.3
-"""Something is stuck that moves less than this share of a way of at least ``MOVED`` units."""
+"""Something is stuck that moves less than this share of a way of more than ``MOVED`` units."""
 
 
 def gap(position: NDArray[np.float64], walls: NDArray[np.float64]) -> float:
