@@ -25,9 +25,7 @@ class Hindering(Planning):
             near = state.rooms[self.agent] == state.rooms[item]
             if not useful or not near or not self.abilities.carries_alone[self.agent]:
                 continue
-            reachable = [
-                d for d in useful if d in {ray for ray, _ in self._open(state.rooms[item])}
-            ]
+            reachable = [d for d in useful if d in self._doors_of(state.rooms[item])]
             if reachable:
                 if state.held[self.agent] == item:
                     return Literal(Predicate.CLOSE, item, N_ROOMS + reachable[0])
@@ -35,7 +33,7 @@ class Hindering(Planning):
         letting_go = self._free_hands(state)
         if letting_go is not None:
             return letting_go
-        here = {ray for ray, _ in self._open(state.rooms[self.agent])}
+        here = self._doors_of(state.rooms[self.agent])
         narrowed = [door for door in doors if self.abilities.walled[door] and door in here]
         if narrowed:
             return Literal(Predicate.CLOSE, self.agent, N_ROOMS + narrowed[0])
@@ -120,9 +118,9 @@ class Hindering(Planning):
 
     def _stand_in_door(self, state: SymbolicState, rival_way: tuple[int, ...]) -> Literal:
         """Go to the nearest door on the rival's way that this agent can get to."""
-        for ray in reversed(self._doors(rival_way)):
-            here = ray in {r for r, _ in self._open(state.rooms[self.agent])}
-            if here and self.abilities.walled[ray]:
-                return Literal(Predicate.CLOSE, self.agent, N_ROOMS + ray)
+        here = self._doors_of(state.rooms[self.agent])
+        for door in reversed(self._doors(rival_way)):
+            if door in here and self.abilities.walled[door]:
+                return Literal(Predicate.CLOSE, self.agent, N_ROOMS + door)
         target = rival_way[-2] if len(rival_way) > 1 else rival_way[-1]
         return self._press_on(state, target)

@@ -91,6 +91,10 @@ class Planning:
     def _open(self, room: int) -> tuple[tuple[int, int], ...]:
         return self.abilities.neighbours[room]
 
+    def _doors_of(self, room: int) -> set[int]:
+        """Return the rays of the doors of a room."""
+        return {ray for ray, _ in self._open(room)}
+
     def _doors(self, way: tuple[int, ...] | None) -> list[int]:
         """Return the rays of the doors that a way through rooms uses."""
         doors = []
