@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import warnings
 from importlib import metadata
 
 import pytest
@@ -20,6 +21,18 @@ if metadata.version("jaxlib").startswith("0.10."):
 # a shell that runs something in the background has it ignore Ctrl-C, which is then tested in vain
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Import ArviZ once before there are several processes.
+
+    Version 0.23 notes the day of its first import in a file; processes that do so at the same
+    moment take it from each other, and the import fails.
+    """
+    if not hasattr(config, "workerinput"):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            import arviz  # noqa: F401
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import math
 import weakref
 from collections.abc import Sequence
 from typing import Any, Final, Protocol
@@ -45,6 +46,13 @@ class Record:
         log_prior: their log density.
         chain: which particle asked for it.
         iteration: in which iteration; 0 for the initial particles.
+        log_proposal: log density of the proposal that it was drawn from, given all that was
+            done before; NaN where the kernel does not say.
+        log_bound: log of the largest acceptance ratio that it could have, less its log
+            likelihood. It was simulated to the end with probability min(1, exp(log_bound + log
+            likelihood)); inf: for certain.
+        log_again: log of the sum of 1 / proposal density over the later requests that it
+            answered; -inf without any.
     """
 
     result: SimulationResult
@@ -52,6 +60,9 @@ class Record:
     log_prior: float
     chain: int
     iteration: int
+    log_proposal: float = math.nan
+    log_bound: float = math.inf
+    log_again: float = -math.inf
 
 
 class SimulatorBridge:
@@ -85,7 +96,7 @@ class SimulatorBridge:
         self.defers = False
         self._runner = runner
         self._n_frames = n_frames
-        self._completed: dict[tuple[Any, ...], SimulationResult] = {}
+        self._completed: dict[tuple[Any, ...], int] = {}  # request -> row of the records
         _open[self.handle] = self
 
     def answer(
@@ -93,12 +104,18 @@ class SimulatorBridge:
         columns: _Columns,
         log_prior: NDArray[np.float32],
         seed: NDArray[np.int32],
-        ceiling: NDArray[np.float32],
+        *limits: NDArray[np.float32],
     ) -> NDArray[np.float32]:
-        """Return the errors (..., time) that a batch (...) of requests asks for."""
+        """Return the errors (..., time) that a batch (...) of requests asks for.
+
+        Args:
+            columns: site -> (..., ) values.
+            log_prior, seed: (...).
+            limits: (...) error ceilings, log_proposal and log_bound, see :class:`Record`.
+        """
         if self.failure is None:
             try:
-                return self._simulate(columns, log_prior, seed, ceiling)
+                return self._simulate(columns, log_prior, seed, *limits)
             except BaseException as error:
                 self.failure = error
         if self.defers:
@@ -107,23 +124,24 @@ class SimulatorBridge:
 
     def remember(self, record: Record) -> None:
         """Keep a simulation; the same request is answered by it from now on, if it completed."""
-        self.records.append(record)
         if record.result.completed:
-            self._completed[_request(record.sites, record.result.seed)] = record.result
+            self._completed[_request(record.sites, record.result.seed)] = len(self.records)
+        self.records.append(record)
 
     def _simulate(
         self,
         columns: _Columns,
         log_prior: NDArray[np.float32],
         seed: NDArray[np.int32],
-        ceiling: NDArray[np.float32],
+        *limits: NDArray[np.float32],
     ) -> NDArray[np.float32]:
         self.calls += 1
         batch = seed.shape
         n_rows = seed.size
         rows_per_chain = n_rows // batch[0] if batch else 1
         flat = {k: v.reshape(n_rows, *v.shape[len(batch) :]) for k, v in columns.items()}
-        log_prior, seed, ceiling = log_prior.ravel(), seed.ravel(), ceiling.ravel()
+        log_prior, seed = log_prior.ravel(), seed.ravel()
+        ceiling, log_proposal, log_bound = (limit.ravel() for limit in limits)
         errors = np.full((n_rows, self._n_frames), np.inf, np.float32)
         rows: list[int] = []
         for row in np.flatnonzero(_in_support(flat, log_prior)).tolist():
@@ -132,7 +150,10 @@ class SimulatorBridge:
             if known is None:
                 rows.append(row)
             else:
-                errors[row] = known.errors
+                record = self.records[known]
+                errors[row] = record.result.errors
+                log_again = float(np.logaddexp(record.log_again, -log_proposal[row]))
+                self.records[known] = dataclasses.replace(record, log_again=log_again)
         results = self._runner.run(
             [hypothesis_of_row(flat, row) for row in rows],
             [int(seed[row]) for row in rows],
@@ -151,6 +172,8 @@ class SimulatorBridge:
                     float(log_prior[row]),
                     chain=row // rows_per_chain,
                     iteration=self.iteration,
+                    log_proposal=float(log_proposal[row]),
+                    log_bound=float(log_bound[row]),
                 )
             )
         return errors.reshape(*batch, self._n_frames)
@@ -167,6 +190,8 @@ def request_errors(
     log_prior: jax.Array,
     seed: jax.Array,
     error_ceiling: jax.Array | float = np.inf,
+    log_proposal: jax.Array | float = np.nan,
+    log_bound: jax.Array | float = np.inf,
 ) -> jax.Array:
     """Return per-frame errors (time,) of a simulation, units; float32; inside compiled code.
 
@@ -179,13 +204,15 @@ def request_errors(
         log_prior: their log density; without mass there is nothing to simulate.
         seed: of the simulation, int32.
         error_ceiling: summed error beyond which the simulation may be stopped, units.
+        log_proposal, log_bound: to be kept with the simulation, see :class:`Record`.
 
     Returns:
         The errors; inf from where the simulation was stopped. All inf for a failed simulation
         and for hypotheses outside the prior's support, which are not simulated.
     """
     shape = jax.ShapeDtypeStruct((n_frames,), jnp.float32)
-    arguments = (jnp.asarray(handle), dict(sites), log_prior, seed, jnp.float32(error_ceiling))
+    limits = (jnp.float32(limit) for limit in (error_ceiling, log_proposal, log_bound))
+    arguments = (jnp.asarray(handle), dict(sites), log_prior, seed, *limits)
     errors: jax.Array = jax.pure_callback(_host, shape, *arguments, vmap_method="broadcast_all")
     return errors
 
@@ -194,8 +221,7 @@ def _host(handle: Any, sites: dict[str, Any], *rest: Any) -> NDArray[np.float32]
     # NumPy from the first line on: calling JAX in here can deadlock
     bridge = _open[int(np.asarray(handle).flat[0])]
     columns = {name: np.asarray(value) for name, value in sites.items()}
-    log_prior, seed, ceiling = (np.asarray(value) for value in rest)
-    return bridge.answer(columns, log_prior, seed, ceiling)
+    return bridge.answer(columns, *(np.asarray(value) for value in rest))
 
 
 def _in_support(flat: _Columns, log_prior: NDArray[np.float32]) -> NDArray[np.bool_]:

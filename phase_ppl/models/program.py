@@ -92,10 +92,10 @@ class EventProgram:
         sites: Sites,
         log_prior: jax.Array,
         seed: jax.Array,
-        error_ceiling: jax.Array | float = np.inf,
+        *limits: jax.Array | float,
     ) -> jax.Array:
         """Return (time,) the errors of a simulation; see :func:`request_errors`."""
-        return request_errors(self.bridge, self.n_frames, sites, log_prior, seed, error_ceiling)
+        return request_errors(self.bridge, self.n_frames, sites, log_prior, seed, *limits)
 
     def simulator_seed(self, key: jax.Array, sites: Sites) -> jax.Array:
         """Return the seed, int32, with which a proposed hypothesis is simulated.

@@ -161,6 +161,10 @@ class LocalMH(MetropolisKernel):
         """Return a hypothesis from what the whole observation shows."""
         return self.draw_guide(key, self._n_windows)
 
+    def log_initial_proposal(self, sites: Sites, log_prior: jax.Array) -> jax.Array:
+        """Return log Q(sites | whole observation)."""
+        return log_density(self.guide, sites, self._n_windows)
+
     def step_one(self, state: MHState) -> MHState:
         """Propose from a window that is simulated badly; accept by the rule."""
         key, key_window, key_sites, key_seed, key_accept = random.split(state.rng_key, 5)
@@ -177,13 +181,13 @@ class LocalMH(MetropolisKernel):
     def local_move(self, window: jax.Array, sites: dict[str, jax.Array], state: MHState) -> Move:
         """Return the move to a hypothesis that was proposed from a window."""
         rule, log_prior, memo = self._rule, self.model.log_prior(sites), self.memo(sites)
-        before = state.memo["log_proposal"]
+        before, log_windows = state.memo["log_proposal"], self._log_windows(state.step_error)
         known = log_before(
             rule,
             window,
             (state.log_prior, log_prior),
             (before, memo["log_proposal"]),
-            self._log_windows(state.step_error),
+            log_windows,
         )
         return Move(
             sites,
@@ -193,6 +197,7 @@ class LocalMH(MetropolisKernel):
             lambda step_error: log_after(rule, window, before, self._log_windows(step_error)),
             log_after_bound(rule, before),
             window,
+            logsumexp(log_windows + memo["log_proposal"]),
         )
 
     def _log_windows(self, step_error: jax.Array) -> jax.Array:

@@ -68,6 +68,7 @@ class MixtureMH(LocalMH):
             log_after=lambda step_error: jnp.where(local, after(step_error), 0.0),
             log_bound=jnp.where(local, move.log_bound, 0.0),
             window=jnp.where(local, window, -1),
+            log_proposal=jnp.where(local, move.log_proposal, jnp.nan),
         )
         return self.settle(move, state, key, key_seed, key_accept)
 

@@ -15,6 +15,8 @@ class PriorMH(ProposalKernel):
     Prior and proposal cancel, so that the acceptance ratio is that of the likelihoods.
     """
 
+    proposes_from_prior = True
+
     def propose(self, key: jax.Array, state: MHState) -> tuple[dict[str, jax.Array], jax.Array]:
         """Return a hypothesis from the prior."""
         sites = self.model.draw_prior(key)

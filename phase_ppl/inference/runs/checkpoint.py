@@ -32,7 +32,7 @@ from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.event import Event
 from phase_ppl.world.identity import event_digest
 
-SCHEMA: Final = "phase-ppl-checkpoint-1"
+SCHEMA: Final = "phase-ppl-checkpoint-2"
 
 
 @dataclasses.dataclass(frozen=True)

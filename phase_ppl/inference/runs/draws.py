@@ -128,7 +128,7 @@ def build_tree(
 
 _RESULT_COLUMNS: Final = (
     *("seed", "chain", "iteration", "log_prior", "log_prior_effective", "log_likelihood"),
-    *("total_error", "completed", "frames_simulated", "failed"),
+    *("log_proposal", "log_bound", "log_again", "total_error", "completed", "frames_simulated", "failed"),
 )
 
 
@@ -150,7 +150,10 @@ def _simulation_table(records: Sequence[Record], model: Model) -> Columns:
         "seed": np.array([result.seed for result in results], np.int64),
         "chain": np.array([record.chain for record in records], np.int64),
         "iteration": np.array([record.iteration for record in records], np.int64),
-        "log_prior": np.array([record.log_prior for record in records], np.float64),
+        **{
+            name: np.array([getattr(record, name) for record in records], np.float64)
+            for name in ("log_prior", "log_proposal", "log_bound", "log_again")
+        },
         "log_prior_effective": log_prior_of_effective(model.prior, effective, strengths),
         "log_likelihood": np.where(failed, -np.inf, log_likelihood),
         "total_error": np.where(failed, np.inf, [result.total_error for result in results]),

@@ -74,7 +74,10 @@ def _below(arrays: Arrays, prefix: str) -> Arrays:
 
 # --- records ---------------------------------------------------------------------------------
 
-_RECORD: Final = ("seed", "chain", "iteration", "log_prior", "frames", "completed")
+_RECORD: Final = (
+    *("seed", "chain", "iteration", "log_prior", "log_proposal", "log_bound", "log_again"),
+    *("frames", "completed"),
+)
 
 
 def packed_records(records: Sequence[Record]) -> Arrays:
@@ -85,7 +88,10 @@ def packed_records(records: Sequence[Record]) -> Arrays:
         "seed": np.array([result.seed for result in results], np.int64),
         "chain": np.array([record.chain for record in records], np.int64),
         "iteration": np.array([record.iteration for record in records], np.int64),
-        "log_prior": np.array([record.log_prior for record in records], np.float64),
+        **{
+            name: np.array([getattr(record, name) for record in records], np.float64)
+            for name in ("log_prior", "log_proposal", "log_bound", "log_again")
+        },
         "frames": np.array(frames, np.int64),
         "completed": np.array([result.completed for result in results], np.bool_),
         "error": np.concatenate([r.errors[:n] for r, n in zip(results, frames, strict=True)]),
@@ -138,6 +144,9 @@ def unpacked_records(arrays: Arrays, failed: Mapping[str, str], n_frames: int) -
                 float(columns["log_prior"][row]),
                 chain=int(columns["chain"][row]),
                 iteration=int(columns["iteration"][row]),
+                log_proposal=float(columns["log_proposal"][row]),
+                log_bound=float(columns["log_bound"][row]),
+                log_again=float(columns["log_again"][row]),
             )
         )
     return records

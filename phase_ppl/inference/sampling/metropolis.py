@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -27,7 +27,7 @@ from jax import random
 from phase_ppl.inference.registry import Validity
 from phase_ppl.inference.sampling.particle import ParticleKernel, chosen, log_uniform
 from phase_ppl.inference.settings import SimpleSettings
-from phase_ppl.models.density import NO_DENSITY, Program
+from phase_ppl.models.density import NO_DENSITY, Program, Sites
 from phase_ppl.models.program import EventProgram
 
 
@@ -73,6 +73,8 @@ class Move(NamedTuple):
             moves that are reversed with a probability that depends on them.
         log_bound: the most that ``log_after`` can be.
         window: see :class:`MHState`.
+        log_proposal: log density of the draw that made the hypothesis, given the state; NaN
+            where it has none, as of a move of a single site.
     """
 
     sites: dict[str, jax.Array]
@@ -82,6 +84,7 @@ class Move(NamedTuple):
     log_after: Callable[[jax.Array], jax.Array | float] = lambda step_error: 0.0
     log_bound: jax.Array | float = 0.0
     window: jax.Array | int = -1
+    log_proposal: jax.Array | float = np.nan
 
 
 def log_ratio(
@@ -137,6 +140,10 @@ class MetropolisKernel(ParticleKernel[MHState]):
         """Return a hypothesis from the prior."""
         return self.model.draw_prior(key)
 
+    def log_initial_proposal(self, sites: Sites, log_prior: jax.Array) -> jax.Array | float:
+        """Return the log density of :meth:`propose_initial`; NaN where it is not known."""
+        return log_prior
+
     def start_one(
         self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]
     ) -> MHState:
@@ -144,7 +151,8 @@ class MetropolisKernel(ParticleKernel[MHState]):
         program = self.model
         seed = program.simulator_seed(key_start, sites)
         log_prior = program.log_prior(sites)
-        step_error = program.simulate(sites, log_prior, seed)
+        log_proposal = self.log_initial_proposal(sites, log_prior)
+        step_error = program.simulate(sites, log_prior, seed, np.inf, log_proposal)
         none = jnp.zeros((), jnp.int32)
         return MHState(
             i=none,
@@ -190,8 +198,12 @@ class MetropolisKernel(ParticleKernel[MHState]):
         log_u = log_uniform(key_accept)
         current = program.log_likelihood(state.step_error)
         floor = log_u - move.log_known - move.log_bound + current.sum()
-        ceiling = self.error_ceiling(floor) if self._early_reject else np.inf
-        step_error = program.simulate(move.sites, move.log_prior, seed, ceiling)
+        ceiling, log_bound = self.error_ceiling(floor), log_u - floor
+        if not self._early_reject:
+            ceiling, log_bound = np.inf, np.inf
+        step_error = program.simulate(
+            move.sites, move.log_prior, seed, ceiling, move.log_proposal, log_bound
+        )
         proposed = program.log_likelihood(step_error)
         ratio = log_ratio(move.log_known, current, proposed, move.log_after(step_error))
         accepted = log_u < ratio  # not a number, where both failed: rejected
@@ -215,6 +227,9 @@ class MetropolisKernel(ParticleKernel[MHState]):
 class ProposalKernel(MetropolisKernel):
     """Base of those kernels of the family that only have to say what they propose."""
 
+    proposes_from_prior: ClassVar[bool] = False
+    """Whether each proposal is a draw from the prior, whatever the state."""
+
     @abstractmethod
     def propose(
         self, key: jax.Array, state: MHState
@@ -227,7 +242,8 @@ class ProposalKernel(MetropolisKernel):
         sites, log_hastings = self.propose(key_propose, state)
         log_prior = self.model.log_prior(sites)
         known = self.log_known(log_prior, log_hastings, state)
-        move = Move(sites, log_prior, self.memo(sites), known)
+        log_proposal = log_prior if self.proposes_from_prior else np.nan
+        move = Move(sites, log_prior, self.memo(sites), known, log_proposal=log_proposal)
         return self.settle(move, state, key, key_seed, key_accept)
 
 
