@@ -115,6 +115,7 @@ class Hypotheses(WeightedRows):
         error = np.full(shape, np.nan if without is None else 0.0)
         if without is not None:
             error.flat[occupied] = without.error(statistics.shares(codes, without.weights), mass)
+            error = self._error_of_share(table, error, float(self._rows.weights[rows].sum()))
         coords: dict[str, Any] = dict(zip(names, map(list, labels), strict=True))
         return xr.DataArray(
             table, {**coords, "error": (names, error)}, dims=names, name="probability"

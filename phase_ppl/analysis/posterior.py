@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import json
 import os
 from pathlib import Path
@@ -27,9 +26,17 @@ from phase_ppl.analysis.quantities import (
     relation_codes,
 )
 from phase_ppl.analysis.summary import summary, table
-from phase_ppl.analysis.tree import array, check_tree, read_tree, write_tree
-from phase_ppl.analysis.weights import WEIGHTINGS, chain_groups, without_groups
-from phase_ppl.world.errors import unknown_name
+from phase_ppl.analysis.tree import (
+    array,
+    check_tree,
+    read_tree,
+    untried,
+    without_burn_in,
+    write_tree,
+)
+from phase_ppl.analysis.weights import WEIGHTINGS, chain_groups, halves
+from phase_ppl.world.checks import whole_number
+from phase_ppl.world.errors import InvalidSettingError, unknown_name
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.scene import Scene
@@ -51,8 +58,11 @@ class Posterior(Hypotheses):
 
     Args:
         tree: draws and simulations, as inference writes them (``phase_ppl.analysis.tree``).
-        weights: "count", "visited" or "likelihood" (``phase_ppl.analysis.weights`` says when
-            each is valid); None: what the run recorded as its default.
+        weights: "count", "importance", "visited" or "likelihood" (``phase_ppl.analysis.weights``
+            says when each is valid); None: what the run recorded as its default.
+        burn_in: draws at the beginning of each chain that do not count; None: what the run
+            recorded, a quarter of a run of twenty iterations or more, else none. Weights
+            "importance" and "visited" are of all simulations.
         scenario: replaces the paper's scenario of two effective goals: (goal of red, goal of
             green) -> one of "collaborative", "independent", "competing", "opposing". The
             relation follows from it.
@@ -68,14 +78,25 @@ class Posterior(Hypotheses):
         tree: xr.DataTree,
         weights: str | None = None,
         *,
+        burn_in: int | None = None,
         scenario: ScenarioFunction | None = None,
     ) -> None:
         check_tree(tree)
         name = str(tree.attrs["weights"]) if weights is None else weights
         if name not in WEIGHTINGS:
             raise unknown_name("weights", name, WEIGHTINGS)
+        n_draws = tree["posterior"].sizes["draw"]
+        self._burn_in = whole_number(
+            "burn_in", tree.attrs.get("burn_in", 0) if burn_in is None else burn_in, minimum=0
+        )
+        if self._burn_in >= n_draws:
+            raise InvalidSettingError(
+                f"burn_in={self._burn_in}, but each chain has {n_draws} draws: expected fewer"
+            )
         self._tree = tree
+        self._kept = without_burn_in(tree, self._burn_in)
         self._weights = name
+        tree = self._kept
         rows = WEIGHTINGS[name](tree)
         columns = dict(rows.values)
         goals = columns["goal_red"], columns["goal_green"]
@@ -83,9 +104,9 @@ class Posterior(Hypotheses):
         known = quantities()
         for site in [name for name in columns if name not in known]:
             known[site], columns[site] = own_quantity(tree, site, columns[site])
-        n_groups = int(chain_groups(tree)[-1]) + 1
-        without = functools.partial(without_groups, tree, name, rows)
-        super().__init__(known, dataclasses.replace(rows, values=columns), n_groups, without)
+        groups = chain_groups(tree)[rows.index["chain"]]
+        rows = dataclasses.replace(rows, values=columns)
+        super().__init__(known, rows, groups, halves(tree, name, rows))
         self._scenario = scenario
 
     @property
@@ -97,6 +118,20 @@ class Posterior(Hypotheses):
     def weights(self) -> str:
         """Name of the weighting in use."""
         return self._weights
+
+    @property
+    def burn_in(self) -> int:
+        """How many draws at the beginning of each chain do not count."""
+        return self._burn_in
+
+    @property
+    def untried(self) -> float:
+        """Prior mass of the pairs of effective goals that no simulation was completed of.
+
+        To these a sampled posterior gives probability 0, whatever they would explain; NaN for
+        files of earlier versions, which do not hold the prior of pairs.
+        """
+        return untried(self._tree)
 
     @property
     def event_id(self) -> str:
@@ -162,13 +197,13 @@ class Posterior(Hypotheses):
 
     def diagnostics(self) -> dict[str, Any]:
         """Return how the chains went and a verdict; see :mod:`phase_ppl.analysis.diagnostics`."""
-        return diagnostics(self._tree, self._weights, self._rows, self._scenario)
+        return diagnostics(self._kept, self._weights, self._rows, self._scenario)
 
     def over_time(self) -> xr.Dataset:
         """Return the marginals on ever more of the video, in hindsight.
 
         See :func:`phase_ppl.analysis.over_time.over_time`; at the last frame they are those of
-        weights ``"visited"``, whatever the weighting in use.
+        weights ``"importance"`` where the kernel allows them, whatever the weighting in use.
         """
         return over_time(self._tree, self._scenario)
 
@@ -178,18 +213,18 @@ class Posterior(Hypotheses):
 
         See :func:`phase_ppl.analysis._arviz.arviz_data` for what is in there; nothing is simulated.
         """
-        return arviz_data(self._tree, self._scenario)
+        return arviz_data(self._kept, self._scenario)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write draws and simulations to ``path`` as NetCDF, whole or not at all.
 
-        The weighting in use becomes the file's default.
+        The weighting and the burn-in in use become the file's defaults.
 
         Raises:
             OutputError: the file cannot be written there, or its name does not end in .nc.
         """
         tree = self._tree.copy()
-        tree.attrs["weights"] = self._weights
+        tree.attrs["weights"], tree.attrs["burn_in"] = self._weights, self._burn_in
         return write_tree(tree, path)
 
     @classmethod
@@ -198,6 +233,7 @@ class Posterior(Hypotheses):
         path: str | os.PathLike[str],
         weights: str | None = None,
         *,
+        burn_in: int | None = None,
         scenario: ScenarioFunction | None = None,
     ) -> Posterior:
         """Read a posterior that :meth:`save` wrote.
@@ -205,7 +241,7 @@ class Posterior(Hypotheses):
         Raises:
             InvalidEventError: there is no such file, or it is damaged or of another kind.
         """
-        return cls(read_tree(path), weights, scenario=scenario)
+        return cls(read_tree(path), weights, burn_in=burn_in, scenario=scenario)
 
     def summary(self) -> dict[str, Any]:
         """Return the posterior as plain data, fit for JSON (numbers that do not exist: None)."""

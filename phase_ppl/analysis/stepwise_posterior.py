@@ -76,7 +76,7 @@ class StepwisePosterior(Hypotheses):
         columns = dict(rows.values)
         goals = columns["goal_red"], columns["goal_green"]
         columns |= relation_codes(*goals, scenario) | part_codes(*goals)
-        super().__init__(quantities(), dataclasses.replace(rows, values=columns), 1, _none_left_out)
+        super().__init__(quantities(), dataclasses.replace(rows, values=columns))
 
     def _jackknife(self, share: float) -> Jackknife | None:
         """Return one in which nothing varies: nothing here was drawn."""
@@ -246,10 +246,6 @@ class StepwisePosterior(Hypotheses):
 
     def __repr__(self) -> str:
         return f"<StepwisePosterior of {self.event_id} after frame {self._frame}>"
-
-
-def _none_left_out(sets: NDArray[np.bool_]) -> FloatArray:
-    raise AssertionError("one group of chains has nothing to leave out")
 
 
 def is_stepwise(path: str | os.PathLike[str]) -> bool:

@@ -139,6 +139,32 @@ def array(tree: xr.DataTree, group: str, name: str) -> NDArray[Any]:
     return tree[group].dataset[name].values
 
 
+def untried(tree: xr.DataTree) -> float:
+    """Return the prior mass of the pairs of effective goals without a completed simulation.
+
+    NaN where the tree does not hold the prior of pairs, as in files of earlier versions.
+    """
+    constant = tree["constant_data"].dataset
+    if "prior_of_pairs" not in constant:
+        return float("nan")
+    left = constant["prior_of_pairs"].values.astype(np.float64)
+    done = array(tree, "simulations", "completed") & ~array(tree, "simulations", "failed")
+    red, green = (array(tree, "simulations", name)[done] for name in SITES[:2])
+    left[red.astype(np.int64), green.astype(np.int64)] = 0.0
+    return float(left.sum())
+
+
+def without_burn_in(tree: xr.DataTree, burn_in: int) -> xr.DataTree:
+    """Return the tree without the first ``burn_in`` draws of every chain; simulations all stay."""
+    if not burn_in:
+        return tree
+    result = tree.copy()
+    for name, node in tree.children.items():
+        if "draw" in node.dims:
+            result[name] = xr.DataTree(node.to_dataset().isel(draw=slice(burn_in, None)))
+    return result
+
+
 def log_weight_of_draws(tree: xr.DataTree) -> NDArray[np.float64]:
     """Return (chain, draw) the log weights of the draws; 0 where the tree has none."""
     stats = tree["sample_stats"].dataset

@@ -1,14 +1,17 @@
-"""Rows of hypotheses with weights: names, conditions, and weights without some of the chains."""
+"""Rows of hypotheses with weights: names, conditions, and how far answers differ by chance."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import functools
+import math
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.estimate import Estimate, Jackknife, sets_to_leave_out
+from phase_ppl.analysis import statistics
+from phase_ppl.analysis.estimate import Estimate, Jackknife, leaving_out, with_unseen
 from phase_ppl.analysis.quantities import Quantity
 from phase_ppl.analysis.weights import Rows
 from phase_ppl.world.errors import InvalidSettingError, unknown_name
@@ -25,23 +28,23 @@ class WeightedRows:
     Args:
         quantities: by name.
         rows: the table; its values are codes or numbers of every quantity.
-        n_groups: number of groups of chains.
-        without: (set, group) which groups are left out -> (set, row) the weights without them,
-            each set's sum 1; NaN where nothing is left.
+        groups: (row,) of which group of chains each row is, 0 and up; None: nothing was drawn in
+            chains.
+        halves: masks (row,) of the first and the last half of the draws, if these are to agree.
     """
 
     def __init__(
         self,
         quantities: Mapping[str, Quantity],
         rows: Rows,
-        n_groups: int,
-        without: Callable[[NDArray[np.bool_]], FloatArray],
+        groups: NDArray[np.int64] | None = None,
+        halves: Sequence[NDArray[np.bool_]] = (),
     ) -> None:
         self._quantities = dict(quantities)
         self._rows = rows
-        self._n_groups = n_groups
-        self._without = without
-        self._jackknives: dict[float, Jackknife] = {}
+        self._groups = groups
+        self._halves = tuple(halves)
+        self._jackknives: dict[float, Jackknife | None] = {}
         self._own: set[str] = set()  # quantities that the user defined
 
     def _quantity(self, name: str) -> Quantity:
@@ -88,12 +91,47 @@ class WeightedRows:
         return f"{why}, though each of these alone has more"
 
     def _jackknife(self, share: float) -> Jackknife | None:
-        if self._n_groups < 2:
-            return None
+        """Return one that leaves out random sets with a share of the chains, or single ones."""
         if share not in self._jackknives:
-            sets, factor = sets_to_leave_out(self._n_groups, share)
-            self._jackknives[share] = Jackknife(self._without(sets), factor)
+            self._jackknives[share] = (
+                None
+                if self._groups is None
+                else leaving_out(self._rows.weights, self._groups, self._halves, share)
+            )
         return self._jackknives[share]
+
+    @functools.cached_property
+    def _effective_size(self) -> float:
+        """The number of independent draws that would be as sure of both goals; NaN if unknown.
+
+        The least over the goals of sum p (1 - p) / sum of squared errors; as many as there are
+        groups of chains, where all of these say the same.
+        """
+        without = self._jackknife(0.0)
+        if without is None or self._groups is None:
+            return math.nan
+        sizes = []
+        for name in ("goal_red", "goal_green"):
+            codes = self._rows.values[name]
+            mass = statistics.shares(codes, self._rows.weights)
+            error = without.error(statistics.shares(codes, without.weights), mass)
+            spread = float((error**2).sum())
+            sizes.append(
+                float((mass * (1 - mass)).sum()) / spread if spread else self._groups.max() + 1.0
+            )
+        return min(sizes)
+
+    def _error_of_share(
+        self, mass: FloatArray | float, error: FloatArray, given: float = 1.0
+    ) -> FloatArray:
+        """Return errors of probabilities that allow for what so few draws need not have shown.
+
+        Args:
+            mass: the probabilities.
+            error: by which they differ between chains.
+            given: probability of what they are conditioned on.
+        """
+        return with_unseen(mass, error, self._effective_size * given)
 
     def _weighed(
         self, given: Mapping[str, Any] | None, share: float = 0.0
@@ -124,4 +162,11 @@ class WeightedRows:
         number = float(statistic(values, weights))
         if without is None:
             return Estimate(number)
-        return Estimate(number, float(without.error(statistic(values, without.weights), number)))
+        error = without.error(statistic(values, without.weights), number)
+        if statistic is statistics.share:
+            error = self._error_of_share(number, error, float(self._rows.weights[rows].sum()))
+        elif statistic is statistics.mean:
+            # a few draws that agree by chance do not make it sure
+            size = self._effective_size * float(self._rows.weights[rows].sum())
+            error = np.fmax(error, float(statistics.sd(values, weights)) / math.sqrt(size + 1))
+        return Estimate(number, float(error))

@@ -1,20 +1,27 @@
-"""Three ways to turn a tree of draws into a table of hypotheses with weights.
+"""Ways to turn a tree of draws into a table of hypotheses with weights.
 
 Every query is a sum over such a table. Which weighting is valid when:
 
 ``"count"``
-    Every draw weighs exp(its log weight). Draws of a Markov chain weigh the same: a chain visits
-    a hypothesis in proportion to its probability. Kernels such as importance sampling give each
-    draw a weight of its own. Valid for every kernel whose stationary law is the posterior, and
-    for those that approach it as particles grow; the only weighting that is.
+    Every draw after the burn-in weighs exp(its log weight). Draws of a Markov chain weigh the
+    same: a chain visits a hypothesis in proportion to its probability, once it has forgotten where
+    it began. Kernels such as importance sampling give each draw a weight of its own. Valid for
+    every kernel whose stationary law is the posterior, and for those that approach it as particles
+    grow.
+``"importance"``
+    Every completed simulation weighs P(h) L / Q(h), accepted or not, with Q the density of the
+    proposal that it was drawn from, given all that was done before (Rudolf & Sprungk 2020,
+    Electronic Journal of Statistics 14:857, on the proposals of a Markov chain). A simulation that
+    could have been stopped early and was not weighs more by the reciprocal of the probability of
+    that, so that those that were stopped are made up for. Weights are truncated at the square root
+    of their number times their mean (Ionides 2008, JCGS 17:295), which makes answers
+    from few simulations steadier and vanishes as they grow. Consistent, whatever the acceptance
+    rule; for kernels whose proposals have a density that covers the prior (``local_mh``,
+    ``prior_mh``, the local moves of ``mixture``).
 ``"visited"``
-    Every pair of effective goals that was simulated weighs its prior times the mean likelihood
-    of its simulations, whether a chain stayed there or not: strengths and seeds, which were
-    proposed near their estimates, are averaged out. It uses rejected proposals too and does not
-    depend on the acceptance rule, which helps when chains are as short as the paper's L = 6. It
-    is an approximation: pairs that were never proposed weigh nothing. The prior is that of the
-    effective pair: the own goal that a helper or hinderer does not pursue is summed out.
-    Simulations that were stopped early are bounded, not dropped: see :func:`aborted_mass_bound`.
+    Every pair of effective goals that was simulated weighs its prior times the mean likelihood of
+    its simulations, whatever they were proposed from. Not the posterior, however long the run:
+    what is proposed often counts more. For comparison with earlier results only.
 ``"likelihood"``
     Every draw weighs its own likelihood. This is how the authors' published probabilities
     behave, and for reproducing them only: on the draws of an exact kernel the likelihood
@@ -24,6 +31,7 @@ Every query is a sum over such a table. Which weighting is valid when:
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
@@ -97,25 +105,18 @@ def chain_groups(tree: xr.DataTree) -> NDArray[np.int64]:
     return np.arange(n_chains) * min(n_chains, MOST_GROUPS) // n_chains
 
 
-def without_groups(tree: xr.DataTree, name: str, rows: Rows, sets: NDArray[np.bool_]) -> FloatArray:
-    """Return the weights that the rows would have if sets of chains had not been run.
+def halves(tree: xr.DataTree, name: str, rows: Rows) -> tuple[NDArray[np.bool_], ...]:
+    """Return which rows are of the first and of the last half of the draws, to compare these.
 
-    Args:
-        tree: a tree of draws.
-        name: of the weighting.
-        rows: the table that it makes of ``tree``.
-        sets: (set, group) which groups of :func:`chain_groups` are left out.
-
-    Returns:
-        (set, row), each set's sum 1; NaN where nothing would be left.
+    Only of draws that count equally: those of a chain that still moves away from where it began
+    differ by more than chance between the halves. Else, or of a single draw, nothing.
     """
-    group_of_chain = chain_groups(tree)
-    if name == "visited":
-        weights = _visited_without(tree, rows, group_of_chain, sets)
-    else:
-        weights = np.where(sets[:, group_of_chain[rows.index["chain"]]], 0.0, rows.weights)
-    total = weights.sum(axis=1, keepdims=True)
-    return weights / np.where(total > 0, total, np.nan)
+    if name != "count" or np.ptp(log_weight_of_draws(tree)) > 0:
+        return ()
+    draw = rows.index["draw"]
+    first, last = int(draw.min()), int(draw.max())
+    size = (last - first + 1) // 2
+    return (draw < first + size, draw > last - size) if size else ()
 
 
 def count(tree: xr.DataTree) -> Rows:
@@ -164,7 +165,68 @@ def visited(tree: xr.DataTree) -> Rows:
     simulations = tree["simulations"].dataset
     values = {name: simulations[name].values[simulation] for name in _sites(tree)}
     weights = normalised(weighed["log_mass"].to_numpy())
-    return Rows(values, weights, {"simulation": simulation})
+    index = {"simulation": simulation, "chain": simulations["chain"].values[simulation]}
+    return Rows(values, weights, index)
+
+
+def importance(tree: xr.DataTree) -> Rows:
+    """Return every completed simulation of known proposal density, by P(h) L / Q(h), truncated.
+
+    Raises:
+        InvalidSettingError: the kernel's proposals have no density that is known, or no
+            simulation was completed.
+    """
+    log_reciprocal = log_reciprocal_proposal(tree)
+    if not has_proposals(tree):
+        raise InvalidSettingError(
+            f"weights 'importance' need the density of each proposal, which kernel "
+            f"{tree.attrs['kernel']!r} does not give; 'count' counts its draws"
+        )
+    simulations = tree["simulations"].dataset
+    log_joint = (simulations["log_prior"] + simulations["log_likelihood"]).values.astype(float)
+    usable = simulations["completed"].values & ~simulations["failed"].values
+    row = np.flatnonzero(usable & np.isfinite(log_joint + log_reciprocal))
+    if not row.size:
+        raise InvalidSettingError("weights 'importance' need at least one completed simulation")
+    values = {name: simulations[name].values[row] for name in _sites(tree)}
+    index = {"simulation": row, "chain": simulations["chain"].values[row].astype(np.int64)}
+    return Rows(values, truncated(normalised((log_joint + log_reciprocal)[row])), index)
+
+
+def has_proposals(tree: xr.DataTree) -> bool:
+    """Whether the proposals of a run have densities by which it can be weighed."""
+    simulations = tree["simulations"].dataset
+    if "log_proposal" not in simulations:
+        return False
+    later = simulations["iteration"].values > 0
+    known = ~np.isnan(simulations["log_proposal"].values)
+    return bool(known[later].any() if later.any() else known.any())
+
+
+def log_reciprocal_proposal(
+    tree: xr.DataTree, log_likelihood: FloatArray | None = None
+) -> FloatArray:
+    """Return (simulation,) log 1 / (Q(h) P(it was not stopped)); NaN where Q is not known.
+
+    Args:
+        tree: of draws.
+        log_likelihood: (simulation,) at best, as far as it was needed; by default of the whole
+            simulations.
+    """
+    simulations = tree["simulations"].dataset
+    if "log_proposal" not in simulations:
+        return np.full(simulations.sizes["simulation"], np.nan)
+    if log_likelihood is None:
+        log_likelihood = simulations["log_likelihood"].values.astype(float)
+    log_completion = np.minimum(0.0, simulations["log_bound"].values + log_likelihood)
+    log_first = -simulations["log_proposal"].values - log_completion
+    return np.asarray(np.logaddexp(log_first, simulations["log_again"].values), np.float64)
+
+
+def truncated(weights: FloatArray) -> FloatArray:
+    """Return weights of sum 1, none of which was above sqrt(n) times the mean of the n weights."""
+    kept = np.minimum(weights, weights.sum() / math.sqrt(weights.size))
+    return kept / kept.sum()
 
 
 def aborted_mass_bound(tree: xr.DataTree) -> float:
@@ -183,35 +245,6 @@ def aborted_mass_bound(tree: xr.DataTree) -> float:
     return float(np.exp(hidden - everything)) if np.isfinite(everything) else 1.0
 
 
-def _runs(tree: xr.DataTree) -> pd.DataFrame:
-    """Return one row per simulation that did not fail.
-
-    Columns: simulation (row in the tree), chain, completed, log_prior = log P(h), the prior of
-    effective goals and strengths, log_joint = log P(h) + log likelihood (a bound where not
-    completed), key (number of the hypothesis and seed, from 0) and pair (number of the pair of
-    effective goals).
-    """
-    simulations = tree["simulations"].dataset
-    names = [name for name in _sites(tree) if name in HYPOTHESIS or name not in SITES]
-    columns = (*names, "seed", "chain", "log_prior_effective", "log_likelihood", "completed")
-    table = pd.DataFrame({name: simulations[name].values for name in (*_PAIR, *columns)})
-    table.insert(0, "simulation", np.arange(len(table)))
-    table = table[~simulations["failed"].values]
-    by = {"sort": False, "dropna": False}
-    log_prior = table["log_prior_effective"].astype(float)
-    return pd.DataFrame(
-        {
-            "simulation": table["simulation"],
-            "chain": table["chain"],
-            "completed": table["completed"].astype(bool),
-            "log_prior": log_prior,
-            "log_joint": log_prior + table["log_likelihood"].astype(float),
-            "key": table.groupby([*names, "seed"], **by).ngroup(),
-            "pair": table.groupby(list(_PAIR), **by).ngroup(),
-        }
-    )
-
-
 def evaluations(tree: xr.DataTree) -> pd.DataFrame:
     """Return one row per distinct (hypothesis, seed) that did not fail.
 
@@ -219,46 +252,25 @@ def evaluations(tree: xr.DataTree) -> pd.DataFrame:
     simulations of the goal pair), with P(h) the prior of effective goals and strengths, and
     log_mass = log_share + log likelihood (a bound where not completed).
     """
+    simulations = tree["simulations"].dataset
+    names = [name for name in _sites(tree) if name in HYPOTHESIS or name not in SITES]
+    columns = (*_PAIR, *names, "seed", "log_prior_effective", "log_likelihood", "completed")
+    table = pd.DataFrame({name: simulations[name].values for name in columns})
+    table.insert(0, "simulation", np.arange(len(table)))
+    table = table[~simulations["failed"].values]
     # a completed run of a hypothesis and seed says more than a stopped one of the same
-    table = _runs(tree).sort_values("completed", ascending=False, kind="stable")
-    table = table.drop_duplicates("key").sort_values("simulation")
-    log_n_of_pair = np.log(table.groupby("pair")["key"].transform("size"))
+    table = table.sort_values("completed", ascending=False, kind="stable")
+    table = table.drop_duplicates([*names, "seed"]).sort_values("simulation")
+    n_of_pair = table.groupby(list(_PAIR), sort=False)["seed"].transform("size")
+    log_share = table["log_prior_effective"].astype(float) - np.log(n_of_pair)
     return pd.DataFrame(
         {
             "simulation": table["simulation"],
-            "completed": table["completed"],
-            "log_share": table["log_prior"] - log_n_of_pair,
-            "log_mass": table["log_joint"] - log_n_of_pair,
+            "completed": table["completed"].astype(bool),
+            "log_share": log_share,
+            "log_mass": log_share + table["log_likelihood"].astype(float),
         }
     )
-
-
-def _visited_without(
-    tree: xr.DataTree, rows: Rows, group_of_chain: NDArray[np.int64], sets: NDArray[np.bool_]
-) -> FloatArray:
-    """Return (set, row) the weights of :func:`visited` without sets of groups, up to a factor."""
-    runs = _runs(tree)
-    group, n_groups = group_of_chain[runs["chain"].to_numpy()], sets.shape[1]
-    key, n_keys = runs["key"].to_numpy(), int(runs["key"].max()) + 1
-
-    def left(which: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return (set, key): whether a group outside the set has such a run."""
-        cell = group[which] * n_keys + key[which]
-        number = np.bincount(cell, minlength=n_groups * n_keys).reshape(n_groups, n_keys)
-        return (~sets).astype(float) @ (number > 0) > 0
-
-    pair_of_key = np.zeros(n_keys, np.int64)
-    pair_of_key[key] = runs["pair"].to_numpy()
-    known, completed = left(np.ones(len(runs), bool)), left(runs["completed"].to_numpy())
-    n_of_pair = np.stack([np.bincount(pair_of_key, some) for some in known])
-
-    table = runs.set_index("simulation").loc[rows.index["simulation"]]
-    row_key = table["key"].to_numpy()
-    n_of_row = np.maximum(n_of_pair[:, pair_of_key[row_key]], 1)
-    log_mass = table["log_joint"].to_numpy() - np.log(n_of_row)
-    log_mass[~completed[:, row_key]] = -np.inf
-    highest = log_mass.max(axis=1, keepdims=True)
-    return np.exp(log_mass - np.where(np.isfinite(highest), highest, 0))
 
 
 def _sites(tree: xr.DataTree) -> list[str]:
@@ -282,6 +294,7 @@ def _draws(tree: xr.DataTree) -> tuple[dict[str, NDArray[Any]], dict[str, NDArra
 
 WEIGHTINGS: Final[Mapping[str, Callable[[xr.DataTree], Rows]]] = {
     "count": count,
+    "importance": importance,
     "visited": visited,
     "likelihood": likelihood,
 }

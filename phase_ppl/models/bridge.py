@@ -152,8 +152,9 @@ class SimulatorBridge:
             else:
                 record = self.records[known]
                 errors[row] = record.result.errors
-                log_again = float(np.logaddexp(record.log_again, -log_proposal[row]))
-                self.records[known] = dataclasses.replace(record, log_again=log_again)
+                if not math.isnan(log_proposal[row]):
+                    log_again = float(np.logaddexp(record.log_again, -log_proposal[row]))
+                    self.records[known] = dataclasses.replace(record, log_again=log_again)
         results = self._runner.run(
             [hypothesis_of_row(flat, row) for row in rows],
             [int(seed[row]) for row in rows],

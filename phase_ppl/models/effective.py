@@ -20,7 +20,9 @@ from jax.scipy.special import logsumexp
 from numpy.typing import NDArray
 from numpyro import handlers
 
-from phase_ppl.models.density import latent_sites, trace_log_density
+from phase_ppl.models.compiling import compiled_quickly
+from phase_ppl.models.density import draw, latent_sites, trace_log_density
+from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES
 from phase_ppl.world.goals import N_GOALS, effective_goals
 from phase_ppl.world.hypothesis import ALPHAS
 
@@ -30,6 +32,8 @@ Prior = Callable[[], object]
 
 _CHUNK = 4096
 _OWN_DRAWS = 64
+_PAIR_DRAWS = 2**13
+_PRIORS_KEPT = 16
 
 
 @functools.cache
@@ -46,6 +50,21 @@ def stated_hypotheses() -> dict[tuple[int, int], NDArray[np.int64]]:
 def log_prior_of_hypotheses(prior: Prior, sites: Mapping[str, NDArray[Any]]) -> FloatArray:
     """Return (n,) log densities of the hypothesis sites, each (n,), own sites averaged out."""
     names = tuple(sites)
+    try:
+        density = _density(prior, names)
+    except TypeError:  # it cannot be hashed
+        density = _density.__wrapped__(prior, names)
+    n = len(sites[names[0]])
+    parts = []
+    for start in range(0, n, _CHUNK):
+        # one shape, so that it compiles once
+        rows = np.minimum(np.arange(start, start + _CHUNK), n - 1)
+        parts.append(np.asarray(density({k: jnp.asarray(v[rows]) for k, v in sites.items()})))
+    return np.concatenate([np.empty(0), *parts])[:n].astype(float)
+
+
+@functools.lru_cache(maxsize=_PRIORS_KEPT)
+def _density(prior: Prior, names: tuple[str, ...]) -> Callable[[dict[str, jax.Array]], jax.Array]:
     has_own = not latent_sites(_trace(prior, jax.random.key(0), {})).keys() <= set(names)
     keys = jax.random.split(jax.random.key(0), _OWN_DRAWS if has_own else 1)
 
@@ -58,14 +77,46 @@ def log_prior_of_hypotheses(prior: Prior, sites: Mapping[str, NDArray[Any]]) -> 
     def marginal(z: dict[str, jax.Array]) -> jax.Array:
         return logsumexp(jax.vmap(given, in_axes=(0, None))(keys, z)) - math.log(len(keys))
 
-    density = jax.jit(jax.vmap(marginal))
-    n = len(sites[names[0]])
-    parts = []
-    for start in range(0, n, _CHUNK):
-        # one shape, so that it compiles once
-        rows = np.minimum(np.arange(start, start + _CHUNK), n - 1)
-        parts.append(np.asarray(density({k: jnp.asarray(v[rows]) for k, v in sites.items()})))
-    return np.concatenate([np.empty(0), *parts])[:n].astype(float)
+    density: Callable[[dict[str, jax.Array]], jax.Array] = jax.jit(jax.vmap(marginal))
+    return density
+
+
+def prior_of_pairs(prior: Prior) -> FloatArray:
+    """Return (goal_red, goal_green) prior masses of the pairs of effective goals, their sum 1.
+
+    By the prior's own draws, 2^13 of them: any sum of masses has a standard error below 0.006.
+    """
+    try:
+        return _prior_of_pairs(prior)
+    except TypeError:  # it cannot be hashed
+        return _prior_of_pairs.__wrapped__(prior)
+
+
+@functools.lru_cache(maxsize=_PRIORS_KEPT)
+def _prior_of_pairs(prior: Prior) -> FloatArray:
+    drawn = compiled_quickly(jax.vmap(lambda key: _pair_codes(draw(prior, key))))
+    pairs = np.asarray(drawn(jax.random.split(jax.random.key(0), _PAIR_DRAWS)))
+    mass = np.zeros((N_GOALS, N_GOALS))
+    np.add.at(mass, tuple(pairs.T), 1.0 / len(pairs))
+    mass.setflags(write=False)
+    return mass
+
+
+def _pair_codes(sites: Mapping[str, Any]) -> jax.Array:
+    table = jnp.asarray(_effective_table())
+    return table[tuple(sites[name] for name in (*GOAL_SITES, ALPHA_SITE))]
+
+
+@functools.cache
+def _effective_table() -> NDArray[np.int32]:
+    """Return (stated_goal_red, stated_goal_green, alpha, 2) the effective goals."""
+    return np.array(
+        [
+            [[effective_goals(red, green, alpha) for alpha in ALPHAS] for green in range(N_GOALS)]
+            for red in range(N_GOALS)
+        ],
+        np.int32,
+    )
 
 
 def log_prior_of_effective(

@@ -12,10 +12,11 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from phase_ppl.analysis.tree import SCHEMA
+from phase_ppl.analysis.weights import has_proposals
 from phase_ppl.inference.registry import KernelInfo
 from phase_ppl.inference.runs.chains import Step
 from phase_ppl.models.bridge import Record
-from phase_ppl.models.effective import log_prior_of_effective
+from phase_ppl.models.effective import log_prior_of_effective, prior_of_pairs
 from phase_ppl.models.model import Model
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, HYPOTHESIS_SITES, STRENGTH_SITES
 from phase_ppl.world.event import Event
@@ -25,9 +26,11 @@ from phase_ppl.world.identity import versions
 from phase_ppl.world.names import ENTITIES, LANDMARKS
 from phase_ppl.world.observation import FRAMES_PER_SECOND
 
-DEFAULT_WEIGHTS: Final = "visited"
-"""Default weighting of a run as short as the paper's; ``phase_ppl.analysis.weights`` says why.
-Kernels that weigh their draws themselves have "count"."""
+LONG: Final = 20
+"""Iterations from which on the draws of a chain are counted, the first quarter left out.
+
+Shorter chains, such as the paper's, have hardly left where they began: their simulations are
+weighed by importance where the kernel's proposals have a density (``benchmarks/estimates.py``)."""
 
 _STORED: Final = {
     **dict.fromkeys((*GOAL_SITES, *(f"stated_{name}" for name in GOAL_SITES)), np.int16),
@@ -64,6 +67,11 @@ class Drawn:
         elif kernel.keeps == "all" and steps:
             numbered = numbered[1:]
         return cls([s for _, s in numbered], [i for i, _ in numbered], kernel.weighted)
+
+
+def burn_in(n_draws: int) -> int:
+    """Return how many of the first draws of a chain do not count by default."""
+    return n_draws // 4 if n_draws >= LONG else 0
 
 
 def build_tree(
@@ -113,12 +121,17 @@ def build_tree(
             },
             {"time": time},
         ),
-        "constant_data": _scene_dataset(event),
+        "constant_data": _scene_dataset(event).assign(
+            prior_of_pairs=(("pair_red", "pair_green"), prior_of_pairs(model.prior))
+        ),
     }
     tree = xr.DataTree.from_dict(groups)
+    n_draws = index.shape[1]
+    short = n_draws < LONG and not drawn.weighted and has_proposals(tree)
     tree.attrs = {
         "event_id": event.id,
-        "weights": "count" if drawn.weighted else DEFAULT_WEIGHTS,
+        "weights": "importance" if short else "count",
+        "burn_in": 0 if drawn.weighted else burn_in(n_draws),
         "versions": json.dumps(versions()),
         "schema": SCHEMA,
         **attrs,
