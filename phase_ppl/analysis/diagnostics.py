@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from phase_ppl.analysis import convergence
 from phase_ppl.analysis.quantities import ScenarioFunction, quantities, relation_codes
-from phase_ppl.analysis.tree import HYPOTHESIS, SITES, log_weight_of_draws
+from phase_ppl.analysis.tree import HYPOTHESIS, SITES, log_weight_of_draws, untried
 from phase_ppl.analysis.verdict import verdict
 from phase_ppl.analysis.weights import Rows, aborted_mass_bound
 from phase_ppl.world.goals import GOALS, N_GOALS
@@ -29,7 +29,12 @@ FloatArray = NDArray[np.float64]
 
 
 def diagnostics(
-    tree: xr.DataTree, weights: str, rows: Rows, scenario: ScenarioFunction | None = None
+    tree: xr.DataTree,
+    weights: str,
+    rows: Rows,
+    errors: Mapping[str, float],
+    effective_size: float,
+    scenario: ScenarioFunction | None = None,
 ) -> dict[str, Any]:
     """Return the diagnostics of a tree of draws as plain numbers, lists and text.
 
@@ -47,8 +52,12 @@ def diagnostics(
     * ``leading_goals``: per goal, how many particles each goal leads in, most first.
     * ``between_chain_tv``: per goal, mean and max over pairs of particles of the total
       variation between their marginals; None with one particle.
-    * ``monte_carlo_error``: per goal, the standard error of the leading goal's probability
-      from the spread between particles; None with one particle.
+    * ``monte_carlo_error``: per goal, the error of the leading goal's probability under the
+      weighting in use; None with one particle.
+    * ``effective_size``: how many independent draws would be as sure of the goals as the
+      weighting in use; None with one particle.
+    * ``untried``: prior mass of the pairs of effective goals without a completed simulation; None
+      where the file does not hold the prior of pairs.
     * ``scalars``: of the log joint, total error, strengths and real sites of the user's own,
       ``r_hat``, ``ess_bulk`` and ``ess_tail`` (:mod:`phase_ppl.analysis.convergence`).
     * ``categories``: of goals, relation and scenario, each category whose ``probability`` under
@@ -72,6 +81,8 @@ def diagnostics(
         tree: of draws.
         weights: name of the weighting in use.
         rows: its table, with relation and scenario.
+        errors: of the leading goals' probabilities, by name of the goal.
+        effective_size: see above; NaN: not known.
         scenario: as in :class:`~phase_ppl.analysis.posterior.Posterior`.
     """
     posterior, stats = tree["posterior"].dataset, tree["sample_stats"].dataset
@@ -106,7 +117,9 @@ def diagnostics(
         "agreement": {name: _agreement(p, shares) for name, p in by_chain.items()},
         "leading_goals": {name: _leading_goals(p, shares) for name, p in by_chain.items()},
         "between_chain_tv": {name: _between_chain_tv(p, shares) for name, p in by_chain.items()},
-        "monte_carlo_error": {name: _monte_carlo_error(p, shares) for name, p in by_chain.items()},
+        "monte_carlo_error": {name: _finite(error) for name, error in errors.items()},
+        "effective_size": _finite(effective_size),
+        "untried": _finite(untried(tree)),
         "scalars": {
             name: _convergence_of_scalar(values, weighted) for name, values in scalars(tree).items()
         },
@@ -235,16 +248,6 @@ def _between_chain_tv(by_chain: FloatArray, shares: FloatArray) -> dict[str, flo
     if not distances:
         return None
     return {"mean": float(np.mean(distances)), "max": max(distances)}
-
-
-def _monte_carlo_error(by_chain: FloatArray, shares: FloatArray) -> float | None:
-    """Return the error of a ratio of sums over particles; with equal shares sd / sqrt(M)."""
-    n = len(by_chain)
-    if n < 2:
-        return None
-    overall = shares @ by_chain
-    deviation = by_chain[:, overall.argmax()] - overall.max()
-    return float(np.sqrt(n / (n - 1) * ((shares * deviation) ** 2).sum()))
 
 
 def _n_distinct(columns: list[NDArray[Any]]) -> int:

@@ -8,7 +8,7 @@ too much of it. Two things are added that chains do not show by differing from e
 
 * Chains that still move away from where they began. Where draws count equally, the squared
   difference of the statistic between the first and the last half of the draws, as far as it is
-  beyond chance.
+  beyond chance. Of chains that have settled this makes errors too large, by half at most.
 * What few draws need not have shown. Fifteen particles that agree do not make a goal impossible:
   the error of a probability is at least that of Jeffreys' posterior after as many independent
   draws as the run is worth (:func:`with_unseen`).
@@ -37,10 +37,6 @@ from numpy.typing import ArrayLike, NDArray
 from phase_ppl.analysis.statistics import ROUNDING
 
 FloatArray = NDArray[np.float64]
-
-_STILL_TO_COME: Final = 4.0
-"""The squared ratio of a chain's remaining bias to what its halves differ by: a mean over n draws
-that relax with a time of n from where they began is off by twice the difference of its halves."""
 
 N_SETS: Final = 30
 """Random sets of chains that are left out."""
@@ -136,7 +132,7 @@ class Jackknife:
         if n is not None:
             change = found[n + 1] - found[n]
             by_chance = self._variance(found[2 * n + 2 :] - found[n + 2 : 2 * n + 2])
-            variance = variance + _STILL_TO_COME * np.maximum(0.0, change**2 - by_chance)
+            variance = variance + np.maximum(0.0, change**2 - by_chance)
         error: Any = np.sqrt(variance)
         return np.where(error > ROUNDING * np.abs(np.asarray(value)), error, 0.0)
 

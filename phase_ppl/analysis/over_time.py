@@ -10,7 +10,13 @@ from numpy.typing import NDArray
 
 from phase_ppl.analysis.quantities import ScenarioFunction, quantities, relation_codes
 from phase_ppl.analysis.tree import array
-from phase_ppl.analysis.weights import evaluations, normalised
+from phase_ppl.analysis.weights import (
+    evaluations,
+    has_proposals,
+    log_reciprocal_proposal,
+    normalised,
+    truncated,
+)
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 
 FloatArray = NDArray[np.float64]
@@ -26,13 +32,13 @@ HINDSIGHT: Final = (
 
 
 def over_time(tree: xr.DataTree, scenario: ScenarioFunction | None = None) -> xr.Dataset:
-    """Return the marginals of the visited hypotheses, weighted on ever more of the video.
+    """Return the marginals of the simulated hypotheses, weighted on ever more of the video.
 
-    This is hindsight: see :data:`HINDSIGHT`. At frame t every pair of effective goals that was
-    simulated weighs its prior times the mean likelihood of its simulations, as under weights
-    ``"visited"``, but of frames 0 to t only. A simulation that was stopped early counts up to
-    where it was stopped, and as likelihood 0 from there on. At the last frame the result is
-    therefore that of weights ``"visited"``. Nothing is simulated.
+    This is hindsight: see :data:`HINDSIGHT`. At frame t every simulation that came so far weighs as
+    under weights ``"importance"``, but with the likelihood of frames 0 to t only; at the last frame
+    the result is that of weights ``"importance"``. For runs whose proposals have no density that is
+    known it is that of weights ``"visited"``: every pair of effective goals weighs its prior times
+    the mean likelihood of its simulations. Nothing is simulated.
 
     Args:
         tree: of draws.
@@ -40,10 +46,8 @@ def over_time(tree: xr.DataTree, scenario: ScenarioFunction | None = None) -> xr
 
     Returns:
         ``goal_red``, ``goal_green``, ``relation``, ``scenario``: probabilities (time, label),
-        with the labels of ``goal_red`` in ``goal_red_is`` and so on;
-        ``aborted_mass_bound`` (time): the largest share of the mass that simulations stopped
-        before can hide, as :func:`phase_ppl.analysis.weights.aborted_mass_bound`. ``time`` in
-        seconds. The attribute ``hindsight`` says what it is.
+        with the labels of ``goal_red`` in ``goal_red_is`` and so on; ``time`` in seconds. The
+        attribute ``hindsight`` says what it is, ``weights`` by which weights.
 
     Raises:
         InvalidEventError: the tree does not hold the likelihood of each frame.
@@ -55,35 +59,61 @@ def over_time(tree: xr.DataTree, scenario: ScenarioFunction | None = None) -> xr
             "this posterior does not hold the likelihood of each frame of its simulations "
             "(simulations/step_log_likelihood), as files of earlier versions; infer it again"
         )
-    table = evaluations(tree)
-    if not table["completed"].any():
+    if not (simulations["completed"].values & ~simulations["failed"].values).any():
         raise InvalidSettingError("there is nothing to weight: no simulation was completed")
-    rows = table["simulation"].to_numpy()
-    by_frame = simulations["step_log_likelihood"].values[rows]
-    known = np.logical_and.accumulate(~np.isnan(by_frame), axis=1)
-    so_far = np.cumsum(np.where(known, by_frame, 0.0), axis=1)
-    # frames that were not simulated are in the table's likelihood at their best
-    rest = simulations["log_likelihood"].values[rows] - so_far[:, -1]
-    unknown = (~known).cumsum(axis=1)
-    best = rest[:, None] * unknown / np.maximum(unknown[:, -1:], 1)
-    share = table["log_share"].to_numpy()[:, None]
-    weights = _normalised(np.where(known, share + so_far, -np.inf))
-    bounds = _normalised(share + so_far + best)
-    codes = {name: simulations[name].values[rows] for name in FOLLOWED[:2]}
+    name = "importance" if has_proposals(tree) else "visited"
+    rows, weights = (_by_importance if name == "importance" else _by_visits)(tree)
+    codes = {goal: simulations[goal].values[rows] for goal in FOLLOWED[:2]}
     codes |= relation_codes(codes["goal_red"], codes["goal_green"], scenario)
     time = array(tree, "observed_data", "time")
     coords = {"time": ("time", time, {"units": "s"})}
     known_quantities = quantities()
-    result = xr.Dataset(coords=coords, attrs={"hindsight": HINDSIGHT})
+    result = xr.Dataset(coords=coords, attrs={"hindsight": HINDSIGHT, "weights": name})
     for name in FOLLOWED:
         labels = list(known_quantities[name].categories())
         indicators = codes[name][:, None] == np.arange(len(labels))
         result[name] = (("time", f"{name}_is"), weights.T @ indicators)
         result = result.assign_coords({f"{name}_is": labels})
-    result["aborted_mass_bound"] = ("time", np.where(known, 0.0, bounds).sum(axis=0))
     return result
 
 
-def _normalised(log_mass: FloatArray) -> FloatArray:
-    """Return (row, time) weights whose sum is 1 at every time."""
-    return np.stack([normalised(column) for column in log_mass.T], axis=1)
+def _by_importance(tree: xr.DataTree) -> tuple[NDArray[np.int64], FloatArray]:
+    """Return the rows of simulations and their weights (row, time)."""
+    simulations = tree["simulations"].dataset
+    known, so_far = _likelihood_so_far(tree)
+    # a frame that was not simulated counts as one without error where a simulation may be stopped
+    unknown = (~known).sum(axis=1)
+    total = simulations["log_likelihood"].values
+    stopped = (unknown > 0) & np.isfinite(total)
+    perfect = ((total - so_far[:, -1])[stopped] / unknown[stopped]).max(initial=-np.inf)
+    n_frames = known.shape[1]
+    log_weight = np.full(known.shape, -np.inf)
+    for t in range(n_frames):
+        rest = (n_frames - 1 - t) * perfect if np.isfinite(perfect) else np.inf
+        at_best = so_far[:, t] + (rest if t < n_frames - 1 else 0.0)
+        found = simulations["log_prior"].values + so_far[:, t]
+        found = found + log_reciprocal_proposal(tree, at_best)
+        usable = known[:, t] & ~simulations["failed"].values & np.isfinite(found)
+        log_weight[:, t] = np.where(usable, found, -np.inf)
+    rows = np.flatnonzero(np.isfinite(log_weight).any(axis=1))
+    weights = np.zeros((len(rows), n_frames))
+    for t, column in enumerate(log_weight[rows].T):
+        usable = np.isfinite(column)
+        weights[usable, t] = truncated(normalised(column[usable]))
+    return rows, weights
+
+
+def _by_visits(tree: xr.DataTree) -> tuple[NDArray[np.int64], FloatArray]:
+    """Return the rows of distinct simulations and their weights (row, time)."""
+    table = evaluations(tree)
+    rows = table["simulation"].to_numpy()
+    known, so_far = (part[rows] for part in _likelihood_so_far(tree))
+    log_mass = np.where(known, table["log_share"].to_numpy()[:, None] + so_far, -np.inf)
+    return rows, np.stack([normalised(column) for column in log_mass.T], axis=1)
+
+
+def _likelihood_so_far(tree: xr.DataTree) -> tuple[NDArray[np.bool_], FloatArray]:
+    """Return (simulation, time) whether a frame was simulated, and the log likelihood so far."""
+    by_frame = tree["simulations"].dataset["step_log_likelihood"].values
+    known = np.logical_and.accumulate(~np.isnan(by_frame), axis=1)
+    return known, np.cumsum(np.where(known, by_frame, 0.0), axis=1)

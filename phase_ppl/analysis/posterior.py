@@ -197,7 +197,10 @@ class Posterior(Hypotheses):
 
     def diagnostics(self) -> dict[str, Any]:
         """Return how the chains went and a verdict; see :mod:`phase_ppl.analysis.diagnostics`."""
-        return diagnostics(self._kept, self._weights, self._rows, self._scenario)
+        errors = {name: self.top(name, 1)[0][1].error for name in ("goal_red", "goal_green")}
+        return diagnostics(
+            self._kept, self._weights, self._rows, errors, self._effective_size, self._scenario
+        )
 
     def over_time(self) -> xr.Dataset:
         """Return the marginals on ever more of the video, in hindsight.

@@ -20,7 +20,7 @@ WIDTH: Final = 88
 LABEL: Final = 13
 """Columns of what stands before a line."""
 
-_NAME, _BAR = 38, 28
+_NAME, _NUMBER, _BAR = 36, 16, 22
 _GOALS: Final = dict(zip(AGENTS, ("goal_red", "goal_green"), strict=True))
 _STRENGTHS: Final = dict(zip(AGENTS, ("strength_red", "strength_green"), strict=True))
 
@@ -29,7 +29,8 @@ def summary(post: Posterior) -> dict[str, Any]:
     """Return ``post`` in JSON's types; numbers that do not exist are None.
 
     Keys: ``goals`` (agent -> all 36 goals), ``relation``, ``scenario``, ``strengths`` (agent ->
-    mean, sd, hdi_low, hdi_high in newtons), ``map``, ``diagnostics``, ``settings``, ``cost``.
+    mean, sd, hdi_low, hdi_high in newtons), ``errors`` (of each of these, in the same form),
+    ``map``, ``diagnostics``, ``settings``, ``cost``.
     """
     record = {
         **answers(post),
@@ -43,26 +44,44 @@ def summary(post: Posterior) -> dict[str, Any]:
 
 def answers(post: Hypotheses) -> dict[str, Any]:
     """Return the part of a summary that every table of hypotheses has."""
-    strengths = {}
-    for agent, name in _STRENGTHS.items():
-        low, high = post.hdi(name).values
-        strengths[agent] = {
-            "mean": post.mean(name),
-            "sd": post.sd(name),
-            "hdi_low": low,
-            "hdi_high": high,
+    marginals = {name: post.marginal(name) for name in (*_GOALS.values(), "relation", "scenario")}
+    numbers = {agent: _numbers(post, name) for agent, name in _STRENGTHS.items()}
+
+    def of(part: int) -> dict[str, Any]:
+        """Return the values, or their errors."""
+        tables = {
+            name: dict(
+                zip(
+                    found[name].values.tolist(),
+                    (found["error"] if part else found).values.tolist(),
+                    strict=True,
+                )
+            )
+            for name, found in marginals.items()
         }
+        return {
+            "goals": {agent: tables[name] for agent, name in _GOALS.items()},
+            "relation": tables["relation"],
+            "scenario": tables["scenario"],
+            "strengths": {
+                agent: {key: pair[part] for key, pair in found.items()}
+                for agent, found in numbers.items()
+            },
+        }
+
+    return {**of(0), "errors": of(1)}
+
+
+def _numbers(post: Hypotheses, name: str) -> dict[str, tuple[float, float]]:
+    """Return mean, standard deviation and interval of a strength, each with its error."""
+    mean, sd, interval = post.mean(name), post.sd(name), post.hdi(name)
+    (low, high), (low_error, high_error) = interval.values, interval["error"].values
     return {
-        "goals": {agent: _as_dict(post, name) for agent, name in _GOALS.items()},
-        "relation": _as_dict(post, "relation"),
-        "scenario": _as_dict(post, "scenario"),
-        "strengths": strengths,
+        "mean": (float(mean), mean.error),
+        "sd": (float(sd), sd.error),
+        "hdi_low": (low, low_error),
+        "hdi_high": (high, high_error),
     }
-
-
-def _as_dict(post: Hypotheses, name: str) -> dict[str, float]:
-    marginal = post.marginal(name)
-    return dict(zip(marginal[name].values.tolist(), marginal.values.tolist(), strict=True))
 
 
 def plain(value: Any) -> Any:
@@ -85,9 +104,12 @@ def table(post: Posterior) -> str:
         f"{found['particles']} particles x {found['iterations']} iterations, "
         f"{found['kernel']}, weights {found['weights']}"
     )
-    lines = [*wrapped("posterior", f"{post.event_id}: {head}"), "", *answer_lines(post)]
+    if post.burn_in and post.weights == "count":
+        head += f", after a burn-in of {post.burn_in}"
+    lines = [*wrapped("posterior", f"{post.event_id}: {head}")]
+    lines += [*wrapped("verdict", found["verdict"]), "", *answer_lines(post)]
     lines += ["", *wrapped("fit", _fit(found)), *wrapped("cost", _cost(post.cost, found))]
-    return "\n".join([*lines, *wrapped("verdict", found["verdict"])])
+    return "\n".join(lines)
 
 
 def answer_lines(post: Hypotheses) -> list[str]:
@@ -99,7 +121,7 @@ def answer_lines(post: Hypotheses) -> list[str]:
     lines += _bars("scenario", post.top("scenario", 4))
     for agent, name in _STRENGTHS.items():
         low, high = post.hdi(name).values
-        text = f"{agent}: {post.mean(name):.0f} N (94 % interval {low:.0f} to {high:.0f} N)"
+        text = f"{agent}: {post.mean(name)} N (94 % interval {low:.0f} to {high:.0f} N)"
         lines.append(f"{'strength' if agent == AGENTS[0] else '':<{LABEL}}{text}")
     return lines
 
@@ -107,7 +129,7 @@ def answer_lines(post: Hypotheses) -> list[str]:
 def _bars(label: str, entries: Sequence[tuple[str, float]]) -> Iterator[str]:
     for name, probability in entries:
         bar = "#" * round(probability * _BAR)
-        yield f"{label:<{LABEL}}{name:<{_NAME}}{probability:5.3f}  {bar}".rstrip()
+        yield f"{label:<{LABEL}}{name:<{_NAME}}{probability!s:<{_NUMBER}}{bar}".rstrip()
         label = ""
 
 

@@ -16,8 +16,14 @@ STUCK: Final = 0.05
 FEW: Final = 0.1
 """Effective share of weighted draws below which a few of them are said to decide."""
 
+FEW_DRAWS: Final = 5.0
+"""Independent draws that the answers are worth below which so few are said to decide."""
+
 MIXED: Final = 1.1
-"""R-hat of the log joint above which draws that count equally are said not to have mixed."""
+"""R-hat above which draws are said to depend on where their chain began."""
+
+UNTRIED: Final = 0.05
+"""Prior mass of pairs of goals without a simulation from which on it is a sign."""
 
 _NAMES: Final = {"goal_red": "red", "goal_green": "green"}
 _NAMED: Final = 2
@@ -27,48 +33,88 @@ _NAMED: Final = 2
 def verdict(found: Mapping[str, Any]) -> str:
     """Return in a few sentences whether the posterior with these diagnostics can be trusted.
 
+    What speaks most against it comes first. Only where nothing does, this is said.
+
     Args:
         found: what :func:`phase_ppl.analysis.diagnostics.diagnostics` returns.
     """
-    if found["weighted_draws_ess"] is None:
-        sentences = [
-            _agreement(found),
-            *_acceptance(found["acceptance_rate"]),
-            *_mixing(found),
-            *_other_leaders(found["categories"]),
-        ]
-    else:
-        sentences = [_weighted(found)]
+    weighted = found["weighted_draws_ess"] is not None
+    signs = [
+        *_biased(found),
+        *([] if weighted else _acceptance(found["acceptance_rate"])),
+        *_few(found),
+        *([_weighted(found)] if weighted else _disagreement(found)),
+        *([] if weighted else _mixing(found)),
+        *([] if weighted else _other_leaders(found["categories"])),
+        *_untried(found),
+    ]
+    simulations = found["simulations"]
+    if simulations["failed"]:
+        signs.append(f"{simulations['failed']} of {simulations['total']} simulations failed.")
+    sentences = [*signs, *([] if weighted else _notes(found))]
+    if not weighted and found["particles"] > 1 and not _split(found):
+        agreed = f"The {found['particles']} particles agree on both agents' goals {_margin(found)}"
+        none = ": nothing speaks against the leading goals."
+        sentences.append(agreed + ("." if signs else none))
+    return " ".join(sentences)
+
+
+def _biased(found: Mapping[str, Any]) -> list[str]:
+    """Return what makes the probabilities wrong however long the run is."""
+    sentences = []
     if found["weights"] == "visited":
         sentences.append(
-            "The weights 'visited' are an approximation; simulations stopped early hide at most "
-            f"{found['aborted_mass_bound']:.1%} of their mass."
+            "The weights 'visited' are not the posterior: what is proposed often counts more. "
+            f"Simulations stopped early hide at most {found['aborted_mass_bound']:.1%} of their "
+            "mass."
         )
     elif found["weights"] == "likelihood":
         sentences.append("The weights 'likelihood' make every probability too extreme.")
-    if found["validity"] == "approximate":
+    if found["validity"] == "approximate" and found["weights"] != "importance":
         sentences.append(
             f"The kernel {found['kernel']} is approximate: its probabilities are biased however "
             "long it runs."
         )
-    simulations = found["simulations"]
-    if simulations["failed"]:
-        sentences.append(f"{simulations['failed']} of {simulations['total']} simulations failed.")
-    return " ".join(sentences)
+    return sentences
 
 
-def _agreement(found: Mapping[str, Any]) -> str:
-    particles = found["particles"]
+def _few(found: Mapping[str, Any]) -> list[str]:
+    size = found["effective_size"]
+    if size is None or size >= FEW_DRAWS:
+        return []
+    return [
+        f"The goals are no surer than by {size:.1f} independent draws: single simulations decide, "
+        "and another run may well differ."
+    ]
+
+
+def _untried(found: Mapping[str, Any]) -> list[str]:
+    untried = found["untried"]
+    if untried is None or untried < UNTRIED:
+        return []
+    return [
+        f"Pairs of goals with {untried:.2f} of the prior's mass were never simulated, and count "
+        "as impossible."
+    ]
+
+
+def _margin(found: Mapping[str, Any]) -> str:
+    errors = [error for error in found["monte_carlo_error"].values() if error is not None]
+    if not errors:
+        return ""
+    return f"(Monte-Carlo error of a leading goal's probability: {max(errors):.2f})"
+
+
+def _split(found: Mapping[str, Any]) -> list[str]:
+    return [name for name, share in found["agreement"].items() if share < AGREED]
+
+
+def _disagreement(found: Mapping[str, Any]) -> list[str]:
+    particles, split = found["particles"], _split(found)
     if particles == 1:
-        return "With one particle nothing shows whether another would agree: use more."
-    error = max(found["monte_carlo_error"].values())
-    margin = f"(Monte-Carlo error of a leading goal's probability: {error:.2f})"
-    split = [name for name, share in found["agreement"].items() if share < AGREED]
+        return ["With one particle nothing shows whether another would agree: use more."]
     if not split:
-        return (
-            f"The {particles} particles agree on both agents' goals {margin}: "
-            "nothing speaks against the leading goals."
-        )
+        return []
     camps = {name: _camps(found["leading_goals"][name]) for name in split}
     if len(split) == 1:
         agreed = next(name for name in _NAMES if name not in split)
@@ -78,10 +124,10 @@ def _agreement(found: Mapping[str, Any]) -> str:
         text = "agree on neither agent's goal: " + "; ".join(
             f"for {_NAMES[name]}, {camp}" for name, camp in camps.items()
         )
-    return (
-        f"The {particles} particles {text} {margin}. More iterations would tell real "
+    return [
+        f"The {particles} particles {text} {_margin(found)}. More iterations would tell real "
         "uncertainty from chains that have not mixed."
-    )
+    ]
 
 
 def _camps(leading: Mapping[str, int]) -> str:
@@ -108,26 +154,34 @@ def _acceptance(rate: float) -> list[str]:
 
 
 def _mixing(found: Mapping[str, Any]) -> list[str]:
-    """Return what R-hat says where every draw counts, or why there is none."""
+    """Return which quantities have chains that differ more than draws of one law do."""
+    worst = {"the log joint": found["scalars"]["log_joint"]["r_hat"]}
+    for name, labels in found["categories"].items():
+        known = [entry["r_hat"] for entry in labels.values() if entry["r_hat"] is not None]
+        worst[name.replace("_", " of ")] = max(known, default=None)
+    apart = {name: r for name, r in worst.items() if r is not None and r > MIXED}
+    if not apart:
+        return []
+    listed = ", ".join(f"{name} {r:.2f}" for name, r in apart.items())
+    return [
+        f"The chains still depend on where they began: R-hat (1 where they have mixed) is {listed}."
+    ]
+
+
+def _notes(found: Mapping[str, Any]) -> list[str]:
+    """Return what could not be looked at."""
     draws = found["iterations"]
     if draws < MIN_DRAWS:
         return [
             f"R-hat and effective sample sizes need {MIN_DRAWS} draws per particle; "
             f"there {'is' if draws == 1 else 'are'} {draws}."
         ]
-    r_hat = found["scalars"]["log_joint"]["r_hat"]
-    sentences = []
-    if found["weights"] == "count" and r_hat is not None and r_hat > MIXED:
-        sentences.append(
-            f"The log joint's R-hat of {r_hat:.2f} (1 where chains have mixed) says that the "
-            "draws still depend on where the particles began."
-        )
     if draws < MIN_DRAWS_WITHIN and found["particles"] < MIN_CHAINS_BETWEEN:
-        sentences.append(
+        return [
             f"Effective sample sizes need {MIN_DRAWS_WITHIN} draws per particle, or "
             f"{MIN_CHAINS_BETWEEN} particles."
-        )
-    return sentences
+        ]
+    return []
 
 
 def _other_leaders(categories: Mapping[str, Any]) -> list[str]:
@@ -144,7 +198,6 @@ def _other_leaders(categories: Mapping[str, Any]) -> list[str]:
 def _weighted(found: Mapping[str, Any]) -> str:
     ess, draws = found["weighted_draws_ess"], found["particles"] * found["iterations"]
     text = f"The {draws} weighted draws are worth {ess * draws:.1f} equal ones"
-    if found["particles"] > 1:
-        error = max(found["monte_carlo_error"].values())
-        text += f" (Monte-Carlo error of a leading goal's probability: {error:.2f})"
+    margin = _margin(found)
+    text += f" {margin}" if margin else ""
     return f"{text}: so few decide that another run may well differ." if ess < FEW else f"{text}."

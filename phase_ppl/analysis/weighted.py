@@ -105,7 +105,7 @@ class WeightedRows:
         """The number of independent draws that would be as sure of both goals; NaN if unknown.
 
         The least over the goals of sum p (1 - p) / sum of squared errors; as many as there are
-        groups of chains, where all of these say the same.
+        chains, where all of these say the same.
         """
         without = self._jackknife(0.0)
         if without is None or self._groups is None:
@@ -116,10 +116,9 @@ class WeightedRows:
             mass = statistics.shares(codes, self._rows.weights)
             error = without.error(statistics.shares(codes, without.weights), mass)
             spread = float((error**2).sum())
-            sizes.append(
-                float((mass * (1 - mass)).sum()) / spread if spread else self._groups.max() + 1.0
-            )
-        return min(sizes)
+            if spread:
+                sizes.append(float((mass * (1 - mass)).sum()) / spread)
+        return min(sizes, default=float(len(np.unique(self._rows.index["chain"]))))
 
     def _error_of_share(
         self, mass: FloatArray | float, error: FloatArray, given: float = 1.0

@@ -176,12 +176,12 @@ def importance(tree: xr.DataTree) -> Rows:
         InvalidSettingError: the kernel's proposals have no density that is known, or no
             simulation was completed.
     """
-    log_reciprocal = log_reciprocal_proposal(tree)
     if not has_proposals(tree):
         raise InvalidSettingError(
             f"weights 'importance' need the density of each proposal, which kernel "
             f"{tree.attrs['kernel']!r} does not give; 'count' counts its draws"
         )
+    log_reciprocal = log_reciprocal_proposal(tree)
     simulations = tree["simulations"].dataset
     log_joint = (simulations["log_prior"] + simulations["log_likelihood"]).values.astype(float)
     usable = simulations["completed"].values & ~simulations["failed"].values

@@ -34,7 +34,9 @@ def add_to(commands: Any) -> None:
         "file", metavar="FILE", type=Path, help="a posterior's .nc file, or the folder of infer"
     )
     parser.add_argument(
-        "--weights", metavar="NAME", help="count, visited or likelihood; default: the file's"
+        "--weights",
+        metavar="NAME",
+        help="count, importance, visited or likelihood; default: the file's",
     )
     parser.add_argument("--json", action="store_true", help="JSON instead of a table")
     parser.add_argument("--out", metavar="DIR", type=Path, help="for the figures")

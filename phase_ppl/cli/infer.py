@@ -109,6 +109,13 @@ def _add_means(command: argparse.ArgumentParser) -> None:
     )
     command.add_argument("--retries", metavar="N", type=whole(1), help="of retry; default 3")
     command.add_argument(
+        "--burn-in",
+        metavar="N",
+        type=whole(0),
+        help="draws at the beginning of each chain that do not count; default a quarter of 20 "
+        "iterations or more, else none",
+    )
+    command.add_argument(
         "--keep-checkpoint",
         action="store_true",
         help=f"keep {CHECKPOINT} when the run is complete, to extend it",
@@ -190,7 +197,7 @@ def _finish(
 
 
 def _means(options: argparse.Namespace) -> dict[str, Any]:
-    given = ("iterations", "budget", "workers", "on_failure", "retries")
+    given = ("iterations", "budget", "workers", "on_failure", "retries", "burn_in")
     found = {name: getattr(options, name) for name in given}
     return {
         "progress": shows_progress(options),

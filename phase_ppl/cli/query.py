@@ -60,7 +60,9 @@ def add_to(commands: Any) -> None:
     )
     parser.add_argument("questions", metavar="QUESTION", nargs="+")
     parser.add_argument(
-        "--weights", metavar="NAME", help="count, visited or likelihood; default: the file's"
+        "--weights",
+        metavar="NAME",
+        help="count, importance, visited or likelihood; default: the file's",
     )
     parser.add_argument("--json", action="store_true", help="answers as JSON, a list")
 

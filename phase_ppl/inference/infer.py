@@ -29,6 +29,7 @@ from phase_ppl.inference.settings import (
 from phase_ppl.inference.stepwise.enumerate import read_event
 from phase_ppl.models.model import Model
 from phase_ppl.models.stepwise import StepwiseLikelihood
+from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidSettingError, OutputError
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import check_output
@@ -69,6 +70,7 @@ def infer(
     checkpoint: str | os.PathLike[str] | None = None,
     progress: bool | None = None,
     settings: SimpleSettings | None = None,
+    burn_in: int | None = None,
     **kernel_options: Any,
 ) -> Posterior | StepwisePosterior:
     """Return the posterior over goals, relation and strengths, given what was seen.
@@ -114,6 +116,9 @@ def infer(
             and after every iteration, for :func:`resume`. There must be none of that name yet.
         progress: whether to show a bar on stderr; by default where that is a terminal.
         settings: of SIMPLE; by default the paper's.
+        burn_in: draws at the beginning of each chain that do not count; by default a quarter of
+            twenty iterations or more, else none. They are kept: ``Posterior(post.tree, burn_in=0)``
+            counts them.
         **kernel_options: for the kernel, such as ``rule="paper"``.
 
     Raises:
@@ -136,6 +141,7 @@ def infer(
         "retries": retries,
         "checkpoint": checkpoint,
         "settings": settings,
+        "burn_in": burn_in,
         **kernel_options,
     }
     settings = SimpleSettings() if settings is None else settings
@@ -151,7 +157,16 @@ def infer(
     if checkpoint is not None:
         _check_new(checkpoint)
     means = Means(
-        iterations, budget, on_failure, retries, workers, executor, progress, checkpoint, began
+        iterations,
+        budget,
+        on_failure,
+        retries,
+        workers,
+        executor,
+        progress,
+        checkpoint,
+        began,
+        _checked_burn_in(burn_in, iterations),
     )
     return carry_out(plan, means)
 
@@ -171,6 +186,7 @@ def resume(
     retries: int | None = None,
     progress: bool | None = None,
     settings: SimpleSettings | None = None,
+    burn_in: int | None = None,
     **kernel_options: Any,
 ) -> Posterior:
     """Go on with a run of which ``infer(..., checkpoint=path)`` left a file.
@@ -190,6 +206,7 @@ def resume(
         workers, executor, progress: as in :func:`infer`.
         on_failure, retries: as in :func:`infer`; by default as before. They can be changed for
             others as long as no simulation has failed.
+        burn_in: as in :func:`infer`.
         settings, **kernel_options: may be given; must be where they are no plain data.
 
     Raises:
@@ -250,7 +267,18 @@ def resume(
         retries = saved.failures["retries"] if retries is None else retries
     _check_failures(saved, on_failure, retries)
     check_output(path, SUFFIXES)
-    means = Means(iterations, budget, on_failure, retries, workers, executor, progress, path, began)
+    means = Means(
+        iterations,
+        budget,
+        on_failure,
+        retries,
+        workers,
+        executor,
+        progress,
+        path,
+        began,
+        _checked_burn_in(burn_in, iterations),
+    )
     return carry_out(plan, means, saved)
 
 
@@ -261,6 +289,17 @@ def _check_not_sampling(given: Mapping[str, Any]) -> None:
                 f"{name}={value!r} is for sampling: a stepwise likelihood is summed over all "
                 "hypotheses, unless a kernel is named"
             )
+
+
+def _checked_burn_in(burn_in: int | None, iterations: int | None) -> int | None:
+    if burn_in is None:
+        return None
+    whole_number("burn_in", burn_in, minimum=0)
+    if iterations is not None and burn_in >= iterations:
+        raise InvalidSettingError(
+            f"burn_in={burn_in}, but there are {iterations} iterations: expected fewer"
+        )
+    return burn_in
 
 
 def _check_new(path: str | os.PathLike[str]) -> None:

@@ -85,7 +85,7 @@ def test_no_error_is_known_where_a_single_chain_meets_the_condition() -> None:
     alone = post.probability({"goal_red": PINK_TO_BLUE}, relation="friendly")
     assert math.isnan(alone.error)
     assert np.isnan(post.marginal("relation", given={"goal_red": PINK_TO_BLUE}).error).all()
-    assert post.probability({"goal_red": BLUE_TO_RED}, relation="friendly").error == 0
+    assert 0 < post.probability({"goal_red": BLUE_TO_RED}, relation="friendly").error < 0.5
 
 
 def test_all_questions_about_a_label_have_the_same_error() -> None:
@@ -184,7 +184,7 @@ def test_errors_of_equal_draws_are_as_large_as_runs_differ(
     repetitions: Sequence[Posterior], name: str
 ) -> None:
     results = np.array([STATISTICS[name](post) for post in repetitions])
-    check(results, least=0.75, most=1.35)
+    check(results, least=0.75, most=1.75)
 
 
 def check(results: NDArray[np.float64], least: float, most: float) -> None:
@@ -193,25 +193,54 @@ def check(results: NDArray[np.float64], least: float, most: float) -> None:
     assert least < ratio < most
 
 
-def test_errors_under_weights_visited_are_as_large_as_runs_differ() -> None:
-    """Chains try three pairs of goals at random, with noisy likelihoods, and stop some early."""
+def test_few_particles_that_agree_leave_room_for_what_they_did_not_show() -> None:
+    simulations = [Simulation(hypothesis(g), i) for i, g in enumerate((2, 5))]
+    tree = make_tree(simulations, [[0]] * 15)
+    post = Posterior(tree)
+    # Jeffreys: mean 0.5 / 16 after 15 draws without it, variance p (1 - p) / 17
+    mean = 0.5 / 16
+    expected = math.sqrt(mean * (1 - mean) / 17 + mean**2)
+    assert post.probability(goal_red=GOALS[5]).error == pytest.approx(expected)
+    assert post.probability(goal_red=GOALS[2]).error == pytest.approx(expected)
+    assert float(post.marginal("goal_red").error.sel(goal_red=GOALS[9])) == pytest.approx(expected)
+
+
+def test_chains_that_still_move_have_larger_errors() -> None:
+    simulations = [Simulation(hypothesis(g), i) for i, g in enumerate((2, 5))]
+    moved = Posterior(make_tree(simulations, [[0, 0, 1, 1]] * 6 + [[1, 0, 1, 0]] * 2))
+    mixed = Posterior(make_tree(simulations, [[0, 1, 0, 1]] * 6 + [[1, 0, 1, 0]] * 2))
+    still, steady = (post.probability(goal_red=GOALS[2]) for post in (moved, mixed))
+    assert still == steady == 0.5
+    assert still.error > 2 * steady.error
+
+
+def test_errors_of_importance_weights_are_as_large_as_runs_differ() -> None:
+    """Chains draw three pairs of goals from uneven proposals, with noisy likelihoods."""
     rng = np.random.default_rng(1)
+    goals, proposal = [2, 5, 9], np.array([0.5, 0.3, 0.2])
     results = []
     for _ in range(80):
-        simulations = []
+        simulations, log_proposal = [], []
         for chain in range(15):
-            for _ in range(7):
-                goal = int(rng.choice([2, 5, 9]))
+            for iteration in range(7):
+                which = int(rng.choice(3, p=proposal))
+                log_proposal.append(math.log(proposal[which]))
                 simulations.append(
                     Simulation(
-                        hypothesis(goal, 12),
+                        hypothesis(goals[which], 12),
                         seed=len(simulations),
-                        log_likelihood=float(rng.normal(-goal / 5, 0.5)),
-                        completed=bool(rng.random() < 0.9),
+                        log_likelihood=float(rng.normal(-goals[which] / 5, 0.5)),
                         chain=chain,
+                        iteration=iteration,
                     )
                 )
-        simulations[0] = Simulation(hypothesis(2, 12), seed=0)
-        tree = make_tree(simulations, [[0]] * 15, n_frames=2)
-        results.append(pair(Posterior(tree, "visited").probability(goal_red=GOALS[2])))
+        tree = make_tree(simulations, [[7 * chain] for chain in range(15)], n_frames=2)
+        densities = tree["simulations"].to_dataset()
+        for name, values in (("log_proposal", log_proposal), ("log_bound", np.inf)):
+            densities[name] = "simulation", np.broadcast_to(values, len(simulations)).astype(float)
+        densities["log_again"] = "simulation", np.full(len(simulations), -np.inf)
+        tree["simulations"] = densities
+        results.append(pair(Posterior(tree, "importance").probability(goal_red=GOALS[2])))
     check(np.array(results), least=0.75, most=1.35)
+    exact = np.exp(-np.array(goals) / 5) / np.exp(-np.array(goals) / 5).sum()
+    assert np.mean([value for value, _ in results]) == pytest.approx(exact[0], abs=0.02)

@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 
 from phase_ppl.analysis import Posterior, plots
 from phase_ppl.analysis.over_time import FOLLOWED
-from phase_ppl.analysis.weights import aborted_mass_bound
 from phase_ppl.world.errors import InvalidEventError
 
 from .factory import (
@@ -64,9 +63,6 @@ def test_prefixes_worked_out_by_hand() -> None:
     np.testing.assert_allclose(found["goal_green"].sel(goal_green_is=PINK_TO_BLUE), expected)
     np.testing.assert_allclose(found["relation"].sel(relation_is="neutral"), expected)
     np.testing.assert_allclose(found["scenario"].sel(scenario_is="collaborative"), 1 - expected)
-    hidden = 0.2 * np.exp(-2)
-    everything = mass_one[-1] + mass_other[-1] + hidden
-    np.testing.assert_allclose(found["aborted_mass_bound"], [0, 0, hidden / everything])
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -79,9 +75,26 @@ def test_at_the_last_frame_it_is_the_posterior_of_the_visited(seed: int) -> None
     for name in FOLLOWED:
         np.testing.assert_allclose(found[name].isel(time=-1), post.marginal(name), atol=1e-12)
         np.testing.assert_allclose(found[name].sum(f"{name}_is"), 1)
-    bound = found["aborted_mass_bound"].values
-    assert bound[-1] == pytest.approx(aborted_mass_bound(tree))
-    assert bound[0] == 0 < bound[-1]
+    assert found.attrs["weights"] == "visited"
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_where_proposals_have_a_density_it_ends_as_weights_importance(seed: int) -> None:
+    tree = tree_by_frame(seed)
+    simulations = tree["simulations"].to_dataset()
+    rng = np.random.default_rng(seed)
+    n = simulations.sizes["simulation"]
+    simulations["log_proposal"] = "simulation", rng.normal(-10, 1, n)
+    first = simulations["iteration"].values == 0
+    at_end = rng.normal(-1, 1, n) - simulations["log_likelihood"].values
+    simulations["log_bound"] = "simulation", np.where(first, np.inf, at_end)
+    simulations["log_again"] = "simulation", np.full(n, -np.inf)
+    tree["simulations"] = xr.DataTree(simulations)
+    found, post = Posterior(tree).over_time(), Posterior(tree, "importance")
+    assert found.attrs["weights"] == "importance"
+    for name in FOLLOWED:
+        np.testing.assert_allclose(found[name].isel(time=-1), post.marginal(name), atol=1e-12)
+        np.testing.assert_allclose(found[name].sum(f"{name}_is"), 1)
 
 
 def test_later_frames_change_nothing_before_them() -> None:

@@ -40,8 +40,10 @@ def test_file_gives_back_the_tree_bit_for_bit(tmp_path: Path) -> None:
     tree = random_tree(1)
     array(tree, "simulations", "log_likelihood")[2] = -np.inf
     array(tree, "sample_stats", "step_error")[0, 0, 3] = np.nan
+    tree.attrs["burn_in"] = 1
     path = Posterior(tree).save(tmp_path / "run.nc")
     again = Posterior.load(path)
+    assert again.burn_in == 1
     assert_same_bits(tree, again.tree)
     assert again.summary() == Posterior(tree).summary()
     again.save(tmp_path / "copy.nc")
@@ -51,6 +53,7 @@ def test_file_gives_back_the_tree_bit_for_bit(tmp_path: Path) -> None:
 def test_a_scene_without_inner_walls_survives_the_file(tmp_path: Path) -> None:
     scene = Scene(default_scene().start, default_scene().radius)
     tree = make_tree([Simulation(hypothesis())], [[0]], scene=scene)
+    tree.attrs["burn_in"] = 0
     Posterior(tree).save(tmp_path / "run.nc")
     again = Posterior.load(tmp_path / "run.nc").tree
     assert again["constant_data"]["walls"].shape == (0, 2, 2)

@@ -11,12 +11,11 @@ import xarray as xr
 from phase_ppl.analysis import Posterior
 from phase_ppl.analysis.tree import array
 from phase_ppl.analysis.weights import (
-    WEIGHTINGS,
     aborted_mass_bound,
     log_sum_exp,
     normalised,
+    truncated,
     visited,
-    without_groups,
 )
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 
@@ -27,7 +26,6 @@ from .factory import (
     Simulation,
     hypothesis,
     make_tree,
-    random_tree,
 )
 
 A = hypothesis(BLUE_TO_RED)
@@ -222,39 +220,90 @@ def test_weights_that_cannot_be_normalised_are_refused(bad: list[float]) -> None
         normalised(np.array(bad))
 
 
-@pytest.mark.parametrize("name", ["count", "visited", "likelihood"])
-@pytest.mark.parametrize("seed", range(4))
-def test_weights_without_a_chain_are_those_of_a_run_without_it(name: str, seed: int) -> None:
-    tree = random_tree(seed, n_chains=5)
-    if name == "visited":  # two chains paid for the same simulation, one of them not to its end
-        simulations = tree["simulations"].dataset
-        for column in set(simulations.variables) - {"chain"}:
-            simulations[column].values[9] = simulations[column].values[0]
-        simulations["completed"].values[9] = False
-    rows = WEIGHTINGS[name](tree)
-    found = without_groups(tree, name, rows, np.eye(5, dtype=bool))
-    for chain in range(5):
-        smaller = tree.isel(chain=[c for c in range(5) if c != chain])
-        kept = tree["simulations"].dataset["chain"].values != chain
-        smaller["simulations"] = xr.DataTree(tree["simulations"].to_dataset().isel(simulation=kept))
-        expected = WEIGHTINGS[name](smaller)
-        mass = _mass_of_hypotheses(rows.values, found[chain])
-        wanted = _mass_of_hypotheses(expected.values, expected.weights)
-        assert mass == pytest.approx({key: wanted.get(key, 0) for key in mass})
-        assert sum(wanted.values()) == pytest.approx(1)
+def proposed(tree: xr.DataTree, log_proposal: list[float], log_bound: list[float]) -> xr.DataTree:
+    """Return the tree with the densities by which its simulations were proposed."""
+    simulations = tree["simulations"].to_dataset()
+    for name, values in (
+        ("log_proposal", log_proposal),
+        ("log_bound", log_bound),
+        ("log_again", [-math.inf] * len(log_proposal)),
+    ):
+        simulations[name] = ("simulation", np.array(values))
+    tree["simulations"] = xr.DataTree(simulations)
+    return tree
 
 
-def test_without_all_chains_that_completed_anything_no_weights_are_known() -> None:
-    simulations = [Simulation(hypothesis()), Simulation(hypothesis(), 1, completed=False, chain=1)]
-    tree = make_tree(simulations, [[0], [0]])
-    found = without_groups(tree, "visited", visited(tree), np.eye(2, dtype=bool))
-    assert np.isnan(found[0]).all()
-    assert found[1].tolist() == [1]
+def test_importance_weighs_by_prior_times_likelihood_over_proposal() -> None:
+    simulations = [
+        Simulation(A, 0, LOG(0.2), LOG(0.5)),
+        Simulation(B, 1, LOG(0.2), LOG(0.5), iteration=1),
+        Simulation(C, 2, LOG(0.1), LOG(0.9), completed=False, iteration=1),
+        Simulation(C, 3, LOG(0.1), LOG(0.9), failed=True, iteration=1),
+    ]
+    tree = proposed(
+        make_tree(simulations, [[0, 1]]), [LOG(0.5), LOG(0.25), 0.0, 0.0], [math.inf] * 4
+    )
+    found = goal_probabilities(Posterior(tree, "importance"))
+    assert found == pytest.approx({BLUE_TO_RED: 1 / 3, PINK_TO_BLUE: 2 / 3})
 
 
-def _mass_of_hypotheses(values, weights):  # type: ignore[no-untyped-def]
-    mass: dict[tuple[float, ...], float] = {}
-    keys = zip(*(column.tolist() for column in values.values()), strict=True)
-    for key, weight in zip(keys, weights, strict=True):
-        mass[key] = mass.get(key, 0.0) + float(weight)
-    return mass
+def test_what_could_have_been_stopped_weighs_more_by_how_likely_that_was() -> None:
+    simulations = [
+        Simulation(A, 0, 0.0, LOG(0.1)),
+        Simulation(B, 1, 0.0, LOG(0.1), iteration=1),  # completed with probability 0.1 / 0.2
+    ]
+    tree = proposed(make_tree(simulations, [[0, 1]]), [0.0, 0.0], [math.inf, -LOG(0.2)])
+    found = goal_probabilities(Posterior(tree, "importance"))
+    assert found == pytest.approx({BLUE_TO_RED: 1 / 3, PINK_TO_BLUE: 2 / 3})
+
+
+def test_a_request_that_was_answered_again_counts_again() -> None:
+    simulations = [Simulation(A, 0), Simulation(B, 1, iteration=1)]
+    tree = proposed(make_tree(simulations, [[0, 1]]), [0.0, 0.0], [math.inf] * 2)
+    tree["simulations"].dataset["log_again"].values[1] = LOG(2.0)
+    found = goal_probabilities(Posterior(tree, "importance"))
+    assert found == pytest.approx({BLUE_TO_RED: 1 / 4, PINK_TO_BLUE: 3 / 4})
+
+
+def test_truncated_weights_are_at_most_the_root_of_their_number_times_the_mean() -> None:
+    found = truncated(np.array([0.94, 0.02, 0.02, 0.02]))
+    np.testing.assert_allclose(found, np.array([0.5, 0.02, 0.02, 0.02]) / 0.56)
+    even = np.full(9, 1 / 9)
+    np.testing.assert_allclose(truncated(even), even)
+
+
+def test_importance_is_refused_where_proposals_have_no_density() -> None:
+    tree = make_tree([Simulation(A), Simulation(B, 1, iteration=1)], [[0, 1]])
+    with pytest.raises(InvalidSettingError, match="density of each proposal"):
+        Posterior(tree, "importance")
+    unknown = proposed(tree, [0.0, math.nan], [math.inf] * 2)
+    with pytest.raises(InvalidSettingError, match="'count' counts its draws"):
+        Posterior(unknown, "importance")
+
+
+def test_a_burn_in_does_not_count() -> None:
+    tree = make_tree([Simulation(A), Simulation(B, 1)], [[0, 0, 1, 1], [0, 1, 1, 1]])
+    assert goal_probabilities(Posterior(tree, burn_in=2)) == pytest.approx({PINK_TO_BLUE: 1.0})
+    tree.attrs["burn_in"] = 1
+    post = Posterior(tree)
+    assert post.burn_in == 1
+    assert goal_probabilities(post)[BLUE_TO_RED] == pytest.approx(1 / 6)
+    assert post.diagnostics()["iterations"] == 3
+    assert post.tree["posterior"].sizes["draw"] == 4
+    with pytest.raises(InvalidSettingError, match="burn_in=4, but each chain has 4 draws"):
+        Posterior(tree, burn_in=4)
+    with pytest.raises(InvalidSettingError, match="burn_in"):
+        Posterior(tree, burn_in=-1)
+
+
+def test_untried_is_the_prior_mass_of_pairs_without_a_completed_simulation() -> None:
+    tree = make_tree([Simulation(A), Simulation(B, 1, completed=False)], [[0]])
+    assert math.isnan(Posterior(tree).untried)
+    mass = np.zeros((36, 36))
+    mass[A.effective_goals], mass[B.effective_goals], mass[C.effective_goals] = 0.5, 0.3, 0.2
+    constant = tree["constant_data"].to_dataset()
+    constant["prior_of_pairs"] = ("pair_red", "pair_green"), mass
+    tree["constant_data"] = xr.DataTree(constant)
+    post = Posterior(tree)
+    assert post.untried == pytest.approx(0.5)
+    assert "0.50 of the prior's mass were never simulated" in post.diagnostics()["verdict"]

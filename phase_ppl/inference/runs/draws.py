@@ -79,7 +79,7 @@ def build_tree(
     model: Model,
     drawn: Drawn,
     records: Sequence[Record],
-    attrs: Mapping[str, str],
+    attrs: Mapping[str, Any],
 ) -> xr.DataTree:
     """Return the tree of draws of a run (:mod:`phase_ppl.analysis.tree`).
 
@@ -141,7 +141,15 @@ def build_tree(
 
 _RESULT_COLUMNS: Final = (
     *("seed", "chain", "iteration", "log_prior", "log_prior_effective", "log_likelihood"),
-    *("log_proposal", "log_bound", "log_again", "total_error", "completed", "frames_simulated", "failed"),
+    *(
+        "log_proposal",
+        "log_bound",
+        "log_again",
+        "total_error",
+        "completed",
+        "frames_simulated",
+        "failed",
+    ),
 )
 
 

@@ -56,6 +56,7 @@ class Means:
         progress: whether to show a bar.
         path: of the checkpoint; None: none is written.
         began: when the call began, by :func:`phase_ppl.inference.runs.pace.clock`.
+        burn_in: draws at the beginning of each chain that do not count; None: by default.
     """
 
     iterations: int | None
@@ -67,6 +68,7 @@ class Means:
     progress: bool | None
     path: str | os.PathLike[str] | None
     began: float
+    burn_in: int | None = None
 
 
 def carry_out(plan: Plan, means: Means, saved: Checkpoint | None = None) -> Posterior:
@@ -212,13 +214,16 @@ class Session:
         plan, run = self._plan, self._run
         if run.start is None:
             return None
-        attrs = {
+        attrs: dict[str, Any] = {
             "kernel": plan.info.name,
             "validity": getattr(self._kernel, "validity", plan.info.validity),
             "settings": json.dumps(self._settings(), default=repr),
             "cost": json.dumps(self._cost(interrupted)),
         }
         drawn = Drawn.kept(run.start, run.steps, plan.info)
+        if self._means.burn_in is not None:
+            # of an interrupted run at least the last draw counts
+            attrs["burn_in"] = min(self._means.burn_in, len(drawn.steps) - 1)
         return Posterior(build_tree(plan.event, plan.model, drawn, self._bridge.records, attrs))
 
     def _settings(self) -> dict[str, Any]:
