@@ -93,7 +93,7 @@ def efficiency(post: Posterior) -> dict[str, float]:
     * ``ess_per_simulation``: effective sample size of the log joint
       (:func:`phase_ppl.analysis.convergence.ess_mean`), per simulation; of weighted draws, 1 / the
       sum of their squared weights.
-    * ``simulations``, ``seconds`` of wall time.
+    * ``simulations``, their ``frames``, and ``seconds`` of wall time.
     """
     found = post.diagnostics()
     simulations = found["simulations"]["total"]
@@ -104,6 +104,7 @@ def efficiency(post: Posterior) -> dict[str, float]:
         "distinct": float(found["distinct_hypotheses"]),
         "ess_per_simulation": _effective_sample_size(post, found) / simulations,
         "simulations": float(simulations),
+        "frames": float(array(post.tree, "simulations", "frames_simulated").sum()),
         "seconds": float(post.cost["seconds"]),
     }
 
@@ -122,12 +123,13 @@ def curve(post: Posterior, reference: Marginals, truth: Truth | None) -> pd.Data
     A run that keeps its last population only has one row.
 
     Returns:
-        Columns ``simulations`` and those of :func:`accuracy`, a row per prefix, at most
+        Columns ``simulations``, ``frames`` and those of :func:`accuracy`, a row per prefix, at most
         :data:`CURVE_POINTS`.
     """
     tree = post.tree
     n_draws = array(tree, "posterior", "goal_red").shape[1]
     iteration = array(tree, "simulations", "iteration")
+    frames = array(tree, "simulations", "frames_simulated")
     # draws are those after the last iterations: a run can have more of these, or one fewer
     first = int(iteration.max(initial=0)) - n_draws + 1
     if n_draws == 1 or first not in (0, 1):
@@ -136,12 +138,12 @@ def curve(post: Posterior, reference: Marginals, truth: Truth | None) -> pd.Data
         lengths = np.unique(np.linspace(1, n_draws, CURVE_POINTS).round().astype(int))
     rows = []
     for length in lengths.tolist():
-        if length == n_draws:
-            part, paid = post, len(iteration)
-        else:
+        done, part = np.ones(len(iteration), bool), post
+        if length < n_draws:
             done = iteration < first + length
-            part, paid = Posterior(_prefix(tree, length, done), post.weights), int(done.sum())
-        rows.append({"simulations": float(paid), **accuracy(part, reference, truth)})
+            part = Posterior(_prefix(tree, length, done), post.weights)
+        paid = {"simulations": float(done.sum()), "frames": float(frames[done].sum())}
+        rows.append({**paid, **accuracy(part, reference, truth)})
     return pd.DataFrame(rows)
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import phase_ppl
 from phase_ppl.cli.shared import (
+    BUDGET,
     INTERRUPTED,
     add_progress,
     budget,
@@ -43,7 +44,7 @@ def add_to(commands: Any) -> None:
         metavar="B",
         type=budget,
         default=phase_ppl.simulations(500),
-        help="simulations, as in 500 (the default), or seconds, as in 60s",
+        help=f"{BUDGET}; default 500",
     )
     parser.add_argument("--repeats", metavar="R", type=whole(1), default=8, help="default 8")
     parser.add_argument("--chains", metavar="M", type=whole(1), default=15, help="default 15")

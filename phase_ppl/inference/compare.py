@@ -19,11 +19,11 @@ from phase_ppl.analysis.measures import accuracy, curve, efficiency, of_truth
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.summary import plain
 from phase_ppl.analysis.weights import WEIGHTINGS
-from phase_ppl.inference.comparison.contenders import Contender, Spec, contenders, described_budget
+from phase_ppl.inference.comparison.contenders import Contender, Spec, contenders
 from phase_ppl.inference.comparison.reference import Reference, reference_of
 from phase_ppl.inference.infer import CHAINS
 from phase_ppl.inference.runs.progress import is_shown
-from phase_ppl.inference.settings import Budget, SimpleSettings, whole_number
+from phase_ppl.inference.settings import Budget, SimpleSettings, described_budget, whole_number
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import event_salt
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown, unknown_name

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from phase_ppl.analysis.measures import marginals, total_variation
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.quantities import relation_codes
-from phase_ppl.inference.comparison.contenders import Contender, Spec, contender, described_budget
+from phase_ppl.inference.comparison.contenders import Contender, Spec, contender
 from phase_ppl.inference.comparison.enumeration import (
     PER_PAIR,
     Plan,
     enumerate_goals,
     plan_enumeration,
 )
-from phase_ppl.inference.settings import Budget, SimpleSettings
+from phase_ppl.inference.settings import Budget, SimpleSettings, described_budget
 from phase_ppl.models.model import Model
 from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.event import Event
