@@ -39,6 +39,15 @@ def total_variation(one: FloatArray, other: FloatArray) -> float:
     return 0.5 * float(np.abs(one - other).sum())
 
 
+def distances(found: Marginals, reference: Marginals) -> dict[str, float]:
+    """Return ``tv_goals`` and ``tv_relation`` of marginals; see :func:`accuracy`."""
+    apart = {name: total_variation(found[name], reference[name]) for name in COMPARED}
+    return {
+        "tv_goals": (apart["goal_red"] + apart["goal_green"]) / 2,
+        "tv_relation": apart["relation"],
+    }
+
+
 def accuracy(post: Posterior, reference: Marginals, truth: Truth | None) -> dict[str, float]:
     """Return how near a posterior is to a reference and to the truth; NaN where there is none.
 
@@ -52,11 +61,7 @@ def accuracy(post: Posterior, reference: Marginals, truth: Truth | None) -> dict
       ``map_relation``: 1 if the most probable relation is the true one, else 0.
     """
     found = marginals(post)
-    apart = {name: total_variation(found[name], reference[name]) for name in COMPARED}
-    result = {
-        "tv_goals": (apart["goal_red"] + apart["goal_green"]) / 2,
-        "tv_relation": apart["relation"],
-    }
+    result = distances(found, reference)
     if truth is None:
         return result | {"p_pair": np.nan} | of_truth(found, truth)
     pair = post.probability(goal_red=truth.goal_red, goal_green=truth.goal_green)

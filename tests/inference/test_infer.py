@@ -60,12 +60,20 @@ def test_every_draw_rests_on_a_simulation_of_its_own_chain(post: ppl.Posterior) 
 
 
 def test_errors_are_the_distances_of_the_stored_trajectories(post: ppl.Posterior) -> None:
-    predicted = post.tree["posterior_predictive"]["trajectory"].values[..., :2]
+    predicted = post.tree["simulated"]["trajectory"].values[..., :2]
     difference = predicted - EVENT.observation.positions
     errors = np.linalg.norm(difference.reshape(*difference.shape[:3], -1), axis=-1)
     stats = post.tree["sample_stats"]
     np.testing.assert_allclose(stats["step_error"], errors, atol=1e-4)
     np.testing.assert_allclose(stats["total_error"], errors.sum(axis=-1), atol=1e-3)
+
+
+def test_arviz_gets_what_could_have_been_observed(post: ppl.Posterior) -> None:
+    assert post.tree["simulated"].attrs == {"beta": MODEL.likelihood.beta}  # type: ignore[attr-defined]
+    data = ppl.Posterior(post.tree, "count").arviz
+    noisy = data["posterior_predictive"]["trajectory"].values
+    assert noisy.shape == post.tree["simulated"]["trajectory"].shape
+    assert not np.allclose(noisy[..., :2], post.tree["simulated"]["trajectory"].values[..., :2])
 
 
 def test_the_frames_of_a_simulation_add_up_to_its_likelihood(post: ppl.Posterior) -> None:
