@@ -227,7 +227,7 @@ def test_a_run_whose_hypotheses_are_all_known_ends() -> None:
             numpyro.sample(name, dist.Categorical(probs=probs))
         numpyro.sample("alpha", dist.Categorical(probs=jnp.array([1.0, 0, 0, 0, 0])))
         for name in ("strength_red", "strength_green"):
-            numpyro.sample(name, dist.Delta(400.0))
+            numpyro.sample(name, ppl.sites.OneOf([400.0]))
 
     model = ppl.Model(prior=fixed_strengths, simulator=walkers, noise="fixed")
     options: dict[str, Any] = {**OPTIONS, "iterations": None, "budget": ppl.simulations(200)}
