@@ -200,14 +200,15 @@ class Comparison:
         if not known:
             return "its own error is not known, so kernels are not ranked by it"
         return (
-            f"its own error: {', '.join(known)} between halves of it; kernels whose distances "
-            "differ by less share a rank"
+            f"its own error: {', '.join(known)} between halves of it; kernels share a rank\n"
+            "whose distances do not differ by more than that and two standard errors together"
         )
 
     def _ranking(self, measure: str) -> str:
         ranks = self.ranks(measure)
         if len(ranks) > 1 and (ranks["best"] == 1).all() and (ranks["worst"] == len(ranks)).all():
-            return f"not told apart by this reference: {', '.join(ranks.index)}"
+            by = "this reference" if (self.table["runs", "n"] > 1).all() else "a single run"
+            return f"not told apart by {by}: {', '.join(ranks.index)}"
         parts = []
         for (best, worst), names in ranks.groupby(["best", "worst"], sort=False).groups.items():
             place = f"{best}" if best == worst else f"{best} to {worst}"

@@ -188,6 +188,8 @@ def _effective_shares(given: FloatArray) -> float:
     # drawn in from the ends, where a mean says nothing of the spread
     inner = (mean * n + z**2 / 2) / (n + z**2)
     spread = means.var() + (mean - inner) ** 2
+    # means that happen to be the same are not without spread
+    spread = max(spread, inner * (1 - inner) / n**2)
     worth = n * inner * (1 - inner) / spread
     return float(max(worth * (z / special.stdtrit(n - 1, (1 + LEVEL) / 2)) ** 2, 1.0))
 

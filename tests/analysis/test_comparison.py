@@ -198,6 +198,7 @@ def test_a_kernel_between_two_that_differ_shares_a_rank_with_both() -> None:
 def test_nothing_is_ranked_without_repeats_or_by_a_reference_of_unknown_error() -> None:
     two = {"near": 0.1, "far": 0.9}
     assert places(made_up(two, repeats=1, error=0.01)) == dict.fromkeys(two, (1, 2))
+    assert "not told apart by a single run" in str(made_up(two, repeats=1, error=0.01))
     assert places(made_up(two)) == dict.fromkeys(two, (1, 2))
     assert "error is not known" in str(made_up(two))
     with pytest.raises(UnknownNameError, match="tv_goals"):

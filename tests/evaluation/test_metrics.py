@@ -119,6 +119,15 @@ def test_intervals_of_shares_of_people_cover(n: int) -> None:
     assert np.mean([one["ci_low"] <= 0.9 <= one["ci_high"] for one in found]) >= 0.92  # type: ignore[index,operator]
 
 
+def test_shares_that_are_all_the_same_have_an_interval() -> None:
+    found = proportion([[0.5], [0.5]])
+    assert found is not None
+    assert found["value"] == 0.5
+    assert found["ci_low"] < 0.4  # type: ignore[operator]
+    assert found["ci_high"] > 0.6  # type: ignore[operator]
+    assert proportion([[np.nan, np.nan]]) is None
+
+
 def test_goals_that_are_right_on_their_own_say_more_than_those_that_go_together() -> None:
     right = np.repeat([1.0, 0.0], 20)
     together = proportion(np.stack([right, right], axis=1))

@@ -155,7 +155,10 @@ def reference_of(
     post = asked.kernel.run(event, model, asked.budget, run_seed, workers)
     post = Posterior(post.tree, asked.weights)
     length = ", ".join(described_budget(value) for value in asked.kernel.length.values())
-    words = f"{asked.kernel.info.name}, {length}, weights {asked.weights}"
+    words = (
+        f"{asked.kernel.info.name}, {length}, weights {asked.weights}; its error is known as far "
+        "as its chains have mixed"
+    )
     return _entry(words, marginals(post), int(post.cost["simulations"]), _halves_of(post))
 
 
