@@ -109,8 +109,7 @@ def _panel(axes: Axes, c: Comparison, name: str) -> None:
     if own_error is not None:
         axes.axhspan(0, own_error, color="#eeeeee", lw=0, zorder=0)
         note = "within the reference's own error"
-        axes.text(0.98, own_error / 2, note, transform=axes.get_yaxis_transform(), fontsize=SMALL,
-                  color="#777777", ha="right", va="center")  # fmt: skip
+        axes.text(0.015, 0.02, note, transform=axes.transAxes, fontsize=SMALL, color="#777777")
     reference = c.settings["reference"].get("truth", {}).get(name)
     if reference is not None:
         axes.axhline(reference, color="#777777", lw=0.9, ls=(0, (4, 3)), zorder=1)
