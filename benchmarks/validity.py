@@ -98,7 +98,7 @@ def size(kernel: Any, info: KernelInfo, simulations: int) -> tuple[int, int]:
     length = Length(
         0, getattr(kernel, "sims_at_start", 1), getattr(kernel, "sims_per_step", info.sims_per_step)
     )
-    left = simulations - length.simulations(CHAINS, 0)
+    left = simulations - length.at_most(CHAINS, 0)
     return CHAINS, max(3, left // (CHAINS * length.sims_per_step))
 
 

@@ -58,6 +58,7 @@ _WHERE = {
     "event_dataset": "phase_ppl.dataset.xarrays",
     "event_from_dataset": "phase_ppl.dataset.xarrays",
     "export_events": "phase_ppl.dataset.export",
+    "frames": "phase_ppl.inference.infer",
     "generate": "phase_ppl.dataset.generation.generate",
     "human_accuracy": "phase_ppl.evaluation.people",
     "infer": "phase_ppl.inference.infer",
@@ -151,6 +152,7 @@ if TYPE_CHECKING:
     from phase_ppl.inference.compare import compare as compare
     from phase_ppl.inference.infer import Interrupted as Interrupted
     from phase_ppl.inference.infer import SimpleSettings as SimpleSettings
+    from phase_ppl.inference.infer import frames as frames
     from phase_ppl.inference.infer import infer as infer
     from phase_ppl.inference.infer import resume as resume
     from phase_ppl.inference.infer import seconds as seconds

@@ -60,6 +60,22 @@ def test_validity_of_one_kernel(tmp_path: Path) -> None:
     assert 2000 < found["simulations"] <= 3000
 
 
+def test_budget_of_one_kernel(tmp_path: Path) -> None:
+    options = ["--only", "prior_mh", "--budget", "60", "--chains", "4"]
+    (name, found), *others = figures(tmp_path, "budgets.py", *options)["kernels"].items()  # type: ignore[attr-defined]
+    assert (name, others) == ("prior_mh", [])
+    assert 60 <= found["simulations"] < 64
+    assert found["frames"] <= 14 * found["simulations"]
+
+
+def test_reference_beside_what_it_says_of_itself(tmp_path: Path) -> None:
+    rows: Any = figures(tmp_path, "budgets.py", "--reference", "--trials", "3")["reference"]
+    assert {(row["sd"], row["per_pair"]) for row in rows} >= {(0.3, 4), (5.8, 16)}
+    for row in rows:
+        assert 0 < row["true"] < 1
+        assert row["ranked_wrong"] <= row["ranked"]
+
+
 @pytest.mark.slow
 def test_calibration_of_a_few_events(tmp_path: Path) -> None:
     options = ["--events", "2", "--iterations", "8", "--kernel", "prior_mh"]

@@ -265,6 +265,8 @@ class TestBadInput:
             (["--budget", "60m"], "seconds, as in 60s"),
             (["--budget", "0s"], "seconds, as in 60s"),
             (["--budget", "29"], "need 30"),
+            (["--budget", "2.5f"], "frames, as in 20000f"),
+            (["--budget", "20f"], "20 frames is too small"),
             (["--budget", "60s", "--iterations", "2"], "not allowed"),
             (["--option", "rule"], "NAME=VALUE"),
             (["--option", "chains=3"], "no option of a kernel"),
@@ -466,3 +468,13 @@ def test_ctrl_c_stops_soon_leaves_no_worker_and_keeps_what_was_done(tmp_path: Pa
     assert (tmp_path / "run.ckpt").exists()
     assert "Go on with: phase-ppl resume" in output
     assert _is_gone_within(run.pid, seconds=15)
+
+
+def test_a_reference_has_options_as_kernels_have() -> None:
+    from phase_ppl.cli.compare import _reference
+
+    assert _reference("enumeration:per_pair=16") == ("enumeration", {"per_pair": 16})
+    assert _reference("enumeration") == "enumeration"
+    assert _reference(None) is None
+    with pytest.raises(phase_ppl.PhasePPLError, match="--reference: 'per_pair'"):
+        _reference("enumeration:per_pair")

@@ -13,10 +13,13 @@ import xarray as xr
 from phase_ppl.analysis import convergence
 from phase_ppl.analysis.diagnostics import MASS, categorical_draws, scalars
 from phase_ppl.analysis.quantities import ScenarioFunction, quantities
-from phase_ppl.analysis.tree import log_weight_of_draws
+from phase_ppl.analysis.tree import SIMULATED, log_weight_of_draws
 from phase_ppl.world.errors import InvalidSettingError
 
 _PAIR: Final = ("chain", "draw")
+
+_STREAM: Final = 0x9EA1
+"""Keeps this noise apart from what else follows from the run's seed."""
 
 
 def arviz_data(tree: xr.DataTree, scenario: ScenarioFunction | None = None) -> Any:
@@ -31,7 +34,17 @@ def arviz_data(tree: xr.DataTree, scenario: ScenarioFunction | None = None) -> A
     is left out; the attribute ``left_out`` (JSON) names these.
 
     Every draw counts once, as under weights ``"count"``; other weightings give other
-    probabilities. With fewer than ten draws per chain ArviZ's effective sample sizes do not
+    probabilities.
+
+    The group ``posterior_predictive`` has what could have been observed by the draws: the
+    simulation that each rests on (``post.tree["simulated"]``), with the likelihood's noise on x
+    and y of every frame, from a seed that follows from the run's. Angles are the simulation's, of
+    which the likelihood says nothing, so that
+    ``az.plot_ppc(post.arviz, coords={"coord": ["x", "y"]})`` compares like with like. The paper's
+    beta of 0.05 is a tempered likelihood: its noise is 160 units long in a frame. Of a likelihood
+    of one's own there is no such group.
+
+    With fewer than ten draws per chain ArviZ's effective sample sizes do not
     depend on the draws and say nothing; :meth:`~phase_ppl.analysis.posterior.Posterior.diagnostics`
     has some that do.
 
@@ -41,8 +54,8 @@ def arviz_data(tree: xr.DataTree, scenario: ScenarioFunction | None = None) -> A
 
     Returns:
         An ``arviz.InferenceData`` where ArviZ is older than 1, otherwise an
-        :class:`xarray.DataTree`, with the groups ``posterior``, ``sample_stats``,
-        ``posterior_predictive``, ``observed_data`` and ``constant_data``.
+        :class:`xarray.DataTree`, with the groups ``posterior``, ``posterior_predictive``,
+        ``sample_stats``, ``observed_data`` and ``constant_data``.
 
     Raises:
         InvalidSettingError: the draws have unequal weights, which ArviZ cannot count.
@@ -52,9 +65,12 @@ def arviz_data(tree: xr.DataTree, scenario: ScenarioFunction | None = None) -> A
             "ArviZ counts every draw once, but the draws of this posterior have unequal weights; "
             "post.to_dataframe() gives them with their weights"
         )
-    kept = ("sample_stats", "posterior_predictive", "observed_data", "constant_data")
-    groups = {name: tree[name].to_dataset() for name in kept}
-    groups = {"posterior": _posterior(tree, scenario), **groups}
+    groups = {"posterior": _posterior(tree, scenario)}
+    replicated = _replicated(tree)
+    if replicated is not None:
+        groups["posterior_predictive"] = replicated
+    for name in ("sample_stats", "observed_data", "constant_data"):
+        groups[name] = tree[name].to_dataset()
     if int(importlib.metadata.version("arviz").split(".")[0]) >= 1:
         data = xr.DataTree.from_dict(groups)
         data.attrs = dict(tree.attrs)
@@ -66,6 +82,21 @@ def arviz_data(tree: xr.DataTree, scenario: ScenarioFunction | None = None) -> A
 
         make: Any = arviz.InferenceData
         return make(attrs=dict(tree.attrs), **groups)
+
+
+def _replicated(tree: xr.DataTree) -> xr.Dataset | None:
+    """Return what the draws could have looked like; None where the noise is not known."""
+    simulated = tree[SIMULATED].to_dataset()
+    if "beta" not in simulated.attrs:
+        return None
+    from phase_ppl.models.likelihood import RadialLikelihood
+
+    seed = json.loads(tree.attrs["settings"]).get("seed", 0)
+    rng = np.random.default_rng([int(seed), _STREAM])
+    trajectory = simulated["trajectory"].values.astype(np.float64)
+    likelihood = RadialLikelihood(float(simulated.attrs["beta"]))
+    trajectory[..., :2] = likelihood.replicate(trajectory[..., :2], rng)
+    return simulated.assign(trajectory=(simulated["trajectory"].dims, trajectory))
 
 
 def _posterior(tree: xr.DataTree, scenario: ScenarioFunction | None) -> xr.Dataset:

@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.tree import array, simulation_of_draw
+from phase_ppl.analysis.tree import SIMULATED, array, simulation_of_draw
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
 
@@ -54,5 +54,5 @@ def replay(tree: xr.DataTree) -> NDArray[np.float64]:
     draws = array(tree, "sample_stats", "log_joint")
     chosen = is_best if is_best.any() else draws == draws.max()
     chain, draw = np.argwhere(chosen)[0]
-    trajectory = array(tree, "posterior_predictive", "trajectory")[chain, draw]
+    trajectory = array(tree, SIMULATED, "trajectory")[chain, draw]
     return np.asarray(trajectory, np.float64)

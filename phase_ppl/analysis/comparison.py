@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from phase_ppl.analysis.summary import plain
-from phase_ppl.world.errors import InvalidEventError
+from phase_ppl.world.errors import InvalidEventError, unknown_name
 from phase_ppl.world.files import existing_file, write_json
 
 SCHEMA: Final = "phase-ppl-comparison-1"
@@ -31,13 +31,17 @@ MEASURES: Final[Mapping[str, str]] = {
     "distinct": "distinct",
     "ess_per_simulation": "ESS per simulation",
     "simulations": "simulations",
+    "frames": "frames",
     "seconds": "seconds",
 }
 """Measure -> heading; :func:`~phase_ppl.analysis.measures.accuracy` and
 :func:`~phase_ppl.analysis.measures.efficiency` say what they are."""
 
 RUN_COLUMNS: Final = ("kernel", "repeat", "seed", "validity", *MEASURES)
-CURVE_COLUMNS: Final = ("kernel", "repeat", *list(MEASURES)[:7], "simulations")
+CURVE_COLUMNS: Final = ("kernel", "repeat", *list(MEASURES)[:7], "simulations", "frames")
+
+DISTANCES: Final = ("tv_goals", "tv_relation")
+"""Measures that are distances from the reference, and as uncertain as it is."""
 
 _PRINTED_COLUMNS: Final = 7
 
@@ -54,7 +58,7 @@ class Comparison:
             ``simulations``, and the measures of accuracy.
         settings: all that determines the result: event, model, kernels with their options,
             budget, chains, seed, weights, and ``reference``: its ``description``, ``marginals``,
-            and what it makes of the truth (``truth``).
+            its own ``error`` and what it makes of the truth (``truth``).
     """
 
     runs: pd.DataFrame
@@ -79,6 +83,50 @@ class Comparison:
             parts[name, "mean"] = grouped[name].mean()
             parts[name, "se"] = grouped[name].sem()
         return pd.DataFrame(parts).loc[self.kernels]
+
+    def reference_error(self, measure: str = "tv_goals") -> float | None:
+        """Return how far halves of the reference are apart; None: not known.
+
+        The reference itself is nearer than this to what it estimates, in some nine of ten cases.
+
+        Raises:
+            UnknownNameError: ``measure`` is none of :data:`DISTANCES`.
+        """
+        if measure not in DISTANCES:
+            raise unknown_name("distance", measure, DISTANCES)
+        found = self.settings["reference"].get("error")
+        if found is None:  # as older files have it
+            found = {"tv_goals": self.settings["reference"].get("halves_apart")}
+        value = found.get(measure)
+        return None if value is None else float(value)
+
+    def ranks(self, measure: str = "tv_goals") -> pd.DataFrame:
+        """Return which kernels are nearer to the reference, as far as that can be told.
+
+        Two kernels are told apart if their mean distances differ by more than the reference's own
+        error and two standard errors of the difference over repeats, together. Without either,
+        with a single repeat or a reference of unknown error, none are.
+
+        Args:
+            measure: of :data:`DISTANCES`.
+
+        Returns:
+            A row per kernel, the nearest first: ``mean``, and ``best`` and ``worst``, the places
+            that the kernel can have, from 1 to the number of kernels.
+
+        Raises:
+            UnknownNameError: there is no such distance.
+        """
+        error = self.reference_error(measure)
+        table = self.table
+        mean = table[measure, "mean"].to_numpy(float)
+        spread = table[measure, "se"].to_numpy(float)
+        margin = (np.nan if error is None else error) + 2 * np.hypot(spread[:, None], spread)
+        nearer = mean[:, None] + margin < mean  # not a number: no
+        best = 1 + nearer.sum(axis=0)
+        worst = len(mean) - nearer.sum(axis=1)
+        found = pd.DataFrame({"mean": mean, "best": best, "worst": worst}, index=table.index)
+        return found.sort_values("mean", kind="stable")
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write everything to ``path`` as JSON, whole or not at all.
@@ -124,7 +172,8 @@ class Comparison:
         words = (
             f"{settings['event']}: budget {settings['budget']}, {settings['chains']} chains, "
             f"weights {settings['weights']}; mean ± standard error\n"
-            f"reference: {settings['reference']['description']}"
+            f"{_equalised(settings['budget'])}\n"
+            f"reference: {settings['reference']['description']}\n{self._error_in_words()}"
         )
         named = [n for n in MEASURES if np.isfinite(table[n, "mean"].to_numpy(float)).any()]
         blocks = [words]
@@ -142,17 +191,50 @@ class Comparison:
                     for row in rows
                 )
             )
+        blocks.append("\n".join(f"rank by {MEASURES[n]}: {self._ranking(n)}" for n in DISTANCES))
         return "\n\n".join(blocks)
+
+    def _error_in_words(self) -> str:
+        errors = {name: self.reference_error(name) for name in DISTANCES}
+        known = [f"{MEASURES[n]} {e:.2f}" for n, e in errors.items() if e is not None]
+        if not known:
+            return "its own error is not known, so kernels are not ranked by it"
+        return (
+            f"its own error: {', '.join(known)} between halves of it; kernels share a rank\n"
+            "whose distances do not differ by more than that and two standard errors together"
+        )
+
+    def _ranking(self, measure: str) -> str:
+        ranks = self.ranks(measure)
+        if len(ranks) > 1 and (ranks["best"] == 1).all() and (ranks["worst"] == len(ranks)).all():
+            by = "this reference" if (self.table["runs", "n"] > 1).all() else "a single run"
+            return f"not told apart by {by}: {', '.join(ranks.index)}"
+        parts = []
+        for (best, worst), names in ranks.groupby(["best", "worst"], sort=False).groups.items():
+            place = f"{best}" if best == worst else f"{best} to {worst}"
+            parts.append(f"{place}: {', '.join(names)}")
+        return "; ".join(parts)
 
     def __repr__(self) -> str:
         return f"<Comparison of {', '.join(self.kernels)}: {len(self.runs)} runs>"
 
 
+def _equalised(budget: str) -> str:
+    """Return what equal budgets make equal, and what they do not."""
+    unit = budget.rpartition(" ")[2]
+    others = [name for name in ("simulations", "frames", "seconds") if name != unit]
+    return (
+        f"equal are the {unit}, up to the last iteration of a run; {' and '.join(others)} are not"
+    )
+
+
 def _frame(columns: Mapping[str, Any], expected: tuple[str, ...]) -> pd.DataFrame:
-    missing = [name for name in expected if name not in columns]
+    missing = [name for name in expected if name not in columns and name != "frames"]
     if missing:
         raise ValueError(f"it lacks {missing}")
-    frame = pd.DataFrame({name: columns[name] for name in expected})
+    # older files do not know the frames
+    unknown = {"frames": np.full(len(columns["simulations"]), np.nan)}
+    frame = pd.DataFrame({name: {**unknown, **columns}[name] for name in expected})
     text = ("kernel", "validity")
     return frame.astype({n: int for n in ("repeat", "seed") if n in frame}).astype(
         {n: float for n in frame if n not in (*text, "repeat", "seed")}

@@ -1,4 +1,4 @@
-"""The figure of a comparison: how good each kernel is after ever more simulations."""
+"""The figure of a comparison: how good each kernel is after ever more simulations or frames."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.comparison import Comparison
+from phase_ppl.analysis.comparison import DISTANCES, Comparison
 from phase_ppl.analysis.style import (
     COLOURS,
     INK,
@@ -53,8 +53,10 @@ def comparison(
 ) -> Figure:
     """Draw measures of accuracy against simulations, a line per kernel.
 
-    Lines are means over repeats, bands their standard errors. A kernel that keeps its last
-    population only is a point with a bar. A dashed line is what the reference says.
+    Against frames, where the budget was of frames. Lines are means over repeats, bands their
+    standard errors. A kernel that keeps its last population only is a point with a bar. A dashed
+    line is what the reference says of the truth; of distances from the reference, those in
+    the grey area at the bottom are smaller than its own error.
 
     Args:
         c: what to draw.
@@ -91,23 +93,29 @@ def comparison(
 
 
 def _panel(axes: Axes, c: Comparison, name: str) -> None:
+    unit = "frames" if str(c.settings["budget"]).endswith("frames") else "simulations"
     ends: list[tuple[float, float, str, str]] = []
     for place, kernel in enumerate(c.kernels):
         colour, style = COLOURS[place % len(COLOURS)], STYLES[place // len(COLOURS) % len(STYLES)]
         rows = c.curve[c.curve["kernel"] == kernel]
-        x, mean, error = _mean_curve(rows, name)
+        x, mean, error = _mean_curve(rows, name, unit)
         if len(x) == 1:
             axes.errorbar(x, mean, error, fmt="o", ms=4, color=colour, capsize=2, lw=1.2)
         else:
             axes.fill_between(x, mean - error, mean + error, color=colour, alpha=0.16, lw=0)
             axes.plot(x, mean, color=colour, ls=style, lw=1.8, solid_capstyle="round")
         ends.append((float(x[-1]), float(mean[-1]), kernel, colour))
+    own_error = c.reference_error(name) if name in DISTANCES else None
+    if own_error is not None:
+        axes.axhspan(0, own_error, color="#eeeeee", lw=0, zorder=0)
+        note = "within the reference's own error"
+        axes.text(0.015, 0.02, note, transform=axes.transAxes, fontsize=SMALL, color="#777777")
     reference = c.settings["reference"].get("truth", {}).get(name)
     if reference is not None:
         axes.axhline(reference, color="#777777", lw=0.9, ls=(0, (4, 3)), zorder=1)
         ends.append((0.0, reference, "reference", "#777777"))
     bare(axes)
-    axes.set_xlabel("simulations", fontsize=NORMAL, color=INK)
+    axes.set_xlabel("simulated frames" if unit == "frames" else unit, fontsize=NORMAL, color=INK)
     axes.set_xlim(0, max(end[0] for end in ends) * 1.02)
     top = axes.get_ylim()[1]
     axes.set_ylim(0, min(1.02, max(top, 0.05)))
@@ -116,12 +124,14 @@ def _panel(axes: Axes, c: Comparison, name: str) -> None:
     direct_labels(axes, ends)
 
 
-def _mean_curve(rows: pd.DataFrame, name: str) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return simulations, mean and standard error over repeats where all repeats have begun.
+def _mean_curve(
+    rows: pd.DataFrame, name: str, unit: str
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return simulations or frames, mean and standard error, where all repeats have begun.
 
     Every run counts at each number of simulations with what it had by then.
     """
-    runs = [(run["simulations"].to_numpy(float), run[name].to_numpy(float))
+    runs = [(run[unit].to_numpy(float), run[name].to_numpy(float))
             for _, run in rows.groupby("repeat")]  # fmt: skip
     begin, end = max(x[0] for x, _ in runs), max(x[-1] for x, _ in runs)
     at = np.unique(np.linspace(begin, end, _POINTS)) if end > begin else np.array([end])

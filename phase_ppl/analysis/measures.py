@@ -39,6 +39,15 @@ def total_variation(one: FloatArray, other: FloatArray) -> float:
     return 0.5 * float(np.abs(one - other).sum())
 
 
+def distances(found: Marginals, reference: Marginals) -> dict[str, float]:
+    """Return ``tv_goals`` and ``tv_relation`` of marginals; see :func:`accuracy`."""
+    apart = {name: total_variation(found[name], reference[name]) for name in COMPARED}
+    return {
+        "tv_goals": (apart["goal_red"] + apart["goal_green"]) / 2,
+        "tv_relation": apart["relation"],
+    }
+
+
 def accuracy(post: Posterior, reference: Marginals, truth: Truth | None) -> dict[str, float]:
     """Return how near a posterior is to a reference and to the truth; NaN where there is none.
 
@@ -52,11 +61,7 @@ def accuracy(post: Posterior, reference: Marginals, truth: Truth | None) -> dict
       ``map_relation``: 1 if the most probable relation is the true one, else 0.
     """
     found = marginals(post)
-    apart = {name: total_variation(found[name], reference[name]) for name in COMPARED}
-    result = {
-        "tv_goals": (apart["goal_red"] + apart["goal_green"]) / 2,
-        "tv_relation": apart["relation"],
-    }
+    result = distances(found, reference)
     if truth is None:
         return result | {"p_pair": np.nan} | of_truth(found, truth)
     pair = post.probability(goal_red=truth.goal_red, goal_green=truth.goal_green)
@@ -93,7 +98,7 @@ def efficiency(post: Posterior) -> dict[str, float]:
     * ``ess_per_simulation``: effective sample size of the log joint
       (:func:`phase_ppl.analysis.convergence.ess_mean`), per simulation; of weighted draws, 1 / the
       sum of their squared weights.
-    * ``simulations``, ``seconds`` of wall time.
+    * ``simulations``, their ``frames``, and ``seconds`` of wall time.
     """
     found = post.diagnostics()
     simulations = found["simulations"]["total"]
@@ -104,6 +109,7 @@ def efficiency(post: Posterior) -> dict[str, float]:
         "distinct": float(found["distinct_hypotheses"]),
         "ess_per_simulation": _effective_sample_size(post, found) / simulations,
         "simulations": float(simulations),
+        "frames": float(array(post.tree, "simulations", "frames_simulated").sum()),
         "seconds": float(post.cost["seconds"]),
     }
 
@@ -122,12 +128,13 @@ def curve(post: Posterior, reference: Marginals, truth: Truth | None) -> pd.Data
     A run that keeps its last population only has one row.
 
     Returns:
-        Columns ``simulations`` and those of :func:`accuracy`, a row per prefix, at most
+        Columns ``simulations``, ``frames`` and those of :func:`accuracy`, a row per prefix, at most
         :data:`CURVE_POINTS`.
     """
     tree = post.tree
     n_draws = array(tree, "posterior", "goal_red").shape[1]
     iteration = array(tree, "simulations", "iteration")
+    frames = array(tree, "simulations", "frames_simulated")
     # draws are those after the last iterations: a run can have more of these, or one fewer
     first = int(iteration.max(initial=0)) - n_draws + 1
     if n_draws == 1 or first not in (0, 1):
@@ -136,12 +143,12 @@ def curve(post: Posterior, reference: Marginals, truth: Truth | None) -> pd.Data
         lengths = np.unique(np.linspace(1, n_draws, CURVE_POINTS).round().astype(int))
     rows = []
     for length in lengths.tolist():
-        if length == n_draws:
-            part, paid = post, len(iteration)
-        else:
+        done, part = np.ones(len(iteration), bool), post
+        if length < n_draws:
             done = iteration < first + length
-            part, paid = Posterior(_prefix(tree, length, done), post.weights), int(done.sum())
-        rows.append({"simulations": float(paid), **accuracy(part, reference, truth)})
+            part = Posterior(_prefix(tree, length, done), post.weights)
+        paid = {"simulations": float(done.sum()), "frames": float(frames[done].sum())}
+        rows.append({**paid, **accuracy(part, reference, truth)})
     return pd.DataFrame(rows)
 
 

@@ -143,6 +143,10 @@ def _fit(found: Mapping[str, Any]) -> str:
 def _cost(cost: Mapping[str, Any], found: Mapping[str, Any]) -> str:
     simulations = found["simulations"]
     words = f"{simulations['total']} simulations"
+    if isinstance(cost.get("frames"), int):
+        words += f", {cost['frames']} frames"
+    if cost.get("budget"):
+        words += f" (of a budget of {cost['budget']}),"
     if isinstance(cost.get("seconds"), int | float):
         words += f" in {cost['seconds']:.0f} s"
     if isinstance(cost.get("workers"), int):

@@ -6,7 +6,9 @@ numbers only, so that it survives NetCDF unchanged.
 
 from __future__ import annotations
 
+import json
 import os
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -20,8 +22,18 @@ from phase_ppl.world.files import atomic_output, existing_file
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS
 
-SCHEMA: Final = "phase-ppl-posterior-1"
+SCHEMA: Final = "phase-ppl-posterior-2"
 """Value of the root attribute ``schema``."""
+
+SIMULATED: Final = "simulated"
+"""Group of the simulation that each draw rests on, as the simulator made it. Where the likelihood
+is the radial one, its attribute ``beta`` says how much noise the likelihood puts around it."""
+
+_OLDER_SCHEMA: Final = "phase-ppl-posterior-1"
+"""Of files in which this group was called ``posterior_predictive``, although it is without the
+likelihood's noise."""
+
+_RADIAL: Final = re.compile(r"RadialLikelihood\(beta=([^)]+)\)")
 
 SITES: Final = (
     "goal_red",
@@ -48,7 +60,7 @@ REQUIRED: Final[Mapping[str, Mapping[str, tuple[str, ...] | None]]] = {
         **dict.fromkeys(("frames_simulated", "sim_seed"), _DRAW),
         "step_error": (*_DRAW, "time"),
     },
-    "posterior_predictive": {"trajectory": (*_DRAW, *_FRAME)},
+    SIMULATED: {"trajectory": (*_DRAW, *_FRAME)},
     "observed_data": {"trajectory": _FRAME},
     "simulations": dict.fromkeys(
         (
@@ -113,7 +125,7 @@ def _check_sizes(tree: xr.DataTree) -> None:
     expected = {
         ("sample_stats", "log_joint"): shape,
         ("sample_stats", "step_error"): (*shape, frames[0]),
-        ("posterior_predictive", "trajectory"): (*shape, *frames),
+        (SIMULATED, "trajectory"): (*shape, *frames),
     }
     simulations = tree["simulations"].dataset
     if "step_log_likelihood" in simulations:
@@ -252,7 +264,30 @@ def read_tree(path: str | os.PathLike[str]) -> xr.DataTree:
     for node in tree.subtree:
         node.attrs = {k: v.item() if hasattr(v, "item") else v for k, v in node.attrs.items()}
     try:
+        tree = _up_to_date(tree)
         check_tree(tree)
     except InvalidEventError as error:
         raise InvalidEventError(f"{source}: {error}") from None
     return tree
+
+
+def _up_to_date(tree: xr.DataTree) -> xr.DataTree:
+    """Return a tree of an older file in the present schema; others as they are."""
+    if tree.attrs.get("schema") != _OLDER_SCHEMA or "posterior_predictive" not in tree.children:
+        return tree
+    groups = {name: node.to_dataset() for name, node in tree.children.items()}
+    simulated = groups.pop("posterior_predictive")
+    radial = _RADIAL.fullmatch(_likelihood_of(tree))
+    if radial is not None:
+        simulated.attrs["beta"] = float(radial[1])
+    newer = xr.DataTree.from_dict({**groups, SIMULATED: simulated})
+    newer.attrs = {**tree.attrs, "schema": SCHEMA}
+    return newer
+
+
+def _likelihood_of(tree: xr.DataTree) -> str:
+    """Return how the settings of a run describe its likelihood."""
+    try:
+        return str(json.loads(tree.attrs["settings"])["model"]["likelihood"])
+    except (KeyError, TypeError, ValueError):
+        return ""

@@ -9,6 +9,7 @@ from typing import Any
 
 import phase_ppl
 from phase_ppl.cli.shared import (
+    BUDGET,
     INTERRUPTED,
     add_progress,
     budget,
@@ -43,7 +44,7 @@ def add_to(commands: Any) -> None:
         metavar="B",
         type=budget,
         default=phase_ppl.simulations(500),
-        help="simulations, as in 500 (the default), or seconds, as in 60s",
+        help=f"{BUDGET}; default 500",
     )
     parser.add_argument("--repeats", metavar="R", type=whole(1), default=8, help="default 8")
     parser.add_argument("--chains", metavar="M", type=whole(1), default=15, help="default 15")
@@ -52,7 +53,8 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--reference",
         metavar="R",
-        help="a posterior's .nc file, 'enumeration' or a kernel; default: what is affordable",
+        help="a posterior's .nc file, 'enumeration' (more precise: enumeration:per_pair=16) or a "
+        "kernel, with options as in --kernels; default: what is affordable",
     )
     parser.add_argument("--weights", metavar="NAME", default="count", help="default count")
     parser.add_argument(
@@ -108,20 +110,25 @@ def _kernels(text: str) -> dict[str, Any]:
     """
     found: dict[str, Any] = {}
     for label in (part.strip() for part in text.split(",")):
-        name, *given = label.split(":")
-        if not name or label in found:
+        if not label.partition(":")[0] or label in found:
             raise InvalidSettingError(f"--kernels {text}: expected different names, as in a,b,c")
-        options = {}
-        for option in given:
-            key, equals, value = option.partition("=")
-            if not (key and equals and value):
-                raise InvalidSettingError(f"--kernels: {option!r} in {label!r} is no OPTION=VALUE")
-            options[key] = option_value(value)
-        found[label] = (name, options)
+        found[label] = _with_options(label, "--kernels")
     return found
+
+
+def _with_options(text: str, where: str) -> tuple[str, dict[str, Any]]:
+    """Return name and options of ``name:option=value:option=value``."""
+    name, *given = text.split(":")
+    options = {}
+    for option in given:
+        key, equals, value = option.partition("=")
+        if not (key and equals and value):
+            raise InvalidSettingError(f"{where}: {option!r} in {text!r} is no OPTION=VALUE")
+        options[key] = option_value(value)
+    return name, options
 
 
 def _reference(text: str | None) -> Any:
     if text is not None and text.endswith(".nc"):
         return phase_ppl.Posterior.load(text)
-    return text
+    return _with_options(text, "--reference") if text and ":" in text else text

@@ -12,6 +12,7 @@ import phase_ppl
 from phase_ppl.cli.compare_models import add_stored
 from phase_ppl.cli.several import evaluate_several, models_of, options_of
 from phase_ppl.cli.shared import (
+    BUDGET,
     FAILED,
     INTERRUPTED,
     add_progress,
@@ -100,9 +101,7 @@ def add_to(commands: Any) -> None:
     )
     model.add_argument("--planner", choices=("fast", "paper"))
     model.add_argument("--kernel", metavar="NAME")
-    model.add_argument(
-        "--budget", metavar="B", type=budget, help="simulations, as in 500, or seconds, as in 60s"
-    )
+    model.add_argument("--budget", metavar="B", type=budget, help=BUDGET)
     model.add_argument("--weights", metavar="NAME")
     model.add_argument("--prior", metavar="NAME")
     model.add_argument(

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import phase_ppl
 from phase_ppl.cli.shared import (
     BAD_INPUT,
+    BUDGET,
     INTERRUPTED,
     POSTERIOR,
     add_progress,
@@ -96,9 +97,7 @@ def _add_means(command: argparse.ArgumentParser) -> None:
     """Add what ``infer`` and ``resume`` share."""
     length = command.add_mutually_exclusive_group()
     length.add_argument("--iterations", metavar="L", type=whole(1), help="default 6, or as before")
-    length.add_argument(
-        "--budget", metavar="B", type=budget, help="simulations, as in 500, or seconds, as in 60s"
-    )
+    length.add_argument("--budget", metavar="B", type=budget, help=BUDGET)
     command.add_argument(
         "--workers", metavar="N", type=whole(1), help="processes; default one per usable core"
     )

@@ -121,16 +121,20 @@ def command(
     return command
 
 
+BUDGET: Final = "simulations, as in 500, simulated frames, as in 20000f, or seconds, as in 60s"
+"""What a budget is given in."""
+
+
 def budget(text: str) -> Any:
-    """Return the budget that an option gives: simulations, as in 500, or seconds, as in 60s."""
+    """Return the budget that an option gives; :data:`BUDGET` says in what."""
     try:
+        if text.endswith("f"):
+            return phase_ppl.frames(int(text[:-1]))
         if text.endswith("s"):
             return phase_ppl.seconds(float(text[:-1]))
         return phase_ppl.simulations(int(text))
     except ValueError:  # of ours too
-        raise argparse.ArgumentTypeError(
-            f"{text!r} is no budget; expected simulations, as in 500, or seconds, as in 60s"
-        ) from None
+        raise argparse.ArgumentTypeError(f"{text!r} is no budget; expected {BUDGET}") from None
 
 
 def add_progress(parser: argparse.ArgumentParser) -> None:

@@ -1,4 +1,9 @@
-"""Error bars by resampling events.
+"""Error bars: of shares by the binomial law, of everything else by resampling events.
+
+Resampling a handful of events, or many of which nearly all are right, shows too little spread:
+where all answers are right it shows none. Shares of right answers (:func:`proportion`) therefore
+have Clopper and Pearson's interval, which covers at least as often as it says, for as many
+independent answers as the given ones are worth (Korn and Graubard 1998, Survey Methodology 24).
 
 A resample of n events is a vector of n weights: how often each event was drawn. Every figure is a
 function of weighted sums over events, so that one matrix of weights, whose first row is the data
@@ -11,6 +16,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import special
 
 from phase_ppl.world.checks import whole_number
 
@@ -117,6 +123,75 @@ def figure(values: FloatArray, n: int) -> Figure | None:
         return None
     low, high = interval(values) if n > 1 else (None, None)
     return {"value": float(values[0]), "ci_low": low, "ci_high": high}
+
+
+def proportion(values: ArrayLike) -> Figure | None:
+    """Return the mean of answers' scores from 0 to 1 with its 95 % interval.
+
+    Answers about one event go together: two that are always both right or both wrong are worth
+    one. Of scores 0 and 1 the design effect is estimated from how alike the answers of an event
+    are; of shares, such as that of people who are right, from how much the events' means vary,
+    with the quantile of Student's t.
+
+    Args:
+        values: (event, answer) scores in [0, 1]; NaN where there is none.
+
+    Returns:
+        None where there is no score; with those of one event there is no interval (None, None).
+    """
+    given = np.asarray(values, np.float64)
+    given = given.reshape(len(given), int(np.prod(given.shape[1:])))
+    given = given[~np.isnan(given).all(axis=1)]
+    if not len(given):
+        return None
+    value = float(np.nanmean(given))
+    if len(given) == 1:
+        return {"value": value, "ci_low": None, "ci_high": None}
+    known = given[~np.isnan(given)]
+    worth = _effective_answers(given) if np.isin(known, (0, 1)).all() else _effective_shares(given)
+    low, high = clopper_pearson(value * worth, worth)
+    return {"value": value, "ci_low": min(low, value), "ci_high": max(high, value)}
+
+
+def clopper_pearson(right: float, n: float, level: float = LEVEL) -> tuple[float, float]:
+    """Return the interval of a probability of which ``right`` of ``n`` trials came true.
+
+    Neither needs to be a whole number.
+    """
+    tail = (1 - level) / 2
+    wrong = n - right
+    low = float(special.betaincinv(right, wrong + 1, tail)) if right > _CONSTANT else 0.0
+    high = float(special.betaincinv(right + 1, wrong, 1 - tail)) if wrong > _CONSTANT else 1.0
+    return low, high
+
+
+def _effective_answers(given: FloatArray) -> float:
+    """Return how many independent answers, right or wrong, (event, answer) scores are worth."""
+    n = (~np.isnan(given)).sum(axis=1)
+    mean = float(np.nanmean(given))
+    spread = mean * (1 - mean)
+    more = int((n - 1).sum())
+    if not more:
+        return float(n.sum())
+    # share of the variance that answers of one event do not have in common; all alike: none
+    own = np.nansum((given - np.nanmean(given, axis=1, keepdims=True)) ** 2) / more
+    alike = float(np.clip(1 - own / spread, 0, 1)) if spread > _CONSTANT else 1.0
+    each = (n**2).sum() / n.sum()
+    return float(n.sum() / (1 + (each - 1) * alike))
+
+
+def _effective_shares(given: FloatArray) -> float:
+    """Return how many independent answers the mean of (event, answer) shares is worth."""
+    means = np.nanmean(given, axis=1)
+    n, mean = len(means), float(means.mean())
+    z = float(special.ndtri((1 + LEVEL) / 2))
+    # drawn in from the ends, where a mean says nothing of the spread
+    inner = (mean * n + z**2 / 2) / (n + z**2)
+    spread = means.var() + (mean - inner) ** 2
+    # means that happen to be the same are not without spread
+    spread = max(spread, inner * (1 - inner) / n**2)
+    worth = n * inner * (1 - inner) / spread
+    return float(max(worth * (z / special.stdtrit(n - 1, (1 + LEVEL) / 2)) ** 2, 1.0))
 
 
 def interval(values: FloatArray, level: float = LEVEL) -> tuple[float | None, float | None]:

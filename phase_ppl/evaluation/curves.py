@@ -3,20 +3,43 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from phase_ppl.evaluation import agreement
-from phase_ppl.evaluation.bootstrap import FloatArray, correlation, weighted_mean
+from phase_ppl.evaluation.bootstrap import (
+    Figure,
+    FloatArray,
+    correlation,
+    figure,
+    proportion,
+    weighted_mean,
+)
 from phase_ppl.evaluation.tables import Facts, IntArray, Said
 from phase_ppl.world.relations import RELATIONS, SCENARIOS
 
 Path = tuple[str, ...]
 """Keys under which a figure is found in the metrics."""
 
-Curve = tuple[FloatArray, int]
-"""The values (1 + resamples,) of a figure, and the number of events that count in it."""
+
+class Curve(NamedTuple):
+    """A figure and its values on the resamples.
+
+    Attributes:
+        values: (1 + resamples,) its value, then the resampled ones.
+        n: number of events that count in it.
+        scores: (event, answer) what it is the share of, from 0 to 1; None for what is no share.
+    """
+
+    values: FloatArray
+    n: int
+    scores: FloatArray | None = None
+
+    def figure(self) -> Figure | None:
+        """Return value and 95 % interval: of shares the binomial one, else from the resamples."""
+        return figure(self.values, self.n) if self.scores is None else proportion(self.scores)
+
 
 PREFIX: Final[Mapping[str, str]] = {"goal": "goal_", "relation": ""}
 """Kind -> what the names of figures under ``human`` begin with."""
@@ -27,9 +50,9 @@ def model_curves(known: Facts, model: Said, weights: FloatArray) -> dict[Path, C
     curves = accuracy_curves(model.right, known.scenario, weights)
 
     def mean(values: FloatArray) -> Curve:
-        return weighted_mean(weights, values), events_with(values)
+        return Curve(weighted_mean(weights, values), events_with(values))
 
-    curves["goal_top3_accuracy",] = mean(model.in_top)
+    curves["goal_top3_accuracy",] = share_curve(weights, model.in_top)
     for kind, prefix in PREFIX.items():
         probabilities, people, truth = (
             model.probabilities[kind],
@@ -53,7 +76,12 @@ def model_curves(known: Facts, model: Said, weights: FloatArray) -> dict[Path, C
 def _r(weights: FloatArray, x: FloatArray, y: FloatArray, groups: IntArray | None = None) -> Curve:
     flat = (x.shape[0], int(np.prod(x.shape[1:])))
     left, right = x.reshape(flat), y.reshape(flat)
-    return correlation(weights, left, right, groups), events_with(left * right)
+    return Curve(correlation(weights, left, right, groups), events_with(left * right))
+
+
+def share_curve(weights: FloatArray, scores: FloatArray) -> Curve:
+    """Return the mean of (event, answer) scores from 0 to 1."""
+    return Curve(weighted_mean(weights, scores), events_with(scores), scores)
 
 
 def people_curves(known: Facts, model: Said, weights: FloatArray) -> dict[Path, Curve]:
@@ -63,7 +91,7 @@ def people_curves(known: Facts, model: Said, weights: FloatArray) -> dict[Path, 
         people = np.where(np.isnan(model.probabilities[kind]), np.nan, known.people[kind])
         bound = agreement.negative_entropy(people)
         path = ("human", f"{prefix}log_score_people")
-        curves[path] = weighted_mean(weights, bound), events_with(bound)
+        curves[path] = Curve(weighted_mean(weights, bound), events_with(bound))
     return curves
 
 
@@ -79,11 +107,11 @@ def accuracy_curves(
     """
     curves: dict[Path, Curve] = {}
     for kind, values in right.items():
-        curves[f"{kind}_accuracy",] = weighted_mean(weights, values), events_with(values)
+        curves[f"{kind}_accuracy",] = share_curve(weights, values)
         for place, name in enumerate(SCENARIOS):
             part = np.where((scenario == place)[:, None], values, np.nan)
             path = ("by_scenario", name, f"{kind}_accuracy")
-            curves[path] = weighted_mean(weights, part), events_with(part)
+            curves[path] = share_curve(weights, part)
     return curves
 
 

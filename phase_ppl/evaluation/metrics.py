@@ -1,8 +1,11 @@
 """The paper's metrics of predictions (Appendix 5), and what says more than being right.
 
-A *figure* is ``{"value", "ci_low", "ci_high"}``, with 95 % intervals from resampled events, or None
-where it cannot be computed. Accuracy of goals is over both agents' goals. Answers are ranked by
-probability, ties in label order; ``ties`` counts the events with one, per question.
+A *figure* is ``{"value", "ci_low", "ci_high"}`` with a 95 % interval, or None where it cannot be
+computed. Accuracies, overall and by scenario, have Clopper and Pearson's interval for as many
+independent answers as they are worth (:func:`~phase_ppl.evaluation.bootstrap.proportion`); all
+other intervals are percentiles over resampled events. Accuracy of goals is over both agents'
+goals. Answers are ranked by probability, ties in label order; ``ties`` counts the events with one,
+per question.
 
 ``evaluate_predictions`` gives:
 
@@ -215,7 +218,10 @@ class Paired:
         result: dict[str, Any] = {"n_events": len(chosen)}
         put(
             result,
-            {path: difference(drawn, of_other[path][0], n) for path, (drawn, n) in of_one.items()},
+            {
+                path: difference(curve.values, of_other[path].values, curve.n)
+                for path, curve in of_one.items()
+            },
         )
         count_scenarios(result, self._facts[ids][0].scenario)
         return _ordered(result)
@@ -281,7 +287,7 @@ def _metrics(
         },
     }
     curves = model_curves(known, model, weights) | people_curves(known, model, weights)
-    put(result, {path: figure(*curve) for path, curve in curves.items()})
+    put(result, {path: curve.figure() for path, curve in curves.items()})
     put(result, given.halves)
     count_scenarios(result, known.scenario)
     result["confusion"] = confusion(zip(known.scenario, model.scenario, strict=True))

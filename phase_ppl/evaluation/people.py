@@ -33,7 +33,8 @@ def human_accuracy(
 
     Returns:
         ``n_events``; ``goal_accuracy``, ``relation_accuracy`` and ``by_scenario`` as for models
-        (:mod:`phase_ppl.evaluation.metrics`), of an event the share of people who are right;
+        (:mod:`phase_ppl.evaluation.metrics`), of an event the share of people who are right, with
+        intervals by how much events differ;
         ``majority``, the same for the most frequent answers, ties in label order; ``ties``, the
         events in which several are the most frequent, per question; ``by_participant``, see
         :func:`participant_accuracy`, and ``confusion``, true scenario -> scenario of the goals of
@@ -58,7 +59,7 @@ def human_accuracy(
     of_majority: dict[str, Any] = {}
     for place, right in ((result, share), (of_majority, majority)):
         curves = accuracy_curves(right, known.scenario, weights)
-        put(place, {path: figure(*curve) for path, curve in curves.items()})
+        put(place, {path: curve.figure() for path, curve in curves.items()})
         count_scenarios(place, known.scenario)
     result["majority"] = of_majority
     result["ties"] = {}

@@ -19,6 +19,7 @@ _OWN: Final = 19
 _NAME: Final = 16
 _GAP: Final = "  "
 _NOTHING: Final = "-"
+_INTERVALS: Final = "95 %; of right answers Clopper-Pearson, of scores and r over resampled events"
 Path = tuple[str, ...]
 
 
@@ -54,7 +55,7 @@ def table(evaluation: Evaluation) -> str:
         *(_narrow(name, found) for name, found in metrics["reference_models"].items()),
     ]
     lines += _figures(_rows(metrics), columns, metrics)
-    lines += ["", *_wrapped("cost", _cost(evaluation.cost))]
+    lines += ["", *_wrapped("intervals", _INTERVALS), *_wrapped("cost", _cost(evaluation.cost))]
     for event, failure in evaluation.failures.items():
         lines += _wrapped("failed", f"{event}: {failure}")
     for note in evaluation.notes:

@@ -19,11 +19,11 @@ from phase_ppl.analysis.measures import accuracy, curve, efficiency, of_truth
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.summary import plain
 from phase_ppl.analysis.weights import WEIGHTINGS
-from phase_ppl.inference.comparison.contenders import Contender, Spec, contenders, described_budget
+from phase_ppl.inference.comparison.contenders import Contender, Spec, contenders
 from phase_ppl.inference.comparison.reference import Reference, reference_of
 from phase_ppl.inference.infer import CHAINS
 from phase_ppl.inference.runs.progress import is_shown
-from phase_ppl.inference.settings import Budget, SimpleSettings, whole_number
+from phase_ppl.inference.settings import Budget, SimpleSettings, described_budget, whole_number
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import event_salt
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown, unknown_name
@@ -77,16 +77,19 @@ def compare(
             class, or a function that makes a kernel. Options are the kernel's own, and
             ``chains`` and ``settings``, as in
             ``{"as printed": ("local_mh", {"rule": "paper"})}``.
-        budget: of every single run; ``phase_ppl.simulations(n)``, the initial ones included, or
-            ``phase_ppl.seconds(t)``, compiling included.
+        budget: of every single run; ``phase_ppl.simulations(n)`` or ``phase_ppl.frames(n)``,
+            the initial ones included, or ``phase_ppl.seconds(t)``, compiling included. A run ends
+            with the iteration that spends it, whatever its kernel declares that one may cost.
         repeats: runs of every kernel.
         chains: particles M.
         seed: a whole number >= 0.
         reference: what the results are compared with: a posterior of the same event and model,
-            "enumeration" (:mod:`phase_ppl.inference.comparison.enumeration`), or a kernel as in
-            ``kernels``, whose options may have a ``budget`` or ``iterations``; without, it has
-            ten times the budget. By default enumeration, if ten times the budget suffices for
-            it, else ``local_mh``.
+            "enumeration" (:mod:`phase_ppl.inference.comparison.enumeration`), with more than 4
+            simulations of each pair of goals as ``("enumeration", {"per_pair": 16})``, or a
+            kernel as in ``kernels``, whose options may have a ``budget`` or ``iterations``;
+            without, it has ten times the budget. By default enumeration, if ten times the budget
+            suffices for it, else ``local_mh``. A reference has an error of its own, which is
+            measured and printed; kernels are not ranked within it.
         weights: of the draws; "count" is the only valid one for judging kernels.
         settings: of SIMPLE; by default the paper's.
         workers: processes; by default one per usable core.
@@ -112,7 +115,8 @@ def compare(
         raise unknown_name("weights", weights, WEIGHTINGS)
     if not dataclasses.is_dataclass(budget):
         raise InvalidSettingError(
-            f"budget={shown(budget)}, expected phase_ppl.simulations(n) or phase_ppl.seconds(t)"
+            f"budget={shown(budget)}, expected phase_ppl.simulations(n), phase_ppl.frames(n) or "
+            "phase_ppl.seconds(t)"
         )
     chosen = contenders(kernels, chains, settings)
     wanted = Reference.asked_for(reference, event, budget, chains, settings, weights)
@@ -232,6 +236,11 @@ class _Record:
         pairs = [(name, old.get(name), new[name]) for name in new
                  if name not in ("kernels", "repeats", "reference", "event")]  # fmt: skip
         pairs.append(("reference", old["reference"].get("asked"), new["reference"]["asked"]))
+        if stored.runs["frames"].isna().any():
+            raise InvalidSettingError(
+                f"checkpoint {self._path} is of an older version, whose kernels spent a budget by "
+                "what they declared; name another file, or delete this one"
+            )
         shared = old["kernels"].keys() & new["kernels"].keys()
         pairs += [(f"kernel {k!r}", old["kernels"][k], new["kernels"][k]) for k in sorted(shared)]
         for name, was, given in pairs:

@@ -16,13 +16,15 @@ from phase_ppl.inference.registry import Factory
 from phase_ppl.inference.runs import pace
 from phase_ppl.inference.runs.archive import SUFFIXES
 from phase_ppl.inference.runs.checkpoint import Checkpoint
-from phase_ppl.inference.runs.length import check_chains
+from phase_ppl.inference.runs.length import budget_of, check_chains
 from phase_ppl.inference.runs.plan import Plan, complete_model, model_again, no_event
 from phase_ppl.inference.runs.session import Interrupted, Means, carry_out
 from phase_ppl.inference.settings import (
     Budget,
+    FrameBudget,
     SimpleSettings,
     TimeBudget,
+    frames,
     seconds,
     simulations,
 )
@@ -40,9 +42,11 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Budget",
+    "FrameBudget",
     "Interrupted",
     "SimpleSettings",
     "TimeBudget",
+    "frames",
     "infer",
     "resume",
     "seconds",
@@ -64,7 +68,7 @@ def infer(
     planner: str | PlannerConfig | None = None,
     workers: int | None = None,
     executor: Executor | None = None,
-    budget: Budget | TimeBudget | None = None,
+    budget: Budget | FrameBudget | TimeBudget | None = None,
     on_failure: str = "reject",
     retries: int | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
@@ -107,9 +111,12 @@ def infer(
             simulations to give it at a time; by default all.
         executor: any PEP 3148 executor to simulate in, such as that of a ``dask.distributed``
             client; it is not shut down.
-        budget: instead of ``iterations``, ``phase_ppl.simulations(n)``: as many as n simulations
-            allow, the initial ones included; or ``phase_ppl.seconds(n)``: as many as can be
-            expected to end in time, which may be none after the initial particles.
+        budget: instead of ``iterations``. ``phase_ppl.simulations(n)``: iterations begin until n
+            simulations were really run, the initial ones included, so that the last iteration
+            may exceed n; ``phase_ppl.frames(n)``: likewise with simulated frames, of which a
+            simulation that is stopped early takes fewer. Either ends too after 100 iterations
+            in a row that needed no simulation. ``phase_ppl.seconds(n)``: as many iterations as
+            can be expected to end in time, which may be none after the initial particles.
         on_failure: "reject", "raise" or "retry", see above.
         retries: of "retry"; by default 3.
         checkpoint: file, ending in .ckpt, in which the run is kept after the initial particles
@@ -181,7 +188,7 @@ def resume(
     planner: str | PlannerConfig | None = None,
     workers: int | None = None,
     executor: Executor | None = None,
-    budget: Budget | TimeBudget | None = None,
+    budget: Budget | FrameBudget | TimeBudget | None = None,
     on_failure: str | None = None,
     retries: int | None = None,
     progress: bool | None = None,
@@ -259,9 +266,7 @@ def resume(
     )
     _check_same(saved, plan)
     if iterations is None and budget is None:
-        iterations = saved.target["iterations"]
-        if iterations is None:
-            budget = TimeBudget(saved.target["seconds"])
+        iterations, budget = saved.target["iterations"], budget_of(saved.target)
     if on_failure is None:
         on_failure = str(saved.failures["on_failure"])
         retries = saved.failures["retries"] if retries is None else retries

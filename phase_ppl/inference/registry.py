@@ -57,7 +57,8 @@ class KernelInfo:
         factory: makes the kernel from an :class:`~phase_ppl.models.program.EventProgram`.
         validity: "exact": its stationary law is the posterior; "consistent": it approaches the
             posterior as particles grow; "approximate": neither; "unknown" where nobody says.
-        sims_per_step: the most simulations that a step takes per particle.
+        sims_per_step: the most simulations that a step takes per particle; what a bar and a
+            budget of seconds expect at first. Budgets are spent by what was really simulated.
         chain_methods: NumPyro's ``chain_method`` values it works with.
         needs: keyword arguments that the factory asks for, of :data:`NEEDS`.
         summary: first line of the factory's documentation.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 from phase_ppl.inference.proposals.strength.estimates import Estimator
 from phase_ppl.inference.proposals.strength.estimators import DEFAULT_ESTIMATOR, strength_estimator
@@ -98,27 +99,26 @@ def probability(name: str, value: object) -> float:
 
 @dataclasses.dataclass(frozen=True)
 class Budget:
-    """A cap on the number of simulations, the initial ones included.
+    """How many simulations a run makes, the initial ones included.
 
-    What fails and is run again (``on_failure="retry"``) comes on top.
+    Those count that were really run: a proposal without prior mass, or one whose simulation is
+    known, costs nothing; one that is stopped early counts as one. An iteration that has begun is
+    finished, so that a run makes up to one iteration's simulations of all particles more. What
+    fails and is run again (``on_failure="retry"``) comes on top.
     """
 
     simulations: int
 
-    def iterations(self, chains: int, sims_per_step: int, sims_at_start: int = 1) -> int:
-        """Return how many iterations of ``chains`` particles the budget allows.
 
-        Raises:
-            InvalidSettingError: not one beside the initial particles.
-        """
-        at_start = chains * sims_at_start
-        iterations = (self.simulations - at_start) // (chains * sims_per_step)
-        if iterations < 1:
-            raise InvalidSettingError(
-                f"a budget of {self.simulations} simulations is too small: {chains} initial "
-                f"particles and one iteration need {at_start + chains * sims_per_step}"
-            )
-        return iterations
+@dataclasses.dataclass(frozen=True)
+class FrameBudget:
+    """How many frames a run simulates, those of the initial particles included.
+
+    As :class:`Budget`, but a simulation that is stopped early counts for the frames that it took.
+    How long such a run is thus depends a little on what its chains meet.
+    """
+
+    frames: int
 
 
 @dataclasses.dataclass(frozen=True)
@@ -131,10 +131,24 @@ class TimeBudget:
 def simulations(n: int) -> Budget:
     """Return a budget of ``n`` simulations, the initial ones included.
 
+    Those that are really run count, and an iteration that has begun is finished: see
+    :class:`Budget`.
+
     Raises:
         InvalidSettingError: ``n`` is no whole number >= 1.
     """
     return Budget(whole_number("simulations", n))
+
+
+def frames(n: int) -> FrameBudget:
+    """Return a budget of ``n`` simulated frames, those of the initial particles included.
+
+    A kernel that stops simulations early gets more of them for it: see :class:`FrameBudget`.
+
+    Raises:
+        InvalidSettingError: ``n`` is no whole number >= 1.
+    """
+    return FrameBudget(whole_number("frames", n))
 
 
 def seconds(n: float) -> TimeBudget:
@@ -147,3 +161,10 @@ def seconds(n: float) -> TimeBudget:
         InvalidSettingError: ``n`` is no positive number.
     """
     return TimeBudget(positive_number("seconds", n))
+
+
+def described_budget(budget: Any) -> str:
+    """Return a budget in words, such as "500 simulations"."""
+    if not dataclasses.is_dataclass(budget) or isinstance(budget, type):
+        return str(budget)
+    return ", ".join(f"{value} {name}" for name, value in dataclasses.asdict(budget).items())

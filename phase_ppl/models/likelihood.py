@@ -16,8 +16,10 @@ from typing import Any, Final, Protocol, TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import numpyro.distributions as dist
 from jax import random
+from numpy.typing import NDArray
 from numpyro.distributions import constraints
 
 from phase_ppl.world.checks import positive_number
@@ -77,6 +79,24 @@ class RadialLikelihood:
         spent = n_frames * _log_normaliser(self.beta)
         result: _Array = -(log_floor + spent) / self.beta  # type: ignore[operator,assignment]
         return result
+
+    def replicate(
+        self, positions: NDArray[np.floating[Any]], rng: np.random.Generator
+    ) -> NDArray[np.float64]:
+        """Return what could have been observed around simulated positions.
+
+        In every frame all entities are off by a vector of :data:`DIMENSIONS` numbers, of a
+        direction by chance and a Gamma(d, beta) length.
+
+        Args:
+            positions: (..., entity, 2) simulated x, y, units.
+            rng: of the noise, which is independent in every frame.
+        """
+        direction = rng.standard_normal(positions.shape)
+        direction /= np.linalg.norm(direction, axis=(-2, -1), keepdims=True)
+        length = rng.gamma(DIMENSIONS, 1 / self.beta, positions.shape[:-2])
+        noise: NDArray[np.float64] = positions + direction * length[..., None, None]
+        return noise
 
 
 class RadialTrajectory(dist.Distribution):

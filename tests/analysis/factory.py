@@ -121,7 +121,7 @@ def make_tree(
             },
             {**draw_coords, "time": ("time", frame["time"], {"units": "seconds"})},
         ),
-        "posterior_predictive": xr.Dataset(
+        "simulated": xr.Dataset(
             {
                 "trajectory": (
                     (*pair, "time", "entity", "coord"),
@@ -129,6 +129,7 @@ def make_tree(
                 )
             },
             {**draw_coords, **frame},
+            {"beta": 0.05},
         ),
         "observed_data": xr.Dataset({"trajectory": (("time", "entity", "coord"), observed)}, frame),
         "simulations": xr.Dataset({name: ("simulation", table[name]) for name in table}),

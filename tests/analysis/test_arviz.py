@@ -108,3 +108,86 @@ def test_draws_of_unequal_weight_are_refused() -> None:
     tree["sample_stats"]["log_weight"] = xr.DataArray(log_weight, dims=("chain", "draw"))
     with pytest.raises(InvalidSettingError, match="unequal weights"):
         _ = Posterior(tree).arviz
+
+
+# --- posterior predictive ----------------------------------------------------------------------
+
+
+def distance(trajectory: xr.DataArray, other: xr.DataArray) -> xr.DataArray:
+    """The distance of all entities in each frame, as the likelihood has it."""
+    off = (trajectory - other).sel(coord=["x", "y"])
+    return np.sqrt((off**2).sum(["entity", "coord"]))  # type: ignore[no-any-return]
+
+
+def of_model(seed: int, beta: float, n_draws: int = 200) -> Posterior:
+    """Equal draws of one simulation, and an observation with the likelihood's noise around it."""
+    tree = make_tree([Simulation(hypothesis(), 0)], [[0] * n_draws])
+    simulated = tree["simulated"]["trajectory"].values[0, 0].astype(float)
+    observed = simulated.copy()
+    rng = np.random.default_rng([seed, 1])
+    observed[..., :2] = ppl.RadialLikelihood(beta).replicate(simulated[..., :2], rng)
+    tree["observed_data"]["trajectory"].values[:] = observed
+    tree["simulated"].attrs["beta"] = beta
+    tree.attrs["settings"] = json.dumps({"seed": seed})
+    return Posterior(tree)
+
+
+@pytest.mark.parametrize("beta", [0.05, 2.0])
+def test_what_the_model_made_lies_in_the_middle_of_what_it_replicates(beta: float) -> None:
+    ranks = []
+    for seed in range(40):
+        post = of_model(seed, beta)
+        data = post.arviz
+        simulated = post.tree["simulated"]["trajectory"].to_dataset()["trajectory"]
+        replicated = data["posterior_predictive"]["trajectory"]
+        drawn = distance(replicated, simulated).mean("time")
+        observed = distance(data["observed_data"]["trajectory"], simulated).mean("time")
+        ranks.append(float((drawn < observed).mean()))
+    assert 0.35 < np.mean(ranks) < 0.65  # uniform ranks: 0.5 with a standard error of 0.046
+    assert np.mean(np.abs(np.subtract(ranks, 0.5)) < 0.25) > 0.25
+    assert 0.04 < np.var(ranks) < 0.13  # 1 / 12 = 0.083
+
+
+def test_replicates_have_the_noise_of_the_likelihood_and_angles_have_none(post: Posterior) -> None:
+    data = post.arviz
+    simulated = post.tree["simulated"]["trajectory"].to_dataset()["trajectory"]
+    replicated = data["posterior_predictive"]["trajectory"]
+    assert replicated.dims == simulated.dims
+    angle = {"coord": "angle"}
+    np.testing.assert_array_equal(replicated.sel(angle), simulated.sel(angle))
+    drawn = distance(replicated, simulated).values
+    d, beta = 8, 0.05
+    error = np.sqrt(d / drawn.size) / beta
+    assert drawn.mean() == pytest.approx(d / beta, abs=4 * error)
+    assert drawn.std() == pytest.approx(np.sqrt(d) / beta, rel=0.15)
+    # no direction is preferred
+    off = (replicated - simulated).sel(coord=["x", "y"]).mean(["chain", "draw", "time"])
+    assert np.abs(off).max() < 4 * np.sqrt(9 / beta**2 / drawn.size)
+
+
+def test_the_noise_follows_from_the_runs_seed(post: Posterior) -> None:
+    def noisy(seed: int) -> np.ndarray:
+        tree = post.tree.copy()
+        tree.attrs["settings"] = json.dumps({"seed": seed})
+        return np.asarray(Posterior(tree).arviz["posterior_predictive"]["trajectory"].values)
+
+    np.testing.assert_array_equal(noisy(1), noisy(1))
+    assert not np.array_equal(noisy(1), noisy(2))
+
+
+@pytest.mark.skipif(NEW, reason="another package plots in ArviZ 1")
+def test_arviz_plots_posterior_predictive_checks() -> None:
+    data = of_model(3, 2.0, n_draws=20).arviz
+    axes = arviz.plot_ppc(data, coords={"coord": ["x", "y"]}, random_seed=0)
+    assert axes is not None
+    drawn = arviz.plot_bpv(data, coords={"coord": ["x", "y"]}, kind="p_value")
+    assert drawn is not None
+
+
+def test_a_likelihood_of_ones_own_replicates_nothing(post: Posterior) -> None:
+    tree = post.tree.copy()
+    tree["simulated"].attrs = {}
+    data = Posterior(tree).arviz
+    groups = set(data.children) if NEW else set(data.groups())
+    assert "posterior_predictive" not in groups
+    assert "observed_data" in groups

@@ -65,8 +65,11 @@ def test_curve_is_what_a_shorter_run_would_have_said(weights: str) -> None:
         wanted = marginals(two_goals(5))
         apart = (np.abs(share - wanted["goal_red"]) + np.abs(other - wanted["goal_green"])).sum()
         assert found["tv_goals"][1] == pytest.approx(apart / 4)
+    frames = tree["simulations"]["frames_simulated"].values
+    assert found["frames"].iloc[-1] == frames.sum()
+    assert found["frames"][0] == frames[tree["simulations"]["iteration"].values < 2].sum()
     last = accuracy(post, marginals(two_goals(5)), TRUTH)
-    assert found.iloc[-1].drop("simulations").to_dict() == pytest.approx(last)
+    assert found.iloc[-1].drop(["simulations", "frames"]).to_dict() == pytest.approx(last)
 
 
 def test_curve_of_the_last_population_is_a_point() -> None:
@@ -78,7 +81,9 @@ def test_curve_of_the_last_population_is_a_point() -> None:
 # --- several runs ------------------------------------------------------------------------------
 
 
-def made_up(kernels: dict[str, float], repeats: int = 3, points: int = 8) -> Comparison:
+def made_up(
+    kernels: dict[str, float], repeats: int = 3, points: int = 8, error: float | None = None
+) -> Comparison:
     """A comparison in which a kernel's measures shrink towards its number."""
     rng = np.random.default_rng(0)
     runs, rows = [], []
@@ -90,11 +95,11 @@ def made_up(kernels: dict[str, float], repeats: int = 3, points: int = 8) -> Com
             runs.append({"kernel": name, "repeat": repeat, "seed": repeat, "validity": "exact",
                          **run})  # fmt: skip
             rows += [
-                {"kernel": name, "repeat": repeat, **dict.fromkeys(CURVE_COLUMNS[2:-1], v),
-                 "simulations": x}
+                {"kernel": name, "repeat": repeat, **dict.fromkeys(CURVE_COLUMNS[2:-2], v),
+                 "simulations": x, "frames": 12 * x}
                 for x, v in zip(at, value, strict=True)
             ]  # fmt: skip
-    settings = {
+    settings: dict[str, Any] = {
         "event": "made-up",
         "kernels": {name: {} for name in kernels},
         "budget": "500 simulations",
@@ -102,6 +107,8 @@ def made_up(kernels: dict[str, float], repeats: int = 3, points: int = 8) -> Com
         "weights": "count",
         "reference": {"description": "nothing", "truth": {"p_goals": 0.3}},
     }
+    if error is not None:
+        settings["reference"]["error"] = {"tv_goals": error, "tv_relation": error}
     return Comparison(
         pd.DataFrame(runs)[list(RUN_COLUMNS)], pd.DataFrame(rows)[list(CURVE_COLUMNS)], settings
     )
@@ -164,6 +171,40 @@ def test_missing_file_and_other_ending_are_named(tmp_path: Path) -> None:
         made_up(FOUR).save(tmp_path / "c.nc")
 
 
+# --- ranks ---------------------------------------------------------------------------------------
+
+
+def places(c: Comparison) -> dict[str, tuple[int, int]]:
+    ranks = c.ranks("tv_goals")
+    return dict(zip(ranks.index, zip(ranks["best"], ranks["worst"], strict=True), strict=True))
+
+
+def test_kernels_are_ranked_as_far_as_the_reference_can_tell() -> None:
+    three = {"near": 0.2, "middle": 0.3, "far": 0.6}
+    assert places(made_up(three, error=0.02)) == {"near": (1, 1), "middle": (2, 2), "far": (3, 3)}
+    assert places(made_up(three, error=0.2)) == {"near": (1, 2), "middle": (1, 2), "far": (3, 3)}
+    assert places(made_up(three, error=0.5)) == dict.fromkeys(three, (1, 3))
+    printed = str(made_up(three, error=0.2))
+    assert "rank by TV goals: 1 to 2: near, middle; 3: far" in printed
+    assert "its own error: TV goals 0.20" in printed
+    assert "not told apart by this reference: near, middle, far" in str(made_up(three, error=0.5))
+
+
+def test_a_kernel_between_two_that_differ_shares_a_rank_with_both() -> None:
+    c = made_up({"near": 0.2, "middle": 0.3, "far": 0.4}, error=0.13)
+    assert places(c) == {"near": (1, 2), "middle": (1, 3), "far": (2, 3)}
+
+
+def test_nothing_is_ranked_without_repeats_or_by_a_reference_of_unknown_error() -> None:
+    two = {"near": 0.1, "far": 0.9}
+    assert places(made_up(two, repeats=1, error=0.01)) == dict.fromkeys(two, (1, 2))
+    assert "not told apart by a single run" in str(made_up(two, repeats=1, error=0.01))
+    assert places(made_up(two)) == dict.fromkeys(two, (1, 2))
+    assert "error is not known" in str(made_up(two))
+    with pytest.raises(UnknownNameError, match="tv_goals"):
+        made_up(two).ranks("p_goals")
+
+
 # --- the figure --------------------------------------------------------------------------------
 
 
@@ -181,6 +222,19 @@ def test_figure_labels_every_line_and_no_text_covers_another() -> None:
             assert 0 <= box.x0 < box.x1 <= width
             assert 0 <= box.y0 < box.y1 <= height
             assert not any(box.overlaps(other) for other in boxes[i + 1 :])
+
+
+def test_the_references_own_error_is_shaded_and_frames_are_an_axis() -> None:
+    c = made_up(FOUR, error=0.15)
+    figure = plots.comparison(c)
+    (shade,) = (patch for patch in figure.axes[0].patches if patch.get_height() == 0.15)  # type: ignore[attr-defined]
+    assert shade.get_y() == 0  # type: ignore[attr-defined]
+    assert not figure.axes[1].patches
+    assert figure.axes[0].get_xlabel() == "simulations"
+    frames = Comparison(c.runs, c.curve, {**c.settings, "budget": "6000 frames"})
+    axes = plots.comparison(frames).axes[0]
+    assert axes.get_xlabel() == "simulated frames"
+    assert max(axes.lines[0].get_xdata()) == 6000  # type: ignore[arg-type]
 
 
 def test_line_is_the_mean_over_repeats() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import pickle
 from pathlib import Path
@@ -12,7 +13,7 @@ import pytest
 import xarray as xr
 
 from phase_ppl.analysis import Posterior
-from phase_ppl.analysis.tree import REQUIRED, array, check_tree
+from phase_ppl.analysis.tree import REQUIRED, array, check_tree, write_tree
 from phase_ppl.world.errors import InvalidEventError, OutputError
 from phase_ppl.world.scene import Scene
 
@@ -105,7 +106,7 @@ def _truncated(path: Path) -> None:
 
 def _flipped(path: Path) -> None:
     with h5py.File(path) as file:
-        trajectory = file["posterior_predictive/trajectory"]
+        trajectory = file["simulated/trajectory"]
         offset = trajectory.id.get_chunk_info(0).byte_offset
     content = bytearray(path.read_bytes())
     content[offset + 5] ^= 0xFF
@@ -166,10 +167,8 @@ def test_codes_shapes_and_attributes_outside_the_schema_are_named() -> None:
     with pytest.raises(InvalidEventError, match=r"simulations/goal_red.*0\.\.35"):
         Posterior(tree)
     tree = random_tree(1)
-    tree["posterior_predictive"] = xr.DataTree(
-        tree["posterior_predictive"].to_dataset().isel(draw=slice(2))
-    )
-    with pytest.raises(InvalidEventError, match="posterior_predictive/trajectory has shape"):
+    tree["simulated"] = xr.DataTree(tree["simulated"].to_dataset().isel(draw=slice(2)))
+    with pytest.raises(InvalidEventError, match="simulated/trajectory has shape"):
         Posterior(tree)
     tree = random_tree(1)
     del tree.attrs["kernel"]
@@ -184,3 +183,30 @@ def test_codes_shapes_and_attributes_outside_the_schema_are_named() -> None:
 def test_a_run_without_draws_is_refused() -> None:
     with pytest.raises(InvalidEventError, match="no draws"):
         Posterior(random_tree(1, n_draws=0))
+
+
+def test_a_file_of_the_older_schema_is_read(tmp_path: Path) -> None:
+    """In which the simulations of the draws were called posterior predictive."""
+    tree = random_tree(1)
+    older = xr.DataTree.from_dict(
+        {
+            "posterior_predictive" if name == "simulated" else name: node.to_dataset()
+            for name, node in tree.children.items()
+        }
+    )
+    older["posterior_predictive"].attrs = {}
+    settings = {"seed": 3, "model": {"likelihood": "RadialLikelihood(beta=0.25)"}}
+    older.attrs = {
+        **tree.attrs,
+        "schema": "phase-ppl-posterior-1",
+        "settings": json.dumps(settings),
+    }
+    write_tree(older, tmp_path / "old.nc")
+    found = Posterior.load(tmp_path / "old.nc")
+    np.testing.assert_array_equal(
+        array(found.tree, "simulated", "trajectory"), array(tree, "simulated", "trajectory")
+    )
+    assert "posterior_predictive" not in found.tree.children
+    assert found.tree["simulated"].attrs["beta"] == 0.25
+    np.testing.assert_array_equal(found.replay(), Posterior(tree).replay())
+    assert Posterior.load(found.save(tmp_path / "new.nc")).settings == settings

@@ -260,9 +260,9 @@ def test_what_could_have_been_stopped_weighs_more_by_how_likely_that_was() -> No
 def test_a_request_that_was_answered_again_counts_again() -> None:
     simulations = [Simulation(A, 0), Simulation(B, 1, iteration=1)]
     tree = proposed(make_tree(simulations, [[0, 1]]), [0.0, 0.0], [math.inf] * 2)
-    tree["simulations"].dataset["log_again"].values[1] = LOG(2.0)
+    tree["simulations"].dataset["log_again"].values[1] = 0.0
     found = goal_probabilities(Posterior(tree, "importance"))
-    assert found == pytest.approx({BLUE_TO_RED: 1 / 4, PINK_TO_BLUE: 3 / 4})
+    assert found == pytest.approx({BLUE_TO_RED: 1 / 3, PINK_TO_BLUE: 2 / 3})
 
 
 def test_truncated_weights_are_at_most_the_root_of_their_number_times_the_mean() -> None:

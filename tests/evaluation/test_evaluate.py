@@ -350,7 +350,7 @@ def test_the_table_shows_everybody_and_fits_a_terminal(tmp_path: Path) -> None:
     assert max(map(len, printed.splitlines())) <= 88
     assert "people" in printed
     assert printed.count("a_rival_with_a_l") == 4
-    assert "1.00 [1.00, 1.00]" in printed
+    assert "1.00 [0.29, 1.00]" in printed
     assert "independent (3)" in printed
     assert repr(found) == "<Evaluation of FailsAt: 3 of 4 events, 1 failed>"
 

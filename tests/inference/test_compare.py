@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,11 +13,22 @@ import numpy as np
 import pytest
 
 import phase_ppl as ppl
+from phase_ppl.analysis.measures import distances
 from phase_ppl.inference.comparison import contenders as contenders_module
 from phase_ppl.inference.comparison.contenders import contenders
-from phase_ppl.inference.comparison.enumeration import enumerate_goals, plan_enumeration
-from phase_ppl.inference.comparison.reference import Reference, reference_of
+from phase_ppl.inference.comparison.enumeration import (
+    enumerate_goals,
+    of_masses,
+    plan_enumeration,
+)
+from phase_ppl.inference.comparison.reference import (
+    Reference,
+    error_of,
+    of_pairs,
+    reference_of,
+)
 from phase_ppl.models.likelihood import RadialLikelihood
+from phase_ppl.models.sites import SELF_REFERRING
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
 from phase_ppl.world.relations import RELATION_TABLE, RELATIONS
@@ -76,10 +88,12 @@ def test_repeats_have_seeds_of_their_own_that_the_kernels_share(found: ppl.Compa
 
 
 def test_kernels_that_make_the_same_draws_measure_the_same(found: ppl.Comparison) -> None:
-    same = found.runs.drop(columns=["kernel", "seconds"])
+    same = found.runs.drop(columns=["kernel", "seconds", "frames"])
     one, other = (same[found.runs["kernel"] == name].reset_index(drop=True) for name in KERNELS)
     assert one.equals(other)
     assert one["tv_goals"].between(0, 1).all()
+    frames = found.runs.groupby("kernel")["frames"].sum()
+    assert frames["early"] < frames["whole"] == 2 * 24 * 14
 
 
 def test_a_run_can_be_made_again_by_infer(found: ppl.Comparison, reference: ppl.Posterior) -> None:
@@ -101,7 +115,7 @@ def test_a_run_can_be_made_again_by_infer(found: ppl.Comparison, reference: ppl.
 
 def test_curve_ends_where_the_runs_do(found: ppl.Comparison) -> None:
     ends = found.curve.groupby(["kernel", "repeat"]).tail(1).reset_index(drop=True)
-    for name in ("tv_goals", "p_goals", "map_relation", "simulations"):
+    for name in ("tv_goals", "p_goals", "map_relation", "simulations", "frames"):
         np.testing.assert_allclose(ends[name], found.runs[name])
     counts = found.curve.groupby(["kernel", "repeat"])["simulations"].apply(list)
     assert counts.iloc[0] == [8, 12, 16, 20, 24]
@@ -126,7 +140,7 @@ def test_kernel_may_be_a_reference(found: ppl.Comparison) -> None:
     other = compare(spec, repeats=1, kernels=["prior_mh"])
     assert "prior_mh, 7" in other.settings["reference"]["description"]
     assert other.settings["reference"]["simulations"] == 4 * 8
-    assert 0 < other.settings["reference"]["halves_apart"] <= 1
+    assert 0 < other.settings["reference"]["error"]["tv_goals"] <= 1
     long = compare("prior_mh", repeats=1, kernels=["prior_mh"])
     assert long.settings["reference"]["simulations"] == 240
 
@@ -281,6 +295,16 @@ WRONG: dict[str, tuple[dict[str, Any], type[Exception], str]] = {
     ),
     "options": ({"kernels": [("prior_mh", 3)]}, InvalidSettingError, "is no kernel"),
     "reference": ({"reference": "prior"}, UnknownNameError, "prior_mh"),
+    "pairs": (
+        {"reference": ("enumeration", {"per_pair": 5})},
+        InvalidSettingError,
+        "per_pair=5, expected an even",
+    ),
+    "other option": (
+        {"reference": ("enumeration", {"pairs": 6})},
+        InvalidSettingError,
+        "per_pair",
+    ),
     "reference's options": (
         {"reference": ("prior_mh", {"speed": 3})},
         InvalidSettingError,
@@ -346,7 +370,7 @@ def test_enumeration_is_the_exact_posterior_of_the_goals(noise: Any) -> None:
     assert len(plan.pairs) == np.count_nonzero(exact_pairs())
     found = enumerate_goals(EVENT, model, plan, workers=1)
     np.testing.assert_allclose(found.probability, exact_pairs(), atol=1e-4)
-    np.testing.assert_allclose(found.halves[0], found.halves[1], atol=1e-6)
+    np.testing.assert_allclose(found.halves[:, 0], found.halves[:, 1], atol=1e-6)
     assert found.simulations == 4 * len(plan.pairs)
 
 
@@ -362,3 +386,70 @@ def test_affordable_enumeration_is_the_default_reference() -> None:
     friendly = RELATIONS.index("friendly")
     expected = exact[friendly == RELATION_TABLE].sum()
     assert found["marginals"]["relation"][friendly] == pytest.approx(expected, abs=1e-4)
+
+
+def test_equal_budgets_are_equal_in_what_was_spent() -> None:
+    kernels = ["prior_mh", "enumerated_gibbs"]
+    options: dict[str, Any] = {"kernels": kernels, "budget": ppl.simulations(120), "repeats": 1}
+    model = ppl.Model(prior=few_goals, simulator=walkers)
+    found = ppl.compare(EVENT, model, **{**SETTINGS, **options, "reference": "prior_mh"})
+    spent = dict(zip(found.runs["kernel"], found.runs["simulations"], strict=True))
+    assert 120 <= spent["prior_mh"] < 120 + 4
+    assert 120 <= spent["enumerated_gibbs"] < 120 + 4 * 12
+    assert (found.runs["frames"] <= 14 * found.runs["simulations"]).all()
+    assert "equal are the simulations" in str(found)
+    options["budget"] = ppl.frames(1000)
+    found = ppl.compare(EVENT, model, **{**SETTINGS, **options, "reference": "prior_mh"})
+    assert (found.runs["frames"] >= 1000).all()
+    assert "equal are the frames" in str(found)
+    assert found.settings["reference"]["simulations"] > 500
+
+
+def noisy_masses(rng: np.random.Generator, sd: float, repeats: int) -> tuple[Any, Any, Any]:
+    """Pairs, their log masses as simulations with so much noise have them, and the posterior."""
+    pairs = np.argwhere(~SELF_REFERRING[0][:, None] & ~SELF_REFERRING[1][None, :])
+    level = rng.normal(0, 4, (2, 36))
+    log_mass = level[0, pairs[:, 0]] + level[1, pairs[:, 1]] + rng.normal(0, 1, len(pairs))
+    exact = np.zeros((36, 36))
+    exact[tuple(pairs.T)] = np.exp(log_mass - log_mass.max())
+    return pairs, log_mass[:, None] + rng.normal(0, sd, (len(pairs), repeats)), exact / exact.sum()
+
+
+@pytest.mark.parametrize("sd", [0.3, 2.0, 5.8])
+def test_a_reference_says_how_far_it_may_be_off(sd: float) -> None:
+    rng = np.random.default_rng(4)
+    true, stated = [], []
+    for _ in range(40):
+        pairs, log_mass, exact = noisy_masses(rng, sd, 4)
+        found = of_masses(pairs, log_mass, np.ones(log_mass.shape, bool))
+        error = error_of([(of_pairs(one), of_pairs(other)) for one, other in found.halves])
+        assert error is not None
+        true.append(distances(of_pairs(found.probability), of_pairs(exact))["tv_goals"])
+        stated.append(error["tv_goals"])
+    assert np.mean(np.less(true, stated)) >= 0.7
+    assert np.mean(true) < np.mean(stated) < 2.5 * np.mean(true)
+
+
+def test_more_simulations_of_a_pair_can_be_asked_for() -> None:
+    model = ppl.Model(prior=few_goals, simulator=walkers)
+    found = ppl.compare(
+        EVENT,
+        model,
+        **{**SETTINGS, "reference": ("enumeration", {"per_pair": 6}), "repeats": 1},
+    )
+    said = found.settings["reference"]
+    assert "6 simulations each" in said["description"]
+    assert said["simulations"] == 6 * len(plan_enumeration(model).pairs)
+    assert 0 < said["error"]["tv_goals"] < 1
+
+
+def test_a_checkpoint_with_other_budgets_in_mind_is_refused(
+    tmp_path: Path, found: ppl.Comparison, reference: Any
+) -> None:
+    path = found.save(tmp_path / "runs.json")
+    record = json.loads(path.read_text())
+    del record["runs"]["frames"], record["curve"]["frames"]
+    path.write_text(json.dumps(record))
+    assert ppl.Comparison.load(path).runs["frames"].isna().all()
+    with pytest.raises(InvalidSettingError, match="older version"):
+        compare(reference, checkpoint=path)

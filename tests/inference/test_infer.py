@@ -60,12 +60,20 @@ def test_every_draw_rests_on_a_simulation_of_its_own_chain(post: ppl.Posterior) 
 
 
 def test_errors_are_the_distances_of_the_stored_trajectories(post: ppl.Posterior) -> None:
-    predicted = post.tree["posterior_predictive"]["trajectory"].values[..., :2]
+    predicted = post.tree["simulated"]["trajectory"].values[..., :2]
     difference = predicted - EVENT.observation.positions
     errors = np.linalg.norm(difference.reshape(*difference.shape[:3], -1), axis=-1)
     stats = post.tree["sample_stats"]
     np.testing.assert_allclose(stats["step_error"], errors, atol=1e-4)
     np.testing.assert_allclose(stats["total_error"], errors.sum(axis=-1), atol=1e-3)
+
+
+def test_arviz_gets_what_could_have_been_observed(post: ppl.Posterior) -> None:
+    assert post.tree["simulated"].attrs == {"beta": MODEL.likelihood.beta}  # type: ignore[attr-defined]
+    data = ppl.Posterior(post.tree, "count").arviz
+    noisy = data["posterior_predictive"]["trajectory"].values
+    assert noisy.shape == post.tree["simulated"]["trajectory"].shape
+    assert not np.allclose(noisy[..., :2], post.tree["simulated"]["trajectory"].values[..., :2])
 
 
 def test_the_frames_of_a_simulation_add_up_to_its_likelihood(post: ppl.Posterior) -> None:
@@ -164,7 +172,9 @@ def test_events_of_one_length_share_the_compiled_programs(post: ppl.Posterior) -
 
 
 def test_budget_takes_the_place_of_iterations() -> None:
-    assert infer(iterations=None, budget=ppl.simulations(15)).tree["posterior"].sizes["draw"] == 2
+    for n, draws in ((12, 2), (13, 3)):  # an iteration that has begun is finished
+        post = infer(iterations=None, budget=ppl.simulations(n))
+        assert post.tree["posterior"].sizes["draw"] == draws
 
 
 def test_progress_counts_simulations_on_stderr(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,18 +1,46 @@
-"""Budgets of seconds: no iteration begins that is expected to end too late."""
+"""Budgets: of seconds, where no iteration begins that is expected to end too late; and of
+simulations and frames, which are spent by what is really simulated."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import jax.numpy as jnp
+import numpy as np
+import numpyro
+import numpyro.distributions as dist
 import pytest
 
 import phase_ppl as ppl
+from phase_ppl.inference.registry import kernel_info
 from phase_ppl.inference.runs import pace, session
 from phase_ppl.inference.runs.checkpoint import Checkpoint
 from phase_ppl.inference.runs.length import Length
-from phase_ppl.inference.runs.pace import Pace
+from phase_ppl.inference.runs.pace import IDLE, Account, Pace, Tally
+from phase_ppl.models.bridge import Record
+from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.errors import InvalidSettingError
-from tests.inference.runs import EVENT, MODEL, Watched, infer
+from phase_ppl.world.hypothesis import Hypothesis
+from tests.inference.runs import (
+    EVENT,
+    MODEL,
+    OPTIONS,
+    Watched,
+    assert_same_draws,
+    infer,
+    stops_at,
+)
+from tests.inference.toy import few_goals, walkers
+
+FEW = ppl.Model(prior=few_goals, simulator=walkers)
+
+
+def infer_few(**options: Any) -> ppl.Posterior:
+    return ppl.infer(EVENT, FEW, **{**OPTIONS, **options})
+
+
+def printed(post: ppl.Posterior) -> str:
+    return " ".join(str(post).split())
 
 
 class Clock:
@@ -99,7 +127,10 @@ def test_a_run_of_seconds_goes_on_with_what_is_left_of_them(tmp_path: Any) -> No
     assert ppl.resume(path, EVENT, MODEL, **same).settings["iterations"] == 1
     longer = ppl.resume(path, EVENT, MODEL, budget=ppl.seconds(16), **same)
     assert longer.settings["iterations"] == 3
-    assert Checkpoint(path).target == {"iterations": None, "seconds": 16.0}
+    assert Checkpoint(path).target == {
+        **dict.fromkeys(("iterations", "simulations", "frames")),
+        "seconds": 16.0,
+    }
 
 
 @pytest.mark.parametrize("n", [0, -1, float("nan"), float("inf"), "60", True])
@@ -111,3 +142,121 @@ def test_seconds_that_are_none_are_refused(n: Any) -> None:
 def test_a_bare_number_is_no_budget() -> None:
     with pytest.raises(InvalidSettingError, match=r"budget=60, expected phase_ppl.simulations"):
         infer(iterations=None, budget=60)
+
+
+# --- simulations and frames --------------------------------------------------------------------
+
+
+def test_a_budget_is_spent_by_what_was_counted(clock: Clock) -> None:
+    given = Pace(Length(None, 1, 34, simulations=100), clock())
+    assert [given.another(3, Tally(n, 10**6)) for n in (0, 99, 100, 130)] == [
+        True,
+        True,
+        False,
+        False,
+    ]
+    given = Pace(Length(None, 1, 34, frames=100), clock())
+    assert [given.another(3, Tally(10**6, n)) for n in (0, 99, 100, 130)] == [
+        True,
+        True,
+        False,
+        False,
+    ]
+    assert not given.another(500, Tally(1, 1, idle=IDLE))
+
+
+def test_an_account_taken_up_again_is_the_same() -> None:
+    with Runner(walkers, EVENT.scene, EVENT.observation, workers=1) as runner:
+        (result,) = runner.run([Hypothesis(0, 3)], [1])
+    records: list[Record] = []
+    account = Account(records)
+    for iteration, n in enumerate((3, 0, 2, 0, 0)):
+        records += [Record(result, {}, 0.0, chain=0, iteration=iteration)] * n
+        account.settle()
+        again = Account(list(records), iteration)
+        assert (again.tally, again.before) == (account.tally, account.before)
+    assert account.tally == Tally(5, 5 * 14, idle=2)
+
+
+@pytest.fixture(scope="module")
+def counted() -> dict[str, ppl.Posterior]:
+    """Runs under a budget of 400 simulations, some of whose proposals have no prior mass."""
+    kernels = ("enumerated_gibbs", "gibbs", "prior_mh")
+    budget = ppl.simulations(400)
+    return {name: infer_few(kernel=name, iterations=None, budget=budget) for name in kernels}
+
+
+def steps_of(post: ppl.Posterior) -> list[int]:
+    """Return the simulations of the initial particles and of each iteration."""
+    return np.bincount(post.tree["simulations"]["iteration"].values).tolist()
+
+
+@pytest.mark.parametrize("name", ["enumerated_gibbs", "gibbs", "prior_mh"])
+def test_no_kernel_is_starved_by_what_it_declares(
+    counted: dict[str, ppl.Posterior], name: str
+) -> None:
+    post = counted[name]
+    spent, last = post.cost["simulations"], steps_of(post)[-1]
+    assert 400 <= spent < 400 + last
+    declared = 4 * kernel_info(name).sims_per_step
+    assert max(steps_of(post)[1:]) <= declared
+    if name == "enumerated_gibbs":  # few goals have mass here
+        assert last < declared / 3
+    assert post.cost["budget"] == "400 simulations"
+    assert f"{spent} simulations, {post.cost['frames']} frames (of a budget of 400" in printed(post)
+
+
+def test_equal_frames_are_more_simulations_where_they_are_stopped_early() -> None:
+    budget = ppl.frames(2000)
+    early, whole = (
+        infer_few(kernel="prior_mh", iterations=None, budget=budget, seed=1, early_reject=stop)
+        for stop in (True, False)
+    )
+    for post in (early, whole):
+        frames = post.tree["simulations"]["frames_simulated"].values
+        last = post.tree["simulations"]["iteration"].values == post.settings["iterations"]
+        assert frames[~last].sum() < 2000 <= frames.sum() == post.cost["frames"]
+    assert early.cost["simulations"] > whole.cost["simulations"]
+    assert "budget of 2000 frames" in printed(early)
+
+
+def test_a_run_whose_hypotheses_are_all_known_ends() -> None:
+    def fixed_strengths() -> None:
+        for name, codes in (("goal_red", (0, 5)), ("goal_green", (3, 9))):
+            probs = jnp.zeros(36).at[jnp.array(codes)].set(0.5)
+            numpyro.sample(name, dist.Categorical(probs=probs))
+        numpyro.sample("alpha", dist.Categorical(probs=jnp.array([1.0, 0, 0, 0, 0])))
+        for name in ("strength_red", "strength_green"):
+            numpyro.sample(name, ppl.sites.OneOf([400.0]))
+
+    model = ppl.Model(prior=fixed_strengths, simulator=walkers, noise="fixed")
+    options: dict[str, Any] = {**OPTIONS, "iterations": None, "budget": ppl.simulations(200)}
+    post = ppl.infer(EVENT, model, **options, early_reject=False)
+    assert post.cost["simulations"] <= 4
+    assert IDLE <= post.settings["iterations"] <= IDLE + 50
+
+
+@pytest.mark.parametrize("budget", [ppl.simulations(60), ppl.frames(500)])
+def test_a_budget_goes_on_bit_for_bit(
+    budget: Any, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    options: dict[str, Any] = {"kernel": "prior_mh", "iterations": None, "budget": budget}
+    whole = infer(**options)
+    path = tmp_path / "run.ckpt"
+    with monkeypatch.context() as patched:
+        patched.setattr(session, "Runner", stops_at(3))
+        with pytest.raises(ppl.Interrupted):
+            infer(**options, checkpoint=path)
+    same = {"workers": 1, "progress": False}
+    again = ppl.resume(path, EVENT, MODEL, **same)
+    assert_same_draws(again.tree, whole.tree)
+    assert again.settings == whole.settings
+    assert_same_draws(ppl.resume(path, EVENT, MODEL, **same).tree, whole.tree)
+    less = type(budget)(next(iter(vars(budget).values())) // 2)
+    with pytest.raises(InvalidSettingError, match=r"too small.*went on after"):
+        ppl.resume(path, EVENT, MODEL, budget=less, **same)
+
+
+def test_a_budget_ends_after_the_same_iteration_for_any_number_of_workers() -> None:
+    options: dict[str, Any] = {"iterations": None, "budget": ppl.frames(400)}
+    assert_same_draws(infer(**options, workers=2).tree, infer(**options).tree)

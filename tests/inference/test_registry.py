@@ -16,7 +16,7 @@ from phase_ppl.inference.registry import (
     make_kernel,
     register_kernel,
 )
-from phase_ppl.inference.settings import SimpleSettings, simulations
+from phase_ppl.inference.settings import SimpleSettings, frames, simulations
 from phase_ppl.models.program import EventProgram
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from tests.inference.toy import TableRunner, table_errors, table_guide, table_program
@@ -159,14 +159,11 @@ def test_settings_out_of_range_are_refused_by_name(wrong: Any) -> None:
         SimpleSettings(**wrong)
 
 
-def test_budget_counts_the_initial_particles() -> None:
-    assert simulations(105).iterations(15, 1) == 6
-    assert simulations(119).iterations(15, 1) == 6
-    assert simulations(105).iterations(15, 2) == 3
-    with pytest.raises(InvalidSettingError, match=r"29 simulations is too small.* 30"):
-        simulations(29).iterations(15, 1)
-    with pytest.raises(InvalidSettingError, match="simulations"):
-        simulations(0)
+@pytest.mark.parametrize("budget", [simulations, frames])
+@pytest.mark.parametrize("n", [0, -3, 2.5, "60", True])
+def test_budgets_that_are_none_are_refused(budget: Any, n: Any) -> None:
+    with pytest.raises(InvalidSettingError, match=f"{budget.__name__}="):
+        budget(n)
 
 
 @pytest.mark.parametrize("given", [{"gamma": 5.0}, {"sign": "printed"}])

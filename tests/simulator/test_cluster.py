@@ -70,7 +70,7 @@ def test_a_cluster_that_loses_a_worker_gives_the_same_posterior(tmp_path: Path) 
     alone = ppl.infer(event, model, workers=1, **OPTIONS)
     assert killed
     assert len(processes) == 3  # two, and the one that took the dead one's place
-    for group in ("posterior", "sample_stats", "posterior_predictive", "simulations"):
+    for group in ("posterior", "sample_stats", "simulated", "simulations"):
         for name, values in alone.tree[group].dataset.items():
             assert values.equals(post.tree[group].dataset[name]), f"{group}/{name}"
     assert post.cost["simulations"] == 12

@@ -41,7 +41,10 @@ def comparison_text(c: ModelComparison) -> str:
     head = f"{_number(len(c.models), 'model')} on {_number(len(c.events), 'event')}"
     if judged:
         head += f", {judged} of them with truth and people's judgments"
-    lines = _wrapped(f"{head}; intervals of {LEVEL:.0%} from resampled events")
+    lines = _wrapped(
+        f"{head}; intervals of {LEVEL:.0%}: of right answers Clopper-Pearson, of the rest from "
+        "resampled events"
+    )
     for note in c.notes:
         lines += _wrapped(f"note: {note}")
     for title, columns, rows in _tables(c):

@@ -58,6 +58,11 @@ ALTS: Final = {
 }
 """Name of a figure -> what stands in its place for those who do not see it."""
 
+_INTERVALS: Final = (
+    "In small: 95 % intervals, of right answers Clopper-Pearson for as many independent answers "
+    "as they are worth, of the rest over resampled events. "
+)
+
 
 def results_report(
     folder: ResultsFolder, *, videos: bool = False, progress: bool | None = None
@@ -122,7 +127,12 @@ def summary_table(observers: Iterable[Observer]) -> Html:
     return tag(
         "div",
         table(heads, rows, "Metrics"),
-        tag("p", "In small: 95 % intervals over resampled events. ", people, class_="soft"),
+        tag(
+            "p",
+            _INTERVALS,
+            people,
+            class_="soft",
+        ),
     )
 
 

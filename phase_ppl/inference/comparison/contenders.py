@@ -15,7 +15,7 @@ from phase_ppl.inference.infer import infer
 from phase_ppl.inference.registry import Factory, KernelInfo, described
 from phase_ppl.inference.runs.chains import EventData, Recipe
 from phase_ppl.inference.runs.length import check_chains, run_length
-from phase_ppl.inference.settings import SimpleSettings
+from phase_ppl.inference.settings import SimpleSettings, described_budget
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import event_salt
 from phase_ppl.world.errors import InvalidSettingError, PhasePPLError, shown
@@ -81,7 +81,12 @@ class Contender:
             kernel = recipe.build(EventData(tables, event_salt(scene, observation), 0))
             length = self.length or {"budget": budget}
             run_length(
-                kernel, self.info, self.chains, length.get("iterations"), length.get("budget")
+                kernel,
+                self.info,
+                self.chains,
+                length.get("iterations"),
+                length.get("budget"),
+                observation.n_frames,
             )
             keys = random.split(random.key(0), self.chains)
             # one program: NumPyro's own kernels are made ready by init
@@ -184,10 +189,3 @@ def contenders(
                 f"two kernels are called {label!r}: give a mapping from labels to kernels"
             )
     return found
-
-
-def described_budget(budget: Any) -> str:
-    """Return a budget in words, such as "500 simulations"."""
-    if not dataclasses.is_dataclass(budget) or isinstance(budget, type):
-        return str(budget)
-    return ", ".join(f"{value} {name}" for name, value in dataclasses.asdict(budget).items())

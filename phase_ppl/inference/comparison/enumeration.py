@@ -5,7 +5,9 @@ The mass of a pair g is the mean over strengths s ~ P(s) and simulator seeds w o
     P(g | s) L(g, s, w)
 
 which needs a few simulations of each of the pairs that have prior mass, some 1150 under the
-paper's prior, and no Markov chain.
+paper's prior, and no Markov chain. Where the log likelihood of a pair varies by several nats from
+seed to seed, the mean of a few of them is a poor estimate of what it stands for: the tables of
+halves of the simulations say how poor.
 """
 
 from __future__ import annotations
@@ -25,7 +27,8 @@ from phase_ppl.models.program import MAX_SEED, EventProgram, event_salt
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, SELF_REFERRING, STRENGTH_SITES
 from phase_ppl.simulator.contract import SimulationResult
 from phase_ppl.simulator.runner import Runner
-from phase_ppl.world.errors import SimulationError
+from phase_ppl.world.checks import whole_number
+from phase_ppl.world.errors import InvalidSettingError, SimulationError
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import Hypothesis
@@ -33,7 +36,10 @@ from phase_ppl.world.hypothesis import Hypothesis
 FloatArray = NDArray[np.float64]
 
 PER_PAIR: Final = 4
-"""Simulations of each pair."""
+"""Simulations of each pair, unless more are asked for."""
+
+SPLITS: Final = 3
+"""Ways in which the simulations of a pair are parted into halves."""
 
 _POOL: Final = 32
 """Draws of strengths, of which each pair takes a few."""
@@ -47,7 +53,8 @@ class Enumeration(NamedTuple):
 
     Attributes:
         probability: (goal_red, goal_green), sum 1.
-        halves: (2, goal_red, goal_green) the same from either half of the simulations.
+        halves: (split, 2, goal_red, goal_green) the same from either half of the simulations of
+            each pair, parted in :data:`SPLITS` ways.
         simulations: how many were made.
     """
 
@@ -109,9 +116,11 @@ def enumerate_goals(
         on_result: called after each simulation.
 
     Raises:
+        InvalidSettingError: ``per_pair`` is another number.
         SimulationError: no simulation was completed.
         KeyboardInterrupt: Ctrl-C.
     """
+    check_per_pair(per_pair)
     rng = np.random.default_rng(seed)
     which = np.stack([rng.permutation(_POOL)[:per_pair] for _ in plan.pairs])
     hypotheses = [
@@ -132,17 +141,45 @@ def enumerate_goals(
     log_likelihood = np.asarray(model.likelihood.log_prob(np.where(usable[:, None], errors, 0.0)))
     log_mass = np.where(usable, log_likelihood.sum(axis=1), -np.inf).reshape(which.shape)
     log_mass += np.take_along_axis(plan.log_prior, which, axis=1)
+    return of_masses(plan.pairs, log_mass, usable.reshape(which.shape))
+
+
+def check_per_pair(per_pair: object) -> None:
+    """Raise InvalidSettingError if so many simulations of each pair cannot be made."""
+    number = whole_number("per_pair", per_pair)
+    if number % 2 or number > _POOL:
+        raise InvalidSettingError(
+            f"per_pair={number}, expected an even number of at most {_POOL}, for there to be halves"
+        )
+
+
+def of_masses(
+    pairs: NDArray[np.int64], log_mass: FloatArray, usable: NDArray[np.bool_]
+) -> Enumeration:
+    """Return the posterior, whole and from halves, of what was simulated.
+
+    Args:
+        pairs: (pair, 2) effective goals of red and green.
+        log_mass: (pair, repeat) log of what each simulation says of its pair's mass.
+        usable: (pair, repeat) whether it was completed.
+    """
     weight = np.exp(log_mass - log_mass.max())
-    usable = usable.reshape(which.shape)
-    halves = np.stack([_table(plan.pairs, weight[:, h::2], usable[:, h::2]) for h in (0, 1)])
-    return Enumeration(_table(plan.pairs, weight, usable), halves, len(results))
+    rng = np.random.default_rng(0)
+    halves = []
+    for split in range(SPLITS):
+        order = rng.permutation(log_mass.shape[1]) if split else np.arange(log_mass.shape[1])
+        halves.append(
+            [_table(pairs, weight[:, order[h::2]], usable[:, order[h::2]]) for h in (0, 1)]
+        )
+    return Enumeration(_table(pairs, weight, usable), np.array(halves), log_mass.size)
 
 
 def _table(pairs: NDArray[np.int64], weight: FloatArray, usable: NDArray[np.bool_]) -> FloatArray:
     """Return (goal_red, goal_green) the mean weights of the usable simulations, of sum 1."""
     table = np.zeros((N_GOALS, N_GOALS))
     table[tuple(pairs.T)] = weight.sum(axis=1) / np.maximum(usable.sum(axis=1), 1)
-    return table / table.sum()
+    total = table.sum()
+    return table / total if total > 0 else table  # of a half in which nothing was completed
 
 
 def _seeds(event: Event, model: Model, hypotheses: list[Hypothesis], seed: int) -> list[int]:

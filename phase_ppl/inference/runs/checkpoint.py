@@ -81,7 +81,8 @@ class Checkpoint:
         path: of the file.
         identity: what the run is (:meth:`phase_ppl.inference.runs.plan.Plan.identity`).
         event: that it explains.
-        target: ``iterations`` or ``seconds``, when it was to be complete.
+        target: ``iterations``, ``seconds``, ``simulations`` or ``frames``, when it was to be
+            complete; the others are None, or absent.
         failures: ``on_failure`` and ``retries``.
         model: to make the model again; None where it has parts of a user's own.
         kernel: name of the kernel; None where it is a user's own object.

@@ -11,12 +11,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.tree import SCHEMA
+from phase_ppl.analysis.tree import SCHEMA, SIMULATED
 from phase_ppl.analysis.weights import has_proposals
 from phase_ppl.inference.registry import KernelInfo
 from phase_ppl.inference.runs.chains import Step
 from phase_ppl.models.bridge import Record
 from phase_ppl.models.effective import log_prior_of_effective, prior_of_pairs
+from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.model import Model
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, HYPOTHESIS_SITES, STRENGTH_SITES
 from phase_ppl.world.event import Event
@@ -103,9 +104,10 @@ def build_tree(
         "sample_stats": xr.Dataset(
             _sample_stats(drawn, records, table, index), {**draw_coords, "time": time}
         ),
-        "posterior_predictive": xr.Dataset(
+        SIMULATED: xr.Dataset(
             {"trajectory": ((*_PAIR, *_FRAME), _trajectories(records, index))},
             {**draw_coords, **frame_coords},
+            {"beta": model.likelihood.beta} if type(model.likelihood) is RadialLikelihood else {},
         ),
         "observed_data": xr.Dataset(
             {"trajectory": (_FRAME, event.observation.trajectory)}, frame_coords

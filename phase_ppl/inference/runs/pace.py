@@ -1,20 +1,84 @@
-"""How many iterations a run takes: a number of them, or as many as the time allows."""
+"""How many iterations a run takes: a number of them, or until a budget is spent.
+
+Whether another iteration begins follows from what those before really cost, not from what a kernel
+declares that a step may cost. With a budget of simulations or frames it follows from the
+run alone, so that it is the same for any number of workers and after every resumption.
+"""
 
 from __future__ import annotations
 
 import math
 import time
 from collections import deque
-from collections.abc import Iterable
-from typing import Final
+from collections.abc import Iterable, Sequence
+from typing import Final, NamedTuple
 
 from phase_ppl.inference.runs.length import Length
+from phase_ppl.models.bridge import Record
 
 clock = time.perf_counter
 """Seconds of wall time."""
 
 RECENT: Final = 3
 """Iterations whose mean is what the next one is expected to take."""
+
+
+IDLE: Final = 100
+"""Iterations in a row without a simulation, after which a budget will never be spent: so it is
+where all hypotheses have been simulated and their noise is fixed."""
+
+
+class Tally(NamedTuple):
+    """What the initial particles and the finished iterations have cost.
+
+    Attributes:
+        simulations: made; those run again because they failed do not count.
+        frames: simulated by them.
+        idle: how many of the last iterations in a row took no simulation.
+    """
+
+    simulations: int = 0
+    frames: int = 0
+    idle: int = 0
+
+
+NOTHING: Final = Tally()
+
+
+class Account:
+    """Keeps the :class:`Tally` of a run.
+
+    Args:
+        records: all simulations of the run; more will be appended.
+        done: iterations that are finished, all of whose simulations are there.
+
+    Attributes:
+        tally: as of the last call of :meth:`settle`.
+        before: as of the call before it.
+    """
+
+    def __init__(self, records: Sequence[Record], done: int = 0) -> None:
+        self._records = records
+        self._settled = 0
+        self.tally = self.before = NOTHING
+        if records:
+            last = [record for record in records if record.iteration == done]
+            self._settled = len(records) - len(last)
+            paid = records[: self._settled]
+            idle = max(done - 1 - max((r.iteration for r in paid), default=0), 0)
+            self.tally = Tally(len(paid), sum(r.result.frames_simulated for r in paid), idle)
+            self.settle()
+
+    def settle(self) -> None:
+        """Count the simulations of the initial particles, or of an iteration, which ended."""
+        new = self._records[self._settled :]
+        self._settled += len(new)
+        self.before = self.tally
+        self.tally = Tally(
+            self.before.simulations + len(new),
+            self.before.frames + sum(record.result.frames_simulated for record in new),
+            0 if new else self.before.idle + 1,
+        )
 
 
 class Pace:
@@ -64,12 +128,27 @@ class Pace:
         self._first_guess = initial
         self._recent.append(taken)
 
-    def another(self, done: int) -> bool:
-        """Return whether another iteration is to begin after ``done`` of them."""
+    def another(self, done: int, spent: Tally = NOTHING) -> bool:
+        """Return whether another iteration is to begin.
+
+        Args:
+            done: iterations so far.
+            spent: what they and the initial particles cost.
+        """
+        length = self._length
+        if length.simulations is not None or length.frames is not None:
+            return not self.is_spent(spent) and spent.idle < IDLE
         return done < self.expected(done)
 
+    def is_spent(self, spent: Tally) -> bool:
+        """Return whether a budget of simulations or frames is used up."""
+        simulations, frames = self._length.simulations, self._length.frames
+        return (simulations is not None and spent.simulations >= simulations) or (
+            frames is not None and spent.frames >= frames
+        )
+
     def expected(self, done: int) -> int:
-        """Return how many iterations there will be in all, as far as one can tell."""
+        """Return how many iterations there will be in all, as far as the clock can tell."""
         if self._length.iterations is not None:
             return self._length.iterations
         if self._length.seconds is None or not self._recent:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
+import math
 import os
 import platform
 from concurrent.futures import Executor
@@ -15,12 +16,18 @@ from phase_ppl.inference.proposals.strength.estimators import estimator_name
 from phase_ppl.inference.runs.chains import Chains, EventData, Recipe
 from phase_ppl.inference.runs.checkpoint import Checkpoint, Progressed, Spent, write_checkpoint
 from phase_ppl.inference.runs.draws import Drawn, build_tree
-from phase_ppl.inference.runs.length import run_length
-from phase_ppl.inference.runs.pace import Pace
+from phase_ppl.inference.runs.length import budget_of, run_length
+from phase_ppl.inference.runs.pace import Account, Pace
 from phase_ppl.inference.runs.plan import Plan, fields_of
 from phase_ppl.inference.runs.progress import Progress
 from phase_ppl.inference.runs.reading import reading_runner
-from phase_ppl.inference.settings import Budget, SimpleSettings, TimeBudget
+from phase_ppl.inference.settings import (
+    Budget,
+    FrameBudget,
+    SimpleSettings,
+    TimeBudget,
+    described_budget,
+)
 from phase_ppl.models.bridge import SimulatorBridge
 from phase_ppl.models.program import event_salt
 from phase_ppl.models.stepwise import StepwiseLikelihood
@@ -60,7 +67,7 @@ class Means:
     """
 
     iterations: int | None
-    budget: Budget | TimeBudget | None
+    budget: Budget | FrameBudget | TimeBudget | None
     on_failure: str
     retries: int | None
     workers: int | None
@@ -132,12 +139,18 @@ class Session:
         recipe = Recipe(plan.info, options, plan.model, plan.settings, observation.n_frames)
         self._kernel = recipe.build(data)
         self._length = run_length(
-            self._kernel, plan.info, plan.chains, means.iterations, means.budget
+            self._kernel,
+            plan.info,
+            plan.chains,
+            means.iterations,
+            means.budget,
+            observation.n_frames,
         )
         self._run = Chains(recipe, data, self._bridge, runner, plan.chains, plan.seed)
         before = Spent() if saved is None else saved.spent
         self._pace = Pace(self._length, means.began, spent=before.seconds, recent=before.recent)
         self._calls = before.calls + 1
+        self._account = Account(self._bridge.records)
         self._written = -1
         if saved is not None:
             self._go_on(saved)
@@ -149,6 +162,14 @@ class Session:
         self._run.go_on(saved.state(self._run.blank_state()), saved.start, list(saved.steps))
         for record in saved.records:
             self._bridge.remember(record)
+        self._account = Account(self._bridge.records, done)
+        if done and self._pace.is_spent(self._account.before):
+            spent = self._account.before
+            raise InvalidSettingError(
+                f"a budget of {described_budget(budget_of(self._length.target))} is too small: "
+                f"{saved.path} went on after {spent.simulations} simulations of "
+                f"{spent.frames} frames"
+            )
         self._runner.statistics = dataclasses.replace(saved.spent.statistics)
         self._written = done
 
@@ -174,25 +195,34 @@ class Session:
             self._pace.begin()
             self._run.initialise()
             self._pace.end(initial=True)
+            self._account.settle()
             self._keep()
-        while self._pace.another(len(self._run.steps)):
+        while self._pace.another(len(self._run.steps), self._account.tally):
             bar.reach(self._simulations())
             bar.expect(self._expected())
             self._pace.begin()
             self._run.advance()
             self._pace.end()
+            self._account.settle()
             self._keep()
         bar.expect(self._simulations())
         bar.reach(self._simulations())
 
     def _simulations(self) -> int:
-        """Return the most simulations that the run can have taken until now."""
-        return self._length.simulations(self._plan.chains, len(self._run.steps))
+        """Return the simulations until now: the most there can be, where those do not decide."""
+        if self._length.simulations is not None or self._length.frames is not None:
+            return self._account.tally.simulations
+        return self._length.at_most(self._plan.chains, len(self._run.steps))
 
     def _expected(self) -> int:
-        """Return the most simulations that the run will have taken in the end."""
-        iterations = self._pace.expected(len(self._run.steps))
-        return self._length.simulations(self._plan.chains, iterations)
+        """Return how many simulations there will be in the end, as far as one can tell."""
+        length, spent = self._length, self._account.tally
+        if length.simulations is not None:
+            return max(length.simulations, spent.simulations)
+        if length.frames is not None:
+            each = spent.frames / spent.simulations if spent.frames else self._runner.n_frames
+            return max(math.ceil(length.frames / each), spent.simulations)
+        return length.at_most(self._plan.chains, self._pace.expected(len(self._run.steps)))
 
     def _keep(self) -> None:
         """Write the file, if there is to be one that is not up to date."""
@@ -203,7 +233,7 @@ class Session:
         write_checkpoint(
             path,
             self._plan,
-            {"iterations": self._length.iterations, "seconds": self._length.seconds},
+            self._length.target,
             {"on_failure": self._runner.on_failure, "retries": self._means.retries},
             Progressed(run.state, run.start, run.steps, self._bridge.records, spent),
         )
@@ -244,7 +274,9 @@ class Session:
         """Return what the run cost; seconds are of wall time unless they say otherwise."""
         statistics, seconds = self._runner.statistics, self._pace.spent
         wanted = statistics.frames + statistics.frames_saved
+        budget = budget_of(self._length.target)
         return {
+            "budget": None if budget is None else described_budget(budget),
             "simulations": statistics.simulations,
             "frames": statistics.frames,
             "frames_saved": statistics.frames_saved,  # by stopping simulations early
