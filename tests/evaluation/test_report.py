@@ -9,12 +9,13 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import jinja2
 import pytest
 
 import phase_ppl as ppl
 from phase_ppl.cli import main
 from phase_ppl.evaluation.folder import POSTERIOR
-from phase_ppl.evaluation.report.html import tag
+from phase_ppl.evaluation.report.html import page
 from phase_ppl.world.errors import InvalidEventError, OutputError
 from phase_ppl.world.files import write_json
 
@@ -183,9 +184,10 @@ def test_the_command_writes_the_report_and_says_where(
     assert capsys.readouterr().err.startswith("phase-ppl: error: ")
 
 
-def test_text_and_attributes_are_escaped() -> None:
-    made = tag("p", '<i>"&', tag("b", "x"), None, ["y", "<"], title='"><i>', hidden=True, id=None)
-    assert made == '<p title="&quot;&gt;&lt;i&gt;" hidden>&lt;i&gt;&quot;&amp;<b>x</b>y&lt;</p>'
+def test_what_a_template_needs_and_is_not_given_is_an_error() -> None:
+    assert "<h1>&lt;i&gt;" in page("base.html", title="<i>")
+    with pytest.raises(jinja2.UndefinedError, match="title"):
+        page("base.html")
 
 
 # --- in a browser ------------------------------------------------------------------------------
