@@ -13,11 +13,13 @@ import jinja2
 import pytest
 
 import phase_ppl as ppl
+from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.cli import main
 from phase_ppl.evaluation.folder import POSTERIOR
 from phase_ppl.evaluation.report.html import page
 from phase_ppl.world.errors import InvalidEventError, OutputError
 from phase_ppl.world.files import write_json
+from tests.analysis.readings import reading
 
 from .small import HOSTILE, events, make_folder, make_posterior, prediction, with_posterior
 
@@ -99,6 +101,15 @@ def test_the_report_of_a_run_has_all_its_parts(run: Path) -> None:
                   "Get blue item to red lm", "With one particle"):  # fmt: skip
         assert words in page.text
     assert len(page.all("video")) == 1
+
+
+def test_the_report_of_a_stepwise_run_says_what_decided(tmp_path: Path) -> None:
+    StepwisePosterior(reading()).save(tmp_path / POSTERIOR)
+    page = Page(ppl.report(tmp_path).read_text("utf-8"))
+    for words in ("What decided", "Goal of the red agent", "Strengths", "Settings and cost"):
+        assert words in page.text
+    assert "Can it be trusted?" not in page.text
+    assert len(page.all("img")) == 3, "a film strip, the posterior, and what decided"
 
 
 @pytest.mark.parametrize("which", ["evaluation", "run", "comparison"])
