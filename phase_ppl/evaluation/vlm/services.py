@@ -291,6 +291,7 @@ class _Guard:
     def __init__(self, key: str, timeout: float) -> None:
         self.key, self.requests = key, 0
         self._timeout, self._end = timeout, 0.0
+        self._refusal: NoReply | None = None
 
     def client_options(self) -> dict[str, Any]:
         hooks = {"request": [self._sent], "response": [self._answered]}
@@ -307,21 +308,22 @@ class _Guard:
         return in_a_line(self.without_key(words))
 
     def _sent(self, request: Any) -> None:
+        if self._refusal is not None:  # by a library that tries again after whatever was raised
+            raise self._refusal
         self.requests += 1
         self._end = time.monotonic() + self._timeout
 
     def _answered(self, response: Any) -> None:
         """Take the answer in, and give the library what was taken."""
         if response.headers.get("content-encoding", "identity").lower() != "identity":
-            raise NoReply("the answer is compressed, which was not asked for")
+            raise self._refused("the answer is compressed, which was not asked for")
         content = bytearray()
         stream = response.stream
         for piece in stream:
             content += piece
             if len(content) > MAX_REPLY:
-                raise NoReply(
-                    f"the answer is larger than the {MAX_REPLY // 2**20} MB that are read"
-                )
+                most = MAX_REPLY // 2**20
+                raise self._refused(f"the answer is larger than the {most} MB that are read")
             if time.monotonic() > self._end:
                 raise NoReply(f"no complete answer within {self._timeout:g} s", again=True)
         stream.close()
@@ -329,6 +331,10 @@ class _Guard:
             content = content.replace(self.key.encode(), b"[key]")
         library = importlib.import_module(type(response).__module__.partition(".")[0])
         response.stream = library.ByteStream(bytes(content))
+
+    def _refused(self, words: str) -> NoReply:
+        self._refusal = NoReply(words)
+        return self._refusal
 
 
 # --- settings --------------------------------------------------------------------------------
