@@ -16,12 +16,10 @@ from phase_ppl.evaluation.vlm.request import (
     RENDERING,
     TEXT,
     Client,
-    Film,
     NoReply,
     Reply,
     Request,
     in_a_line,
-    prompt,
     writable,
 )
 from phase_ppl.evaluation.vlm.services import Service
@@ -69,12 +67,12 @@ class Vlm:
 
     def __call__(self, scene: Scene, observation: Observation, seed: int) -> Answer:
         """Return what the model answers, or has answered to the same request and seed before."""
-        film = Film(scene, observation, self.pictures)
-        request = Request(prompt(film, self.as_video), str(self.named["model"]), film)
+        who = str(self.named["model"])
+        request = Request(scene, observation, who, self.pictures, self.as_video)
         determines = {
             **self.named,
             "prompt_sha256": hashlib.sha256(request.prompt.encode()).hexdigest(),
-            "film_sha256": film.digest,
+            "film_sha256": request.digest,
         }
         found = self.store.find(determines, seed) if self.store else None
         record = found or {"request": determines, "seed": seed, "prompt": request.prompt}
@@ -88,7 +86,7 @@ class Vlm:
             # the same request, as if for the first time: an answer never knows of another
             attempt, again = self._try(request, self.retries - made)
             attempts.append(attempt)
-            record["film"] = film.drawn()
+            record["film"] = request.drawn()
             if self.store and any(each.text is not None for each in attempts):
                 self.store.keep(record)
             made += attempt.requests

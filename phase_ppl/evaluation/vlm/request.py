@@ -39,84 +39,6 @@ RENDERING: Final = {
 
 _SECONDS_PER_STEP: Final = FRAMES_PER_STEP / FRAMES_PER_SECOND
 
-
-class Picture(NamedTuple):
-    """A frame of the animation.
-
-    Attributes:
-        seconds: when the video shows it.
-        png: 640 x 480 pixels.
-    """
-
-    seconds: float
-    png: bytes
-
-
-class Film:
-    """The animation of an event, drawn when it is first asked for.
-
-    Args:
-        scene, observation: what is shown.
-        n_pictures: how many frames :attr:`pictures` has, at most.
-    """
-
-    def __init__(self, scene: Scene, observation: Observation, n_pictures: int) -> None:
-        self._scene, self._observation = scene, observation
-        last = observation.n_frames - 1
-        count = min(n_pictures, last + 1)
-        self._chosen = np.linspace(0, last, count).round().astype(int).tolist()
-
-    @functools.cached_property
-    def video(self) -> bytes:
-        """The animation as MP4, 20 frames a second."""
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "event.mp4"
-            video(self._observation, path, self._scene)
-            return path.read_bytes()
-
-    @functools.cached_property
-    def pictures(self) -> tuple[Picture, ...]:
-        """Frames from the first to the last, evenly spaced."""
-        painter = Painter(self._scene)
-        found = []
-        for index, seconds in zip(self._chosen, self.seconds, strict=True):
-            content = io.BytesIO()
-            painter.draw(self._observation.trajectory[index]).save(content, "PNG")
-            found.append(Picture(seconds, content.getvalue()))
-        return tuple(found)
-
-    @property
-    def seconds(self) -> tuple[float, ...]:
-        """When the video shows each of the pictures."""
-        return tuple(index * _SECONDS_PER_STEP for index in self._chosen)
-
-    @property
-    def digest(self) -> str:
-        """A hash of what is drawn and how.
-
-        Not of the files: other versions of an encoder write other bytes of the same animation.
-        """
-        seen = event_digest(Event(self._scene, self._observation))
-        record = json.dumps([seen, RENDERING, self._chosen])
-        return hashlib.sha256(record.encode()).hexdigest()
-
-    def drawn(self) -> dict[str, object]:
-        """Return what has been asked for until now: its size in bytes and a hash of its bytes."""
-        found: dict[str, object] = {}
-        for name in ("video", "pictures"):
-            if name in vars(self):
-                parts = [self.video] if name == "video" else [each.png for each in self.pictures]
-                content = b"".join(parts)
-                found[name] = {
-                    "files": len(parts),
-                    "bytes": len(content),
-                    "sha256": hashlib.sha256(content).hexdigest(),
-                }
-        return found
-
-
-# --- the question ----------------------------------------------------------------------------
-
 N_NAMED: Final = 10
 """Goals that an answer names for each agent."""
 
@@ -165,55 +87,107 @@ Its form, with the names and numbers still to be put in:
 "relation": {{{{"friendly": <probability>, "neutral": <probability>, \
 "adversarial": <probability>}}}}}}}}
 """
+"""The content of the paper's prompt, in words of our own."""
 
 
-def prompt(film: Film, as_video: bool) -> str:
-    """Return the question about a film: the content of the paper's prompt, in words of our own.
-
-    Args:
-        film: is shown.
-        as_video: whether as a video; else as pictures.
-    """
-    seconds = film.seconds
-    shown = (
-        "The video shows an animation."
-        if as_video
-        else f"The {len(seconds)} pictures are frames of one animation of {seconds[-1]:g} seconds, "
-        "in the order of time, each with its time before it."
-    )
-    return TEXT.format(
-        shown=shown,
-        goals="\n".join(f"- {goal}" for goal in GOALS),
-        relations="\n".join(f"- {name}: {_MEANING[name]}" for name in RELATIONS),
-    )
-
-
-# --- request and reply -----------------------------------------------------------------------
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Request:
-    """A question about one event.
+class Picture(NamedTuple):
+    """A frame of the animation.
 
     Attributes:
-        prompt: the question; it says how the animation is shown.
-        model: who is asked, as the service or the user calls it.
-        film: the animation.
+        seconds: when the video shows it.
+        png: 640 x 480 pixels.
     """
 
-    prompt: str
-    model: str
-    film: Film = dataclasses.field(repr=False)
+    seconds: float
+    png: bytes
+
+
+class Request:
+    """A question about one event, whose animation is drawn when it is first asked for.
+
+    Args:
+        scene, observation: what is shown.
+        model: who is asked, as the service or the user calls it.
+        n_pictures: how many frames :attr:`pictures` has, at most.
+        as_video: whether the question speaks of a video; else of pictures.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        observation: Observation,
+        model: str,
+        n_pictures: int,
+        as_video: bool,
+    ) -> None:
+        self.model = model
+        self._scene, self._observation, self._as_video = scene, observation, as_video
+        last = observation.n_frames - 1
+        count = min(n_pictures, last + 1)
+        self._chosen = np.linspace(0, last, count).round().astype(int).tolist()
 
     @property
+    def prompt(self) -> str:
+        """The question; it says how the animation is shown."""
+        seconds = self._seconds
+        shown = (
+            "The video shows an animation."
+            if self._as_video
+            else f"The {len(seconds)} pictures are frames of one animation of {seconds[-1]:g} "
+            "seconds, in the order of time, each with its time before it."
+        )
+        return TEXT.format(
+            shown=shown,
+            goals="\n".join(f"- {goal}" for goal in GOALS),
+            relations="\n".join(f"- {name}: {_MEANING[name]}" for name in RELATIONS),
+        )
+
+    @functools.cached_property
     def video(self) -> bytes:
-        """The animation as MP4."""
-        return self.film.video
+        """The animation as MP4, 20 frames a second."""
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "event.mp4"
+            video(self._observation, path, self._scene)
+            return path.read_bytes()
+
+    @functools.cached_property
+    def pictures(self) -> tuple[Picture, ...]:
+        """Frames from the first to the last, PNG, each with its second in the video."""
+        painter = Painter(self._scene)
+        found = []
+        for index, seconds in zip(self._chosen, self._seconds, strict=True):
+            content = io.BytesIO()
+            painter.draw(self._observation.trajectory[index]).save(content, "PNG")
+            found.append(Picture(seconds, content.getvalue()))
+        return tuple(found)
 
     @property
-    def pictures(self) -> tuple[Picture, ...]:
-        """Frames of the animation, PNG, each with the second at which the video shows it."""
-        return self.film.pictures
+    def _seconds(self) -> tuple[float, ...]:
+        return tuple(index * _SECONDS_PER_STEP for index in self._chosen)
+
+    @property
+    def digest(self) -> str:
+        """A hash of what is drawn and how.
+
+        Not of the files: other versions of an encoder write other bytes of the same animation.
+        """
+        seen = event_digest(Event(self._scene, self._observation))
+        record = json.dumps([seen, RENDERING, self._chosen])
+        return hashlib.sha256(record.encode()).hexdigest()
+
+    def drawn(self) -> dict[str, object]:
+        """Return what has been asked for until now: its size in bytes and a hash of its bytes."""
+        found: dict[str, object] = {}
+        for name in ("video", "pictures"):
+            if name in vars(self):
+                parts = [self.video] if name == "video" else [each.png for each in self.pictures]
+                content = b"".join(parts)
+                found[name] = {
+                    "files": len(parts),
+                    "bytes": len(content),
+                    "sha256": hashlib.sha256(content).hexdigest(),
+                }
+        return found
 
 
 @dataclasses.dataclass(frozen=True)

@@ -16,7 +16,7 @@ import pytest
 
 from phase_ppl.evaluation.registry import is_installed, ready
 from phase_ppl.evaluation.vlm import services
-from phase_ppl.evaluation.vlm.request import Film, NoReply, Picture, Request
+from phase_ppl.evaluation.vlm.request import NoReply, Picture, Request
 from phase_ppl.evaluation.vlm.services import SERVICES, Service, make_service
 from phase_ppl.world.errors import InvalidSettingError
 from tests.evaluation.toys import still
@@ -100,10 +100,10 @@ def openai(server: Server) -> Asked:
 
 def request() -> Request:
     event = still()
-    film = Film(event.scene, event.observation, 2)
-    film.video = b"a video"  # type: ignore[misc]
-    film.pictures = (Picture(0.0, b"first"), Picture(0.5, b"last"))  # type: ignore[misc]
-    return Request("What do they want?", "the-model", film)
+    asked = Request(event.scene, event.observation, "the-model", 2, as_video=True)
+    asked.__dict__["video"] = b"a video"
+    asked.__dict__["pictures"] = (Picture(0.0, b"first"), Picture(0.5, b"last"))
+    return asked
 
 
 def test_an_answer_comes_back_with_what_the_service_counts(asked: Asked) -> None:
@@ -128,7 +128,7 @@ def test_google_gets_the_video_then_the_question(google: Asked) -> None:
     data = video["inlineData"]["data"].replace("-", "+").replace("_", "/")
     assert base64.b64decode(data) == b"a video"
     assert video["videoMetadata"] == {"fps": 5.0}
-    assert question == {"text": "What do they want?"}
+    assert question == {"text": request().prompt}
     json_asked = {"responseMimeType": "application/json"}
     assert seen.body["generationConfig"] == {"temperature": 0.5, **json_asked}
 
@@ -142,7 +142,7 @@ def test_google_gets_pictures_on_request_and_its_own_settings_else(google: Asked
         None,
         "0.5 s",
         None,
-        "What do they want?",
+        request().prompt,
     ]
     assert "image/png" in parts[1]["inlineData"].values()
     json_asked = {"responseMimeType": "application/json"}
@@ -163,7 +163,7 @@ def test_openai_gets_pictures_with_their_times_then_the_question(openai: Asked) 
         None,
         "0.5 s",
         None,
-        "What do they want?",
+        request().prompt,
     ]
     first = parts[1]["image_url"]["url"]
     assert first == "data:image/png;base64," + base64.b64encode(b"first").decode()
