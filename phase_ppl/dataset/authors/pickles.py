@@ -30,7 +30,7 @@ MAX_BYTES: Final = 256 * 2**20
 """Largest file that is read."""
 
 MAX_OPCODES: Final = 2_000_000
-"""Opcodes that are read, which takes a few seconds."""
+"""Opcodes that are read, which takes some ten seconds at most."""
 
 MAX_NESTING: Final = 64
 """How deep lists, tuples and dicts may lie in each other."""
