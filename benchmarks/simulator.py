@@ -6,11 +6,15 @@ Ratios are taken in one run, alternately. Figures in ms and s mean little on a b
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import common
+
+sys.path.insert(0, str(Path(__file__).parents[1]))  # the slow search is the tests'
+
 from speed import engines, whole
 
 from phase_ppl.agents.config import PlannerConfig

@@ -42,6 +42,19 @@ def test_speed_of_one_transition(tmp_path: Path) -> None:
     assert report["transition_speedup"] == pytest.approx(us[0] / us[1])
 
 
+def test_sizes_of_the_folders_of_a_package(tmp_path: Path) -> None:
+    package = tmp_path / "thing"
+    (package / "part").mkdir(parents=True)
+    (package / "__init__.py").write_text('"""Two lines,\nno code."""\n\nX = 1  # one\n"""of X"""\n')
+    (package / "part" / "a.py").write_text(
+        "def f():\n    # why\n    raise ValueError(\n        1)\n"
+    )
+    report: dict[str, Any] = figures(tmp_path, "house.py", str(package))
+    assert report["thing"] == {"files": 1, "lines": 5, "code": 1, "raise": 0}
+    assert report["thing/part"] == {"files": 1, "lines": 4, "code": 3, "raise": 1}
+    assert report["thing, all"] == {"files": 2, "lines": 9, "code": 4, "raise": 1}
+
+
 def test_one_behaviour_with_a_changed_planner(tmp_path: Path) -> None:
     options = ["--only", "chase", "--seeds", "1", "--set", "simulations=60"]
     report: dict[str, Any] = figures(tmp_path, "behaviour.py", *options)

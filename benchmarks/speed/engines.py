@@ -13,7 +13,6 @@ import numpy as np
 from phase_ppl.agents.agent import Agent
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.mind import Mind
-from phase_ppl.agents.oracle import OracleAgent
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import N_ACTIONS
 from phase_ppl.physics.constants import IMAGINATION_ITERATIONS
@@ -22,6 +21,7 @@ from phase_ppl.world.goals import goal_index
 from phase_ppl.world.scene import Scene
 from phase_ppl.world.state import State
 from speed.scenes import STRENGTHS, contact_mix, crowded, undecided
+from tests.agents.oracle import OracleAgent
 
 REPEATS = 9
 GOALS = (goal_index("Get blue item to red lm"), goal_index("Get pink item to green lm"))

@@ -76,7 +76,7 @@ def program(model: str, options: str) -> Model:
     """Return the model that an evaluation's name and options (as JSON) stand for."""
     given = json.loads(options)
     if isinstance(given.get("planner"), dict):
-        given["planner"] = PlannerConfig(**given["planner"])
+        given["planner"] = PlannerConfig.from_dict(given["planner"])
     found = model_info(model).make(**given)
     assert isinstance(found, Simple)
     return found.model

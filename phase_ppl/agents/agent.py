@@ -83,7 +83,6 @@ class Agent:
         self.tree = pomcp.make_tree(config.simulations)
         self._facts = np.zeros((config.particles, symbols.N_FACTS), np.int8)
         self._costs = np.zeros(config.particles)
-        self._last: tuple[Literal, NDArray[np.int64], int] | None = None
 
     @property
     def beliefs(self) -> Beliefs:
@@ -149,7 +148,6 @@ class Agent:
         held = int(self.beliefs.held[agreeing[0], self.agent])
         at_once = reflex(subgoal, int(agreeing[0]), self.agent, self.beliefs, self.mind)
         if at_once is not None:
-            self._last = None
             return Decision(at_once, subgoal, support, _NO_ACTIONS, _NO_ACTIONS, _NO_VALUES, held)
         actions = rewards.actions_for(subgoal, self.agent, held, self._planner.stance.contested)
         found = self._search_actions(subgoal, agreeing, actions)
@@ -160,18 +158,9 @@ class Agent:
         self, subgoal: Literal, agreeing: NDArray[np.int64], actions: NDArray[np.int64]
     ) -> Root:
         """Search for the best action."""
-        tree = self.tree
-        if (
-            self.config.tree_reuse
-            and self._last is not None
-            and self._last[0] == subgoal
-            and np.array_equal(self._last[1], actions)
-        ):
-            pomcp.keep_subtree(tree, self._last[2])
-        else:
-            pomcp.clear(tree)
-        found = search_actions(
-            tree,
+        pomcp.clear(self.tree)
+        return search_actions(
+            self.tree,
             subgoal,
             agreeing,
             actions,
@@ -182,5 +171,3 @@ class Agent:
             self._scratch,
             self._rng,
         )
-        self._last = (subgoal, actions, found.column)
-        return found

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, Final
 
 from phase_ppl.world.checks import nonnegative_number, positive_number
 from phase_ppl.world.errors import InvalidSettingError, unknown_name
+
+_REMOVED: Final = {"tree_reuse": False}
+"""Settings of older versions -> the value that all of the present ones behave as."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -24,7 +27,6 @@ class PlannerConfig:
         early_stop: end a search once no other action can catch up; never changes the action.
         paired: all root actions meet the same particles and random numbers, so that they are
             compared like with like (common random numbers); a deviation.
-        tree_reuse: keep the subtree of the executed action while the subgoal stays; a deviation.
         inner_steps: solver steps per physics substep in imagination.
         swivel: agents imagine that a held item hangs on a rod, free to swivel (authors' code).
         touch_override: ablation: a subgoal to touch something wins over V (authors' code).
@@ -42,7 +44,6 @@ class PlannerConfig:
     discount: float = 0.95
     early_stop: bool = True
     paired: bool = False
-    tree_reuse: bool = False
     inner_steps: int = 1
     swivel: bool = True
     touch_override: bool = False
@@ -85,6 +86,25 @@ class PlannerConfig:
         if planner not in presets:
             raise unknown_name("planner", planner, presets)
         return presets[planner]()
+
+    @classmethod
+    def from_dict(cls, stored: Mapping[str, Any]) -> PlannerConfig:
+        """Return the settings that :meth:`to_dict` wrote, also in a file of an older version.
+
+        Raises:
+            InvalidSettingError: they hold a setting that there is not, or no longer.
+        """
+        given = {name: value for name, value in stored.items() if _REMOVED.get(name) != value}
+        known = [field.name for field in dataclasses.fields(cls)]
+        for name, value in given.items():
+            if name in _REMOVED:
+                raise InvalidSettingError(
+                    f"planner with {name}={value!r}: that setting was removed; only what was made "
+                    f"with {name}={_REMOVED[name]!r} can be gone on with"
+                )
+            if name not in known:
+                raise unknown_name("setting of the planner", name, known)
+        return cls(**given)
 
     def to_dict(self) -> dict[str, Any]:
         return dataclasses.asdict(self)

@@ -52,7 +52,6 @@ class Tree(NamedTuple):
         child: (nodes, actions) node reached by each action column, or NO_NODE.
         visits: (nodes,); total: (nodes,) sum of returns.
         used: (1,) number of nodes in use.
-        spare_child, spare_visits, spare_total: room for moving a subtree to the root.
         path, rewards: (nodes,) scratch of one simulation.
         particle, particle_held, particle_weld: scratch state of one simulation.
         stream: (1,) state of the random numbers of one simulation.
@@ -63,9 +62,6 @@ class Tree(NamedTuple):
     visits: NDArray[np.int32]
     total: FloatArray
     used: IntArray
-    spare_child: NDArray[np.int32]
-    spare_visits: NDArray[np.int32]
-    spare_total: FloatArray
     path: IntArray
     rewards: FloatArray
     particle: FloatArray
@@ -78,17 +74,11 @@ class Tree(NamedTuple):
 def make_tree(n_simulations: int) -> Tree:
     """Return an empty tree with room for ``n_simulations``."""
     nodes = n_simulations + 2
-    child = np.full((nodes, N_ACTIONS), NO_NODE, np.int32)
-    visits = np.zeros(nodes, np.int32)
-    total = np.zeros(nodes)
     return Tree(
-        child,
-        visits,
-        total,
+        np.full((nodes, N_ACTIONS), NO_NODE, np.int32),
+        np.zeros(nodes, np.int32),
+        np.zeros(nodes),
         np.ones(1, np.int64),
-        child.copy(),
-        visits.copy(),
-        total.copy(),
         np.zeros(nodes + 1, np.int64),
         np.zeros(nodes + 1),
         np.zeros((4, 9)),
@@ -112,43 +102,6 @@ def clear(tree: Tree) -> None:
     tree.visits[0] = 0
     tree.total[0] = 0.0
     _childless(tree, 0)
-
-
-@bare_kernel
-def keep_subtree(tree: Tree, column: int) -> None:
-    """Make the node behind a root action the new root, with all that was learnt below it."""
-    start = tree.child[0, column]
-    if start < 0:
-        clear(tree)
-        return
-    n_actions = tree.child.shape[1]
-    tree.path[0] = start
-    count = 1
-    node = 0
-    while node < count:
-        old = tree.path[node]
-        tree.spare_visits[node] = tree.visits[old]
-        tree.spare_total[node] = tree.total[old]
-        for a in range(n_actions):
-            below_old = tree.child[old, a]
-            if below_old >= 0:
-                tree.path[count] = below_old
-                tree.spare_child[node, a] = count
-                count += 1
-            else:
-                tree.spare_child[node, a] = NO_NODE
-        node += 1
-    visits = 0
-    for a in range(n_actions):
-        if tree.spare_child[0, a] >= 0:
-            visits += tree.spare_visits[tree.spare_child[0, a]]
-    tree.spare_visits[0] = visits
-    for node in range(count):
-        tree.visits[node] = tree.spare_visits[node]
-        tree.total[node] = tree.spare_total[node]
-        for a in range(n_actions):
-            tree.child[node, a] = tree.spare_child[node, a]
-    tree.used[0] = count
 
 
 @bare_kernel
@@ -273,7 +226,7 @@ def run(
     """Search until the root has ``n_simulations`` visits; return the column of the best action.
 
     Args:
-        tree: empty, or the kept subtree of the previous step.
+        tree: empty (see :func:`clear`).
         bodies, held, weld: (K, ...) the agent's belief particles.
         agreeing: indices of the particles that agree with the subgoal.
         subgoal: (4,) from ``subgoal_code``.

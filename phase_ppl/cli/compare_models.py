@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 PAGES: Final = "pages"
 """The folder of the pages, one per event, in that of a comparison."""
 
-_PAGE: Final = "[0-9][0-9][0-9][0-9]-*.png"
+_PAGE: Final = "[0-9][0-9][0-9][0-9]-*.html"
 """What pages are called (``entry_name``)."""
 
 
@@ -130,11 +130,10 @@ def _sources(given: Sequence[str]) -> dict[str, Any] | list[str]:
 
 def keep(found: ModelComparison, out: Path, options: argparse.Namespace) -> int:
     """Write a comparison with its figures and pages; return the exit code."""
-    from phase_ppl.analysis.style import written
     from phase_ppl.evaluation.comparison.results import ComparedResults
     from phase_ppl.evaluation.figures import draw_comparison
     from phase_ppl.evaluation.folder import entry_name
-    from phase_ppl.evaluation.pages import page_of
+    from phase_ppl.evaluation.report import contents, write_page
     from phase_ppl.inference.runs.progress import counted
 
     found.save(out)
@@ -150,9 +149,9 @@ def keep(found: ModelComparison, out: Path, options: argparse.Namespace) -> int:
             old.unlink(missing_ok=True)
         events = list(enumerate(found.events))
         for place, event in counted(events, shows_progress(options), "page", "drawing"):
-            shown = [one for one in results.observers if event.id in one.predictions]
             try:
-                written(page_of(event, shown), pages / f"{entry_name(place, event.id)}.png")
+                page = contents.event_page(event, results.observers)
+                write_page(page, pages / f"{entry_name(place, event.id)}.html")
             except Exception as error:
                 problems.append(f"the page of {event.id} cannot be drawn: {one_line(error)}")
     for problem in problems:

@@ -223,7 +223,7 @@ def _draw(folder: ResultsFolder, options: argparse.Namespace) -> list[str]:
     """Draw figures and pages; return in words what could not be drawn."""
     from phase_ppl.evaluation.figures import draw_figures
     from phase_ppl.evaluation.folder import PAGE
-    from phase_ppl.evaluation.pages import draw_page
+    from phase_ppl.evaluation.report import contents, write_page
     from phase_ppl.inference.runs.progress import counted
 
     problems = []
@@ -234,7 +234,8 @@ def _draw(folder: ResultsFolder, options: argparse.Namespace) -> list[str]:
     finished = [event.id for event in folder.events if folder.is_finished(event.id)]
     for event_id in counted(finished, shows_progress(options), "page", "drawing"):
         try:
-            draw_page(folder, event_id, folder.folder_of(event_id) / PAGE)
+            page = contents.page_in_folder(folder, event_id)
+            write_page(page, folder.folder_of(event_id) / PAGE)
         except Exception as error:
             problems.append(f"the page of {event_id} cannot be drawn: {one_line(error)}")
     return problems

@@ -30,7 +30,7 @@ def export_events(events: Sequence[Event], path: PathLike, format: str) -> None:
         format: "json" or "netcdf", as :func:`~phase_ppl.dataset.load.save_events` writes them;
             "phase-test", the authors' test videos as JSON (:mod:`phase_ppl.dataset.phase_test`);
             "phase-processed", a pickle of plain data and arrays as the authors have them
-            (:mod:`phase_ppl.dataset.authors.processed`), which
+            (:mod:`phase_ppl.dataset.authors.videos`), which
             ``load_events(path, format="phase-pickle")`` reads. The first two keep everything, the
             others what they have a place for.
 
@@ -62,9 +62,9 @@ def _phase_test(events: Sequence[Event], path: PathLike) -> bytes:
 
 def _phase_processed(events: Sequence[Event], path: PathLike) -> bytes:
     # brings the simulator, by way of the reflections
-    from phase_ppl.dataset.authors import processed
+    from phase_ppl.dataset.authors import videos
 
-    return processed.pickled(_each(events, path, processed.video))
+    return videos.pickled(_each(events, path, videos.video))
 
 
 def _each(

@@ -80,7 +80,15 @@ class KernelInfo:
     weighted: bool = False
 
     def make(self, program: EventProgram, **options: Any) -> MCMCKernel:
-        """Return the kernel for the model of an event; see :func:`make_kernel`."""
+        """Return the kernel for the model of an event.
+
+        Args:
+            program: the model of the event.
+            **options: what the kernel needs, and its own options.
+
+        Raises:
+            InvalidSettingError: something that it needs is missing, or an option it does not have.
+        """
         try:
             inspect.signature(self.factory).bind(program, **options)
         except TypeError as error:
@@ -170,21 +178,6 @@ def kernel_info(name: str) -> KernelInfo:
     if name not in available_kernels():
         raise unknown_name("kernel", name, available_kernels())
     return _KERNELS[name]
-
-
-def make_kernel(name: str, program: EventProgram, **options: Any) -> MCMCKernel:
-    """Return a kernel for the model of an event.
-
-    Args:
-        name: of the kernel.
-        program: the model of the event.
-        **options: what the kernel needs (:class:`KernelInfo`), and its own options.
-
-    Raises:
-        UnknownNameError: there is no such kernel.
-        InvalidSettingError: something that it needs is missing, or an option it does not have.
-    """
-    return kernel_info(name).make(program, **options)
 
 
 def described(kernel: str | Factory | MCMCKernel) -> KernelInfo:

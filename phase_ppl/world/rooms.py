@@ -140,14 +140,6 @@ class Rooms:
             room = sides[1] if room == sides[0] else sides[0]
         return room == end
 
-    def next_room(self, start: int, end: int, width: float = 0.0) -> int | None:
-        """Return the first room after ``start`` on the way to ``end``, or None."""
-        doors = self.route(start, end, width)
-        if not doors:
-            return None
-        sides = ROOMS_OF_RAY[doors[0]]
-        return sides[1] if start == sides[0] else sides[0]
-
     def narrowest(self, start: int, end: int) -> float:
         """Return the width of the narrowest door on the way; inf in one room, 0 without a way."""
         doors = self.route(start, end)

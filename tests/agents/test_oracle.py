@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from phase_ppl.agents.agent import Agent
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.mind import Mind
-from phase_ppl.agents.oracle import OracleAgent
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import N_ACTIONS, NO_ACTION
 from phase_ppl.physics.pymunk_world import PymunkWorld
@@ -20,6 +19,7 @@ from phase_ppl.world.goals import goal_index
 from phase_ppl.world.literals import Literal
 from phase_ppl.world.scene import Scene
 from phase_ppl.world.state import State
+from tests.agents.oracle import OracleAgent
 from tests.agents.scenes import FULL_WALL_UP, HALF_WALL_LEFT, HALF_WALL_RIGHT, scene
 
 STRENGTHS = (450.0, 450.0)
@@ -94,7 +94,7 @@ def test_actions_of_both_searches_differ_no_more_than_those_of_two_sets_of_seeds
     assert distance(slow, fast) <= max(0.25, distance(fast, again))
 
 
-@pytest.mark.parametrize("change", [{"swivel": True}, {"tree_reuse": True}, {"paired": True}])
+@pytest.mark.parametrize("change", [{"swivel": True}, {"paired": True}])
 def test_the_oracle_refuses_what_it_does_not_imagine(change: dict[str, bool]) -> None:
     with pytest.raises(InvalidSettingError, match="swivel"):
         make(SCENES["ahead"], True, 0, dataclasses.replace(CONFIG, **change))  # type: ignore[arg-type]

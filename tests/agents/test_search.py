@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from phase_ppl.agents import pomcp, rewards
+from phase_ppl.agents import rewards
 from phase_ppl.agents.agent import Agent
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.mind import Mind
@@ -66,23 +66,6 @@ def test_early_stop_saves_simulations_and_never_changes_the_action(paired: bool)
     assert saved > 0
 
 
-def test_a_search_goes_on_from_the_subtree_of_the_executed_action_where_that_is_set() -> None:
-    run = {}
-    for reuse in (False, True):
-        config = dataclasses.replace(CONFIG, tree_reuse=reuse, early_stop=False)
-        agent = agent_in(scene(red=(23.5, 14.0, math.pi)), config)
-        subgoal = Literal(Predicate.ON, 0, 2)
-        for _ in range(2):
-            agent.choose_action(subgoal, ALL)
-        again = int(agent.tree.statistics[0])
-        # another subgoal begins anew
-        agent.choose_action(Literal(Predicate.TOUCH, 0, 2), ALL)
-        run[reuse] = again, int(agent.tree.statistics[0]) - again
-    assert run[False] == (2 * CONFIG.simulations, CONFIG.simulations)
-    assert CONFIG.simulations < run[True][0] < 2 * CONFIG.simulations
-    assert run[True][1] == CONFIG.simulations
-
-
 def test_paired_actions_of_the_same_effect_are_worth_exactly_the_same() -> None:
     def gaps(paired: bool) -> list[float]:
         """Differences in value of stopping and doing nothing, the same for an agent at rest."""
@@ -100,21 +83,6 @@ def test_paired_actions_of_the_same_effect_are_worth_exactly_the_same() -> None:
     assert gaps(paired=True)
     assert max(gaps(paired=True)) < 1e-12
     assert min(gaps(paired=False), default=1.0) > 1e-6
-
-
-def test_a_kept_subtree_carries_its_visits_over() -> None:
-    agent = agent_in(scene(red=(23.5, 14.0, math.pi)))
-    subgoal = Literal(Predicate.ON, 0, 2)
-    decision = agent.choose_action(subgoal, ALL)
-    column = int(np.argmax(decision.visits))
-    node = agent.tree.child[0, column]
-    visits = int(agent.tree.visits[node])
-    children = np.sort(agent.tree.visits[agent.tree.child[node][agent.tree.child[node] >= 0]])
-    pomcp.keep_subtree(agent.tree, column)
-    kept = agent.tree.child[0][agent.tree.child[0] >= 0]
-    np.testing.assert_array_equal(np.sort(agent.tree.visits[kept]), children)
-    # the node's own first visit made no child
-    assert agent.tree.visits[0] == visits - 1
 
 
 def test_stop_and_letting_go_need_no_search() -> None:
@@ -185,6 +153,15 @@ def test_random_numbers_are_uniform_and_reproducible() -> None:
 def test_impossible_settings_are_refused(setting: str, value: float) -> None:
     with pytest.raises(InvalidSettingError, match=setting):
         PlannerConfig(**{setting: value})  # type: ignore[arg-type]
+
+
+def test_settings_of_an_older_version_are_read_where_they_mean_the_same() -> None:
+    config = PlannerConfig(simulations=7, paired=True)
+    assert PlannerConfig.from_dict({**config.to_dict(), "tree_reuse": False}) == config
+    with pytest.raises(InvalidSettingError, match="tree_reuse=True: that setting was removed"):
+        PlannerConfig.from_dict({**config.to_dict(), "tree_reuse": True})
+    with pytest.raises(UnknownNameError, match="did you mean 'paired'"):
+        PlannerConfig.from_dict({**config.to_dict(), "pairs": True})
 
 
 def test_an_unknown_planner_is_refused_by_name() -> None:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from phase_ppl.dataset import bundled_events, export_events, load_bundled, load_events
-from phase_ppl.dataset.authors.processed import video
+from phase_ppl.dataset.authors.videos import video
 from phase_ppl.dataset.generation.copies import recoloured
 from phase_ppl.dataset.generation.recording import Recording
 from phase_ppl.dataset.generation.tables import LAYOUTS, walls_of

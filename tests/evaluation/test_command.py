@@ -11,7 +11,8 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.cli import main
-from phase_ppl.evaluation import figures, pages, registry
+from phase_ppl.evaluation import figures, registry
+from phase_ppl.evaluation.report import contents
 from tests.evaluation.small import make_folder, prediction, with_posterior
 from tests.evaluation.toys import FailsAt, right, several, still, wrong
 
@@ -81,7 +82,7 @@ def test_it_prints_a_table_and_writes_predictions_metrics_figures_and_pages(
     assert f"Kept in {out}" in printed.out
     assert json.loads((out / "metrics.json").read_text())["n_events"] == 1
     assert (out / "figures" / "accuracy.png").stat().st_size > 1000
-    assert len(list(out.glob("events/*/page.png"))) == 1
+    assert len(list(out.glob("events/*/page.html"))) == 1
 
 
 def test_there_is_a_bar_only_in_a_terminal_or_where_it_is_asked_for(
@@ -120,7 +121,7 @@ def test_a_failing_figure_costs_no_results(
         raise RuntimeError("no ink")
 
     monkeypatch.setattr(figures, "draw_figures", broken)
-    monkeypatch.setattr(pages, "draw_page", broken)
+    monkeypatch.setattr(contents, "page_in_folder", broken)
     out = tmp_path / "out"
     assert evaluate(events, "--model", "right", "--out", out) == 1
     written = capsys.readouterr()

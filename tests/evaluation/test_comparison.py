@@ -18,7 +18,7 @@ from phase_ppl.evaluation.comparison.results import ComparedResults
 from phase_ppl.evaluation.comparison.statistics import holm
 from phase_ppl.evaluation.figures import COMPARED, NothingToDrawError, draw_comparison
 from phase_ppl.evaluation.folder import ResultsFolder
-from phase_ppl.evaluation.pages import page_of
+from phase_ppl.evaluation.report.contents import event_page
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from phase_ppl.world.event import Event
 from tests.evaluation.judged import (
@@ -485,9 +485,7 @@ def test_names_of_columns_take_no_more_room_than_they_need(crowd: ppl.ModelCompa
 
 def test_a_page_has_a_column_for_everybody(crowd: ppl.ModelComparison) -> None:
     results = ComparedResults(crowd)
-    figure = page_of(crowd.events[0], results.observers)
-    check_texts(figure)
-    shown = " ".join(text.get_text() for text in figure.texts)
+    shown = event_page(crowd.events[0], results.observers)
     for words in ("people", "SIMPLE", "planning", "physics", "$y$"):
         assert words in shown
 

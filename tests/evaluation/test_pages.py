@@ -9,13 +9,13 @@ import pytest
 
 from phase_ppl.evaluation.folder import POSTERIOR, ResultsFolder
 from phase_ppl.evaluation.observers import observers
-from phase_ppl.evaluation.pages import MAX_ROWS, draw_page, rows_of
 from phase_ppl.evaluation.prediction import Prediction
+from phase_ppl.evaluation.report.contents import MAX_ROWS, page_in_folder, rows_of
 from phase_ppl.world.errors import InvalidEventError, UnknownNameError
 from phase_ppl.world.goals import GOALS
 
 from .small import GREEN, HOSTILE, RED, events, make_folder, prediction, with_posterior
-from .test_figures import check_texts, words
+from .test_report import Page
 
 
 @pytest.fixture(scope="module")
@@ -26,32 +26,39 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> ResultsFolder:
 
 
 def test_a_page_shows_everybodys_answers_and_marks_the_true_ones(folder: ResultsFolder) -> None:
-    figure = draw_page(folder, "one")
-    shown = words(figure)
-    assert {"people", "SIMPLE", "<b>other</b>"} <= set(shown)
-    assert {f"{RED}  (true)", f"{GREEN}  (true)", "adversarial  (true)"} <= set(shown)
-    assert {"0.90", "0.60", "0.40", "0.70"} <= set(shown)
-    assert "truth: competing, adversarial" in shown
-    assert "best hypothesis, simulated" in shown
-    check_texts(figure)
+    page = Page(page_in_folder(folder, "one"))
+    for words in ("people", "SIMPLE", "<b>other</b>", "0.90", "0.60", "0.40", "0.70"):
+        assert words in page.text
+    for answer in (RED, GREEN, "adversarial"):
+        assert f"{answer}true" in page.text
+    assert page.text.count("true") == 3
+    assert "Truth: competing, adversarial." in page.text
+    assert "Best hypothesis, simulated" in page.text
+    widths = [str(cell["style"])[:11] for cell in page.all("span") if cell.get("class") == "bar"]
+    assert widths[:2] == ["width:62.0%", "width:55.8%"], "of people's 1.00 and the model's 0.90"
+    assert len(page.all("img")) == 2
 
 
 def test_a_page_without_truth_posterior_or_judgments(folder: ResultsFolder, tmp_path: Path) -> None:
-    shown = words(draw_page(folder, "three"))
-    assert "truth not known" in shown
-    assert not any("(true)" in text for text in shown)
-    assert "best hypothesis, simulated" not in shown
+    page = Page(page_in_folder(folder, "three"))
+    assert "Truth not known." in page.text
+    assert "true" not in page.text
+    assert "Best hypothesis" not in page.text
     bare = [dataclasses.replace(e, predictions=None) for e in events(judgments=None, truth=None)]
     empty = make_folder(tmp_path / "results", bare, predicted=lambda _: False)
-    assert words(draw_page(empty, "one")) == ["one", "truth not known", "observed"]
+    page = Page(page_in_folder(empty, "one"))
+    assert (page.all("table"), len(page.all("img"))) == ([], 1)
 
 
-def test_an_id_is_not_read_as_mathematics_nor_as_a_path(
-    folder: ResultsFolder, tmp_path: Path
-) -> None:
-    figure = draw_page(folder, HOSTILE, tmp_path / "a page.png")
-    assert HOSTILE in words(figure)
-    assert (tmp_path / "a page.png").stat().st_size > 10_000
+def test_what_a_file_says_is_text_and_nothing_is_fetched(folder: ResultsFolder) -> None:
+    text = page_in_folder(folder, HOSTILE)
+    assert "<script>alert" not in text
+    page = Page(text)
+    assert page.text.count(HOSTILE) >= 2
+    assert len(page.all("script")) == 1
+    assert page.all("b") == []
+    assert all(str(image["src"]).startswith("data:") for image in page.all("img"))
+    assert str(page.all("meta")[1]["content"]).startswith("default-src 'none'")
 
 
 def test_goals_that_were_answered_or_are_true_always_have_a_row(tmp_path: Path) -> None:
@@ -70,8 +77,8 @@ def test_an_event_that_is_not_there_and_a_damaged_posterior_are_named(
     folder: ResultsFolder, tmp_path: Path
 ) -> None:
     with pytest.raises(UnknownNameError, match="unknown event 'onn'; did you mean 'one'"):
-        draw_page(folder, "onn")
+        page_in_folder(folder, "onn")
     damaged = make_folder(tmp_path / "results")
     (damaged.folder_of("one") / POSTERIOR).write_bytes(b"no NetCDF")
     with pytest.raises(InvalidEventError, match=r"posterior\.nc"):
-        draw_page(damaged, "one")
+        page_in_folder(damaged, "one")

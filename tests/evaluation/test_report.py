@@ -9,14 +9,17 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import jinja2
 import pytest
 
 import phase_ppl as ppl
+from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.cli import main
 from phase_ppl.evaluation.folder import POSTERIOR
-from phase_ppl.evaluation.report.html import tag
+from phase_ppl.evaluation.report.html import page
 from phase_ppl.world.errors import InvalidEventError, OutputError
 from phase_ppl.world.files import write_json
+from tests.analysis.readings import reading
 
 from .small import HOSTILE, events, make_folder, make_posterior, prediction, with_posterior
 
@@ -98,6 +101,15 @@ def test_the_report_of_a_run_has_all_its_parts(run: Path) -> None:
                   "Get blue item to red lm", "With one particle"):  # fmt: skip
         assert words in page.text
     assert len(page.all("video")) == 1
+
+
+def test_the_report_of_a_stepwise_run_says_what_decided(tmp_path: Path) -> None:
+    StepwisePosterior(reading()).save(tmp_path / POSTERIOR)
+    page = Page(ppl.report(tmp_path).read_text("utf-8"))
+    for words in ("What decided", "Goal of the red agent", "Strengths", "Settings and cost"):
+        assert words in page.text
+    assert "Can it be trusted?" not in page.text
+    assert len(page.all("img")) == 3, "a film strip, the posterior, and what decided"
 
 
 @pytest.mark.parametrize("which", ["evaluation", "run", "comparison"])
@@ -183,9 +195,10 @@ def test_the_command_writes_the_report_and_says_where(
     assert capsys.readouterr().err.startswith("phase-ppl: error: ")
 
 
-def test_text_and_attributes_are_escaped() -> None:
-    made = tag("p", '<i>"&', tag("b", "x"), None, ["y", "<"], title='"><i>', hidden=True, id=None)
-    assert made == '<p title="&quot;&gt;&lt;i&gt;" hidden>&lt;i&gt;&quot;&amp;<b>x</b>y&lt;</p>'
+def test_what_a_template_needs_and_is_not_given_is_an_error() -> None:
+    assert "<h1>&lt;i&gt;" in page("base.html", title="<i>")
+    with pytest.raises(jinja2.UndefinedError, match="title"):
+        page("base.html")
 
 
 # --- in a browser ------------------------------------------------------------------------------

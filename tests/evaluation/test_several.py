@@ -67,7 +67,7 @@ def test_each_model_has_a_folder_as_if_it_were_alone_and_they_are_compared(
     out = tmp_path / "out"
     both = ["--model", "right", "--model", "other=wrong", "--out", out, "--limit", 2]
     (out / "pages").mkdir(parents=True)
-    (out / "pages" / "0007-of_an_event_no_more_compared.png").touch()
+    (out / "pages" / "0007-of_an_event_no_more_compared.html").touch()
     assert evaluate(events, *both) == 0
     printed = capsys.readouterr().out
     assert "2 models on 2 events" in printed
@@ -78,11 +78,11 @@ def test_each_model_has_a_folder_as_if_it_were_alone_and_they_are_compared(
         assert (found.name, len(found.predictions)) == (model, 2)
         assert (out / label / "metrics.json").is_file()
         assert (out / label / "figures" / "accuracy.png").is_file()
-        assert len(list((out / label).glob("events/*/page.png"))) == 2
+        assert len(list((out / label).glob("events/*/page.html"))) == 2
     assert ppl.ModelComparison.load(out).models == ["right", "other"]
     assert (out / "figures" / "differences.png").is_file()
     assert [page.name for page in sorted((out / "pages").iterdir())] == [
-        "0000-a.png", "0001-b.png",
+        "0000-a.html", "0001-b.html",
     ]  # fmt: skip
 
 

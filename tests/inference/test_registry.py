@@ -13,7 +13,6 @@ from phase_ppl.inference.registry import (
     available_kernels,
     described,
     kernel_info,
-    make_kernel,
     register_kernel,
 )
 from phase_ppl.inference.settings import SimpleSettings, frames, simulations
@@ -55,8 +54,11 @@ def test_unknown_kernel_is_refused_with_close_matches() -> None:
 
 
 def test_a_kernel_is_made_by_name_with_its_options(program: EventProgram) -> None:
-    kernel = make_kernel(
-        "local_mh", program, guide=table_guide(), settings=SimpleSettings(), rule="paper"
+    kernel = kernel_info("local_mh").make(
+        program,
+        guide=table_guide(),
+        settings=SimpleSettings(),
+        rule="paper",
     )
     assert isinstance(kernel, LocalMH)
     assert kernel.validity == "approximate"
@@ -70,7 +72,7 @@ def test_missing_needs_and_unknown_options_are_named(
     program: EventProgram, options: Any, message: str
 ) -> None:
     with pytest.raises(InvalidSettingError, match=message):
-        make_kernel("local_mh", program, **options)
+        kernel_info("local_mh").make(program, **options)
 
 
 def test_a_kernel_of_ones_own_is_registered_by_a_decorator(
@@ -82,7 +84,7 @@ def test_a_kernel_of_ones_own_is_registered_by_a_decorator(
         return PriorMH(program)
 
     assert "mine" in available_kernels()
-    assert isinstance(make_kernel("mine", program), PriorMH)
+    assert isinstance(kernel_info("mine").make(program), PriorMH)
     with pytest.raises(InvalidSettingError, match="exists"):
         register_kernel("mine", validity="exact")(PriorMH)
 

@@ -64,10 +64,8 @@ def test_a_closed_door_sends_the_way_round() -> None:
     rooms = rooms_of(up=10, left=7.5, down=5)
     assert rooms.route(TOP_LEFT, TOP_RIGHT) == (LEFT, DOWN, RIGHT)
     assert rooms.route(TOP_RIGHT, TOP_LEFT) == (RIGHT, DOWN, LEFT)
-    assert rooms.next_room(TOP_LEFT, TOP_RIGHT) == BOTTOM_LEFT
     assert rooms.narrowest(TOP_LEFT, TOP_RIGHT) == 2.5
     assert rooms.route(TOP_LEFT, TOP_LEFT) == ()
-    assert rooms.next_room(TOP_LEFT, TOP_LEFT) is None
     assert rooms.narrowest(TOP_LEFT, TOP_LEFT) == math.inf
 
 
@@ -105,7 +103,6 @@ def test_a_room_behind_two_full_walls_cannot_be_reached() -> None:
     rooms = rooms_of(up=10, left=10)
     assert rooms.route(TOP_LEFT, TOP_RIGHT) is None
     assert rooms.narrowest(TOP_LEFT, TOP_RIGHT) == 0.0
-    assert rooms.next_room(TOP_LEFT, TOP_RIGHT) is None
     assert rooms.path_distance([8, 20], [24, 20]) == UNREACHABLE
     assert rooms.route_table[TOP_LEFT, TOP_RIGHT, 0] == -1
 

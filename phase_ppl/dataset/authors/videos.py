@@ -1,4 +1,4 @@
-"""Events from the pickles of PHASE's authors.
+"""Events from the pickles of PHASE's authors, and in their processed form.
 
 Two kinds of file are read. Both are described in words only, so that none of this was tried on an
 original:
@@ -11,48 +11,68 @@ original:
 
 What is done to them:
 
-* Bodies are put into the order of their colours (:mod:`phase_ppl.dataset.authors.colours`).
+* Bodies are put into the order of their colours (:func:`bodies_by_colour`).
 * Goals and strengths are those of the name (:mod:`phase_ppl.dataset.authors.names`), which has
   them in that order; ``physical_goals`` mixes two numberings and is not read.
 * Items' tracks are cut to the length of the agents', after which nothing moves.
 * A record's substeps are averaged in fives, as the processed form has them. It starts with the
   initial state, or, in reflected copies, with the first substep.
 * Angles of agents in copies about a diagonal are unwrapped, and repaired where averaging spoiled
-  them (:mod:`phase_ppl.dataset.authors.angles`). Those of items are 0 in all copies.
+  them (:func:`repaired`). Those of items are 0 in all copies.
 * Velocities are left out: in copies, those of the agents were reflected as if they were points,
   and those of the items not at all.
 * The scene starts as the first frame shows it; ``turning`` is read off the angles.
+
+The processed form is written too (:func:`video`), for programs made for the authors' data. A video
+claims to be a reflected copy where its walls are those of a reflected layout, and is then written
+as such copies are, wrong velocities included: who reads the authors' files puts them right.
+Velocities are differences of the positions, per simulated second. The form has no place for
+another arena, another start than the first frame, ``turning``, predictions, or judgments beyond
+the relation that most people saw.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 import os
+import pickle
+import pickletools
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.dataset.authors.angles import repaired
-from phase_ppl.dataset.authors.colours import bodies_by_colour
-from phase_ppl.dataset.authors.names import Recorded, parse_name
-from phase_ppl.dataset.authors.unpickle import read_pickle
+from phase_ppl.dataset.authors.names import (
+    Place,
+    Recorded,
+    file_name,
+    goal_numbers,
+    parse_name,
+    place_in_id,
+)
+from phase_ppl.dataset.authors.pickles import read_pickle
 from phase_ppl.dataset.fields import Entries, event_id, require
-from phase_ppl.dataset.turning import observed_turning
+from phase_ppl.dataset.generation.copies import REFLECTIONS
+from phase_ppl.dataset.generation.tables import LAYOUTS
+from phase_ppl.dataset.phase_test import check_start
+from phase_ppl.dataset.turning import full_turn, observed_turning
 from phase_ppl.physics.constants import SUBSTEPS
 from phase_ppl.world.errors import InvalidEventError, shown, unknown_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS
-from phase_ppl.world.observation import Observation
+from phase_ppl.world.observation import FRAMES_PER_SECOND, Observation
 from phase_ppl.world.relations import RELATIONS
-from phase_ppl.world.scene import Scene, finite_array
+from phase_ppl.world.rooms import RAY_DIRECTIONS
+from phase_ppl.world.scene import ARENA, LANDMARK_HALF_WIDTH, Scene, finite_array
+
+FloatArray = NDArray[np.float64]
 
 CHANNELS: Final = ("x", "y", "vx", "vy", "angle")
-FloatArray = NDArray[np.float64]
 
 
 def read(path: str | os.PathLike[str]) -> Entries:
@@ -197,3 +217,270 @@ def _kind(value: object) -> str:
     if value is None or isinstance(value, (str, bytes, int, float)):
         return shown(value)
     return type(value).__name__
+
+
+# --- which body has which colour -------------------------------------------------------------
+
+BODIES_OF_KEYS: Final[Mapping[frozenset[int], Mapping[int, int]]] = {
+    frozenset((0, 1, 3, 4)): {0: 0, 1: 1, 3: 2, 4: 3},
+    frozenset((0, 1, 2)): {0: 0, 1: 2, 2: 3},
+    frozenset((0, 1, 2, 3)): {0: 0, 1: 1, 2: 2, 3: 3},
+}
+"""Per set of keys of ``entity_color_code`` the body that each key means; the last is that of
+records without shuffling."""
+
+COLOUR_CODE: Final = {0: 0, 1: 1, 3: 2, 4: 3}
+"""The code of bodies that are in the order of the colours."""
+
+
+def bodies_by_colour(code: Mapping[Any, Any]) -> tuple[int, ...]:
+    """Return the numbers of the red, green, blue and pink body.
+
+    Recordings number their bodies: agents 0 and 1, items 2 and 3. ``entity_color_code`` maps bodies
+    to colours (0 red, 1 green, 2 blue, 3 pink), but counts items from 3 on; where the colours of
+    the agents were not shuffled it has lost agent 1, whose number an item took.
+
+    Raises:
+        InvalidEventError: the code is none of the known forms.
+    """
+    bodies = BODIES_OF_KEYS.get(frozenset(code))
+    if bodies is None or any(type(colour) is not int for colour in code.values()):
+        raise _unknown_code(code)
+    colours = {body: code[key] for key, body in bodies.items()}
+    if 1 not in colours:
+        colours[1] = 1 - colours[0]  # the colour that is left
+    order = [colours[body] for body in range(len(ENTITIES))]
+    n = len(AGENTS)
+    if sorted(order[:n]) != [0, 1] or sorted(order[n:]) != [2, 3]:
+        raise _unknown_code(code)
+    return tuple(order.index(colour) for colour in range(len(ENTITIES)))
+
+
+def _unknown_code(code: Mapping[Any, Any]) -> InvalidEventError:
+    return InvalidEventError(
+        f"entity_color_code is {shown(dict(code))}, expected a code such as {COLOUR_CODE}"
+    )
+
+
+# --- angles of reflected copies --------------------------------------------------------------
+
+_TURN: Final = 2 * np.pi
+_ROUNDING: Final = 1e-6
+_MISFIT: Final = 4.0
+"""How much worse it is to be a radian off the cut than to turn by a radian."""
+
+_PASS: Final = 0.1
+"""Cost of passing the cut, rad^2."""
+
+_BACK: Final = 3.0
+"""Cost of passing it forth and back within two frames, rad^2."""
+
+_JUMPS: Final = np.array([0, -1, 1])
+"""Cuts that may be passed between two frames; first what wins a tie."""
+
+_PASSING: Final = np.array(
+    [(0, 0)] + [(way, after) for way in (1, -1) for after in range(1, SUBSTEPS)]
+)
+"""(state, 2): the way in which the cut is passed within a frame (1 as the angle grows, 0 not at
+all), and the number of substeps after that."""
+
+
+def repaired(angles: FloatArray, radius: float) -> FloatArray:
+    """Return an agent's angles as if they had been averaged before they were wrapped.
+
+    In copies about a diagonal the angles were wrapped into (-2 pi, 0] in every substep and only
+    then averaged over the five substeps of a frame. A frame in which the angle passes the cut is
+    therefore off by a multiple of 2 pi / 5, beside the jump by 2 pi from then on.
+
+    Of all ways in which the angle may have passed the cut, the one that takes the least turning,
+    where a frame that passes it must lie near it: as near as at most a full turn explains. Angles
+    that lie beyond the cut anyway were never wrapped and stay as they are.
+
+    Args:
+        angles: (time,) means over the frames, rad.
+        radius: size of the agent, which says how fast it turns.
+    """
+    if (angles > _ROUNDING).any() or (angles < -_TURN - _ROUNDING).any():
+        return angles
+    way, after = _PASSING.T
+    price = _price(way)
+    share = _TURN * way * after / SUBSTEPS
+    # relative to the turns done before the frame, and after it
+    before, later = angles[:, None] + share, angles[:, None] + share - _TURN * way
+    misfit = _misfit(before, radius)
+    misfit[0, 1:] = np.inf  # the first frame is no mean
+    cost = misfit[0]
+    choices = []
+    for frame in range(1, len(angles)):
+        step = before[frame][:, None, None] + _TURN * _JUMPS - later[frame - 1][:, None]
+        # (state, former state, jump)
+        total = cost[:, None] + step**2 + price
+        flat = total.reshape(len(share), -1)
+        best = flat.argmin(axis=1)
+        choices.append(best)
+        cost = flat[np.arange(len(share)), best] + misfit[frame]
+    return _followed(before, way, choices, int(cost.argmin()))
+
+
+def _price(way: NDArray[np.int64]) -> FloatArray:
+    """Return (state, former state, jump) what passing the cut costs."""
+    passes = np.stack(
+        np.broadcast_arrays(way[:, None, None], way[None, :, None], _JUMPS[None, None, :])
+    )
+    back = (passes > 0).any(axis=0) & (passes < 0).any(axis=0)
+    return _PASS * np.abs(passes[[0, 2]]).sum(axis=0) + _BACK * back
+
+
+def _misfit(before: FloatArray, radius: float) -> FloatArray:
+    """Return (time, state) how badly a frame would pass the cut there.
+
+    With an even turn of v a substep, ``after`` substeps of which lie beyond the cut, the mean is
+    between (after - 3) v and (after - 2) v beyond it. The fastest substep turns by a third of a
+    full turn.
+    """
+    fastest = full_turn(radius) / 3
+    misfit = np.zeros_like(before)
+    for state, (way, after) in enumerate(_PASSING.tolist()):
+        if way == 0:
+            continue
+        cut = 0.0 if way > 0 else -_TURN
+        beyond = way * (before[:, state] - cut)
+        low, high = sorted(((after - 3) * fastest, (after - 2) * fastest))
+        low, high = min(low, 0.0), max(high, 0.0)
+        off = np.maximum(np.maximum(low - beyond, beyond - high), 0.0)
+        misfit[:, state] = (_MISFIT * off) ** 2
+    return misfit
+
+
+def _followed(
+    before: FloatArray, way: NDArray[np.int64], choices: list[NDArray[np.int64]], last: int
+) -> FloatArray:
+    """Return the angles of the best way, which ends in state ``last``."""
+    states, jumps = [last], [0]
+    for best in reversed(choices):
+        former, jump = divmod(int(best[states[-1]]), len(_JUMPS))
+        jumps[-1] = int(_JUMPS[jump])
+        states.append(former)
+        jumps.append(0)
+    states.reverse()
+    jumps.reverse()
+    level, result = 0, []
+    for frame, (state, jump) in enumerate(zip(states, jumps, strict=True)):
+        level += jump
+        result.append(before[frame, state] + _TURN * level)
+        level += int(way[state])
+    return np.array(result, np.float64)
+
+
+# --- the processed form ----------------------------------------------------------------------
+
+_COPIES: Final = tuple(REFLECTIONS.values())
+"""The reflections in the order of their numbers in file names."""
+
+_PROTOCOL: Final = 3
+"""The newest protocol that every Python 3 reads, and that names its modules in plain lines."""
+
+
+def pickled(videos: Sequence[Mapping[str, Any]]) -> bytes:
+    """Return the pickle of a list of videos, which loads under any version of NumPy."""
+    content = pickle.dumps(list(videos), _PROTOCOL)
+    parts, done = [], 0
+    for start, end in _lines_that_name_modules(content):
+        line = content[start:end]
+        parts += [content[done:start], line.replace(b"numpy._core.", b"numpy.core.")]
+        done = end
+    return b"".join([*parts, content[done:]])
+
+
+def _lines_that_name_modules(content: bytes) -> Iterator[tuple[int, int]]:
+    ops = [(opcode.name, place or 0) for opcode, _, place in pickletools.genops(content)]
+    for (name, start), (_, end) in itertools.pairwise(ops):
+        if name == "GLOBAL":
+            yield start, end
+
+
+def video(event: Event) -> dict[str, Any]:
+    """Return an event as one video of the processed form.
+
+    Raises:
+        InvalidEventError: the event has something that the form has no place for.
+    """
+    scene, truth, trajectory = event.scene, event.truth, event.observation.trajectory
+    if scene.arena != ARENA or scene.landmark_half_width != LANDMARK_HALF_WIDTH:
+        raise InvalidEventError(
+            "its arena is not the original one, and the format has no place for it"
+        )
+    check_start(event)
+    place = _place(event)
+    if place.is_diagonal:
+        _check_angles(event)
+    velocity = _velocity(trajectory, place.copy, scene)
+    rows = np.concatenate([trajectory[..., :2], velocity, trajectory[..., 2:]], axis=-1)
+    goals = [] if truth is None else [truth.goal_red, truth.goal_green]
+    return {
+        "name": file_name(event_id({"id": event.id}), place, truth, len(rows)),
+        "trajectories": [np.array(rows[:, entity]) for entity in range(rows.shape[1])],
+        "entity_sizes": scene.radius.tolist(),
+        "entity_color_code": dict(COLOUR_CODE),
+        "physical_goals": [list(goal_numbers(goal, holder)) for holder, goal in enumerate(goals)],
+        "wall_segs": [[tuple(end) for end in wall] for wall in scene.walls.tolist()],
+        "landmark_centers": [tuple(centre) for centre in scene.landmark_centres.tolist()],
+        "social_goals": _majority(event.judgments),
+    }
+
+
+def _place(event: Event) -> Place:
+    """Return a layout, reflected or not, with the event's walls: that of its id if it fits.
+
+    Raises:
+        InvalidEventError: there is none.
+    """
+    lengths = event.scene.rooms.wall_length
+    in_id = place_in_id(event.id)
+    copies = (None, *range(len(_COPIES)))
+    known = [Place(layout, copy) for copy in copies for layout in LAYOUTS]
+    for place in [in_id, *known] if in_id in known else known:
+        if place is not None and np.allclose(_lengths(place), lengths):
+            return place
+    raise InvalidEventError(
+        "its walls are those of no original layout, by whose number such files know them"
+    )
+
+
+def _check_angles(event: Event) -> None:
+    """Raise InvalidEventError if the agents' angles would be taken for wrapped ones."""
+    for agent in range(len(AGENTS)):
+        angles = event.observation.trajectory[:, agent, 2]
+        if not np.array_equal(repaired(angles, float(event.scene.radius[agent])), angles):
+            raise InvalidEventError("its angles jump as in damaged files, and would be repaired")
+
+
+def _lengths(place: Place) -> FloatArray:
+    """Return the lengths of the walls up, left, down and right, units."""
+    lengths = np.array(LAYOUTS[place.layout], np.float64)
+    if place.copy is None:
+        return lengths
+    matrix = _COPIES[place.copy].matrix
+    mirrored = np.empty_like(lengths)
+    mirrored[(RAY_DIRECTIONS @ matrix @ RAY_DIRECTIONS.T).argmax(axis=0)] = lengths
+    return mirrored
+
+
+def _velocity(trajectory: FloatArray, copy: int | None, scene: Scene) -> FloatArray:
+    """Return (time, entity, 2) velocities as recordings of that kind have them.
+
+    In copies, velocities of agents were reflected as points, not as directions, about the line
+    that the positions were reflected about; those of items were not reflected.
+    """
+    velocity = np.gradient(trajectory[..., :2], 1 / FRAMES_PER_SECOND, axis=0)
+    velocity[0] = 0.0  # at rest
+    if copy is not None:
+        matrix, n = _COPIES[copy].matrix, len(AGENTS)
+        velocity[:, :n] += scene.centre - matrix @ scene.centre
+        velocity[:, n:] = velocity[:, n:] @ matrix  # its own inverse
+    return velocity
+
+
+def _majority(judgments: Mapping[str, Any] | None) -> str | None:
+    majority = (judgments or {}).get("majority")
+    return majority if isinstance(majority, str) and majority in RELATIONS else None

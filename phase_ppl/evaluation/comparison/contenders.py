@@ -6,7 +6,7 @@ import dataclasses
 import os
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 from phase_ppl.evaluation.evaluation import Evaluation
 from phase_ppl.evaluation.folder import SETTINGS
@@ -17,7 +17,7 @@ from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
 from phase_ppl.world.event import Event
 from phase_ppl.world.identity import event_digest
 
-Source = Evaluation | str | os.PathLike[str]
+Source: TypeAlias = Evaluation | str | os.PathLike[str]
 
 ALL: Final = "all"
 """Stands for all models whose answers the events carry."""

@@ -53,17 +53,16 @@ def vlm(
         timeout: seconds for a request to a service, from its beginning to its end; by default 300.
         retries: how often the same request is made again after a failure that may pass or an
             answer that cannot be used.
-        remaining: "spread" or "zero" (:data:`phase_ppl.evaluation.vlm.parser.REMAINING`).
+        remaining: "spread" or "zero" (:data:`phase_ppl.evaluation.vlm.answers.REMAINING`).
 
     Raises:
         InvalidSettingError, UnknownNameError: one of them cannot be used, or the client's
             library is not installed.
         OutputError: ``store`` is no folder.
     """
+    from phase_ppl.evaluation.vlm.answers import REMAINING, Store
     from phase_ppl.evaluation.vlm.model import Vlm
-    from phase_ppl.evaluation.vlm.parser import REMAINING
     from phase_ppl.evaluation.vlm.services import make_service
-    from phase_ppl.evaluation.vlm.store import Store
 
     if client is None:
         raise InvalidSettingError(

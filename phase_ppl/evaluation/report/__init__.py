@@ -1,4 +1,4 @@
-"""One page that holds everything about a run, an evaluation or a comparison of models."""
+"""Pages that hold everything about a run, an evaluation, a comparison of models or an event."""
 
 from __future__ import annotations
 
@@ -48,19 +48,26 @@ def report(
             f"{SETTINGS}) nor a comparison (it has no {COMPARISON})"
         )
     check_output(target, (".html",))
-    if of_evaluation:
-        from phase_ppl.evaluation.report.results import results_report
+    from phase_ppl.evaluation.report import contents
 
-        text = results_report(ResultsFolder.open(source), videos=videos, progress=progress)
+    if of_evaluation:
+        opened = ResultsFolder.open(source)
+        text = contents.evaluation_page(opened, videos=videos, progress=progress)
     elif of_comparison:
         from phase_ppl.evaluation.comparison.comparison import ModelComparison
-        from phase_ppl.evaluation.report.compared import comparison_report
 
-        text = comparison_report(ModelComparison.load(source), progress=progress)
+        text = contents.comparison_page(ModelComparison.load(source), progress=progress)
     else:
-        from phase_ppl.evaluation.report.run import run_report
+        text = contents.run_page(source)
+    return write_page(text, target)
 
-        text = run_report(source)
-    with atomic_output(target, (".html",)) as part:
+
+def write_page(text: str, path: str | os.PathLike[str]) -> Path:
+    """Write a page, whole or not at all; return its path.
+
+    Raises:
+        OutputError: it cannot be written there, or its name does not end in .html.
+    """
+    with atomic_output(path, (".html",)) as part:
         part.write_text(text, encoding="utf-8", newline="\n")
-    return target
+    return Path(path)

@@ -128,7 +128,7 @@ def model_again(stored: Mapping[str, Any]) -> Model:
     return Model(
         prior=stored["prior"],
         likelihood=RadialLikelihood(stored["beta"]),
-        planner=PlannerConfig(**stored["planner"]),
+        planner=PlannerConfig.from_dict(stored["planner"]),
         noise=stored["noise"],
     )
 

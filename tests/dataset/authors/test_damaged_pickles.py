@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 import random
 import struct
+import tracemalloc
 from pathlib import Path
 
 import pytest
@@ -12,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from phase_ppl.dataset import load_events
-from phase_ppl.dataset.authors import machine, unpickle
-from phase_ppl.dataset.authors.unpickle import read_pickle, unpickled
+from phase_ppl.dataset.authors import pickles
+from phase_ppl.dataset.authors.pickles import read_pickle, unpickled
 from phase_ppl.world.errors import InvalidEventError, PhasePPLError
 from tests.dataset.authors.pickles import name_of, processed, record
 from tests.dataset.authors.test_unpickle import OLD, OLD_BINARY, PROTOCOLS
@@ -58,7 +59,17 @@ BOMBS: dict[str, tuple[bytes, str]] = {
     "lists": (b"]" * DEEP + b"a" * (DEEP - 1) + b".", "nested more than 64 deep"),
     "tuples": (b")" + b"\x85" * DEEP + b".", "nested more than 64 deep"),
     "dicts": (b"Nq\x000" + b"(Vx\nh\x00dq\x000" * DEEP + b"h\x00.", "nested more than 64 deep"),
-    "tuple_key": (b"}" + b")" + b"\x85" * DEEP + b"Ns.", "keys are no texts or whole numbers"),
+    "tuple_key": (b"}" + b")" + b"\x85" * DEEP + b"Ns.", "nested more than 64 deep"),
+    "nested_key": (b"}K\x01\x85\x85Ns.", "keys are no texts or whole numbers"),
+    "nested_keys": (b"}(NNK\x01\x85\x85Nu.", "keys are no texts or whole numbers"),
+    "nested_key_of_dict": (b"(K\x01\x85\x85Nd.", "keys are no texts or whole numbers"),
+    # each of which would take 2 ** 60 steps to hash, or overflow the stack of C
+    "doubled_key": (b"}N\x85" + b"2\x86" * 60 + b"Ns.", "keys are no texts or whole numbers"),
+    "doubled_by_memo": (
+        b"}K\x01\x85q\x00" + b"0(h\x00h\x00tq\x00" * 60 + b"Ns.",
+        "keys are no texts or whole numbers",
+    ),
+    "key_that_was_built": (b"}" + b")" + b"\x85Nb" * DEEP + b"Ns.", "nested more than 64 deep"),
     "long_key": (b"}(" + b"K\x01" * 50 + b"tNs.", "keys are no texts or whole numbers"),
     "nan_key": (b"}Fnan\nNs.", "keys are no texts or whole numbers"),
     "list_key": (b"}]Ns.", "keys are no texts or whole numbers"),
@@ -69,12 +80,13 @@ BOMBS: dict[str, tuple[bytes, str]] = {
     "old_text": (b"T\xff\xff\xff\xffx.", "ends too early"),
     "bytearray": (b"\x80\x05\x96" + struct.pack("<Q", 2**62) + b"x.", "ends too early"),
     "frame": (b"\x80\x04\x95" + b"\xff" * 8 + b"N0.", "makes no sense"),
-    "long": (b"\x80\x02\x8b\xff\xff\xff\x7f.", "more than 64 bits"),
-    "negative_long": (b"\x80\x02\x8b\xff\xff\xff\xff.", "more than 64 bits"),
+    "long": (b"\x80\x02\x8b\xff\xff\xff\x7f.", "ends too early"),
+    "negative_long": (b"\x80\x02\x8b\xff\xff\xff\xff.", "LONG4 at byte 2 says cannot be"),
     "wide": (b"\x80\x02\x8a\x09" + b"\xff" * 8 + b"\x7f.", "more than 64 bits"),
     "digits": (b"I" + b"9" * 30 + b"\n.", "more than 64 bits"),
-    "more_digits": (b"L" + b"9" * 100_000 + b"L\n.", "as a number"),
-    "float": (b"F" + b"1" * 100_000 + b"\n.", "as a number"),
+    "more_digits": (b"L" + b"9" * 100_000 + b"L\n.", "LONG at byte 0"),
+    "long_long": (b"\x80\x02\x8b" + struct.pack("<i", 10**6) + b"\x7f" * 10**6 + b".", "64 bits"),
+    "frame_of_much": (b"\x80\x04\x95" + struct.pack("<Q", 2**50) + b"N.", "makes no sense"),
     "conversions": (
         b"(" + LONG + b"q\x00c_codecs\nencode\nq\x01" + b"h\x01h\x00Vlatin1\n\x86R0" * 300 + b"t.",
         "becomes too large",
@@ -88,13 +100,28 @@ def test_a_small_file_never_becomes_large(case: str) -> None:
     assert message in refused(content)
 
 
+def test_room_is_never_made_for_places_that_are_not_used() -> None:
+    tracemalloc.start()
+    try:
+        for content in (
+            b"Nr\xff\xff\xff\xff.",  # place 4294967295 of the memo
+            b"Np4294967295\n.",
+            b"\x80\x05\x96" + struct.pack("<Q", 2**33) + b"x.",  # so many bytes to follow
+            b"\x80\x04\x8e" + struct.pack("<Q", 2**33) + b"x.",
+        ):
+            refused(content)
+        assert tracemalloc.get_traced_memory()[1] < 2**20
+    finally:
+        tracemalloc.stop()
+
+
 def test_nesting_is_counted_where_parts_are_shared_too() -> None:
     chain = b"]q\x00" + b"0](h\x00eq\x00" * 40
     assert "nested" in refused(chain + b"0](h\x00" + b"](" * 40 + b"h\x00" + b"e" * 41 + b".")
 
 
 def test_too_many_opcodes_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(machine, "MAX_OPCODES", 10)
+    monkeypatch.setattr(pickles, "MAX_OPCODES", 10)
     assert unpickled(b"N0" * 4 + b"N.") is None
     assert "has more than 10 opcodes" in refused(b"N0" * 5 + b"N.")
 
@@ -104,9 +131,9 @@ def test_a_file_that_is_too_large_is_refused(
 ) -> None:
     path = tmp_path / "x.pkl"
     path.write_bytes(pickle.dumps(list(range(100))))
-    monkeypatch.setattr(unpickle, "MAX_BYTES", path.stat().st_size)
+    monkeypatch.setattr(pickles, "MAX_BYTES", path.stat().st_size)
     assert read_pickle(path) == list(range(100))
-    monkeypatch.setattr(unpickle, "MAX_BYTES", path.stat().st_size - 1)
+    monkeypatch.setattr(pickles, "MAX_BYTES", path.stat().st_size - 1)
     with pytest.raises(InvalidEventError, match="is larger than the"):
         read_pickle(path)
 
@@ -124,14 +151,14 @@ DAMAGED: dict[str, tuple[bytes, str]] = {
     "more": (b"N.N.", "goes on after the end"),
     "protocol": (b"\x80\x06N.", "protocol 6, expected at most 5"),
     "opcode": (b"\xfe.", r"unknown opcode b'\xfe'"),
-    "quotes": (b"Sab\n.", "no quotes"),
-    "one_quote": (b"S'\n.", "no quotes"),
-    "other_quote": (b"S'ab\"\n.", "no quotes"),
-    "escape": (b"S'\\q'\n.", "an unknown escape"),
-    "many_escapes": (b"S'" + b"\\x41" * 50_000 + b"\\'\n.", "an unknown escape"),
-    "utf8": (b"X\x01\x00\x00\x00\xff.", "as a text"),
-    "raw_unicode": (b"V\\uZZZZ\n.", "as a text"),
-    "word": (b"Iabc\n.", "as a number"),
+    "quotes": (b"Sab\n.", "makes no sense"),
+    "one_quote": (b"S'\n.", "makes no sense"),
+    "other_quote": (b"S'ab\"\n.", "makes no sense"),
+    "escape": (b"S'\\q'\n.", "makes no sense"),
+    "many_escapes": (b"S'" + b"\\x41" * 50_000 + b"\\'\n.", "makes no sense"),
+    "utf8": (b"X\x01\x00\x00\x00\xff.", "BINUNICODE at byte 0"),
+    "raw_unicode": (b"V\\uZZZZ\n.", "UNICODE at byte 0"),
+    "word": (b"Iabc\n.", "INT at byte 0"),
     "odd_items": (b"}(K\x01u.", "makes no sense"),
     "odd_dict": (b"(K\x01d.", "makes no sense"),
     "append": (b"}Na.", "makes no sense"),

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from phase_ppl.dataset.authors.unpickle import unpickled
+from phase_ppl.dataset.authors.pickles import unpickled
 from tests.dataset.authors.traps import (
     EIGHT,
     EMPTY,
@@ -195,7 +195,7 @@ CALLS: dict[str, tuple[bytes, str]] = {
         "asks for 'numpy.ndarray.__reduce__'",
     ),
     "module_of_numpy": (b"cnumpy\nos\n.", "asks for 'numpy.os'"),
-    "our_own": (b"cphase_ppl.dataset.authors.arrays\nPickledArray\n.", "asks for"),
+    "our_own": (b"cphase_ppl.dataset.authors.pickles\n_Array\n.", "asks for"),
     "list_as_name": (b"\x80\x04]" + text("x") + b"\x93.", "makes no sense"),
     "no_names": (b"\x80\x04\x93.", "makes no sense"),
     "long_names": (b"c" + b"x" * 5000 + b"\ny\n.", "asks for 'xxxx"),
@@ -213,13 +213,13 @@ CALLS: dict[str, tuple[bytes, str]] = {
     "readonly": (b"\x80\x05C\x01a\x98.", "a buffer outside the file"),
     "set": (b"\x80\x04\x8f.", "holds a set"),
     "reconstructor": (b"ccopy_reg\n_reconstructor\n.", "asks for 'copy_reg._reconstructor'"),
-    "call_data": (b"]K\x01\x85R.", "calls what is no function"),
-    "call_class": (b"cnumpy\nndarray\nK\x01\x85R.", "calls what is no function"),
+    "call_data": (b"]K\x01\x85R.", "makes no sense"),
+    "call_class": (b"cnumpy\nndarray\nK\x01\x85R.", "makes no sense"),
     "call_array": (b"cnumpy.core.multiarray\n_reconstruct\ncnumpy\nndarray\n)C\x01b\x87R)R.", ""),
     "call_list": (b"c_codecs\nencode\n]R.", "makes no sense"),
-    "state_of_dict": (b"}}b.", "sets the state of what is no array"),
+    "state_of_dict": (b"}}b.", "makes no sense"),
     "state_of_function": (b"c_codecs\nencode\n}b.", "sets the state of what is no array"),
-    "state_of_class": (b"cnumpy\nndarray\n}b.", "sets the state of what is no array"),
+    "state_of_class": (b"cnumpy\nndarray\n}b.", "makes no sense"),
     "function": (b"c_codecs\nencode\n.", "a function or a class in place of data"),
     "nested_class": (b"]cnumpy\nndarray\na.", "a function or a class in place of data"),
     "other_codec": (b"c_codecs\nencode\nVab\nVrot13\n\x86R.", "as NumPy never does"),
@@ -241,6 +241,12 @@ CALLS: dict[str, tuple[bytes, str]] = {
 def test_what_no_array_needs_is_refused(case: str) -> None:
     content, message = CALLS[case]
     assert message in refused(content)
+
+
+def test_a_stand_in_keeps_nothing_that_a_file_tells_it() -> None:
+    told = b"c_codecs\nencode\n}Vx\nK\x01sb0"
+    assert "sets the state" in refused(told + b"N.")
+    assert unpickled(b"c_codecs\nencode\n(VA\nVlatin1\ntR.") == b"A"
 
 
 def test_an_extension_that_python_knows_is_refused_too() -> None:
@@ -281,8 +287,8 @@ STATES: dict[str, tuple[bytes, str]] = {
     "letters": (array(b"K\x01\x85", content=b"V\\u0394\n"), "as NumPy never does"),
     "short_state": (EMPTY + b"K\x01\x85b.", "as NumPy never does"),
     "no_state": (EMPTY + b".", "an array without content"),
-    "dict_state": (EMPTY + b"}b.", "makes no sense"),
-    "long_state": (EMPTY + b"(" + b"N" * 10 + b"tb.", "makes no sense"),
+    "dict_state": (EMPTY + b"}b.", "as NumPy never does"),
+    "long_state": (EMPTY + b"(" + b"N" * 10 + b"tb.", "as NumPy never does"),
     "dtype_state": (
         b"cnumpy\ndtype\nVf8\n\x85R(K\x03V<\nNVx\nNK\x00K\x00K\x00tb.",
         "plain numbers",

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from phase_ppl.dataset.authors.unpickle import unpickled
+from phase_ppl.dataset.authors.pickles import unpickled
 from phase_ppl.world.errors import InvalidEventError
 
 SPRUNG = "PHASE_PPL_TEST_TRAP"

@@ -65,10 +65,28 @@ def sends(
 ) -> Behaviour:
     """Send ``body``, as JSON unless it is a text; ``_`` in names of headers stands for ``-``."""
     content = (body if isinstance(body, str) else json.dumps(body)).encode()
+    return sends_bytes(content, status, content_type, **headers)
+
+
+def sends_bytes(
+    content: bytes, status: int = 200, content_type: str = "application/json", **headers: str
+) -> Behaviour:
+    """Send ``content`` as it is."""
 
     def behave(handler: BaseHTTPRequestHandler) -> None:
         _head(handler, status, len(content), content_type, headers)
         handler.wfile.write(content)
+
+    return behave
+
+
+def sends_without_end() -> Behaviour:
+    """Send spaces as fast as they are taken, until nobody takes them."""
+
+    def behave(handler: BaseHTTPRequestHandler) -> None:
+        _head(handler, 200, 2**50, "application/json", {})
+        while True:
+            handler.wfile.write(b" " * 2**16)
 
     return behave
 

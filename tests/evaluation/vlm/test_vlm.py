@@ -22,7 +22,7 @@ from phase_ppl.cli import main
 from phase_ppl.evaluation import registry
 from phase_ppl.evaluation.models.vlm import vlm
 from phase_ppl.evaluation.prediction import Prediction
-from phase_ppl.evaluation.vlm import asking
+from phase_ppl.evaluation.vlm import model as vlm_model
 from phase_ppl.evaluation.vlm.model import ANSWER
 from phase_ppl.evaluation.vlm.request import NoReply, Reply, Request
 from phase_ppl.world.errors import (
@@ -57,7 +57,7 @@ class Says:
 @pytest.fixture
 def waits(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     found: list[float] = []
-    monkeypatch.setattr(asking, "pause", found.append)
+    monkeypatch.setattr(vlm_model, "pause", found.append)
     return found
 
 
@@ -127,10 +127,9 @@ def test_an_answer_that_cannot_be_read_is_asked_for_again(waits: list[float]) ->
 
 def test_failures_that_may_pass_are_waited_for_ever_longer(waits: list[float]) -> None:
     busy = NoReply("HTTP 500", again=True)
-    asked_for = NoReply("HTTP 429", again=True, wait=33.0)
-    client = Says(busy, busy, asked_for, TimeoutError("slow"), ConnectionError("gone"), text())
+    client = Says(busy, busy, TimeoutError("slow"), ConnectionError("gone"), busy, text())
     cost = predict(client, retries=5).cost
-    assert waits == [2, 4, 33, 16, 32]
+    assert waits == [2, 4, 8, 16, 32]
     assert (cost["requests"], cost["failures"], cost["refused"]) == (6, 5, 0)
 
 
@@ -139,7 +138,6 @@ def test_failures_that_may_pass_are_waited_for_ever_longer(waits: list[float]) -
     [
         (NoReply("HTTP 503", again=True), 2, 3, "in 3 requests; the last: HTTP 503"),
         (NoReply("HTTP 400: no"), 4, 1, "in 1 request; the last: HTTP 400: no"),
-        (NoReply("HTTP 429", again=True, wait=3600), 4, 1, "wait 3600 s, longer than 120"),
         (Reply("", finish="SAFETY"), 1, 2, r"the answer is empty \(ended by: SAFETY\)"),
         (Reply(text()[:99], finish="MAX_TOKENS"), 0, 1, r"not JSON.*MAX_TOKENS"),
         (b"bytes", 4, 1, "the client returned b'bytes', expected text"),
@@ -153,6 +151,17 @@ def test_there_is_a_limit(
     with pytest.raises(AnswerError, match=reason):
         predict(client, retries=retries)
     assert len(client.asked) == asked
+
+
+def test_what_a_library_tried_again_counts(tmp_path: Path, waits: list[float]) -> None:
+    broke = NoReply("ReadError", again=True)
+    broke.requests = 3
+    client = Says(broke, Reply("no"), Reply(text(), requests=2))
+    cost = predict(client, retries=5, store=tmp_path).cost
+    assert (cost["requests"], cost["failures"], cost["refused"]) == (6, 4, 1)
+    assert predict(Says(), store=tmp_path, replay=True).cost["requests"] == 6
+    with pytest.raises(AnswerError, match="in 3 requests; the last: ReadError"):
+        predict(Says(broke), retries=2)
 
 
 def test_an_error_of_the_function_itself_is_not_hidden() -> None:
@@ -204,7 +213,7 @@ def test_a_replay_asks_nobody_and_draws_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     predict(Says(text()), store=tmp_path)
-    monkeypatch.setattr("phase_ppl.evaluation.vlm.film.video", None)
+    monkeypatch.setattr("phase_ppl.evaluation.vlm.request.video", None)
     silent = Says(AssertionError("asked"))
     assert predict(silent, store=tmp_path, replay=True).answers["goal_red"] == ppl.GOALS[0]
     with pytest.raises(AnswerError, match=r"no answer to this request.*for other seeds only"):

@@ -123,7 +123,7 @@ class OracleAgent(Agent):
     """An agent that searches with :class:`SlowSearch`; all else is as in :class:`Agent`.
 
     Raises:
-        InvalidSettingError: the planner imagines swivelling holds, reuses trees or pairs.
+        InvalidSettingError: the planner imagines swivelling holds, or pairs simulations.
     """
 
     def __init__(
@@ -135,8 +135,8 @@ class OracleAgent(Agent):
         generator: np.random.Generator,
         strengths: tuple[float, float],
     ) -> None:
-        if config.swivel or config.tree_reuse or config.paired:
-            raise InvalidSettingError("the oracle's search has no swivel, tree_reuse or paired")
+        if config.swivel or config.paired:
+            raise InvalidSettingError("the oracle's search has no swivel and no paired")
         super().__init__(agent, goals, mind, config, generator)
         self.slow_search = SlowSearch(
             mind, strengths, self.search, config.inner_steps, generator.spawn(1)[0]

@@ -1,0 +1,87 @@
+"""Every public name and where it is: what type checkers read, and the package's own table."""
+
+from phase_ppl import render as render
+from phase_ppl.agents.config import PlannerConfig as PlannerConfig
+from phase_ppl.analysis import plots as _plots
+from phase_ppl.analysis.comparison import Comparison as Comparison
+from phase_ppl.analysis.estimate import Estimate as Estimate
+from phase_ppl.analysis.load import load_posterior as load_posterior
+from phase_ppl.analysis.posterior import Posterior as Posterior
+from phase_ppl.analysis.stepwise_posterior import StepwisePosterior as StepwisePosterior
+from phase_ppl.analysis.watch_film import watch_film as watch_film
+from phase_ppl.closed_loop.hidden_state import Tracking as Tracking
+from phase_ppl.dataset.bundled import bundled_events as bundled_events
+from phase_ppl.dataset.export import export_events as export_events
+from phase_ppl.dataset.generation.generate import (
+    GenerationInterrupted as GenerationInterrupted,
+)
+from phase_ppl.dataset.generation.generate import generate as generate
+from phase_ppl.dataset.generation.registry import available_families as available_families
+from phase_ppl.dataset.generation.registry import register_family as register_family
+from phase_ppl.dataset.generation.store import GeneratedEvents as GeneratedEvents
+from phase_ppl.dataset.load import load_event as load_event
+from phase_ppl.dataset.load import load_events as load_events
+from phase_ppl.dataset.load import save_event as save_event
+from phase_ppl.dataset.load import save_events as save_events
+from phase_ppl.dataset.statistics import statistics as statistics
+from phase_ppl.dataset.xarrays import event_dataset as event_dataset
+from phase_ppl.dataset.xarrays import event_from_dataset as event_from_dataset
+from phase_ppl.evaluation import figures as figures
+from phase_ppl.evaluation.answer import Answer as Answer
+from phase_ppl.evaluation.carried import carried_evaluation as carried_evaluation
+from phase_ppl.evaluation.comparison.comparison import ModelComparison as ModelComparison
+from phase_ppl.evaluation.comparison.comparison import compare_models as compare_models
+from phase_ppl.evaluation.evaluate import EvaluationInterrupted as EvaluationInterrupted
+from phase_ppl.evaluation.evaluate import evaluate as evaluate
+from phase_ppl.evaluation.evaluation import Evaluation as Evaluation
+from phase_ppl.evaluation.judgments import Study as Study
+from phase_ppl.evaluation.judgments import load_judgments as load_judgments
+from phase_ppl.evaluation.judgments import with_judgments as with_judgments
+from phase_ppl.evaluation.metrics import evaluate_predictions as evaluate_predictions
+from phase_ppl.evaluation.metrics import paired_difference as paired_difference
+from phase_ppl.evaluation.metrics import reference_models as reference_models
+from phase_ppl.evaluation.people import human_accuracy as human_accuracy
+from phase_ppl.evaluation.prediction import Prediction as Prediction
+from phase_ppl.evaluation.references import reference_predictions as reference_predictions
+from phase_ppl.evaluation.registry import available_models as available_models
+from phase_ppl.evaluation.registry import model_info as model_info
+from phase_ppl.evaluation.registry import register_model as register_model
+from phase_ppl.evaluation.report import report as report
+from phase_ppl.evaluation.training import train_socialgnn as train_socialgnn
+from phase_ppl.evaluation.votes import Judgments as Judgments
+from phase_ppl.inference.compare import ComparisonInterrupted as ComparisonInterrupted
+from phase_ppl.inference.compare import compare as compare
+from phase_ppl.inference.infer import Interrupted as Interrupted
+from phase_ppl.inference.infer import SimpleSettings as SimpleSettings
+from phase_ppl.inference.infer import frames as frames
+from phase_ppl.inference.infer import infer as infer
+from phase_ppl.inference.infer import resume as resume
+from phase_ppl.inference.infer import seconds as seconds
+from phase_ppl.inference.infer import simulations as simulations
+from phase_ppl.inference.registry import available_kernels as available_kernels
+from phase_ppl.inference.registry import kernel_info as kernel_info
+from phase_ppl.inference.registry import register_kernel as register_kernel
+from phase_ppl.inference.stepwise.enumerate import StepwiseInterrupted as StepwiseInterrupted
+from phase_ppl.inference.stepwise.watch import Watch as Watch
+from phase_ppl.inference.stepwise.watch import watch as watch
+from phase_ppl.models import priors as priors
+from phase_ppl.models import sites as sites
+from phase_ppl.models.likelihood import RadialLikelihood as RadialLikelihood
+from phase_ppl.models.model import Model as Model
+from phase_ppl.models.stepwise import StepwiseLikelihood as StepwiseLikelihood
+from phase_ppl.simulator.joint import JointSimulator as JointSimulator
+from phase_ppl.simulator.simulate import simulate as simulate
+from phase_ppl.world.errors import PhasePPLError as PhasePPLError
+from phase_ppl.world.errors import QueryError as QueryError
+from phase_ppl.world.errors import SimulationError as SimulationError
+from phase_ppl.world.event import Event as Event
+from phase_ppl.world.event import Truth as Truth
+from phase_ppl.world.goals import GOALS as GOALS
+from phase_ppl.world.hypothesis import ALPHAS as ALPHAS
+from phase_ppl.world.hypothesis import Hypothesis as Hypothesis
+from phase_ppl.world.names import AGENTS as AGENTS
+from phase_ppl.world.observation import Observation as Observation
+from phase_ppl.world.scene import Scene as Scene
+
+__version__: str
+plot = _plots
