@@ -25,7 +25,7 @@ from phase_ppl.world.errors import (
     unknown_name,
 )
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import atomic_output
+from phase_ppl.world.files import check_output, write_bytes
 from phase_ppl.world.scene import TURNINGS, Turning
 
 _JSON: Final = ".json"
@@ -148,14 +148,11 @@ def _netcdf() -> ModuleType:
 
 def _write(content: Any, path: PathLike) -> None:
     """Write a JSON object, or a Dataset for NetCDF."""
-    if _is_netcdf(path):
-        with naming(path), atomic_output(path, (_NETCDF,)) as part:
-            _netcdf().write(content, part)
-        return
+    check_output(path, SUFFIXES)  # what is wrong with the place is said before what is in it
     with naming(path):
-        text = events_json.to_text(content)
-    with atomic_output(path, SUFFIXES) as part:
-        part.write_text(text, encoding="utf-8")
+        netcdf = _is_netcdf(path)
+        text = _netcdf().to_bytes(content) if netcdf else events_json.to_text(content).encode()
+    write_bytes(path, SUFFIXES, text)
 
 
 def _entries(path: PathLike, format: str | None) -> Entries:

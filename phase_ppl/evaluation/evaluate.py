@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import loky
 
-from phase_ppl.analysis.tree import name_event
-from phase_ppl.dataset.hdf5 import is_hdf5
+from phase_ppl.dataset.hdf5 import SIGNATURE, with_attribute
 from phase_ppl.evaluation.answer import Predict
 from phase_ppl.evaluation.evaluation import Evaluation, cost_of
 from phase_ppl.evaluation.folder import METRICS, POSTERIOR, ResultsFolder
@@ -216,7 +215,7 @@ class _Session:
 
 def _write(folder: Path, artefacts: Mapping[str, bytes], event_id: str) -> None:
     for name, content in artefacts.items():
+        if name == POSTERIOR and content.startswith(SIGNATURE):
+            # the model did not know of which event it is
+            content = with_attribute(content, "event_id", event_id)
         (folder / name).write_bytes(content)
-    posterior = folder / POSTERIOR
-    if is_hdf5(posterior):  # the model did not know of which event it is
-        name_event(posterior, event_id)

@@ -1,0 +1,165 @@
+"""HDF5 files on a full disk, and files that were made to do harm to whoever opens them."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import xarray as xr
+
+import phase_ppl as ppl
+from phase_ppl.analysis import Posterior
+from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+from phase_ppl.dataset.hdf5 import read_netcdf
+from phase_ppl.world.errors import InvalidEventError
+from tests.analysis.factory import random_tree
+
+ROOT = Path(ppl.__file__).parents[1]
+
+_FULL = """
+import resource, sys
+from pathlib import Path
+import numpy as np
+import phase_ppl as ppl
+from phase_ppl.analysis import Posterior
+from phase_ppl.inference.runs.archive import write_archive
+from phase_ppl.world.errors import OutputError
+from tests.analysis.factory import random_tree
+
+folder = Path(sys.argv[1])
+event = ppl.load_event("collaborate")
+with ppl.watch(event.scene, event_id="read") as watch:
+    read = watch.update(event.observation.trajectory[0])
+tree = Posterior(random_tree(1))
+# what a disk does that has room for a little more
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]),) * 2)
+for name, write in {
+    "tree.nc": tree.save,
+    "read.nc": read.save,
+    "event.nc": lambda path: ppl.save_event(event, path),
+    "events.nc": lambda path: ppl.save_events([event], path),
+    "run.ckpt": lambda path: write_archive(path, {}, {"a": np.zeros(10**5)}),
+}.items():
+    (folder / name).write_text("old")
+    try:
+        write(folder / name)
+    except OutputError as error:
+        print(error)
+"""
+
+
+@pytest.mark.parametrize("room", [0, 5000])
+def test_a_full_disk_ends_no_process_and_leaves_what_was_there(tmp_path: Path, room: int) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", _FULL, str(tmp_path), str(max(room, 3))],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    assert len(lines) == 5
+    assert all("cannot write" in line and "large" in line for line in lines)
+    left = {path.name: path.read_text() for path in tmp_path.iterdir()}
+    names = ("tree.nc", "read.nc", "event.nc", "events.nc", "run.ckpt")
+    assert left == dict.fromkeys(names, "old")
+
+
+# --- files that somebody else made -------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def posterior(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    return Posterior(random_tree(1)).save(tmp_path_factory.mktemp("one") / "run.nc").read_bytes()
+
+
+def _external(file: h5py.File) -> None:
+    shape = file["constant_data/radius"].shape
+    del file["constant_data/radius"]
+    file["constant_data"].create_dataset("radius", shape, "f8", external=[("/etc/passwd", 0, 99)])
+
+
+def _link(file: h5py.File) -> None:
+    file["constant_data/more"] = h5py.ExternalLink("/etc/passwd", "/")
+
+
+def _grows(file: h5py.File) -> None:
+    file["constant_data"].create_dataset("more", (2**30,), "f8", chunks=(2**20,), compression=9)
+
+
+def _large_chunk(file: h5py.File) -> None:
+    options = {"maxshape": (None,), "chunks": (2**28,), "compression": 9}
+    file["constant_data"].create_dataset("more", (4,), "f8", **options)
+
+
+def _sparse_texts(file: h5py.File) -> None:
+    options = {"chunks": (2**20,), "dtype": h5py.string_dtype()}
+    file["constant_data"].create_dataset("more", (10**8,), **options)
+
+
+def _texts_of_attribute(file: h5py.File) -> None:
+    file.attrs.create("more", ["x"] * 1000, dtype=h5py.string_dtype())
+
+
+def _group_in_group(file: h5py.File) -> None:
+    file["constant_data/more"] = file["posterior"]
+
+
+def _itself(file: h5py.File) -> None:
+    file["constant_data/more"] = file
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (_external, "array 'radius' lies in another file"),
+        (_link, "holds a link, 'more'"),
+        (_grows, "is larger than the 512 MB"),
+        (_large_chunk, "is larger than the 512 MB"),
+        (_sparse_texts, "has more entries than the file has bytes"),
+        (_texts_of_attribute, "attribute 'more' has 1000 entries"),
+        (_group_in_group, "holds a group, 'more'"),
+        (_itself, "holds a group, 'more'"),
+    ],
+)
+@pytest.mark.parametrize("load", [ppl.load_posterior, StepwisePosterior.load])
+def test_a_posterior_made_to_do_harm_is_refused_unread(
+    tmp_path: Path,
+    posterior: bytes,
+    load: Callable[[Path], object],
+    change: Callable[[h5py.File], None],
+    message: str,
+) -> None:
+    path = tmp_path / "run.nc"
+    path.write_bytes(posterior)
+    with h5py.File(path, "r+") as file:
+        change(file)
+    with pytest.raises(InvalidEventError, match=f"run.nc: .*{message}") as raised:
+        load(path)
+    assert "\n" not in str(raised.value)
+
+
+def test_what_a_terminal_would_obey_is_taken_out_of_a_posterior(
+    tmp_path: Path, posterior: bytes
+) -> None:
+    path = tmp_path / "run.nc"
+    path.write_bytes(posterior)
+    with h5py.File(path, "r+") as file:
+        file.attrs["event_id"] = "one\x1b[2J\x9btwo"
+        file.attrs["settings"] = '{"kernel": {"name": "\\u001b[31m"}, "chains": 1}'
+    post = Posterior.load(path)
+    assert post.event_id == "one\ufffd[2J\ufffdtwo"
+    assert post.settings["kernel"]["name"] == "\ufffd[31m"
+
+
+def test_texts_are_read_a_few_at_a_time_and_come_back(tmp_path: Path) -> None:
+    path, words = tmp_path / "texts.nc", [["a", "", "ccc"], ["dd", "é", "f"]]
+    xr.Dataset({"word": (("x", "y"), np.array(words, object))}).to_netcdf(path, engine="h5netcdf")
+    assert read_netcdf(path)["/"]["word"].values.tolist() == words
