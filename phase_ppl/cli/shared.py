@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import shlex
-import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import phase_ppl
 from phase_ppl.world.errors import InvalidEventError, OutputError
 from phase_ppl.world.event import Event
+from phase_ppl.world.files import locked, writable_folder
 
 if TYPE_CHECKING:
     from phase_ppl.analysis.posterior import Posterior
@@ -67,17 +68,6 @@ def check_suffix(out: Path, suffixes: Sequence[str]) -> str:
     if suffix not in suffixes:
         raise OutputError(f"--out {out}: expected a file ending in {' or '.join(suffixes)}")
     return suffix
-
-
-def writable_folder(folder: Path) -> Path:
-    """Create ``folder`` and check that it can be written, before any work is done."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        raise OutputError(f"cannot write into folder {folder}: {error.strerror or error}") from None
-    return folder
 
 
 class Parser(argparse.ArgumentParser):
@@ -142,6 +132,49 @@ def add_progress(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="a progress bar also where the errors go to a file; default: only in a terminal",
     )
+
+
+def add_other_versions(parser: argparse.ArgumentParser) -> None:
+    """Add the option of commands that go on with what was begun."""
+    parser.add_argument(
+        "--other-versions",
+        action="store_true",
+        help="go on although it was begun by other versions; both are recorded",
+    )
+
+
+def add_overwrite(parser: argparse.ArgumentParser) -> None:
+    """Add the option that :func:`results_folder` reads."""
+    parser.add_argument(
+        "--overwrite", action="store_true", help="replace the results that are in DIR"
+    )
+
+
+@contextlib.contextmanager
+def results_folder(
+    out: Path | None, names: Sequence[str], overwrite: bool
+) -> Iterator[Path | None]:
+    """Keep the folder of results to this process, from before any work is done.
+
+    Args:
+        out: the folder; None: nothing is kept.
+        names: of files that are results.
+        overwrite: whether it may hold some, which are then deleted.
+
+    Raises:
+        OutputError: it cannot be written, another process is at work in it, or it holds results.
+    """
+    if out is None:
+        yield None
+        return
+    with locked(writable_folder(out)):
+        there = [name for name in names if (out / name).exists()]
+        if there and not overwrite:
+            raise OutputError(
+                f"{out} holds results already ({', '.join(there)}): name another folder, or "
+                "--overwrite"
+            )
+        yield out
 
 
 def shows_progress(options: argparse.Namespace) -> bool | None:

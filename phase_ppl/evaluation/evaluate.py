@@ -26,7 +26,7 @@ from phase_ppl.evaluation.work import Job, Outcome, outcomes
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import write_json
+from phase_ppl.world.files import locked, writable_folder, write_json
 
 if TYPE_CHECKING:
     from phase_ppl.evaluation.judgments import Study
@@ -113,33 +113,34 @@ def evaluate(
         chosen = chosen[: whole_number("limit", limit)]
     asked = ready(model, options)
     settings = settings_of(asked, seed, chosen)
-    folder: ResultsFolder | None = None
-    done: dict[str, Prediction] = {}
-    notes: list[str] = []
-    if out is not None:
-        folder, done, notes = open_folder(out, settings, chosen, resume)
-        settings = folder.settings
-    digests: Mapping[str, str] = settings["events"]
-    jobs = [
-        Job(event.id, event.scene, event.observation, event_seed(seed, digests[event.id]))
-        for event in sorted(chosen, key=lambda event: -event.observation.n_frames)
-        if event.id not in done
-    ]
-    session = _Session(asked, folder, done, slots if asked.parallel else 1, progress)
+    with locked(None if out is None else writable_folder(out)):
+        folder: ResultsFolder | None = None
+        done: dict[str, Prediction] = {}
+        notes: list[str] = []
+        if out is not None:
+            folder, done, notes = open_folder(out, settings, chosen, resume)
+            settings = folder.settings
+        digests: Mapping[str, str] = settings["events"]
+        jobs = [
+            Job(event.id, event.scene, event.observation, event_seed(seed, digests[event.id]))
+            for event in sorted(chosen, key=lambda event: -event.observation.n_frames)
+            if event.id not in done
+        ]
+        session = _Session(asked, folder, done, slots if asked.parallel else 1, progress)
 
-    def evaluation() -> Evaluation:
-        kept = {event.id: done[event.id] for event in chosen if event.id in done}
-        cost = cost_of(kept, session.workers, time.monotonic() - clock)
-        return Evaluation(chosen, kept, session.failures, settings, cost, folder, tuple(notes))
+        def evaluation() -> Evaluation:
+            kept = {event.id: done[event.id] for event in chosen if event.id in done}
+            cost = cost_of(kept, session.workers, time.monotonic() - clock)
+            return Evaluation(chosen, kept, session.failures, settings, cost, folder, tuple(notes))
 
-    try:
-        session.work(jobs, notes)
-    except KeyboardInterrupt as stop:
-        raise EvaluationInterrupted(evaluation()) from stop
-    found = evaluation()
-    if folder is not None:
-        write_json(folder.path / METRICS, found.metrics)
-    return found
+        try:
+            session.work(jobs, notes)
+        except KeyboardInterrupt as stop:
+            raise EvaluationInterrupted(evaluation()) from stop
+        found = evaluation()
+        if folder is not None:
+            write_json(folder.path / METRICS, found.metrics)
+        return found
 
 
 def event_seed(seed: int, digest: str) -> int:

@@ -40,8 +40,8 @@ from phase_ppl.models.socialgnn.store import Trained
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidEventError, OutputError, PhasePPLError, shown
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import write_json
-from phase_ppl.world.identity import differences
+from phase_ppl.world.files import writable_folder, write_json
+from phase_ppl.world.identity import differences, versions
 
 TRAINING, VALIDATION, TEST = "train", "validation", "test"
 """Splits of the set: networks learn from the first, the second says when to stop; where there is
@@ -99,7 +99,11 @@ def train_socialgnn(
     splits = {name: list(found.split(name)) for name in (TRAINING, VALIDATION)}
     if any(entry["split"] == TEST for entry in found.entries):
         splits[TEST] = list(found.split(TEST))
-    asked = {"settings": settings.to_dict(), "data": _identity(found, splits)}
+    asked = {
+        "settings": settings.to_dict(),
+        "data": _identity(found, splits),
+        "versions": versions(),
+    }
     folder = _prepared(Path(out), asked, resume)
     missing = [one for one in wanted if not _is_finished(folder, one)]
     if missing:
@@ -146,10 +150,7 @@ def _prepared(folder: Path, asked: dict[str, Any], resume: bool) -> Path:
         apart = differences(read_json(target), asked)
         if apart:
             raise OutputError(f"{folder} holds a training of something else: {'; '.join(apart)}")
-    try:
-        (folder / MEMBERS).mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"cannot write into {folder}: {error.strerror or error}") from None
+    writable_folder(folder / MEMBERS)
     if not target.exists():
         write_json(target, asked)
     return folder

@@ -31,8 +31,8 @@ from phase_ppl.models.model import Model
 from phase_ppl.models.stepwise import StepwiseLikelihood
 from phase_ppl.world.errors import InvalidSettingError, OutputError
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import check_output
-from phase_ppl.world.identity import differences, event_digest
+from phase_ppl.world.files import check_output, locked
+from phase_ppl.world.identity import differences, event_digest, versions_so_far
 
 if TYPE_CHECKING:
     from phase_ppl.agents.config import PlannerConfig
@@ -151,9 +151,12 @@ def infer(
     if checkpoint is not None:
         _check_new(checkpoint)
     means = Means(
-        iterations, budget, on_failure, retries, workers, executor, progress, checkpoint, began
+        *(iterations, budget, on_failure, retries, workers, executor, progress, checkpoint),
+        versions_so_far([], checkpoint, True),
+        began,
     )
-    return carry_out(plan, means)
+    with locked(checkpoint):
+        return carry_out(plan, means)
 
 
 def resume(
@@ -171,14 +174,16 @@ def resume(
     retries: int | None = None,
     progress: bool | None = None,
     settings: SimpleSettings | None = None,
+    other_versions: bool = False,
     **kernel_options: Any,
 ) -> Posterior:
     """Go on with a run of which ``infer(..., checkpoint=path)`` left a file.
 
     The result is, draw for draw, that of a run that was never interrupted, with any number of
-    workers (the versions of phase_ppl, NumPyro and JAX being the same). The file is kept up to
-    date. Of a run that is complete the posterior is returned at once, or it is extended by a
-    larger number of iterations.
+    workers. With another version of this package, or of what it builds on, it could be another:
+    that is refused, unless ``other_versions`` says otherwise. The file is kept up to date. Of a
+    run that is complete the posterior is returned at once, or it is extended by a larger number
+    of iterations.
 
     Args:
         path: of the file.
@@ -190,12 +195,14 @@ def resume(
         workers, executor, progress: as in :func:`infer`.
         on_failure, retries: as in :func:`infer`; by default as before. They can be changed for
             others as long as no simulation has failed.
+        other_versions: whether to go on although the versions are others; the attributes
+            ``versions`` and ``earlier_versions`` of the posterior's tree keep both.
         settings, **kernel_options: may be given; must be where they are no plain data.
 
     Raises:
         InvalidEventError: there is no such file, or it is damaged or of another kind.
-        InvalidSettingError: event, model or kernel is another than the run's, the message says
-            in what; or must be given; or a setting cannot be used.
+        InvalidSettingError: event, model, kernel or version is another than the run's, the
+            message says in what; or must be given; or a setting cannot be used.
         OutputError, SimulationError, Interrupted: as in :func:`infer`.
     """
     began = pace.clock()
@@ -250,8 +257,17 @@ def resume(
         retries = saved.failures["retries"] if retries is None else retries
     _check_failures(saved, on_failure, retries)
     check_output(path, SUFFIXES)
-    means = Means(iterations, budget, on_failure, retries, workers, executor, progress, path, began)
-    return carry_out(plan, means, saved)
+    complete = budget is None and iterations == len(saved.steps)
+    versions = saved.versions
+    if not complete:
+        versions = versions_so_far(saved.versions, path, other_versions)
+    means = Means(
+        *(iterations, budget, on_failure, retries, workers, executor, progress, path),
+        versions,
+        began,
+    )
+    with locked(path):
+        return carry_out(plan, means, saved)
 
 
 def _check_not_sampling(given: Mapping[str, Any]) -> None:

@@ -10,28 +10,20 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import hashlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, TypeVar, cast
 
 import numba
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
+from phase_ppl.world.identity import source_stamp
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 _PACKAGE: Final = Path(__file__).resolve().parent.parent
 _FOLDERS: Final = ("world", "physics", "agents")
 """Folders of the package that hold kernels or constants used in kernels."""
-
-
-def source_stamp(files: Iterable[Path]) -> str:
-    """Return a hash of the names and contents of ``files``, whatever their order."""
-    digest = hashlib.sha256()
-    for file in sorted(files):
-        content = hashlib.sha256(file.read_bytes()).hexdigest()
-        digest.update(f"{file.name} {content}\n".encode())
-    return digest.hexdigest()
 
 
 @functools.cache

@@ -94,15 +94,18 @@ def writable_folder(path: str | os.PathLike[str]) -> Path:
 
 
 @contextlib.contextmanager
-def locked(path: str | os.PathLike[str]) -> Iterator[None]:
+def locked(path: str | os.PathLike[str] | None) -> Iterator[None]:
     """Keep a folder, or a file that is yet to be, to this process for as long as the block lasts.
 
-    The lock goes with the process, however that ends. Where a file system has no locks, there is
-    none.
+    None: there is nothing to keep. The lock goes with the process, however that ends. Where a file
+    system has no locks, there is none.
 
     Raises:
         OutputError: another process has it, or the folder cannot be written.
     """
+    if path is None:
+        yield
+        return
     target = _named(path)
     digest = hashlib.sha256(target.name.encode(errors="replace")).hexdigest()[:8]
     lock = target / ".lock" if target.is_dir() else target.with_name(f".lock-{digest}")

@@ -19,6 +19,7 @@ from phase_ppl.simulator.jobs import Failure, results
 from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import SimulationError
+from phase_ppl.world.files import locked, writable_folder
 
 PRESETS: Final[Mapping[str, Mapping[str, int]]] = {"phase500": PHASE500}
 """Name -> cells: the paper's set."""
@@ -45,6 +46,7 @@ def generate(
     recolour: bool = True,
     keep_rejected: bool = False,
     resume: bool = False,
+    other_versions: bool = False,
     workers: int | None = None,
     progress: bool | None = None,
 ) -> GeneratedEvents:
@@ -71,6 +73,8 @@ def generate(
         reflect, recolour: whether events are reflected, and colours exchanged, at random.
         keep_rejected: whether rejected draws are kept, with the reason.
         resume: go on with what ``out`` holds.
+        other_versions: also where that was made by other versions of this package, or of what it
+            builds on; the manifest keeps both.
         workers: processes; by default one per usable core.
         progress: True or False for a bar on stderr; None: where stderr is a terminal.
 
@@ -96,7 +100,17 @@ def generate(
         **{name: value for name, value in given.items() if value is not None},  # type: ignore[arg-type]
     )
     n_workers = loky.cpu_count() if workers is None else whole_number("workers", workers)
-    workshop = Workshop(out, plan, keep_rejected=keep_rejected, resume=resume)
+    with locked(writable_folder(out)):
+        workshop = Workshop(
+            out, plan, keep_rejected=keep_rejected, resume=resume, other_versions=other_versions
+        )
+        return _carry_out(plan, workshop, n_workers, progress)
+
+
+def _carry_out(
+    plan: Plan, workshop: Workshop, n_workers: int, progress: bool | None
+) -> GeneratedEvents:
+    """Make what is missing, and put everything together."""
     missing = workshop.missing()
     clock = time.perf_counter()
     failures: list[str] = []

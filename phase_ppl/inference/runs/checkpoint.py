@@ -62,6 +62,7 @@ class Progressed:
         steps: the particles after each iteration.
         records: all simulations.
         spent: what it cost.
+        versions: of this package and what it builds on, of which it was made; the last last.
     """
 
     state: Any
@@ -69,6 +70,7 @@ class Progressed:
     steps: list[Step]
     records: list[Record]
     spent: Spent
+    versions: Sequence[Mapping[str, Any]]
 
 
 class Checkpoint:
@@ -87,7 +89,7 @@ class Checkpoint:
         kernel: name of the kernel; None where it is a user's own object.
         options: of the kernel; None where they are not plain data.
         settings: of SIMPLE; likewise.
-        start, steps, records, spent: as in :class:`Progressed`.
+        start, steps, records, spent, versions: as in :class:`Progressed`.
 
     Raises:
         InvalidEventError: there is no such file, or it is damaged or of another kind.
@@ -121,6 +123,9 @@ class Checkpoint:
         self.records = unpacked_records(
             self._arrays, document["failed"], self.event.observation.n_frames
         )
+        self.versions = [
+            dict(one) for one in document.get("versions", [{}])
+        ]  # there were none once
         spent = dict(document["spent"])
         self.spent = Spent(**{**spent, "statistics": Statistics(**spent["statistics"])})
         with on_cpu():
@@ -186,6 +191,7 @@ def write_checkpoint(
         "event_id": plan.event.id,
         "iterations": len(done.steps),
         "spent": dataclasses.asdict(done.spent),
+        "versions": list(done.versions),
         "state": [
             [jax.tree_util.keystr(path), kind]
             for (path, _), (_, kind) in zip(leaves, packed, strict=True)

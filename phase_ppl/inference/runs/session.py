@@ -7,6 +7,7 @@ import dataclasses
 import json
 import os
 import platform
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from typing import Any
 
@@ -55,6 +56,7 @@ class Means:
         workers, executor: where simulations run.
         progress: whether to show a bar.
         path: of the checkpoint; None: none is written.
+        versions: of which the run was made so far, the present ones last.
         began: when the call began, by :func:`phase_ppl.inference.runs.pace.clock`.
     """
 
@@ -66,6 +68,7 @@ class Means:
     executor: Executor | None
     progress: bool | None
     path: str | os.PathLike[str] | None
+    versions: Sequence[Mapping[str, Any]]
     began: float
 
 
@@ -203,7 +206,14 @@ class Session:
             self._plan,
             {"iterations": self._length.iterations, "seconds": self._length.seconds},
             {"on_failure": self._runner.on_failure, "retries": self._means.retries},
-            Progressed(run.state, run.start, run.steps, self._bridge.records, spent),
+            Progressed(
+                run.state,
+                run.start,
+                run.steps,
+                self._bridge.records,
+                spent,
+                self._means.versions,
+            ),
         )
         self._written = len(run.steps)
 
@@ -218,6 +228,10 @@ class Session:
             "settings": json.dumps(self._settings(), default=repr),
             "cost": json.dumps(self._cost(interrupted)),
         }
+        *earlier, now = self._means.versions
+        attrs["versions"] = json.dumps(now)
+        if earlier:
+            attrs["earlier_versions"] = json.dumps(earlier)
         drawn = Drawn.kept(run.start, run.steps, plan.info)
         return Posterior(build_tree(plan.event, plan.model, drawn, self._bridge.records, attrs))
 
