@@ -128,13 +128,13 @@ def _infer(options: argparse.Namespace) -> int:
     event = load(options)
     if options.watch and (options.model != "stepwise" or options.kernel is not None):
         raise InvalidSettingError("--watch needs --model stepwise, and no kernel")
+    kept = None if options.out is None else options.out / CHECKPOINT
+    if kept is not None and kept.exists():
+        raise OutputError(
+            f"{kept} holds an unfinished run: continue it with 'phase-ppl resume {kept}', or "
+            "delete it"
+        )
     with results_folder(options.out, _RESULTS, options.overwrite) as out:
-        kept = None if out is None else out / CHECKPOINT
-        if kept is not None and kept.exists():
-            raise OutputError(
-                f"{kept} holds an unfinished run: continue it with 'phase-ppl resume {kept}', or "
-                "delete it"
-            )
         if options.watch:
             return watched(event, out, options)
         exact = options.model == "stepwise" and options.kernel is None
