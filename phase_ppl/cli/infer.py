@@ -117,6 +117,12 @@ def _add_means(command: argparse.ArgumentParser) -> None:
     )
     command.add_argument("--retries", metavar="N", type=whole(1), help="of retry; default 3")
     command.add_argument(
+        "--simulation-seconds",
+        metavar="S",
+        type=float,
+        help="a simulation that takes longer has failed; default: none has",
+    )
+    command.add_argument(
         "--keep-checkpoint",
         action="store_true",
         help=f"keep {CHECKPOINT} when the run is complete, to extend it",
@@ -208,7 +214,7 @@ def _finish(
 
 
 def _means(options: argparse.Namespace) -> dict[str, Any]:
-    given = ("iterations", "budget", "workers", "on_failure", "retries")
+    given = ("iterations", "budget", "workers", "on_failure", "retries", "simulation_seconds")
     found = {name: getattr(options, name) for name in given}
     return {
         "progress": shows_progress(options),
@@ -234,7 +240,7 @@ def _write_results(post: Posterior | StepwisePosterior, event: Event, out: Path)
         write_json(out / "summary.json", post.summary())
         phase_ppl.plot.posterior(post, path=out / "posterior.png")
         phase_ppl.render.video(event, out / "replay.mp4", compare=post.replay())
-        written = _SAMPLED
+        written: tuple[str, ...] = _SAMPLED
     else:
         written = write_reading(post, out)
     for name in set(_RESULTS) - set(written):  # of another run, which was to be overwritten

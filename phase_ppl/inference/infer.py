@@ -66,6 +66,7 @@ def infer(
     budget: Budget | TimeBudget | None = None,
     on_failure: str = "reject",
     retries: int | None = None,
+    simulation_seconds: float | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
     progress: bool | None = None,
     settings: SimpleSettings | None = None,
@@ -110,6 +111,8 @@ def infer(
             expected to end in time, which may be none after the initial particles.
         on_failure: "reject", "raise" or "retry", see above.
         retries: of "retry"; by default 3.
+        simulation_seconds: a simulation that takes longer has failed; by default none has. With a
+            budget of seconds none of the initial ones may take longer than all of them.
         checkpoint: file, ending in .ckpt, in which the run is kept after the initial particles
             and after every iteration, for :func:`resume`. There must be none of that name yet.
         progress: whether to show a bar on stderr; by default where that is a terminal.
@@ -134,6 +137,7 @@ def infer(
         "executor": executor,
         "on_failure": None if on_failure == "reject" else on_failure,
         "retries": retries,
+        "simulation_seconds": simulation_seconds,
         "checkpoint": checkpoint,
         "settings": settings,
         **kernel_options,
@@ -151,7 +155,8 @@ def infer(
     if checkpoint is not None:
         _check_new(checkpoint)
     means = Means(
-        *(iterations, budget, on_failure, retries, workers, executor, progress, checkpoint),
+        *(iterations, budget, on_failure, retries, simulation_seconds),
+        *(workers, executor, progress, checkpoint),
         versions_so_far([], checkpoint, True),
         began,
     )
@@ -172,6 +177,7 @@ def resume(
     budget: Budget | TimeBudget | None = None,
     on_failure: str | None = None,
     retries: int | None = None,
+    simulation_seconds: float | None = None,
     progress: bool | None = None,
     settings: SimpleSettings | None = None,
     other_versions: bool = False,
@@ -195,6 +201,7 @@ def resume(
         workers, executor, progress: as in :func:`infer`.
         on_failure, retries: as in :func:`infer`; by default as before. They can be changed for
             others as long as no simulation has failed.
+        simulation_seconds: as in :func:`infer`; by default as before.
         other_versions: whether to go on although the versions are others; the attributes
             ``versions`` and ``earlier_versions`` of the posterior's tree keep both.
         settings, **kernel_options: may be given; must be where they are no plain data.
@@ -255,6 +262,8 @@ def resume(
     if on_failure is None:
         on_failure = str(saved.failures["on_failure"])
         retries = saved.failures["retries"] if retries is None else retries
+    if simulation_seconds is None:
+        simulation_seconds = saved.failures.get("simulation_seconds")
     _check_failures(saved, on_failure, retries)
     check_output(path, SUFFIXES)
     complete = budget is None and iterations == len(saved.steps)
@@ -262,7 +271,8 @@ def resume(
     if not complete:
         versions = versions_so_far(saved.versions, path, other_versions)
     means = Means(
-        *(iterations, budget, on_failure, retries, workers, executor, progress, path),
+        *(iterations, budget, on_failure, retries, simulation_seconds),
+        *(workers, executor, progress, path),
         versions,
         began,
     )

@@ -7,14 +7,17 @@ It is a black box: inference sees its frames only.
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import dataclasses
 import functools
 import math
+import threading
 import time
 import traceback
 from collections.abc import Callable, Generator, Iterable, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +28,7 @@ from phase_ppl.world.names import ENTITIES
 from phase_ppl.world.scene import Scene
 
 FloatArray = NDArray[np.float64]
+Result = TypeVar("Result")
 
 FRAME_SHAPE: Final = (len(ENTITIES), 3)
 _STREAM: Final = 0x5EED
@@ -54,6 +58,10 @@ class Simulator(Protocol):
 
 class Cancelled(PhasePPLError):
     """The run was cancelled from elsewhere."""
+
+
+class OutOfTime(Cancelled):
+    """The time that a run was given is over."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -110,6 +118,9 @@ def simulate_one(
     error_ceiling: float = math.inf,
     *,
     cancelled: Callable[[], bool] | None = None,
+    limit: float = math.inf,
+    stop: Sequence[Future[Any]] = (),
+    deadline: float = math.inf,
 ) -> SimulationResult:
     """Run one simulation against what was observed, no further than it can matter.
 
@@ -121,18 +132,86 @@ def simulate_one(
         error_ceiling: the simulation is closed once its summed error exceeds this, units. Below
             zero nothing is simulated. What stays under it is the same as without a ceiling.
         cancelled: asked after each frame.
+        limit: seconds that it may take; what takes longer is a failure.
+        stop: whatever of these is done ends it, also within a frame.
+        deadline: time, by ``time.perf_counter``, that ends it.
 
     Raises:
-        Cancelled: ``cancelled`` said so.
+        Cancelled: ``cancelled`` said so, or ``stop`` was done.
+        OutOfTime: ``deadline`` is over.
     """
-    return _follow(
-        lambda: simulator(scene, hypothesis.effective(), random_generator(seed)),
-        hypothesis,
-        seed,
-        observed_positions,
-        error_ceiling,
-        cancelled,
-    )
+
+    def work() -> SimulationResult:
+        return _follow(
+            lambda: simulator(scene, hypothesis.effective(), random_generator(seed)),
+            hypothesis,
+            seed,
+            observed_positions,
+            error_ceiling,
+            cancelled,
+        )
+
+    n_frames = len(observed_positions)
+    if limit <= 0:
+        return SimulationResult.failed(hypothesis, int(seed), n_frames, too_long(limit))
+    if error_ceiling < 0 or (math.inf == limit == deadline and not stop):
+        return work()
+    try:
+        return ended_in_time(work, min(limit, deadline - time.perf_counter()), stop)
+    except TimeoutError:
+        if time.perf_counter() >= deadline:
+            raise OutOfTime("the time of the run is over") from None
+        return SimulationResult.failed(hypothesis, int(seed), n_frames, too_long(limit), limit)
+
+
+def too_long(limit: float) -> str:
+    """Return in words why a simulation failed that took longer than its limit."""
+    if limit <= 0:
+        return "no time was left for it"
+    return f"it took longer than the {limit:g} s that a simulation may take"
+
+
+def ended_in_time(
+    work: Callable[[], Result], seconds: float, stop: Sequence[Future[Any]]
+) -> Result:
+    """Return what ``work`` returns, from a thread of its own.
+
+    A thread that is given up is ended at its next line of Python; one that hangs elsewhere goes on
+    unheeded, and does not keep its process from ending.
+
+    Args:
+        work: what to do.
+        seconds: it is given up after these.
+        stop: it is given up as soon as one of these is done.
+
+    Raises:
+        TimeoutError: the seconds are over.
+        Cancelled: ``stop`` was done.
+    """
+    done: Future[Result] = Future()
+
+    def worked() -> None:
+        try:
+            result = work()
+        except BaseException as error:
+            done.set_exception(error)
+        else:
+            done.set_result(result)
+
+    thread = threading.Thread(target=worked, name="phase_ppl-simulation", daemon=True)
+    thread.start()
+    try:
+        timeout = max(0.0, seconds) if seconds < math.inf else None
+        wait([done, *stop], timeout=timeout, return_when=FIRST_COMPLETED)
+        if done.done():
+            return done.result()
+        if any(future.done() for future in stop):
+            raise Cancelled("the simulation was cancelled")
+        raise TimeoutError
+    finally:
+        if thread.is_alive() and not done.done():
+            number = ctypes.c_ulong(thread.ident or 0)
+            ctypes.pythonapi.PyThreadState_SetAsyncExc(number, ctypes.py_object(SystemExit))
 
 
 def simulate_together(

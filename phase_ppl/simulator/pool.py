@@ -30,7 +30,12 @@ class Work(NamedTuple):
 
 
 def work_in_worker(
-    token: str, packed: bytes | None, hypothesis: Hypothesis, seed: int, error_ceiling: float
+    token: str,
+    packed: bytes | None,
+    hypothesis: Hypothesis,
+    seed: int,
+    error_ceiling: float,
+    limit: float,
 ) -> SimulationResult | None:
     """Run one simulation; None if this process does not know the runner's work yet.
 
@@ -41,7 +46,8 @@ def work_in_worker(
     if work is None:
         return None
     return simulate_one(
-        work.simulator, work.scene, hypothesis, seed, work.observed_positions, error_ceiling
+        *(work.simulator, work.scene, hypothesis, seed, work.observed_positions, error_ceiling),
+        limit=limit,
     )
 
 
@@ -81,9 +87,12 @@ class Pool(Protocol):
         ...
 
     def submit(
-        self, hypothesis: Hypothesis, seed: int, error_ceiling: float, with_work: bool
+        self, hypothesis: Hypothesis, seed: int, error_ceiling: float, limit: float, with_work: bool
     ) -> Future[SimulationResult | None]:
-        """Begin one simulation; ``with_work`` where a worker did not know the work."""
+        """Begin one simulation of ``limit`` seconds at most.
+
+        ``with_work``: a worker did not know the work.
+        """
         ...
 
     def stop(self, running: Iterable[Future[Any]]) -> None:
@@ -120,10 +129,12 @@ class OwnWorkers:
         return self._begin(warm_up_in_worker, self._token)
 
     def submit(
-        self, hypothesis: Hypothesis, seed: int, error_ceiling: float, with_work: bool
+        self, hypothesis: Hypothesis, seed: int, error_ceiling: float, limit: float, with_work: bool
     ) -> Future[SimulationResult | None]:
         """Begin one simulation; the workers know the work."""
-        return self._begin(work_in_worker, self._token, None, hypothesis, seed, error_ceiling)
+        return self._begin(
+            work_in_worker, self._token, None, hypothesis, seed, error_ceiling, limit
+        )
 
     def stop(self, running: Iterable[Future[Any]]) -> None:
         """Kill all workers; the next simulation starts new ones."""
@@ -162,7 +173,7 @@ class BorrowedExecutor:
         return None
 
     def submit(
-        self, hypothesis: Hypothesis, seed: int, error_ceiling: float, with_work: bool
+        self, hypothesis: Hypothesis, seed: int, error_ceiling: float, limit: float, with_work: bool
     ) -> Future[SimulationResult | None]:
         """Begin one simulation.
 
@@ -172,9 +183,9 @@ class BorrowedExecutor:
         packed = self._packed if with_work else None
         try:
             return self._executor.submit(
-                work_in_worker, self._token, packed, hypothesis, seed, error_ceiling
+                work_in_worker, self._token, packed, hypothesis, seed, error_ceiling, limit
             )
-        except RuntimeError as error:  # shut down, or broken
+        except Exception as error:  # shut down, or broken
             raise SimulationError(f"the executor takes no simulation: {error}") from error
 
     def stop(self, running: Iterable[Future[Any]]) -> None:

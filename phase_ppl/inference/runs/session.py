@@ -7,9 +7,10 @@ import dataclasses
 import json
 import os
 import platform
+import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from typing import Any
+from typing import Any, Final
 
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.inference.proposals.strength.estimators import estimator_name
@@ -25,9 +26,12 @@ from phase_ppl.inference.settings import Budget, SimpleSettings, TimeBudget
 from phase_ppl.models.bridge import SimulatorBridge
 from phase_ppl.models.program import event_salt
 from phase_ppl.models.stepwise import StepwiseLikelihood
-from phase_ppl.simulator.contract import Cancelled
+from phase_ppl.simulator.contract import Cancelled, OutOfTime
 from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.errors import InvalidSettingError, OutputError
+
+_OVERTIME: Final = 1.1
+"""An iteration is given up that goes on for so much of the seconds, and one second."""
 
 
 class Interrupted(KeyboardInterrupt):
@@ -53,6 +57,7 @@ class Means:
     Attributes:
         iterations, budget: as given; the length of the run.
         on_failure, retries: what becomes of failed simulations; draws depend on it where some fail.
+        simulation_seconds: that a simulation may take; None: any.
         workers, executor: where simulations run.
         progress: whether to show a bar.
         path: of the checkpoint; None: none is written.
@@ -64,6 +69,7 @@ class Means:
     budget: Budget | TimeBudget | None
     on_failure: str
     retries: int | None
+    simulation_seconds: float | None
     workers: int | None
     executor: Executor | None
     progress: bool | None
@@ -108,6 +114,7 @@ def _runner(plan: Plan, means: Means) -> Runner:
         executor=means.executor,
         on_failure=means.on_failure,
         retries=means.retries,
+        simulation_seconds=means.simulation_seconds,
     )
 
 
@@ -161,6 +168,8 @@ class Session:
             self._runner.on_result = bar.one_more
             try:
                 self._advance(bar)
+            except OutOfTime:  # the iteration that was under way does not count
+                return None
             except (KeyboardInterrupt, Cancelled) as stop:
                 # in case that it came while the file was being written; the posterior comes first
                 with contextlib.suppress(OutputError):
@@ -171,11 +180,20 @@ class Session:
         return None
 
     def _advance(self, bar: Progress) -> None:
+        seconds, runner = self._length.seconds, self._runner
         if self._run.start is None:
+            limit = runner.limit
+            if seconds is not None:
+                runner.limit = min(limit, seconds)
+                runner.patience = time.perf_counter() + seconds - self._pace.spent
             self._pace.begin()
             self._run.initialise()
             self._pace.end(initial=True)
             self._keep()
+            runner.limit = limit
+        if seconds is not None:
+            left = _OVERTIME * seconds + 1.0 - self._pace.spent
+            runner.deadline = time.perf_counter() + left
         while self._pace.another(len(self._run.steps)):
             bar.reach(self._simulations())
             bar.expect(self._expected())
@@ -205,7 +223,11 @@ class Session:
             path,
             self._plan,
             {"iterations": self._length.iterations, "seconds": self._length.seconds},
-            {"on_failure": self._runner.on_failure, "retries": self._means.retries},
+            {
+                "on_failure": self._runner.on_failure,
+                "retries": self._means.retries,
+                "simulation_seconds": self._means.simulation_seconds,
+            },
             Progressed(
                 run.state,
                 run.start,
@@ -244,6 +266,7 @@ class Session:
             "seed": plan.seed,
             "on_failure": self._runner.on_failure,
             "retries": self._runner.retries,
+            "simulation_seconds": self._means.simulation_seconds,
             "turning": plan.event.scene.turning,
             "simple": _without_beta(plan.settings),
             "model": plan.model.fingerprint(),
