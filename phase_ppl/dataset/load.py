@@ -25,7 +25,7 @@ from phase_ppl.world.errors import (
     unknown_name,
 )
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import check_output, write_bytes
+from phase_ppl.world.files import as_path, check_output, write_bytes
 from phase_ppl.world.scene import TURNINGS, Turning
 
 _JSON: Final = ".json"
@@ -99,7 +99,7 @@ def load_events(
         InvalidEventError, InvalidSettingError: as for :func:`load_event`.
     """
     _check_turning(turning)
-    folder = Path(path)
+    folder = as_path(path)
     if folder.is_dir() and any(
         (folder / name).is_file() for name in ("plan.json", "manifest.json")
     ):
@@ -216,7 +216,7 @@ def turned(event: Event, turning: Turning) -> Event:
 
 def _bundled_name(path: PathLike) -> str | None:
     """Return the bundled event that a bare name stands for, unless a file has that name."""
-    plain = Path(path)
+    plain = as_path(path)
     if os.fspath(path) != plain.name or (plain.exists() and not plain.is_dir()):
         return None
     name, known = plain.name.removesuffix(".json"), bundled_events()

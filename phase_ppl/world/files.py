@@ -11,9 +11,19 @@ import secrets
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
-from phase_ppl.world.errors import InvalidEventError, OutputError, shown_path
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    InvalidSettingError,
+    OutputError,
+    shown,
+    shown_path,
+)
+
+_NAME_BYTES: Final = 255
+_PATH_BYTES: Final = 4095
+"""Of names and paths, the longest that common file systems have."""
 
 
 @contextlib.contextmanager
@@ -31,7 +41,7 @@ def atomic_output(path: str | os.PathLike[str], suffixes: Sequence[str]) -> Iter
     Raises:
         OutputError: another ending, a folder in the way, or the folder cannot be written.
     """
-    with _part_of(target := _named(path), suffixes) as part:
+    with _part_of(target := as_path(path), suffixes) as part:
         yield part
         if not part.stat().st_size:
             raise OutputError(f"cannot write {shown_path(target)}: nothing was written")
@@ -60,22 +70,36 @@ def write_json(path: str | os.PathLike[str], record: Mapping[str, Any]) -> None:
     write_bytes(path, (".json",), f"{text}\n".encode())
 
 
+def as_path(path: object) -> Path:
+    """Return ``path`` as one that a file system can be asked for.
+
+    Raises:
+        InvalidSettingError: it is no path, or none that a file can have.
+    """
+    if not isinstance(path, str | os.PathLike) or isinstance(os.fspath(path), bytes):
+        raise InvalidSettingError(f"{shown(path)} is no path of a file or folder")
+    found = Path(path)
+    longest = max((len(os.fsencode(part)) for part in found.parts), default=0)
+    if "\0" in str(found) or longest > _NAME_BYTES or len(os.fsencode(found)) > _PATH_BYTES:
+        raise InvalidSettingError(f"{shown_path(found)} is a name that no file can have")
+    return found
+
+
 def existing_file(path: str | os.PathLike[str]) -> Path:
     """Return ``path``.
 
     Raises:
         InvalidEventError: there is no such file.
     """
-    source = Path(path)
-    with contextlib.suppress(OSError):  # a name that is too long
-        if source.is_file():
-            return source
-    raise InvalidEventError(f"{shown_path(source)}: no such file")
+    source = as_path(path)
+    if not source.is_file():
+        raise InvalidEventError(f"{shown_path(source)}: no such file")
+    return source
 
 
 def check_output(path: str | os.PathLike[str], suffixes: Sequence[str]) -> None:
     """Raise OutputError if :func:`atomic_output` could not write ``path``; nothing is written."""
-    with _part_of(_named(path), suffixes):
+    with _part_of(as_path(path), suffixes):
         pass
 
 
@@ -85,7 +109,7 @@ def writable_folder(path: str | os.PathLike[str]) -> Path:
     Raises:
         OutputError: it cannot.
     """
-    folder = _named(path)
+    folder = as_path(path)
     with _refusing(f"into folder {shown_path(folder)}"):
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
@@ -106,7 +130,7 @@ def locked(path: str | os.PathLike[str] | None) -> Iterator[None]:
     if path is None:
         yield
         return
-    target = _named(path)
+    target = as_path(path)
     digest = hashlib.sha256(target.name.encode(errors="replace")).hexdigest()[:8]
     lock = target / ".lock" if target.is_dir() else target.with_name(f".lock-{digest}")
     with contextlib.ExitStack() as held:
@@ -128,12 +152,6 @@ def locked(path: str | os.PathLike[str] | None) -> Iterator[None]:
                         break
         held.callback(lock.unlink, missing_ok=True)
         yield
-
-
-def _named(path: str | os.PathLike[str]) -> Path:
-    if "\0" in os.fspath(path):
-        raise OutputError(f"cannot write {shown_path(path)}: a name without null characters")
-    return Path(path)
 
 
 @contextlib.contextmanager
