@@ -11,18 +11,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import phase_ppl
-from phase_ppl.world.errors import InvalidEventError, OutputError
+from phase_ppl.cli import BAD_INPUT as BAD_INPUT
+from phase_ppl.cli import INTERRUPTED as INTERRUPTED
+from phase_ppl.world.errors import InvalidEventError, OutputError, shown
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import locked, writable_folder
+from phase_ppl.world.files import as_path, locked, writable_folder
 
 if TYPE_CHECKING:
     from phase_ppl.analysis.posterior import Posterior
     from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 
 FAILED: Final = 1
-BAD_INPUT: Final = 2
-INTERRUPTED: Final = 130
-BROKEN_PIPE: Final = 141
 
 POSTERIOR: Final = "posterior.nc"
 """The file in the folder of results that holds the posterior."""
@@ -44,7 +43,7 @@ def posterior(path: Path, weights: str | None = None) -> Posterior | StepwisePos
     Raises:
         InvalidEventError: there is no such file, or none in the folder.
     """
-    if not path.is_dir():
+    if not as_path(path).is_dir():
         return phase_ppl.load_posterior(path, weights)
     if not (path / POSTERIOR).is_file():
         kept = min(path.glob(f"events/*/{POSTERIOR}"), default=None)
@@ -84,9 +83,9 @@ def whole(minimum: int) -> Any:
         try:
             value = int(text)
         except ValueError:
-            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
+            raise argparse.ArgumentTypeError(f"{shown(text)} is not a whole number") from None
         if value < minimum:
-            raise argparse.ArgumentTypeError(f"{value} is too small, expected at least {minimum}")
+            raise argparse.ArgumentTypeError(f"{text} is too small, expected at least {minimum}")
         return value
 
     return parse
@@ -119,7 +118,7 @@ def budget(text: str) -> Any:
         return phase_ppl.simulations(int(text))
     except ValueError:  # of ours too
         raise argparse.ArgumentTypeError(
-            f"{text!r} is no budget; expected simulations, as in 500, or seconds, as in 60s"
+            f"{shown(text)} is no budget; expected simulations, as in 500, or seconds, as in 60s"
         ) from None
 
 

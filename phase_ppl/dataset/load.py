@@ -17,6 +17,7 @@ from phase_ppl.dataset.bundled import bundled_events, load_bundled
 from phase_ppl.dataset.documents import read_document
 from phase_ppl.dataset.fields import Entries
 from phase_ppl.dataset.hdf5 import is_hdf5
+from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
@@ -119,6 +120,7 @@ def save_event(event: Event, path: PathLike) -> None:
         InvalidEventError: judgments or predictions hold something that JSON has no form for, or
             the id is no printable text.
     """
+    as_path(path)
     with naming(path):
         content = _netcdf().one(event) if _is_netcdf(path) else events_json.event_record(event)
     _write(content, path)
@@ -131,6 +133,11 @@ def save_events(events: Sequence[Event], path: PathLike) -> None:
         OutputError: the file cannot be written.
         InvalidEventError: no events, an id given twice, or as for :func:`save_event`.
     """
+    as_path(path)
+    instance_of("events", events, Sequence, "a list of events")
+    events = list(events)
+    for event in events:
+        instance_of("event", event, Event, "a phase_ppl.Event")
     with naming(path):
         check_ids([event.id for event in events])
         content = _netcdf().many(events) if _is_netcdf(path) else events_json.events_record(events)

@@ -11,8 +11,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import loky
-
 from phase_ppl.dataset.hdf5 import SIGNATURE, with_attribute
 from phase_ppl.evaluation.answer import Predict
 from phase_ppl.evaluation.evaluation import Evaluation, cost_of
@@ -23,7 +21,7 @@ from phase_ppl.evaluation.registry import ReadyModel, ready
 from phase_ppl.evaluation.resuming import open_folder, settings_of
 from phase_ppl.evaluation.sources import all_events, judged
 from phase_ppl.evaluation.work import Job, Outcome, outcomes
-from phase_ppl.world.checks import whole_number
+from phase_ppl.world.checks import number_of_workers, whole_number
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import locked, writable_folder, write_json
@@ -107,7 +105,7 @@ def evaluate(
     """
     clock = time.monotonic()
     whole_number("seed", seed, minimum=0)
-    slots = loky.cpu_count() if workers is None else whole_number("workers", workers)
+    slots = number_of_workers(workers)
     chosen = judged(all_events(events, split), judgments)
     if limit is not None:
         chosen = chosen[: whole_number("limit", limit)]

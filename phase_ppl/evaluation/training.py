@@ -94,7 +94,8 @@ def train_socialgnn(
     """
     needs_torch()
     settings = settings or TrainingSettings()
-    wanted = range(whole_number("seed", seed, 0), seed + whole_number("seeds", seeds))
+    n_seeds = whole_number("seeds", seeds, maximum=_MOST_SEEDS)
+    wanted = range(whole_number("seed", seed, 0), seed + n_seeds)
     found = GeneratedEvents(data)
     splits = {name: list(found.split(name)) for name in (TRAINING, VALIDATION)}
     if any(entry["split"] == TEST for entry in found.entries):
@@ -109,6 +110,9 @@ def train_socialgnn(
     if missing:
         _train(folder, missing, splits, settings, progress)
     return _finish(folder, wanted, splits, settings, asked, progress)
+
+
+_MOST_SEEDS: Final = 1000
 
 
 class _Epochs(Bar):

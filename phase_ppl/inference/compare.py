@@ -34,6 +34,7 @@ from phase_ppl.world.identity import versions, versions_so_far
 BUDGET: Final = Budget(500)
 REPEATS: Final = 8
 
+_MOST_REPEATS: Final = 10**6
 _MAY_DIFFER: Final = ("kernels", "repeats", "reference", "event", "versions")
 
 _ADDRESS: Final = re.compile(r" at 0x[0-9a-fA-F]+")
@@ -110,8 +111,8 @@ def compare(
         raise InvalidEventError(f"{shown(event)} is no event; phase_ppl.load_event reads one")
     model = Model() if model is None else model
     settings = SimpleSettings() if settings is None else settings
-    whole_number("repeats", repeats)
-    whole_number("seed", seed, minimum=0)
+    repeats = whole_number("repeats", repeats, maximum=_MOST_REPEATS)
+    seed = whole_number("seed", seed, minimum=0)
     if weights not in WEIGHTINGS:
         raise unknown_name("weights", weights, WEIGHTINGS)
     if not dataclasses.is_dataclass(budget):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from concurrent.futures import Executor
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from numpyro.infer.mcmc import MCMCKernel
@@ -31,7 +30,7 @@ from phase_ppl.models.model import Model
 from phase_ppl.models.stepwise import StepwiseLikelihood
 from phase_ppl.world.errors import InvalidSettingError, OutputError
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import check_output, locked
+from phase_ppl.world.files import as_path, check_output, locked
 from phase_ppl.world.identity import differences, event_digest, versions_so_far
 
 if TYPE_CHECKING:
@@ -220,7 +219,7 @@ def resume(
                 f"{path}: the settings {saved.identity['settings']} are not all plain data: give "
                 "them again, resume(path, settings=...)"
             )
-        settings = SimpleSettings(**saved.settings)
+        settings = saved.made(SimpleSettings, saved.settings)
     if model is None:
         if saved.model is None:
             own = saved.identity["model"]
@@ -229,7 +228,7 @@ def resume(
                 f"{own['simulator']}, {own['likelihood']}), which a file cannot hold: give it "
                 "again, resume(path, model=...)"
             )
-        model = model_again(saved.model)
+        model = saved.made(model_again, {"stored": saved.model})
     if kernel is None:
         if saved.kernel is None:
             name = saved.identity["kernel"]["name"]
@@ -290,7 +289,7 @@ def _check_not_sampling(given: Mapping[str, Any]) -> None:
 
 
 def _check_new(path: str | os.PathLike[str]) -> None:
-    if Path(path).exists():
+    if as_path(path).exists():
         raise OutputError(
             f"{path} exists and may hold a run: continue it with phase_ppl.resume, or delete it"
         )

@@ -140,7 +140,8 @@ class SimulatorBridge:
         )
         paid: set[int] = set()
         for row, result in zip(rows, results, strict=True):
-            errors[row] = result.errors
+            with np.errstate(over="ignore"):  # infinitely far, in single precision
+                errors[row] = result.errors
             if id(result) in paid:  # identical requests are simulated once
                 continue
             paid.add(id(result))

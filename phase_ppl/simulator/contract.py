@@ -334,7 +334,10 @@ def _checked(
     count = 0
     try:
         for count, given in enumerate(incoming, start=1):
-            frame = np.asarray(given, dtype=np.float64)
+            values = np.asarray(given)
+            if values.dtype.kind not in "biuf" or np.ma.is_masked(given):
+                raise SimulationError(f"frame {count - 1} holds {shown(given)}, expected numbers")
+            frame = values.astype(np.float64, copy=False)
             if frame.shape != FRAME_SHAPE:
                 raise SimulationError(
                     f"frame {count - 1} has shape {frame.shape}, expected {FRAME_SHAPE}"

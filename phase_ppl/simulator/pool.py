@@ -108,7 +108,7 @@ class OwnWorkers:
     """Worker processes that live until they are closed.
 
     Args:
-        workers: number of processes.
+        workers: number of processes, at most.
         token: names the work.
         packed: the pickled :class:`Work`.
         warm_up: let one worker warm up before the first simulation.
@@ -117,9 +117,17 @@ class OwnWorkers:
     restarts = True
 
     def __init__(self, workers: int, token: str, packed: bytes, warm_up: bool) -> None:
-        self.slots: int | None = workers
+        self.slots: int | None = 0
+        self._most, self._packed = workers, packed
         self._token, self._cold = token, warm_up
-        self._processes = Processes(workers, token, packed)
+        self._processes = Processes(1, token, packed)
+
+    def suffice(self, n: int) -> None:
+        """Have as many processes as ``n`` simulations need, and no more than there may be."""
+        wanted = min(n, self._most)
+        if wanted > (self.slots or 0):
+            self.slots = wanted
+            self._processes.resize(wanted)
 
     def warm_up(self) -> Future[None] | None:
         """Let one worker warm up, before the first simulation."""

@@ -14,7 +14,6 @@ from concurrent.futures import Executor, Future, InvalidStateError
 from types import TracebackType
 
 import cloudpickle
-import loky
 import numpy as np
 
 from phase_ppl.simulator.contract import (
@@ -31,7 +30,7 @@ from phase_ppl.simulator.costs import Statistics
 from phase_ppl.simulator.dispatch import Dispatch, Request
 from phase_ppl.simulator.failures import failure_error, fresh_seed, n_retries
 from phase_ppl.simulator.pool import BorrowedExecutor, OwnWorkers, Pool, Work
-from phase_ppl.world.checks import positive_number, whole_number
+from phase_ppl.world.checks import number_of_workers, positive_number, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.observation import Observation
@@ -65,6 +64,7 @@ class Runner:
     Attributes:
         statistics: what the simulations have cost so far.
         workers: number of processes; None where an executor decides.
+        scene: as given.
         limit: seconds that a simulation may take.
         patience: time, by ``time.perf_counter``, after which, once one took too long, no further
             one is begun: it has failed then.
@@ -93,8 +93,10 @@ class Runner:
     ) -> None:
         if not callable(simulator):
             raise InvalidSettingError(f"simulator={shown(simulator)} cannot be called")
-        slots = None if workers is None else whole_number("workers", workers)
-        self.workers = loky.cpu_count() if slots is None and executor is None else slots
+        if executor is not None and not callable(getattr(executor, "submit", None)):
+            raise InvalidSettingError(f"executor={shown(executor)} is no PEP 3148 executor")
+        own = executor is None or workers is not None
+        slots = self.workers = number_of_workers(workers) if own else None
         self.on_failure, self.retries = on_failure, n_retries(on_failure, retries)
         if simulation_seconds is not None:
             positive_number("simulation_seconds", simulation_seconds)
@@ -103,7 +105,7 @@ class Runner:
         self._cut = False
         self.statistics = Statistics()
         self.on_result = on_result
-        self._simulator, self._scene = simulator, scene
+        self._simulator, self.scene = simulator, scene
         self._observed = np.array(observation.positions)
         self._max_retries = whole_number("max_retries", max_retries, 0)
         self._stop: Future[None] = Future()
@@ -121,7 +123,7 @@ class Runner:
             self._pool = OwnWorkers(self.workers, *self._packed_work(), warm_up)
 
     def _packed_work(self) -> tuple[str, bytes]:
-        work = Work(self._simulator, self._scene, self._observed)
+        work = Work(self._simulator, self.scene, self._observed)
         try:
             return secrets.token_hex(8), cloudpickle.dumps(work)
         except Exception as error:
@@ -245,7 +247,7 @@ class Runner:
         return self._count(
             simulate_one(
                 self._simulator,
-                self._scene,
+                self.scene,
                 hypothesis,
                 seed,
                 self._observed,
@@ -268,7 +270,7 @@ class Runner:
         seeds = [seed for _, seed, _ in requests]
         results: list[SimulationResult] = []
         if requests:
-            together = functools.partial(simulate_together, self._simulator, self._scene)
+            together = functools.partial(simulate_together, self._simulator, self.scene)
             work = functools.partial(together, hypotheses, seeds, self._observed)
             left = self.deadline - time.perf_counter()
             try:
@@ -286,6 +288,8 @@ class Runner:
         return dict(zip(requests, results, strict=True))
 
     def _run_in(self, pool: Pool, requests: Sequence[Request]) -> dict[Request, SimulationResult]:
+        if isinstance(pool, OwnWorkers):
+            pool.suffice(len(requests))
         dispatch = Dispatch(
             *(pool, requests, self.n_frames, self._max_retries, self._stop),
             limit=self._limit,

@@ -92,7 +92,10 @@ def unknown_name(what: str, name: object, allowed: Iterable[str]) -> UnknownName
 
 def shown(value: object) -> str:
     """Return ``value`` as an error message shows it: one line, cut where it is long."""
-    text = repr(value)
+    try:
+        text = " ".join(repr(value).splitlines())
+    except Exception:  # of a number of thousands of digits, or an object of somebody's own
+        text = f"<{type(value).__name__}>"
     return text if len(text) <= _SHOWN_CHARACTERS else text[: _SHOWN_CHARACTERS - 3] + "..."
 
 

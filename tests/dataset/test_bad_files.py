@@ -15,6 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from phase_ppl.dataset import documents, load_event, load_events, save_event, save_events
+from phase_ppl.dataset.documents import parse_text
 from phase_ppl.dataset.events_json import event_record
 from phase_ppl.world.errors import (
     InvalidEventError,

@@ -8,8 +8,6 @@ import time
 from collections.abc import Mapping
 from typing import Any, Final
 
-import loky
-
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.dataset.generation.making import Made, make
 from phase_ppl.dataset.generation.plan import PHASE500, Plan, Slot, scaled
@@ -17,7 +15,7 @@ from phase_ppl.dataset.generation.store import GeneratedEvents
 from phase_ppl.dataset.generation.workshop import Workshop
 from phase_ppl.simulator.jobs import Failure, results
 from phase_ppl.simulator.joint import JointSimulator
-from phase_ppl.world.checks import whole_number
+from phase_ppl.world.checks import number_of_workers
 from phase_ppl.world.errors import SimulationError
 from phase_ppl.world.files import locked, writable_folder
 
@@ -89,7 +87,7 @@ def generate(
     """
     given = {"splits": splits, "frames": frames, "max_tries": max_tries}
     plan = Plan(
-        cells=dict(cells) if n is None else scaled(cells, n),
+        cells=cells if n is None else scaled(cells, n),
         copies=copies,
         replans=replans,
         planner=planner,
@@ -99,7 +97,7 @@ def generate(
         recolour=recolour,
         **{name: value for name, value in given.items() if value is not None},  # type: ignore[arg-type]
     )
-    n_workers = loky.cpu_count() if workers is None else whole_number("workers", workers)
+    n_workers = number_of_workers(workers)
     with locked(writable_folder(out)):
         workshop = Workshop(
             out, plan, keep_rejected=keep_rejected, resume=resume, other_versions=other_versions

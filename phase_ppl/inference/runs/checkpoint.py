@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any, Final
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final, TypeVar
 
 import jax
 
@@ -24,13 +23,20 @@ from phase_ppl.inference.runs.packing import (
     unpacked_leaf,
     unpacked_records,
     unpacked_steps,
+    without_nan,
 )
 from phase_ppl.inference.runs.plan import Plan, fields_of, stored_model, stored_options
 from phase_ppl.models.bridge import Record
 from phase_ppl.simulator.costs import Statistics
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.event import Event
+from phase_ppl.world.files import as_path
 from phase_ppl.world.identity import event_digest
+
+Made = TypeVar("Made")
+
+_TARGET: Final = {"iterations", "seconds"}
+_FAILURES: Final = {"on_failure", "retries"}
 
 SCHEMA: Final = "phase-ppl-checkpoint-1"
 
@@ -96,7 +102,7 @@ class Checkpoint:
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        self.path = Path(path)
+        self.path = as_path(path)
         document, self._arrays = read_archive(path)
         try:
             if document["schema"] != SCHEMA:
@@ -113,6 +119,9 @@ class Checkpoint:
         if event_digest(self.event) != self.identity["event"]:
             raise ValueError("its event is not that of the run")
         self.target, self.failures = dict(document["target"]), dict(document["failures"])
+        for known, fields in ((self.target, _TARGET), (self.failures, _FAILURES)):
+            if not known.keys() >= fields:
+                raise ValueError(f"it does not say {sorted(fields - known.keys())}")
         again = document["again"]
         self.model: dict[str, Any] | None = again["model"]
         self.kernel: str | None = again["kernel"]
@@ -130,9 +139,20 @@ class Checkpoint:
         self.spent = Spent(**{**spent, "statistics": Statistics(**spent["statistics"])})
         with on_cpu():
             self._leaves = [
-                (str(name), unpacked_leaf(self._arrays[f"state/{i}"], kind))
+                (str(name), unpacked_leaf(without_nan(self._arrays[f"state/{i}"]), kind))
                 for i, (name, kind) in enumerate(document["state"])
             ]
+
+    def made(self, make: Callable[..., Made], given: Mapping[str, Any]) -> Made:
+        """Return what is made of a part of the file.
+
+        Raises:
+            InvalidEventError: nothing can be made of it.
+        """
+        try:
+            return make(**given)
+        except Exception as error:  # it may hold anything
+            raise damaged(self.path, error) from None
 
     def state(self, blank: Any) -> Any:
         """Return the state of the kernel.

@@ -8,9 +8,13 @@ import json
 import os
 import platform
 import time
+import warnings
+import weakref
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from typing import Any, Final
+
+import numpy as np
 
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.inference.proposals.strength.estimators import estimator_name
@@ -26,9 +30,20 @@ from phase_ppl.inference.settings import Budget, SimpleSettings, TimeBudget
 from phase_ppl.models.bridge import SimulatorBridge
 from phase_ppl.models.program import event_salt
 from phase_ppl.models.stepwise import StepwiseLikelihood
-from phase_ppl.simulator.contract import Cancelled, OutOfTime
+from phase_ppl.simulator.contract import Cancelled, OutOfTime, SimulationResult
+from phase_ppl.simulator.costs import Statistics
 from phase_ppl.simulator.runner import Runner
+from phase_ppl.world.checks import check_memory
 from phase_ppl.world.errors import InvalidSettingError, OutputError
+
+_RECORD_BYTES: Final = 3000
+_FRAME_BYTES: Final = 104
+"""Of memory that a simulation takes, and each of its frames."""
+
+_known_simulators: Final[weakref.WeakSet[Any]] = weakref.WeakSet()
+
+_APART: Final = 0.5
+"""Units by which a first frame may be off the start."""
 
 _OVERTIME: Final = 1.1
 """An iteration is given up that goes on for so much of the seconds, and one second."""
@@ -142,6 +157,11 @@ class Session:
         self._length = run_length(
             self._kernel, plan.info, plan.chains, means.iterations, means.budget
         )
+        most = self._length.simulations(plan.chains, self._length.iterations or 0)
+        check_memory(
+            f"chains={plan.chains}, {most} simulations of {observation.n_frames} frames",
+            most * (_RECORD_BYTES + _FRAME_BYTES * observation.n_frames),
+        )
         self._run = Chains(recipe, data, self._bridge, runner, plan.chains, plan.seed)
         before = Spent() if saved is None else saved.spent
         self._pace = Pace(self._length, means.began, spent=before.seconds, recent=before.recent)
@@ -191,6 +211,9 @@ class Session:
             self._pace.end(initial=True)
             self._keep()
             runner.limit = limit
+            if self._plan.model.simulator is not None:
+                results = [record.result for record in self._bridge.records]
+                _check_once(runner, self._plan.model.simulator, results)
         if seconds is not None:
             left = _OVERTIME * seconds + 1.0 - self._pace.spent
             runner.deadline = time.perf_counter() + left
@@ -292,6 +315,36 @@ class Session:
             "calls": self._calls,
             "interrupted": interrupted,
         }
+
+
+def _check_once(runner: Runner, simulator: Any, results: Sequence[SimulationResult]) -> None:
+    """Warn of a simulator that does not start where it is told to, or draws not from its seed."""
+    first = next((result for result in results if result.completed), None)
+    with contextlib.suppress(TypeError):  # of one that cannot be told from others
+        if simulator in _known_simulators:
+            return
+        _known_simulators.add(simulator)
+    if first is None:
+        return
+    kept = runner.statistics, runner.on_result, runner.on_failure
+    runner.statistics, runner.on_result, runner.on_failure = Statistics(), None, "reject"
+    try:
+        (again,) = runner.run([first.hypothesis], [first.seed])
+    finally:
+        runner.statistics, runner.on_result, runner.on_failure = kept
+    if not np.array_equal(first.trajectory, again.trajectory, equal_nan=True):
+        warnings.warn(
+            "the simulator gave another result for the same seed: unless all its randomness comes "
+            "from rng, a run can be neither repeated nor resumed",
+            stacklevel=2,
+        )
+    apart = np.abs(first.trajectory[0, :, :2] - runner.scene.start[:, :2]).max()
+    if apart > _APART:
+        warnings.warn(
+            f"the first frame of the simulator is {apart:.3g} units off the start of the scene, "
+            "which frame 0 shows",
+            stacklevel=2,
+        )
 
 
 def _without_beta(settings: SimpleSettings) -> dict[str, Any]:
