@@ -166,9 +166,8 @@ def test_frames_that_overflow_are_told_of_in_words() -> None:
         for frame in walkers(scene, hypothesis, rng):
             yield frame + 1e300
 
-    with pytest.raises(PhasePPLError, match="failed; the first") as raised:
+    with pytest.raises(PhasePPLError, match="frame 0 holds a value that is not finite"):
         ppl.infer(EVENT, ppl.Model(simulator=far), **OPTIONS)
-    assert "None" not in str(raised.value)
 
 
 # --- a terminal that is not what it should be --------------------------------------------------

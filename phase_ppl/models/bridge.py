@@ -140,8 +140,7 @@ class SimulatorBridge:
         )
         paid: set[int] = set()
         for row, result in zip(rows, results, strict=True):
-            with np.errstate(over="ignore"):  # infinitely far, in single precision
-                errors[row] = result.errors
+            errors[row] = result.errors
             if id(result) in paid:  # identical requests are simulated once
                 continue
             paid.add(id(result))

@@ -242,7 +242,7 @@ class Chains:
         first = self._bridge.records[0].result
         return SimulationError(
             f"all initial simulations failed; the first, of [{first.hypothesis}] with seed "
-            f"{first.seed}: {first.failure or 'it is infinitely far from what was observed'}"
+            f"{first.seed}: {first.failure}"
         )
 
     def _in_thread(self, work: Callable[[], Result]) -> Result:
