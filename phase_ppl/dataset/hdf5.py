@@ -143,8 +143,8 @@ def root_attribute(path: str | os.PathLike[str], name: str) -> str:
 
     try:
         with h5py.File(path, "r") as file:
-            attribute = file.attrs.get_id(name) if name in file.attrs else None
-            value = "" if attribute is None or attribute.shape != () else file.attrs[name]
+            there = name in file.attrs and file.attrs.get_id(name).shape == ()
+            value = file.attrs[name] if there else ""
     except (OSError, RuntimeError, ValueError):
         return ""
     return str(value.decode(errors="replace") if isinstance(value, bytes) else value)
@@ -179,12 +179,7 @@ def check_hdf5(source: str | os.PathLike[str] | BinaryIO, *, groups: bool = Fals
 
 
 class _Check:
-    """Goes through a file, and adds up what it takes in memory.
-
-    Args:
-        n_bytes: size of the file.
-        limit: bytes that it may take.
-    """
+    """Goes through a file of so many bytes, and adds up what it takes in memory."""
 
     def __init__(self, n_bytes: int, limit: int) -> None:
         self._n_bytes, self._left = n_bytes, limit
@@ -202,26 +197,25 @@ class _Check:
                 self.group(member, False)
             elif isinstance(member, h5py.Dataset):
                 self._attributes(member)
-                self._take(self._size(member, name))
+                self._array(member, name)
             else:
                 raise InvalidEventError(f"holds a group, {name!r}, expected arrays only")
+
+    def _take(self, size: float) -> None:
+        self._left -= int(size)
+        if self._left < 0:
+            raise _too_large()
 
     def _attributes(self, thing: Any) -> None:
         for name in thing.attrs:
             attribute = thing.attrs.get_id(name)
+            size = np.prod(attribute.shape or (), dtype=float)
             # texts may all be the same one, which is in the file once
-            size = int(np.prod(attribute.shape or (), dtype=float))
             if attribute.dtype.kind == "O" and size > _ENTRIES_OF_ATTRIBUTE:
                 raise InvalidEventError(f"attribute {name!r} has {size:g} entries")
             self._take(min(size * attribute.dtype.itemsize, self._n_bytes))
 
-    def _take(self, size: int) -> None:
-        self._left -= size
-        if self._left < 0:
-            raise _too_large()
-
-    def _size(self, array: Any, name: str) -> int:
-        """Return how many bytes an array takes in memory."""
+    def _array(self, array: Any, name: str) -> None:
         import h5py
 
         if array.is_virtual or array.external:
@@ -234,18 +228,17 @@ class _Check:
         if text is None or text.length is not None:
             # what is compressed is read a chunk at a time, which may be larger than the array
             chunk = np.prod(array.chunks or (0,), dtype=float) * array.dtype.itemsize
-            return int(max(array.nbytes, chunk))
+            self._take(max(array.nbytes, chunk))
+            return
         # texts of any length become an array that is as wide as the longest
-        width = _BYTES_PER_CHARACTER
-        if array.size * width > self._left:
-            raise _too_large()
+        self._take(array.size * _BYTES_PER_CHARACTER)
         if array.size > self._n_bytes:
             raise InvalidEventError(f"array {name!r} has more entries than the file has bytes")
+        longest = 1
         for texts in self._blocks(array):
-            width = max(width, _BYTES_PER_CHARACTER * max(map(len, texts)))
-            if array.size * width > self._left:
-                raise _too_large()
-        return int(array.size * width)
+            found = max(longest, *map(len, texts))
+            self._take(array.size * _BYTES_PER_CHARACTER * (found - longest))
+            longest = found
 
     def _blocks(self, array: Any) -> Iterator[list[bytes]]:
         """Yield the texts of an array, so few at a time that they fit even if all are huge."""

@@ -34,10 +34,10 @@ from phase_ppl.world.identity import versions, versions_so_far
 BUDGET: Final = Budget(500)
 REPEATS: Final = 8
 
+_ADDRESS: Final = re.compile(r" at 0x[0-9a-fA-F]+")
+
 _MOST_REPEATS: Final = 10**6
 _MAY_DIFFER: Final = ("kernels", "repeats", "reference", "event", "versions")
-
-_ADDRESS: Final = re.compile(r" at 0x[0-9a-fA-F]+")
 
 
 class ComparisonInterrupted(KeyboardInterrupt):

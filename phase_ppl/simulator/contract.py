@@ -154,17 +154,14 @@ def simulate_one(
             cancelled,
         )
 
-    n_frames = len(observed_positions)
-    if limit <= 0:
-        return SimulationResult.failed(hypothesis, int(seed), n_frames, too_long(limit))
-    if error_ceiling < 0 or (math.inf == limit == deadline and not stop):
+    if error_ceiling < 0:
         return work()
-    try:
-        return ended_in_time(work, min(limit, deadline - time.perf_counter()), stop)
-    except TimeoutError:
-        if time.perf_counter() >= deadline:
-            raise OutOfTime("the time of the run is over") from None
-        return SimulationResult.failed(hypothesis, int(seed), n_frames, too_long(limit), limit)
+
+    def failed(reason: str) -> SimulationResult:
+        n_frames = len(observed_positions)
+        return SimulationResult.failed(hypothesis, int(seed), n_frames, reason, limit)
+
+    return in_time(work, failed, limit, stop, deadline)
 
 
 def too_long(limit: float) -> str:
@@ -174,23 +171,27 @@ def too_long(limit: float) -> str:
     return f"it took longer than the {limit:g} s that a simulation may take"
 
 
-def ended_in_time(
-    work: Callable[[], Result], seconds: float, stop: Sequence[Future[Any]]
+def in_time(
+    work: Callable[[], Result],
+    failed: Callable[[str], Result],
+    limit: float,
+    stop: Sequence[Future[Any]],
+    deadline: float,
 ) -> Result:
-    """Return what ``work`` returns, from a thread of its own.
+    """Return what ``work`` returns, from a thread of its own where something can end it.
 
     A thread that is given up is ended at its next line of Python; one that hangs elsewhere goes on
-    unheeded, and does not keep its process from ending.
-
-    Args:
-        work: what to do.
-        seconds: it is given up after these.
-        stop: it is given up as soon as one of these is done.
+    unheeded, and does not keep its process from ending. Arguments as of :func:`simulate_one`;
+    ``failed`` says what becomes of work that took too long.
 
     Raises:
-        TimeoutError: the seconds are over.
+        OutOfTime: ``deadline`` is over.
         Cancelled: ``stop`` was done.
     """
+    if math.inf == limit == deadline and not stop:
+        return work()
+    if limit <= 0:
+        return failed(too_long(limit))
     done: Future[Result] = Future()
 
     def worked() -> None:
@@ -204,15 +205,17 @@ def ended_in_time(
     thread = threading.Thread(target=worked, name="phase_ppl-simulation", daemon=True)
     thread.start()
     try:
-        timeout = max(0.0, seconds) if seconds < math.inf else None
-        wait([done, *stop], timeout=timeout, return_when=FIRST_COMPLETED)
+        seconds = max(0.0, min(limit, deadline - time.perf_counter()))
+        wait([done, *stop], seconds if seconds < math.inf else None, FIRST_COMPLETED)
         if done.done():
             return done.result()
         if any(future.done() for future in stop):
             raise Cancelled("the simulation was cancelled")
-        raise TimeoutError
+        if time.perf_counter() >= deadline:
+            raise OutOfTime("the time of the run is over")
+        return failed(too_long(limit))
     finally:
-        if thread.is_alive() and not done.done():
+        if not done.done():
             number = ctypes.c_ulong(thread.ident or 0)
             ctypes.pythonapi.PyThreadState_SetAsyncExc(number, ctypes.py_object(SystemExit))
 

@@ -18,10 +18,9 @@ import numpy as np
 
 from phase_ppl.simulator.contract import (
     Cancelled,
-    OutOfTime,
     SimulationResult,
     Simulator,
-    ended_in_time,
+    in_time,
     simulate_one,
     simulate_together,
     too_long,
@@ -271,17 +270,15 @@ class Runner:
         results: list[SimulationResult] = []
         if requests:
             together = functools.partial(simulate_together, self._simulator, self.scene)
-            work = functools.partial(together, hypotheses, seeds, self._observed)
-            left = self.deadline - time.perf_counter()
-            try:
-                results = ended_in_time(work, min(self.limit * len(seeds), left), [self._stop])
-            except TimeoutError:
-                if time.perf_counter() >= self.deadline:
-                    raise OutOfTime("the time of the run is over") from None
-                results = [
-                    SimulationResult.failed(h, seed, self.n_frames, too_long(self.limit))
+
+            def failed(reason: str) -> list[SimulationResult]:
+                return [
+                    SimulationResult.failed(h, seed, self.n_frames, reason)
                     for h, seed, _ in requests
                 ]
+
+            work = functools.partial(together, hypotheses, seeds, self._observed)
+            results = in_time(work, failed, self._limit() * len(seeds), [self._stop], self.deadline)
         self._check_cancelled()
         for result in results:
             self._count(result)

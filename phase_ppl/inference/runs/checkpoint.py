@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
 import jax
 
@@ -23,7 +23,6 @@ from phase_ppl.inference.runs.packing import (
     unpacked_leaf,
     unpacked_records,
     unpacked_steps,
-    without_nan,
 )
 from phase_ppl.inference.runs.plan import Plan, fields_of, stored_model, stored_options
 from phase_ppl.models.bridge import Record
@@ -33,10 +32,8 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.files import as_path
 from phase_ppl.world.identity import event_digest
 
-Made = TypeVar("Made")
-
-_TARGET: Final = {"iterations", "seconds"}
-_FAILURES: Final = {"on_failure", "retries"}
+_TARGET: Final = ("iterations", "seconds")
+_FAILURES: Final = ("on_failure", "retries")
 
 SCHEMA: Final = "phase-ppl-checkpoint-1"
 
@@ -119,9 +116,8 @@ class Checkpoint:
         if event_digest(self.event) != self.identity["event"]:
             raise ValueError("its event is not that of the run")
         self.target, self.failures = dict(document["target"]), dict(document["failures"])
-        for known, fields in ((self.target, _TARGET), (self.failures, _FAILURES)):
-            if not known.keys() >= fields:
-                raise ValueError(f"it does not say {sorted(fields - known.keys())}")
+        for known in (*_TARGET, *_FAILURES):
+            (self.target if known in _TARGET else self.failures)[known]
         again = document["again"]
         self.model: dict[str, Any] | None = again["model"]
         self.kernel: str | None = again["kernel"]
@@ -139,16 +135,12 @@ class Checkpoint:
         self.spent = Spent(**{**spent, "statistics": Statistics(**spent["statistics"])})
         with on_cpu():
             self._leaves = [
-                (str(name), unpacked_leaf(without_nan(self._arrays[f"state/{i}"]), kind))
+                (str(name), unpacked_leaf(self._arrays[f"state/{i}"], kind))
                 for i, (name, kind) in enumerate(document["state"])
             ]
 
-    def made(self, make: Callable[..., Made], given: Mapping[str, Any]) -> Made:
-        """Return what is made of a part of the file.
-
-        Raises:
-            InvalidEventError: nothing can be made of it.
-        """
+    def made(self, make: Callable[..., Any], given: Mapping[str, Any]) -> Any:
+        """Return what is made of a part of the file; raise InvalidEventError if nothing can be."""
         try:
             return make(**given)
         except Exception as error:  # it may hold anything

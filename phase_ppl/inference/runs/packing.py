@@ -28,15 +28,10 @@ def packed_leaf(leaf: Any) -> tuple[NDArray[Any], str | None]:
 
 def unpacked_leaf(values: NDArray[Any], kind: str | None) -> jax.Array:
     """Return the leaf that :func:`packed_leaf` was given."""
-    leaf = jnp.asarray(values)
-    return leaf if kind is None else random.wrap_key_data(leaf, impl=kind)
-
-
-def without_nan(values: NDArray[Any]) -> NDArray[Any]:
-    """Return ``values``; raise ValueError if one of them is no number, as no state has it."""
     if values.dtype.kind == "f" and np.isnan(values).any():
         raise ValueError("a value of its state is NaN")
-    return values
+    leaf = jnp.asarray(values)
+    return leaf if kind is None else random.wrap_key_data(leaf, impl=kind)
 
 
 # --- steps -----------------------------------------------------------------------------------
