@@ -196,7 +196,7 @@ class StepwisePosterior(Hypotheses):
         """
         check_output(path, (".nc",))
         how = {"fletcher32": True, "zlib": True, "complevel": 4}
-        write_bytes(path, (".nc",), netcdf_bytes({"/": self._found}, how))
+        write_bytes(path, (".nc",), netcdf_bytes({"/": self._found}, how, sealed=True))
         return Path(path)
 
     @classmethod

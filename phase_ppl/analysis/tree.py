@@ -185,7 +185,7 @@ def write_tree(tree: xr.DataTree, path: str | os.PathLike[str]) -> Path:
     """
     groups = {node.path: node.to_dataset(inherit=False) for node in tree.subtree}
     check_output(path, (".nc",))
-    write_bytes(path, (".nc",), netcdf_bytes(groups, {"fletcher32": True}))
+    write_bytes(path, (".nc",), netcdf_bytes(groups, {"fletcher32": True}, sealed=True))
     return Path(path)
 
 

@@ -8,6 +8,7 @@ The library ends the process where a disk is full, so that it never writes to on
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import io
 import os
 import re
@@ -32,6 +33,7 @@ _POSTERIORS: Final = ("phase-ppl-posterior-", "phase_ppl/stepwise/")
 _BYTES_PER_CHARACTER: Final = 4
 _ENTRIES_OF_ATTRIBUTE: Final = 32
 _ROOT: Final = "/"
+_SEAL: Final = "sha256"
 _FILL: Final = "_FillValue"
 _NUMBERS: Final = "biuf"
 
@@ -62,17 +64,22 @@ def is_hdf5(path: str | os.PathLike[str]) -> bool:
 # --- writing ---------------------------------------------------------------------------------
 
 
-def netcdf_bytes(groups: Mapping[str, xr.Dataset], how: Mapping[str, Any]) -> bytes:
+def netcdf_bytes(
+    groups: Mapping[str, xr.Dataset], how: Mapping[str, Any], *, sealed: bool = False
+) -> bytes:
     """Return groups as the content of a NetCDF 4 file.
 
     Args:
         groups: path, "/" of the root -> content.
         how: encoding of arrays of numbers, in xarray's terms; filters and checksums are for
             those that are not empty.
+        sealed: whether the root gets a checksum of everything, which :func:`read_netcdf` compares.
     """
     import h5netcdf
     from xarray.backends import H5NetCDFStore
 
+    if sealed:
+        groups = {**groups, _ROOT: groups[_ROOT].assign_attrs({_SEAL: _checksum(groups)})}
     memory = io.BytesIO()
     with h5netcdf.File(memory, "w") as file:
         for path, dataset in groups.items():
@@ -90,26 +97,45 @@ def netcdf_bytes(groups: Mapping[str, xr.Dataset], how: Mapping[str, Any]) -> by
     return memory.getvalue()
 
 
-def with_attribute(content: bytes, name: str, value: str) -> bytes:
-    """Return the content of an HDF5 file with another value of an attribute of its root."""
-    import h5py
+def with_event_id(content: bytes, event_id: str) -> bytes:
+    """Return the content of a posterior's file, told of which event it is."""
+    groups = read_netcdf(io.BytesIO(content))
+    groups[_ROOT].attrs["event_id"] = event_id
+    return netcdf_bytes(groups, {"fletcher32": True}, sealed=True)
 
-    memory = io.BytesIO(content)
-    with h5py.File(memory, "r+") as file:
-        file.attrs[name] = value
-    return memory.getvalue()
+
+def _checksum(groups: Mapping[str, xr.Dataset]) -> str:
+    """Return a hash of all that groups hold, as they are before and after they were in a file."""
+    digest = hashlib.sha256()
+
+    def add(*said: object) -> None:
+        digest.update(repr(said).encode(errors="surrogatepass"))
+
+    for path, dataset in sorted(groups.items()):
+        for name, value in sorted(dataset.attrs.items()):
+            if name != _SEAL:
+                add(path, str(name), np.asarray(value).tolist())
+        for key, variable in sorted(dataset.variables.items(), key=lambda item: str(item[0])):
+            values = variable.values
+            add(path, str(key), variable.dims, values.shape, sorted(variable.attrs))
+            if values.dtype.kind in _NUMBERS:
+                digest.update(values.dtype.str.encode() + np.ascontiguousarray(values).tobytes())
+            else:
+                add(np.asarray(values, object).tolist())
+    return digest.hexdigest()
 
 
 # --- reading ---------------------------------------------------------------------------------
 
 
-def read_netcdf(path: str | os.PathLike[str]) -> Groups:
+def read_netcdf(path: str | os.PathLike[str] | BinaryIO) -> Groups:
     """Return the groups of a NetCDF 4 file, in memory, if there is no harm in it.
 
     Characters of attributes that would move the cursor of a terminal are replaced.
 
     Raises:
-        InvalidEventError: it cannot be read, or is not plain (:func:`check_hdf5`).
+        InvalidEventError: it cannot be read, is not plain (:func:`check_hdf5`), or is not what its
+            checksum says.
     """
     import xarray as xr
 
@@ -120,6 +146,13 @@ def read_netcdf(path: str | os.PathLike[str]) -> Groups:
         for group in (_ROOT, *_names_of_groups(path)):
             with xr.open_dataset(path, engine="h5netcdf", decode_times=False, group=group) as one:
                 found[group] = one.load().drop_encoding()
+    seal = found[_ROOT].attrs.get(_SEAL)
+    if seal is not None and seal != _checksum(found):
+        raise InvalidEventError(
+            f"its content is not what {_SEAL} says: damaged, or edited; an edited file is read "
+            f"without the attribute {_SEAL}"
+        )
+    found[_ROOT].attrs.pop(_SEAL, None)
     for dataset in found.values():
         dataset.attrs = {name: _plain(value) for name, value in dataset.attrs.items()}
     return found
@@ -249,7 +282,7 @@ class _Check:
                 yield np.ravel(array[place]).tolist()
 
 
-def _names_of_groups(path: str | os.PathLike[str]) -> list[str]:
+def _names_of_groups(path: str | os.PathLike[str] | BinaryIO) -> list[str]:
     import h5py
 
     with h5py.File(path, "r") as file:

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from phase_ppl.dataset.hdf5 import SIGNATURE, with_attribute
+from phase_ppl.dataset.hdf5 import SIGNATURE, with_event_id
 from phase_ppl.evaluation.answer import Predict
 from phase_ppl.evaluation.evaluation import Evaluation, cost_of
 from phase_ppl.evaluation.folder import METRICS, POSTERIOR, ResultsFolder
@@ -216,5 +216,5 @@ def _write(folder: Path, artefacts: Mapping[str, bytes], event_id: str) -> None:
     for name, content in artefacts.items():
         if name == POSTERIOR and content.startswith(SIGNATURE):
             # the model did not know of which event it is
-            content = with_attribute(content, "event_id", event_id)
+            content = with_event_id(content, event_id)
         (folder / name).write_bytes(content)

@@ -151,11 +151,30 @@ def test_what_a_terminal_would_obey_is_taken_out_of_a_posterior(
     path = tmp_path / "run.nc"
     path.write_bytes(posterior)
     with h5py.File(path, "r+") as file:
+        del file.attrs["sha256"]
         file.attrs["event_id"] = "one\x1b[2J\x9btwo"
         file.attrs["settings"] = '{"kernel": {"name": "\\u001b[31m"}, "chains": 1}'
     post = Posterior.load(path)
     assert post.event_id == "one\ufffd[2J\ufffdtwo"
     assert post.settings["kernel"]["name"] == "\ufffd[31m"
+
+
+@pytest.mark.parametrize("place", ["weights", "settings", "posterior/alpha", "a label"])
+def test_a_posterior_that_is_not_what_it_was_is_refused(
+    tmp_path: Path, posterior: bytes, place: str
+) -> None:
+    path = tmp_path / "run.nc"
+    path.write_bytes(posterior)
+    with h5py.File(path, "r+") as file:
+        if place == "posterior/alpha":
+            file[place][0, 0] += 1
+        elif place == "a label":
+            labels = file["observed_data/entity"]
+            labels[0] = "rod agent"
+        else:
+            file.attrs[place] += " "
+    with pytest.raises(InvalidEventError, match="its content is not what sha256 says"):
+        Posterior.load(path)
 
 
 def test_texts_are_read_a_few_at_a_time_and_come_back(tmp_path: Path) -> None:

@@ -216,6 +216,7 @@ def watch(
 
 
 def _parts(model: Model) -> tuple[StepwiseLikelihood, PlannerConfig]:
+    instance_of("model", model, Model, "a phase_ppl.Model")
     likelihood, planner = model.likelihood, model.planner
     if not isinstance(likelihood, StepwiseLikelihood):
         raise InvalidSettingError(
