@@ -18,6 +18,7 @@ from PIL import Image
 
 import phase_ppl
 from phase_ppl.cli import main
+from phase_ppl.world.files import locked
 from phase_ppl.world.goals import GOALS
 from tests.analysis.factory import Simulation, hypothesis, make_tree
 from tests.inference.toy import walkers, walking_event
@@ -50,6 +51,31 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_infer_writes_posterior_summary_figure_and_film(results: Path) -> None:
     for name in ("posterior.nc", "summary.json", "posterior.png", "replay.mp4"):
         assert (results / name).stat().st_size > 1000
+
+
+def test_results_of_another_run_are_not_overwritten_unless_told_to(
+    results: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    before = {path.name: path.read_bytes() for path in results.iterdir()}
+    command = ["infer", "collaborate", *TINY, "--out"]
+    told = "holds results already (posterior.nc, summary.json, posterior.png, replay.mp4)"
+    assert told in fails(capsys, *command, str(results))
+    assert {path.name: path.read_bytes() for path in results.iterdir()} == before
+    with locked(results):
+        error = fails(capsys, *command, str(results), "--overwrite")
+        assert "another process is at work" in error
+    monkeypatch.setattr(phase_ppl.Model, "build_simulator", lambda self: walkers)
+    event = tmp_path / "walk.json"
+    phase_ppl.save_event(walking_event(), event)
+    for name in ("posterior.nc", "why.png"):
+        (tmp_path / name).write_text("of another run")
+    command[1] = str(event)
+    assert main([*command, str(tmp_path), "--overwrite", "--kernel", "prior_mh"]) == 0
+    assert phase_ppl.load_posterior(tmp_path / "posterior.nc").event_id == "walk"
+    assert not (tmp_path / "why.png").exists()
 
 
 def test_summary_has_all_its_parts(results: Path) -> None:
@@ -134,6 +160,10 @@ def test_compare_writes_table_and_figure(
     assert main(["compare", str(event), *kernels, *tiny, "--out", str(tmp_path)]) == 0
     assert "TV goals" in capsys.readouterr().out
     assert (tmp_path / "comparison.png").stat().st_size > 1000
+    again = ["compare", str(event), *kernels, *tiny, "--out", str(tmp_path)]
+    assert "holds results already (comparison.json, " in fails(capsys, *again)
+    kept = ["--checkpoint", str(tmp_path / "comparison.json")]
+    assert "(comparison.png)" in fails(capsys, *again, *kept)
     record = json.loads((tmp_path / "comparison.json").read_text())
     assert record["runs"]["kernel"] == ["prior_mh"]
 

@@ -12,7 +12,7 @@ from phase_ppl.physics.jit import bare_kernel
 from phase_ppl.world.rooms import N_ROOMS, ROOMS_OF_RAY, UNREACHABLE
 from phase_ppl.world.scene import Scene
 
-DISTANCE_UNIT: Final = 20.0 * math.sqrt(2.0)
+DISTANCE_UNIT: Final[float] = 20.0 * math.sqrt(2.0)
 """Length by which distances are divided in rewards and proposals: the arena's diagonal."""
 
 ROOM_POINT_INSET: Final = 1.25

@@ -7,6 +7,7 @@ import os
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior, is_stepwise
 from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.files import existing_file
 
 
 def load_posterior(
@@ -23,7 +24,7 @@ def load_posterior(
         InvalidSettingError: weights for one that has no draws.
         UnknownNameError: there are no such weights.
     """
-    if not is_stepwise(path):
+    if not is_stepwise(existing_file(path)):
         return Posterior.load(path, weights)
     if weights is not None:
         raise InvalidSettingError(

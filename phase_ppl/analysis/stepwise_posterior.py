@@ -25,8 +25,9 @@ from phase_ppl.analysis.stepwise_print import stepwise_summary, stepwise_table
 from phase_ppl.analysis.stepwise_table import SCHEMA, STRENGTHS, Table, check
 from phase_ppl.analysis.weights import log_sum_exp
 from phase_ppl.analysis.why import why
+from phase_ppl.dataset.hdf5 import netcdf_bytes, read_netcdf, root_attribute
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
-from phase_ppl.world.files import atomic_output, existing_file
+from phase_ppl.world.files import check_output, existing_file, write_bytes
 from phase_ppl.world.goals import GOALS, N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
 from phase_ppl.world.scene import Scene
@@ -193,13 +194,9 @@ class StepwisePosterior(Hypotheses):
         Raises:
             OutputError: the file cannot be written there, or its name does not end in .nc.
         """
-        encoding = {
-            str(name): {"fletcher32": True, "zlib": True, "complevel": 4}
-            for name, variable in self._found.variables.items()
-            if variable.ndim and variable.size and variable.dtype.kind in "biuf"
-        }
-        with atomic_output(path, (".nc",)) as part:
-            self._found.to_netcdf(part, engine="h5netcdf", encoding=encoding)
+        check_output(path, (".nc",))
+        how = {"fletcher32": True, "zlib": True, "complevel": 4}
+        write_bytes(path, (".nc",), netcdf_bytes({"/": self._found}, how, sealed=True))
         return Path(path)
 
     @classmethod
@@ -213,14 +210,7 @@ class StepwisePosterior(Hypotheses):
         """
         source = existing_file(path)
         try:
-            with xr.open_dataset(source, engine="h5netcdf", decode_times=False) as stored:
-                found = stored.load().drop_encoding()
-        except Exception as error:  # whatever a damaged file makes the reader stumble over
-            reason = " ".join(str(error).split())
-            raise InvalidEventError(f"{source} cannot be read as NetCDF: {reason}") from error
-        found.attrs = {k: v.item() if hasattr(v, "item") else v for k, v in found.attrs.items()}
-        try:
-            return cls(found, scenario=scenario)
+            return cls(read_netcdf(source)["/"], scenario=scenario)
         except InvalidEventError as error:
             raise InvalidEventError(f"{source}: {error}") from None
 
@@ -250,11 +240,4 @@ class StepwisePosterior(Hypotheses):
 
 def is_stepwise(path: str | os.PathLike[str]) -> bool:
     """Whether a file holds a posterior that was read step by step."""
-    import h5py
-
-    try:
-        with h5py.File(path, "r") as file:
-            schema = file.attrs.get("schema", "")
-    except OSError:
-        return False
-    return str(schema.decode() if isinstance(schema, bytes) else schema) == SCHEMA
+    return root_attribute(path, "schema") == SCHEMA

@@ -17,8 +17,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from phase_ppl.dataset.hdf5 import netcdf_bytes, read_netcdf
 from phase_ppl.world.errors import InvalidEventError
-from phase_ppl.world.files import atomic_output, existing_file
+from phase_ppl.world.files import check_output, existing_file, write_bytes
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS
 
@@ -220,25 +221,10 @@ def write_tree(tree: xr.DataTree, path: str | os.PathLike[str]) -> Path:
     Raises:
         OutputError: the file cannot be written there, or its name does not end in .nc.
     """
-    encoding = {
-        node.path: {
-            str(name): {"fletcher32": True}
-            for name, variable in node.to_dataset(inherit=False).variables.items()
-            if variable.ndim and variable.size and variable.dtype.kind in "biuf"
-        }
-        for node in tree.subtree
-    }
-    with atomic_output(path, (".nc",)) as part:
-        tree.to_netcdf(part, engine="h5netcdf", encoding=encoding)
+    groups = {node.path: node.to_dataset(inherit=False) for node in tree.subtree}
+    check_output(path, (".nc",))
+    write_bytes(path, (".nc",), netcdf_bytes(groups, {"fletcher32": True}, sealed=True))
     return Path(path)
-
-
-def name_event(path: str | os.PathLike[str], event_id: str) -> None:
-    """Write into the file of a posterior of which event it is; all else stays."""
-    import h5py
-
-    with h5py.File(path, "r+") as file:
-        file.attrs["event_id"] = event_id
 
 
 def read_tree(path: str | os.PathLike[str]) -> xr.DataTree:
@@ -249,22 +235,7 @@ def read_tree(path: str | os.PathLike[str]) -> xr.DataTree:
     """
     source = existing_file(path)
     try:
-        # times stay plain numbers: "seconds" must not turn into a time type
-        with xr.open_datatree(source, engine="h5netcdf", decode_times=False) as stored:
-            stored.load()
-            tree = xr.DataTree.from_dict(
-                {
-                    node.path: node.to_dataset(inherit=False).drop_encoding()
-                    for node in stored.subtree
-                }
-            )
-    except Exception as error:  # whatever a damaged file makes the reader stumble over
-        reason = " ".join(str(error).split())
-        raise InvalidEventError(f"{source} cannot be read as NetCDF: {reason}") from error
-    for node in tree.subtree:
-        node.attrs = {k: v.item() if hasattr(v, "item") else v for k, v in node.attrs.items()}
-    try:
-        tree = _up_to_date(tree)
+        tree = _up_to_date(xr.DataTree.from_dict(dict(read_netcdf(source))))
         check_tree(tree)
     except InvalidEventError as error:
         raise InvalidEventError(f"{source}: {error}") from None

@@ -1,5 +1,41 @@
 """The terminal: ``phase-ppl infer | query | evaluate | ...``, a file each."""
 
-from phase_ppl.cli.main import main
+from __future__ import annotations
 
-__all__ = ["main"]
+import contextlib
+import os
+import sys
+from collections.abc import Sequence
+
+BAD_INPUT = 2
+INTERRUPTED = 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; return the exit code.
+
+    It is 0, or 1 where something failed that did not stop the rest, 2 for bad input, 130 where
+    interrupted, 141 where output was not read to its end.
+    """
+    try:
+        # imported here, so that Ctrl-C is heard from the first moment on
+        from phase_ppl.cli.commands import run
+
+        if sys.stdout is not None and hasattr(sys.stdout, "reconfigure"):
+            # where a letter cannot be printed, its number is
+            sys.stdout.reconfigure(errors="backslashreplace")
+        code = run(arguments)
+        if sys.stdout is not None:  # it was closed
+            sys.stdout.flush()
+        return code
+    except KeyboardInterrupt:
+        print("phase-ppl: interrupted", file=sys.stderr)
+        return INTERRUPTED
+    except OSError as error:
+        # of "| head", or of a full disk; Python must not try to write the rest at its end
+        with contextlib.suppress(OSError, AttributeError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if isinstance(error, BrokenPipeError):
+            return 141
+        print(f"phase-ppl: error: {' '.join(str(error).split())}", file=sys.stderr)
+        return BAD_INPUT

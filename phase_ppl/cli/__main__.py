@@ -2,7 +2,7 @@
 
 import sys
 
-from phase_ppl.cli.main import main
+from phase_ppl.cli import main
 
 if __name__ == "__main__":
     sys.exit(main())

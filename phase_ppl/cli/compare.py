@@ -5,22 +5,30 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Final
 
 import phase_ppl
 from phase_ppl.cli.shared import (
     BUDGET,
     INTERRUPTED,
+    add_overwrite,
     add_progress,
     budget,
     command,
     load,
     option_value,
+    results_folder,
     shows_progress,
     whole,
-    writable_folder,
 )
 from phase_ppl.world.errors import InvalidSettingError
+
+if TYPE_CHECKING:
+    from phase_ppl.world.event import Event
+
+
+COMPARISON: Final = "comparison.json"
+FIGURE: Final = "comparison.png"
 
 
 def add_to(commands: Any) -> None:
@@ -64,12 +72,21 @@ def add_to(commands: Any) -> None:
         "--checkpoint", metavar="FILE", type=Path, help=".json; keeps and takes up finished runs"
     )
     parser.add_argument("--out", metavar="DIR", type=Path, help="for the runs and a figure")
+    add_overwrite(parser)
     add_progress(parser)
 
 
 def _compare(options: argparse.Namespace) -> int:
     event = load(options)
-    out = None if options.out is None else writable_folder(options.out)
+    names = [COMPARISON, FIGURE]
+    if options.out is not None and options.checkpoint is not None:
+        kept = options.checkpoint.resolve()
+        names = [name for name in names if (options.out / name).resolve() != kept]
+    with results_folder(options.out, names, options.overwrite) as out:
+        return _compared(event, out, options)
+
+
+def _compared(event: Event, out: Path | None, options: argparse.Namespace) -> int:
     interrupted = False
     try:
         found = phase_ppl.compare(
@@ -96,9 +113,9 @@ def _compare(options: argparse.Namespace) -> int:
     if out is None:
         print("\nNothing was saved; --out DIR keeps the table, the runs and a figure.")
     else:
-        found.save(out / "comparison.json")
-        phase_ppl.plot.comparison(found, path=out / "comparison.png")
-        print(f"\nWritten to {out}: comparison.json, comparison.png")
+        found.save(out / COMPARISON)
+        phase_ppl.plot.comparison(found, path=out / FIGURE)
+        print(f"\nWritten to {out}: {COMPARISON}, {FIGURE}")
     return INTERRUPTED if interrupted else 0
 
 

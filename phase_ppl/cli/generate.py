@@ -11,7 +11,14 @@ from pathlib import Path
 from typing import Any, Final
 
 import phase_ppl
-from phase_ppl.cli.shared import FAILED, INTERRUPTED, add_progress, shows_progress, whole
+from phase_ppl.cli.shared import (
+    FAILED,
+    INTERRUPTED,
+    add_other_versions,
+    add_progress,
+    shows_progress,
+    whole,
+)
 from phase_ppl.dataset.generation.generate import PRESETS, GenerationInterrupted, generate
 from phase_ppl.dataset.generation.plan import PHASE500
 from phase_ppl.dataset.generation.store import GeneratedEvents, verify
@@ -83,6 +90,7 @@ def add_to(commands: Any) -> None:
         description="Compare a generated data set with its checksums.",
         epilog="example: phase-ppl verify events",
     )
+    add_other_versions(command)
     check.set_defaults(run=_verify)
     check.add_argument("folder", metavar="DIR", type=Path)
 
@@ -102,6 +110,7 @@ def _generate(options: argparse.Namespace) -> int:
             workers=options.workers,
             keep_rejected=options.keep_rejected,
             resume=options.resume,
+            other_versions=options.other_versions,
             progress=shows_progress(options),
         )
     except GenerationInterrupted as stopped:

@@ -17,6 +17,8 @@ from phase_ppl.cli.shared import (
     BUDGET,
     INTERRUPTED,
     POSTERIOR,
+    add_other_versions,
+    add_overwrite,
     add_progress,
     budget,
     command,
@@ -24,11 +26,11 @@ from phase_ppl.cli.shared import (
     named_value,
     one_line,
     report_hint,
+    results_folder,
     shows_progress,
     whole,
-    writable_folder,
 )
-from phase_ppl.cli.watch import MODELS, model_of, watched, write_reading
+from phase_ppl.cli.watch import MODELS, READING, model_of, watched, write_reading
 from phase_ppl.world.errors import InvalidSettingError, OutputError, PhasePPLError
 from phase_ppl.world.files import write_json
 
@@ -39,6 +41,9 @@ if TYPE_CHECKING:
 
 CHECKPOINT: Final = "run.ckpt"
 """The file in the folder of results that holds an unfinished run."""
+
+_SAMPLED: Final = (POSTERIOR, "summary.json", "posterior.png", "replay.mp4")
+_RESULTS: Final = tuple(dict.fromkeys((*_SAMPLED, *READING)))
 
 
 def add_to(commands: Any) -> None:
@@ -79,6 +84,7 @@ def add_to(commands: Any) -> None:
     infer.add_argument(
         "--out", metavar="DIR", type=Path, help="for the posterior, a figure and a film"
     )
+    add_overwrite(infer)
     _add_means(infer)
 
     resume = commands.add_parser(
@@ -90,6 +96,8 @@ def add_to(commands: Any) -> None:
     resume.set_defaults(run=_resume)
     resume.add_argument("file", metavar="FILE", type=Path, help="the run.ckpt that it left")
     resume.add_argument("--out", metavar="DIR", type=Path, help="default: where FILE is")
+    add_overwrite(resume)
+    add_other_versions(resume)
     _add_means(resume)
 
 
@@ -115,6 +123,12 @@ def _add_means(command: argparse.ArgumentParser) -> None:
         "iterations or more, else none",
     )
     command.add_argument(
+        "--simulation-seconds",
+        metavar="S",
+        type=float,
+        help="a simulation that takes longer has failed; default: none has",
+    )
+    command.add_argument(
         "--keep-checkpoint",
         action="store_true",
         help=f"keep {CHECKPOINT} when the run is complete, to extend it",
@@ -126,37 +140,47 @@ def _infer(options: argparse.Namespace) -> int:
     event = load(options)
     if options.watch and (options.model != "stepwise" or options.kernel is not None):
         raise InvalidSettingError("--watch needs --model stepwise, and no kernel")
-    out = None if options.out is None else writable_folder(options.out)
-    kept = None if out is None else out / CHECKPOINT
+    kept = None if options.out is None else options.out / CHECKPOINT
     if kept is not None and kept.exists():
         raise OutputError(
             f"{kept} holds an unfinished run: continue it with 'phase-ppl resume {kept}', or "
             "delete it"
         )
-    if options.watch:
-        return watched(event, out, options)
-    exact = options.model == "stepwise" and options.kernel is None
-    run = functools.partial(
-        phase_ppl.infer,
-        event,
-        model_of(options),
-        kernel=options.kernel,
-        seed=options.seed,
-        checkpoint=None if exact else kept,
-        **({} if options.chains is None else {"chains": options.chains}),
-        **_means(options),
-        **_kernel_options(options.option),
-    )
-    return _finish(run, event, out, kept, options)
+    with results_folder(options.out, _RESULTS, options.overwrite) as out:
+        if options.watch:
+            return watched(event, out, options)
+        exact = options.model == "stepwise" and options.kernel is None
+        run = functools.partial(
+            phase_ppl.infer,
+            event,
+            model_of(options),
+            kernel=options.kernel,
+            seed=options.seed,
+            checkpoint=None if exact else kept,
+            **({} if options.chains is None else {"chains": options.chains}),
+            **_means(options),
+            **_kernel_options(options.option),
+        )
+        return _finish(run, event, out, kept, options)
 
 
 def _resume(options: argparse.Namespace) -> int:
     from phase_ppl.inference.runs.checkpoint import Checkpoint
 
-    out = writable_folder(options.file.parent if options.out is None else options.out)
     event = Checkpoint(options.file).event
-    run = functools.partial(phase_ppl.resume, options.file, **_means(options))
-    return _finish(run, event, out, options.file, options)
+    own = options.file.parent
+    # what is beside the file is of the same run
+    elsewhere = options.out is not None and options.out.resolve() != own.resolve()
+    with results_folder(
+        options.out or own, _RESULTS if elsewhere else (), options.overwrite
+    ) as out:
+        run = functools.partial(
+            phase_ppl.resume,
+            options.file,
+            other_versions=options.other_versions,
+            **_means(options),
+        )
+        return _finish(run, event, out, options.file, options)
 
 
 def _finish(
@@ -196,7 +220,10 @@ def _finish(
 
 
 def _means(options: argparse.Namespace) -> dict[str, Any]:
-    given = ("iterations", "budget", "workers", "on_failure", "retries", "burn_in")
+    given = (
+        *("iterations", "budget", "workers", "on_failure", "retries"),
+        *("simulation_seconds", "burn_in"),
+    )
     found = {name: getattr(options, name) for name in given}
     return {
         "progress": shows_progress(options),
@@ -222,8 +249,10 @@ def _write_results(post: Posterior | StepwisePosterior, event: Event, out: Path)
         write_json(out / "summary.json", post.summary())
         phase_ppl.plot.posterior(post, path=out / "posterior.png")
         phase_ppl.render.video(event, out / "replay.mp4", compare=post.replay())
-        written = [POSTERIOR, "summary.json", "posterior.png", "replay.mp4"]
+        written: tuple[str, ...] = _SAMPLED
     else:
         written = write_reading(post, out)
+    for name in set(_RESULTS) - set(written):  # of another run, which was to be overwritten
+        (out / name).unlink(missing_ok=True)
     print(f"\nWritten to {out}: {', '.join(written)}")
     print(report_hint(out))

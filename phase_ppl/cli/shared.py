@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import shlex
-import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import phase_ppl
-from phase_ppl.world.errors import InvalidEventError, OutputError
+from phase_ppl.cli import BAD_INPUT as BAD_INPUT
+from phase_ppl.cli import INTERRUPTED as INTERRUPTED
+from phase_ppl.world.errors import InvalidEventError, OutputError, shown
 from phase_ppl.world.event import Event
+from phase_ppl.world.files import as_path, locked, writable_folder
 
 if TYPE_CHECKING:
     from phase_ppl.analysis.posterior import Posterior
     from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 
 FAILED: Final = 1
-BAD_INPUT: Final = 2
-INTERRUPTED: Final = 130
-BROKEN_PIPE: Final = 141
 
 POSTERIOR: Final = "posterior.nc"
 """The file in the folder of results that holds the posterior."""
@@ -43,7 +43,7 @@ def posterior(path: Path, weights: str | None = None) -> Posterior | StepwisePos
     Raises:
         InvalidEventError: there is no such file, or none in the folder.
     """
-    if not path.is_dir():
+    if not as_path(path).is_dir():
         return phase_ppl.load_posterior(path, weights)
     if not (path / POSTERIOR).is_file():
         kept = min(path.glob(f"events/*/{POSTERIOR}"), default=None)
@@ -69,17 +69,6 @@ def check_suffix(out: Path, suffixes: Sequence[str]) -> str:
     return suffix
 
 
-def writable_folder(folder: Path) -> Path:
-    """Create ``folder`` and check that it can be written, before any work is done."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        raise OutputError(f"cannot write into folder {folder}: {error.strerror or error}") from None
-    return folder
-
-
 class Parser(argparse.ArgumentParser):
     """Reports a usage error in one line, exit code 2."""
 
@@ -94,9 +83,9 @@ def whole(minimum: int) -> Any:
         try:
             value = int(text)
         except ValueError:
-            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
+            raise argparse.ArgumentTypeError(f"{shown(text)} is not a whole number") from None
         if value < minimum:
-            raise argparse.ArgumentTypeError(f"{value} is too small, expected at least {minimum}")
+            raise argparse.ArgumentTypeError(f"{text} is too small, expected at least {minimum}")
         return value
 
     return parse
@@ -134,7 +123,7 @@ def budget(text: str) -> Any:
             return phase_ppl.seconds(float(text[:-1]))
         return phase_ppl.simulations(int(text))
     except ValueError:  # of ours too
-        raise argparse.ArgumentTypeError(f"{text!r} is no budget; expected {BUDGET}") from None
+        raise argparse.ArgumentTypeError(f"{shown(text)} is no budget; expected {BUDGET}") from None
 
 
 def add_progress(parser: argparse.ArgumentParser) -> None:
@@ -146,6 +135,49 @@ def add_progress(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="a progress bar also where the errors go to a file; default: only in a terminal",
     )
+
+
+def add_other_versions(parser: argparse.ArgumentParser) -> None:
+    """Add the option of commands that go on with what was begun."""
+    parser.add_argument(
+        "--other-versions",
+        action="store_true",
+        help="go on although it was begun by other versions; both are recorded",
+    )
+
+
+def add_overwrite(parser: argparse.ArgumentParser) -> None:
+    """Add the option that :func:`results_folder` reads."""
+    parser.add_argument(
+        "--overwrite", action="store_true", help="replace the results that are in DIR"
+    )
+
+
+@contextlib.contextmanager
+def results_folder(
+    out: Path | None, names: Sequence[str], overwrite: bool
+) -> Iterator[Path | None]:
+    """Keep the folder of results to this process, from before any work is done.
+
+    Args:
+        out: the folder; None: nothing is kept.
+        names: of files that are results.
+        overwrite: whether it may hold some, which are then deleted.
+
+    Raises:
+        OutputError: it cannot be written, another process is at work in it, or it holds results.
+    """
+    if out is None:
+        yield None
+        return
+    with locked(writable_folder(out)):
+        there = [name for name in names if (out / name).exists()]
+        if there and not overwrite:
+            raise OutputError(
+                f"{out} holds results already ({', '.join(there)}): name another folder, or "
+                "--overwrite"
+            )
+        yield out
 
 
 def shows_progress(options: argparse.Namespace) -> bool | None:

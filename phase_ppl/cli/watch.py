@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 MODELS: Final = ("simple", "stepwise")
 
 FILM: Final = "watch.mp4"
+READING: Final = (POSTERIOR, "summary.json", "posterior.png", "over_time.png", "why.png", FILM)
+"""Files of results."""
 
 _BAR: Final = 24
 _NAME: Final = 32
@@ -71,7 +73,7 @@ def watched(event: Event, out: Path | None, options: argparse.Namespace) -> int:
     return code
 
 
-def write_reading(post: StepwisePosterior, out: Path) -> list[str]:
+def write_reading(post: StepwisePosterior, out: Path) -> tuple[str, ...]:
     """Write the posterior, a summary, figures and the film into ``out``; return their names."""
     best, second = (name for name, _ in post.top("relation", 2))
     post.save(out / POSTERIOR)
@@ -80,7 +82,7 @@ def write_reading(post: StepwisePosterior, out: Path) -> list[str]:
     phase_ppl.plot.over_time(post, path=out / "over_time.png")
     phase_ppl.plot.why(post, f"relation={best}", f"relation={second}", path=out / "why.png")
     phase_ppl.watch_film(post, out / FILM)
-    return [POSTERIOR, "summary.json", "posterior.png", "over_time.png", "why.png", FILM]
+    return READING
 
 
 class _Screen:

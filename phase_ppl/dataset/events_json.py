@@ -56,6 +56,7 @@ from phase_ppl.dataset.fields import (
     read_observation,
     require,
 )
+from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.event import Event, Truth
 from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS
@@ -156,6 +157,7 @@ def event_record(event: Event) -> dict[str, Any]:
     Raises:
         InvalidEventError: the id is no printable text.
     """
+    instance_of("event", event, Event, "a phase_ppl.Event")
     scene, truth = event.scene, event.truth
     x0, x1, y0, y1 = scene.arena
     record: dict[str, Any] = {

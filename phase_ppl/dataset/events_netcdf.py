@@ -17,10 +17,10 @@ from __future__ import annotations
 import contextlib
 import functools
 import hashlib
+import io
 import json
 import os
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from phase_ppl.dataset.events_json import EVENT_FORMAT, EVENTS_FORMAT, event_record, to_text
 from phase_ppl.dataset.fields import Entries, event_id
-from phase_ppl.dataset.hdf5 import check_hdf5
+from phase_ppl.dataset.hdf5 import check_hdf5, netcdf_bytes, reading
 from phase_ppl.dataset.xarrays import LABELS, event_dataset, event_from_dataset
 from phase_ppl.world.errors import InvalidEventError, shown
 from phase_ppl.world.event import Event
@@ -47,7 +47,7 @@ def read(path: str | os.PathLike[str]) -> Entries:
         InvalidEventError: damaged, too large, or no file of events.
     """
     check_hdf5(path)
-    with _reading(), _opened(path) as stored:
+    with reading(), xr.open_dataset(path, engine="h5netcdf", decode_times=False) as stored:
         dataset = stored.load()
     tag = _format(dataset)
     if tag == EVENT_FORMAT:
@@ -60,21 +60,6 @@ def read(path: str | os.PathLike[str]) -> Entries:
         ]
     what = "has no format" if tag is None else f"has format {shown(tag)}"
     raise InvalidEventError(f"{what}, expected {EVENT_FORMAT!r} or {EVENTS_FORMAT!r}")
-
-
-def _opened(path: str | os.PathLike[str]) -> xr.Dataset:
-    return xr.open_dataset(path, engine="h5netcdf", decode_times=False)
-
-
-@contextlib.contextmanager
-def _reading() -> Iterator[None]:
-    try:
-        yield
-    except InvalidEventError:
-        raise
-    except Exception as error:  # whatever a damaged file makes the reader stumble over
-        reason = " ".join(str(error).split())
-        raise InvalidEventError(f"cannot be read as NetCDF: {reason}") from error
 
 
 def _format(dataset: xr.Dataset) -> str | None:
@@ -100,21 +85,16 @@ def many(events: Sequence[Event]) -> xr.Dataset:
     return _packed([one(event) for event in events])
 
 
-def write(dataset: xr.Dataset, path: Path) -> None:
-    """Write the content of a file.
+def to_bytes(dataset: xr.Dataset) -> bytes:
+    """Return the content of a file.
 
     Raises:
         InvalidEventError: it is larger than what can be read again.
     """
-    encoding: dict[str, dict[str, object]] = {}
-    for name, variable in dataset.variables.items():
-        if variable.dtype.kind not in "if":
-            continue
-        encoding[str(name)] = {"_FillValue": None}  # nothing but a strength is ever missing
-        if variable.ndim and variable.size:
-            encoding[str(name)]["fletcher32"] = True
-    dataset.to_netcdf(path, engine="h5netcdf", encoding=encoding)
-    check_hdf5(path)
+    # nothing but a strength is ever missing
+    content = netcdf_bytes({"/": dataset}, {"_FillValue": None, "fletcher32": True})
+    check_hdf5(io.BytesIO(content))
+    return content
 
 
 # --- checksums -------------------------------------------------------------------------------
@@ -165,7 +145,7 @@ def listing(path: str | os.PathLike[str]) -> Listing:
         InvalidEventError: damaged, too large, or no file of several events.
     """
     check_hdf5(path)
-    with _reading(), _opened(path) as dataset:
+    with reading(), xr.open_dataset(path, engine="h5netcdf", decode_times=False) as dataset:
         tag = _format(dataset)
         if tag != EVENTS_FORMAT:
             raise InvalidEventError(f"has format {shown(tag)}, expected {EVENTS_FORMAT!r}")
@@ -186,7 +166,7 @@ def opened(path: str | os.PathLike[str]) -> Iterator[Any]:
     """
     import h5py
 
-    with _reading():
+    with reading():
         file = h5py.File(path, "r")
     with file:
         yield file
@@ -201,7 +181,7 @@ def event_at(file: Any, listed: Listing, index: int) -> Event:
         InvalidEventError: it is damaged.
     """
     place, variables = listed.places[index], {}
-    with _reading():
+    with reading():
         for name, dims in listed.dims.items():
             array = file[name].asstr() if file[name].dtype.kind == "O" else file[name]
             value = array[tuple(place.get(dim, slice(None)) for dim in dims)]

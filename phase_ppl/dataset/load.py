@@ -17,6 +17,7 @@ from phase_ppl.dataset.bundled import bundled_events, load_bundled
 from phase_ppl.dataset.documents import read_document
 from phase_ppl.dataset.fields import Entries
 from phase_ppl.dataset.hdf5 import is_hdf5
+from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
@@ -25,7 +26,7 @@ from phase_ppl.world.errors import (
     unknown_name,
 )
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import atomic_output
+from phase_ppl.world.files import as_path, check_output, write_bytes
 from phase_ppl.world.scene import TURNINGS, Turning
 
 _JSON: Final = ".json"
@@ -99,7 +100,7 @@ def load_events(
         InvalidEventError, InvalidSettingError: as for :func:`load_event`.
     """
     _check_turning(turning)
-    folder = Path(path)
+    folder = as_path(path)
     if folder.is_dir() and any(
         (folder / name).is_file() for name in ("plan.json", "manifest.json")
     ):
@@ -119,6 +120,7 @@ def save_event(event: Event, path: PathLike) -> None:
         InvalidEventError: judgments or predictions hold something that JSON has no form for, or
             the id is no printable text.
     """
+    as_path(path)
     with naming(path):
         content = _netcdf().one(event) if _is_netcdf(path) else events_json.event_record(event)
     _write(content, path)
@@ -131,6 +133,11 @@ def save_events(events: Sequence[Event], path: PathLike) -> None:
         OutputError: the file cannot be written.
         InvalidEventError: no events, an id given twice, or as for :func:`save_event`.
     """
+    as_path(path)
+    instance_of("events", events, Sequence, "a list of events")
+    events = list(events)
+    for event in events:
+        instance_of("event", event, Event, "a phase_ppl.Event")
     with naming(path):
         check_ids([event.id for event in events])
         content = _netcdf().many(events) if _is_netcdf(path) else events_json.events_record(events)
@@ -148,14 +155,11 @@ def _netcdf() -> ModuleType:
 
 def _write(content: Any, path: PathLike) -> None:
     """Write a JSON object, or a Dataset for NetCDF."""
-    if _is_netcdf(path):
-        with naming(path), atomic_output(path, (_NETCDF,)) as part:
-            _netcdf().write(content, part)
-        return
+    check_output(path, SUFFIXES)  # what is wrong with the place is said before what is in it
     with naming(path):
-        text = events_json.to_text(content)
-    with atomic_output(path, SUFFIXES) as part:
-        part.write_text(text, encoding="utf-8")
+        netcdf = _is_netcdf(path)
+        text = _netcdf().to_bytes(content) if netcdf else events_json.to_text(content).encode()
+    write_bytes(path, SUFFIXES, text)
 
 
 def _entries(path: PathLike, format: str | None) -> Entries:
@@ -219,7 +223,7 @@ def turned(event: Event, turning: Turning) -> Event:
 
 def _bundled_name(path: PathLike) -> str | None:
     """Return the bundled event that a bare name stands for, unless a file has that name."""
-    plain = Path(path)
+    plain = as_path(path)
     if os.fspath(path) != plain.name or (plain.exists() and not plain.is_dir()):
         return None
     name, known = plain.name.removesuffix(".json"), bundled_events()

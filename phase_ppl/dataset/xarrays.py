@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from phase_ppl.dataset.documents import parse_document
 from phase_ppl.dataset.events_json import EVENT_FORMAT, event_from_record, to_text
 from phase_ppl.dataset.fields import event_id, per_name
+from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import InvalidEventError, shown
 from phase_ppl.world.event import Event
 from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS
@@ -78,6 +79,7 @@ def event_dataset(event: Event) -> xr.Dataset:
         InvalidEventError: judgments or predictions hold something that JSON has no form for, or
             the id is no printable text.
     """
+    instance_of("event", event, Event, "a phase_ppl.Event")
     scene, truth = event.scene, event.truth
     values: dict[str, Any] = {
         "trajectory": event.observation.trajectory,

@@ -11,10 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import loky
-
-from phase_ppl.analysis.tree import name_event
-from phase_ppl.dataset.hdf5 import is_hdf5
+from phase_ppl.dataset.hdf5 import SIGNATURE, with_event_id
 from phase_ppl.evaluation.answer import Predict
 from phase_ppl.evaluation.evaluation import Evaluation, cost_of
 from phase_ppl.evaluation.folder import METRICS, POSTERIOR, ResultsFolder
@@ -24,10 +21,10 @@ from phase_ppl.evaluation.registry import ReadyModel, ready
 from phase_ppl.evaluation.resuming import open_folder, settings_of
 from phase_ppl.evaluation.sources import all_events, judged
 from phase_ppl.evaluation.work import Job, Outcome, outcomes
-from phase_ppl.world.checks import whole_number
+from phase_ppl.world.checks import number_of_workers, whole_number
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import write_json
+from phase_ppl.world.files import locked, writable_folder, write_json
 
 if TYPE_CHECKING:
     from phase_ppl.evaluation.judgments import Study
@@ -108,39 +105,40 @@ def evaluate(
     """
     clock = time.monotonic()
     whole_number("seed", seed, minimum=0)
-    slots = loky.cpu_count() if workers is None else whole_number("workers", workers)
+    slots = number_of_workers(workers)
     chosen = judged(all_events(events, split), judgments)
     if limit is not None:
         chosen = chosen[: whole_number("limit", limit)]
     asked = ready(model, options)
     settings = settings_of(asked, seed, chosen)
-    folder: ResultsFolder | None = None
-    done: dict[str, Prediction] = {}
-    notes: list[str] = []
-    if out is not None:
-        folder, done, notes = open_folder(out, settings, chosen, resume)
-        settings = folder.settings
-    digests: Mapping[str, str] = settings["events"]
-    jobs = [
-        Job(event.id, event.scene, event.observation, event_seed(seed, digests[event.id]))
-        for event in sorted(chosen, key=lambda event: -event.observation.n_frames)
-        if event.id not in done
-    ]
-    session = _Session(asked, folder, done, slots if asked.parallel else 1, progress)
+    with locked(None if out is None else writable_folder(out)):
+        folder: ResultsFolder | None = None
+        done: dict[str, Prediction] = {}
+        notes: list[str] = []
+        if out is not None:
+            folder, done, notes = open_folder(out, settings, chosen, resume)
+            settings = folder.settings
+        digests: Mapping[str, str] = settings["events"]
+        jobs = [
+            Job(event.id, event.scene, event.observation, event_seed(seed, digests[event.id]))
+            for event in sorted(chosen, key=lambda event: -event.observation.n_frames)
+            if event.id not in done
+        ]
+        session = _Session(asked, folder, done, slots if asked.parallel else 1, progress)
 
-    def evaluation() -> Evaluation:
-        kept = {event.id: done[event.id] for event in chosen if event.id in done}
-        cost = cost_of(kept, session.workers, time.monotonic() - clock)
-        return Evaluation(chosen, kept, session.failures, settings, cost, folder, tuple(notes))
+        def evaluation() -> Evaluation:
+            kept = {event.id: done[event.id] for event in chosen if event.id in done}
+            cost = cost_of(kept, session.workers, time.monotonic() - clock)
+            return Evaluation(chosen, kept, session.failures, settings, cost, folder, tuple(notes))
 
-    try:
-        session.work(jobs, notes)
-    except KeyboardInterrupt as stop:
-        raise EvaluationInterrupted(evaluation()) from stop
-    found = evaluation()
-    if folder is not None:
-        write_json(folder.path / METRICS, found.metrics)
-    return found
+        try:
+            session.work(jobs, notes)
+        except KeyboardInterrupt as stop:
+            raise EvaluationInterrupted(evaluation()) from stop
+        found = evaluation()
+        if folder is not None:
+            write_json(folder.path / METRICS, found.metrics)
+        return found
 
 
 def event_seed(seed: int, digest: str) -> int:
@@ -216,7 +214,7 @@ class _Session:
 
 def _write(folder: Path, artefacts: Mapping[str, bytes], event_id: str) -> None:
     for name, content in artefacts.items():
+        if name == POSTERIOR and content.startswith(SIGNATURE):
+            # the model did not know of which event it is
+            content = with_event_id(content, event_id)
         (folder / name).write_bytes(content)
-    posterior = folder / POSTERIOR
-    if is_hdf5(posterior):  # the model did not know of which event it is
-        name_event(posterior, event_id)

@@ -33,7 +33,7 @@ from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.stored import check_metrics
 from phase_ppl.world.errors import InvalidEventError, OutputError, PhasePPLError
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import write_json
+from phase_ppl.world.files import writable_folder, write_json
 
 SCHEMA: Final = "phase-ppl-evaluation-1"
 """Value of ``schema`` in settings.json."""
@@ -77,10 +77,7 @@ class ResultsFolder:
         folder = Path(path)
         if holds_predictions(folder):
             raise OutputError(f"{folder} already holds an evaluation; resume it or name another")
-        try:
-            (folder / "events").mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise OutputError(f"cannot write into {folder}: {error.strerror or error}") from None
+        writable_folder(folder / "events")
         made = cls(folder, settings, events)
         made.update(settings, events)
         return made

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -12,6 +12,7 @@ from phase_ppl.dataset.load import load_events
 from phase_ppl.evaluation.folder import EVENTS, SETTINGS
 from phase_ppl.evaluation.references import reference_predictions
 from phase_ppl.evaluation.votes import event_judgments
+from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import InvalidEventError, shown
 from phase_ppl.world.event import Event
 
@@ -44,6 +45,7 @@ def all_events(
     elif isinstance(events, str | os.PathLike):
         sources = [(f" in {file}", load_events(file)) for file in _files(events)]
     else:
+        instance_of("events", events, Iterable, "a file, a folder or events")
         sources = [("", list(events))]
     seen: dict[str, str] = {}
     for where, found in sources:

@@ -40,8 +40,8 @@ from phase_ppl.models.socialgnn.store import Trained
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidEventError, OutputError, PhasePPLError, shown
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import write_json
-from phase_ppl.world.identity import differences
+from phase_ppl.world.files import writable_folder, write_json
+from phase_ppl.world.identity import differences, versions
 
 TRAINING, VALIDATION, TEST = "train", "validation", "test"
 """Splits of the set: networks learn from the first, the second says when to stop; where there is
@@ -94,17 +94,25 @@ def train_socialgnn(
     """
     needs_torch()
     settings = settings or TrainingSettings()
-    wanted = range(whole_number("seed", seed, 0), seed + whole_number("seeds", seeds))
+    n_seeds = whole_number("seeds", seeds, maximum=_MOST_SEEDS)
+    wanted = range(whole_number("seed", seed, 0), seed + n_seeds)
     found = GeneratedEvents(data)
     splits = {name: list(found.split(name)) for name in (TRAINING, VALIDATION)}
     if any(entry["split"] == TEST for entry in found.entries):
         splits[TEST] = list(found.split(TEST))
-    asked = {"settings": settings.to_dict(), "data": _identity(found, splits)}
+    asked = {
+        "settings": settings.to_dict(),
+        "data": _identity(found, splits),
+        "versions": versions(),
+    }
     folder = _prepared(Path(out), asked, resume)
     missing = [one for one in wanted if not _is_finished(folder, one)]
     if missing:
         _train(folder, missing, splits, settings, progress)
     return _finish(folder, wanted, splits, settings, asked, progress)
+
+
+_MOST_SEEDS: Final = 1000
 
 
 class _Epochs(Bar):
@@ -146,10 +154,7 @@ def _prepared(folder: Path, asked: dict[str, Any], resume: bool) -> Path:
         apart = differences(read_json(target), asked)
         if apart:
             raise OutputError(f"{folder} holds a training of something else: {'; '.join(apart)}")
-    try:
-        (folder / MEMBERS).mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"cannot write into {folder}: {error.strerror or error}") from None
+    writable_folder(folder / MEMBERS)
     if not target.exists():
         write_json(target, asked)
     return folder

@@ -28,11 +28,16 @@ from phase_ppl.models.model import Model
 from phase_ppl.models.program import event_salt
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown, unknown_name
 from phase_ppl.world.event import Event
+from phase_ppl.world.files import locked
+from phase_ppl.world.identity import versions, versions_so_far
 
 BUDGET: Final = Budget(500)
 REPEATS: Final = 8
 
 _ADDRESS: Final = re.compile(r" at 0x[0-9a-fA-F]+")
+
+_MOST_REPEATS: Final = 10**6
+_MAY_DIFFER: Final = ("kernels", "repeats", "reference", "event", "versions")
 
 
 class ComparisonInterrupted(KeyboardInterrupt):
@@ -109,8 +114,8 @@ def compare(
         raise InvalidEventError(f"{shown(event)} is no event; phase_ppl.load_event reads one")
     model = Model() if model is None else model
     settings = SimpleSettings() if settings is None else settings
-    whole_number("repeats", repeats)
-    whole_number("seed", seed, minimum=0)
+    repeats = whole_number("repeats", repeats, maximum=_MOST_REPEATS)
+    seed = whole_number("seed", seed, minimum=0)
     if weights not in WEIGHTINGS:
         raise unknown_name("weights", weights, WEIGHTINGS)
     if not dataclasses.is_dataclass(budget):
@@ -122,52 +127,56 @@ def compare(
     wanted = Reference.asked_for(reference, event, budget, chains, settings, weights)
     for contender in (*chosen, *wanted.contenders):
         contender.check(event, model, budget)
-    record = _Record(
-        {
-            "event": event.id,
-            "observed": event_salt(event.scene, event.observation),
-            "model": model.fingerprint(),
-            "kernels": {contender.label: contender.record() for contender in chosen},
-            "budget": described_budget(budget),
-            "chains": chains,
-            "repeats": repeats,
-            "seed": seed,
-            "weights": weights,
-            "reference": {"asked": wanted.record()},
-        },
-        checkpoint,
-    )
-    waiting = [(r, c) for r in range(repeats) for c in chosen if not record.has(c, r)]
-    shown_bar = is_shown(progress)
-    try:
-        with tqdm(total=len(waiting) + 1, disable=not shown_bar, unit="run") as bar:
-            bar.set_description("reference")
-            if record.reference is None:
-                found = reference_of(wanted, event, model, seed, workers)
-                found["truth"] = of_truth(found["marginals"], event.truth)
-                record.keep_reference(found)
-            bar.update()
-            marginals = {name: np.array(p) for name, p in record.reference["marginals"].items()}
-            for repeat, contender in waiting:
-                bar.set_description(f"{contender.label}, repeat {repeat + 1}")
-                run_seed = int(np.random.SeedSequence([seed, repeat]).generate_state(1)[0])
-                post = contender.run(event, model, budget, run_seed, workers)
-                post = Posterior(post.tree, weights)
-                columns = {
-                    "kernel": contender.label,
-                    "repeat": repeat,
-                    "seed": run_seed,
-                    "validity": str(post.tree.attrs["validity"]),
-                    **accuracy(post, marginals, event.truth),
-                    **efficiency(post),
-                }
-                rows = curve(post, marginals, event.truth)
-                record.keep(columns, rows.assign(kernel=contender.label, repeat=repeat))
+    with locked(checkpoint):
+        record = _Record(
+            {
+                "versions": versions(),
+                "event": event.id,
+                "observed": event_salt(event.scene, event.observation),
+                "model": model.fingerprint(),
+                "kernels": {contender.label: contender.record() for contender in chosen},
+                "budget": described_budget(budget),
+                "chains": chains,
+                "repeats": repeats,
+                "seed": seed,
+                "weights": weights,
+                "reference": {"asked": wanted.record()},
+            },
+            checkpoint,
+        )
+        waiting = [(r, c) for r in range(repeats) for c in chosen if not record.has(c, r)]
+        if waiting and checkpoint is not None:
+            versions_so_far([record.settings["versions"]], checkpoint)
+        shown_bar = is_shown(progress)
+        try:
+            with tqdm(total=len(waiting) + 1, disable=not shown_bar, unit="run") as bar:
+                bar.set_description("reference")
+                if record.reference is None:
+                    found = reference_of(wanted, event, model, seed, workers)
+                    found["truth"] = of_truth(found["marginals"], event.truth)
+                    record.keep_reference(found)
                 bar.update()
-    except KeyboardInterrupt as stopped:
-        done = record.comparison() if record.runs else None
-        raise ComparisonInterrupted(done) from stopped
-    return record.comparison()
+                marginals = {name: np.array(p) for name, p in record.reference["marginals"].items()}
+                for repeat, contender in waiting:
+                    bar.set_description(f"{contender.label}, repeat {repeat + 1}")
+                    run_seed = int(np.random.SeedSequence([seed, repeat]).generate_state(1)[0])
+                    post = contender.run(event, model, budget, run_seed, workers)
+                    post = Posterior(post.tree, weights)
+                    columns = {
+                        "kernel": contender.label,
+                        "repeat": repeat,
+                        "seed": run_seed,
+                        "validity": str(post.tree.attrs["validity"]),
+                        **accuracy(post, marginals, event.truth),
+                        **efficiency(post),
+                    }
+                    rows = curve(post, marginals, event.truth)
+                    record.keep(columns, rows.assign(kernel=contender.label, repeat=repeat))
+                    bar.update()
+        except KeyboardInterrupt as stopped:
+            done = record.comparison() if record.runs else None
+            raise ComparisonInterrupted(done) from stopped
+        return record.comparison()
 
 
 class _Record:
@@ -234,7 +243,7 @@ class _Record:
         """
         old, new = dict(stored.settings), self.settings
         pairs = [(name, old.get(name), new[name]) for name in new
-                 if name not in ("kernels", "repeats", "reference", "event")]  # fmt: skip
+                 if name not in _MAY_DIFFER]  # fmt: skip
         pairs.append(("reference", old["reference"].get("asked"), new["reference"]["asked"]))
         if stored.runs["frames"].isna().any():
             raise InvalidSettingError(
@@ -249,6 +258,7 @@ class _Record:
                     f"checkpoint {self._path} was made with another {name}: {shown(was)}, not "
                     f"{shown(given)}; name another file, or delete this one"
                 )
+        new["versions"] = old.get("versions", {})
         new["kernels"] = {**old["kernels"], **new["kernels"]}
         new["repeats"] = max(old["repeats"], new["repeats"])
         new["reference"] = old["reference"]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from concurrent.futures import Executor
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from numpyro.infer.mcmc import MCMCKernel
@@ -34,8 +33,8 @@ from phase_ppl.models.stepwise import StepwiseLikelihood
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidSettingError, OutputError
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import check_output
-from phase_ppl.world.identity import differences, event_digest
+from phase_ppl.world.files import as_path, check_output, locked
+from phase_ppl.world.identity import differences, event_digest, versions_so_far
 
 if TYPE_CHECKING:
     from phase_ppl.agents.config import PlannerConfig
@@ -71,6 +70,7 @@ def infer(
     budget: Budget | FrameBudget | TimeBudget | None = None,
     on_failure: str = "reject",
     retries: int | None = None,
+    simulation_seconds: float | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
     progress: bool | None = None,
     settings: SimpleSettings | None = None,
@@ -119,6 +119,8 @@ def infer(
             can be expected to end in time, which may be none after the initial particles.
         on_failure: "reject", "raise" or "retry", see above.
         retries: of "retry"; by default 3.
+        simulation_seconds: a simulation that takes longer has failed; by default none has. With a
+            budget of seconds none of the initial ones may take longer than all of them.
         checkpoint: file, ending in .ckpt, in which the run is kept after the initial particles
             and after every iteration, for :func:`resume`. There must be none of that name yet.
         progress: whether to show a bar on stderr; by default where that is a terminal.
@@ -146,6 +148,7 @@ def infer(
         "executor": executor,
         "on_failure": None if on_failure == "reject" else on_failure,
         "retries": retries,
+        "simulation_seconds": simulation_seconds,
         "checkpoint": checkpoint,
         "settings": settings,
         "burn_in": burn_in,
@@ -164,18 +167,14 @@ def infer(
     if checkpoint is not None:
         _check_new(checkpoint)
     means = Means(
-        iterations,
-        budget,
-        on_failure,
-        retries,
-        workers,
-        executor,
-        progress,
-        checkpoint,
+        *(iterations, budget, on_failure, retries, simulation_seconds),
+        *(workers, executor, progress, checkpoint),
+        versions_so_far([], checkpoint, True),
         began,
         _checked_burn_in(burn_in, iterations),
     )
-    return carry_out(plan, means)
+    with locked(checkpoint):
+        return carry_out(plan, means)
 
 
 def resume(
@@ -191,17 +190,20 @@ def resume(
     budget: Budget | FrameBudget | TimeBudget | None = None,
     on_failure: str | None = None,
     retries: int | None = None,
+    simulation_seconds: float | None = None,
     progress: bool | None = None,
     settings: SimpleSettings | None = None,
     burn_in: int | None = None,
+    other_versions: bool = False,
     **kernel_options: Any,
 ) -> Posterior:
     """Go on with a run of which ``infer(..., checkpoint=path)`` left a file.
 
     The result is, draw for draw, that of a run that was never interrupted, with any number of
-    workers (the versions of phase_ppl, NumPyro and JAX being the same). The file is kept up to
-    date. Of a run that is complete the posterior is returned at once, or it is extended by a
-    larger number of iterations.
+    workers. With another version of this package, or of what it builds on, it could be another:
+    that is refused, unless ``other_versions`` says otherwise. The file is kept up to date. Of a
+    run that is complete the posterior is returned at once, or it is extended by a larger number
+    of iterations.
 
     Args:
         path: of the file.
@@ -214,12 +216,15 @@ def resume(
         on_failure, retries: as in :func:`infer`; by default as before. They can be changed for
             others as long as no simulation has failed.
         burn_in: as in :func:`infer`.
+        simulation_seconds: as in :func:`infer`; by default as before.
+        other_versions: whether to go on although the versions are others; the attributes
+            ``versions`` and ``earlier_versions`` of the posterior's tree keep both.
         settings, **kernel_options: may be given; must be where they are no plain data.
 
     Raises:
         InvalidEventError: there is no such file, or it is damaged or of another kind.
-        InvalidSettingError: event, model or kernel is another than the run's, the message says
-            in what; or must be given; or a setting cannot be used.
+        InvalidSettingError: event, model, kernel or version is another than the run's, the
+            message says in what; or must be given; or a setting cannot be used.
         OutputError, SimulationError, Interrupted: as in :func:`infer`.
     """
     began = pace.clock()
@@ -230,7 +235,7 @@ def resume(
                 f"{path}: the settings {saved.identity['settings']} are not all plain data: give "
                 "them again, resume(path, settings=...)"
             )
-        settings = SimpleSettings(**saved.settings)
+        settings = saved.made(SimpleSettings, saved.settings)
     if model is None:
         if saved.model is None:
             own = saved.identity["model"]
@@ -239,7 +244,7 @@ def resume(
                 f"{own['simulator']}, {own['likelihood']}), which a file cannot hold: give it "
                 "again, resume(path, model=...)"
             )
-        model = model_again(saved.model)
+        model = saved.made(model_again, {"stored": saved.model})
     if kernel is None:
         if saved.kernel is None:
             name = saved.identity["kernel"]["name"]
@@ -270,21 +275,23 @@ def resume(
     if on_failure is None:
         on_failure = str(saved.failures["on_failure"])
         retries = saved.failures["retries"] if retries is None else retries
+    if simulation_seconds is None:
+        simulation_seconds = saved.failures.get("simulation_seconds")
     _check_failures(saved, on_failure, retries)
     check_output(path, SUFFIXES)
+    complete = budget is None and iterations == len(saved.steps)
+    versions = saved.versions
+    if not complete:
+        versions = versions_so_far(saved.versions, path, other_versions)
     means = Means(
-        iterations,
-        budget,
-        on_failure,
-        retries,
-        workers,
-        executor,
-        progress,
-        path,
+        *(iterations, budget, on_failure, retries, simulation_seconds),
+        *(workers, executor, progress, path),
+        versions,
         began,
         _checked_burn_in(burn_in, iterations),
     )
-    return carry_out(plan, means, saved)
+    with locked(path):
+        return carry_out(plan, means, saved)
 
 
 def _check_not_sampling(given: Mapping[str, Any]) -> None:
@@ -308,7 +315,7 @@ def _checked_burn_in(burn_in: int | None, iterations: int | None) -> int | None:
 
 
 def _check_new(path: str | os.PathLike[str]) -> None:
-    if Path(path).exists():
+    if as_path(path).exists():
         raise OutputError(
             f"{path} exists and may hold a run: continue it with phase_ppl.resume, or delete it"
         )

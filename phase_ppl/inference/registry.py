@@ -24,6 +24,7 @@ import inspect
 from collections.abc import Callable, Sequence
 from typing import Any, Final, Literal
 
+from numpyro.infer.hmc import HMC
 from numpyro.infer.mcmc import MCMCKernel
 
 from phase_ppl.models.program import EventProgram
@@ -199,6 +200,10 @@ def described(kernel: str | Factory | MCMCKernel) -> KernelInfo:
                 f"kernel {name}: give the class, or a function that makes the kernel from the "
                 "program; an instance already has a program of its own"
             )
+    elif isinstance(kernel, type) and issubclass(kernel, HMC):
+        raise InvalidSettingError(
+            f"kernel {kernel.__name__} needs a gradient, which a simulator has not"
+        )
     elif callable(kernel):
         factory = kernel
         name = getattr(kernel, "__name__", type(kernel).__name__)

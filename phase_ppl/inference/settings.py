@@ -154,8 +154,9 @@ def frames(n: int) -> FrameBudget:
 def seconds(n: float) -> TimeBudget:
     """Return a budget of ``n`` seconds.
 
-    The initial particles are simulated in any case. No iteration begins of which those before
-    let expect that it ends too late, so a run rarely takes longer, and often somewhat less.
+    The initial particles are simulated in any case, unless one takes longer than all the seconds.
+    No iteration begins of which those before let expect that it ends too late, so a run rarely
+    takes longer, and often somewhat less; one that goes on for a tenth longer is given up.
 
     Raises:
         InvalidSettingError: ``n`` is no positive number.

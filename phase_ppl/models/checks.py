@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import os
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -82,6 +83,13 @@ def checked_sites(prior: Program) -> dict[str, tuple[int, ...]]:
 
 def _checked(prior: Program) -> dict[str, tuple[int, ...]]:
     name = getattr(prior, "__name__", shown(prior))
+    try:
+        jax.local_devices(backend="cpu")
+    except RuntimeError as error:
+        platforms = os.environ.get("JAX_PLATFORMS")
+        raise InvalidSettingError(
+            f"JAX has no processor to work on, with JAX_PLATFORMS={platforms!r}: {_reason(error)}"
+        ) from error
     try:
         trace = handlers.trace(handlers.seed(prior, random.key(0))).get_trace()
     except Exception as error:  # whatever a user's program does

@@ -11,12 +11,18 @@ from __future__ import annotations
 import contextlib
 import functools
 import hashlib
-from collections.abc import Callable, Iterable
+import pickle
+import warnings
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, TypeVar, cast
 
 import numba
 from numba.core.caching import FunctionCache, IndexDataCacheFile
+
+from phase_ppl.world.identity import source_stamp
+
+_DIGEST: Final = hashlib.sha256().digest_size
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -25,19 +31,33 @@ _FOLDERS: Final = ("world", "physics", "agents")
 """Folders of the package that hold kernels or constants used in kernels."""
 
 
-def source_stamp(files: Iterable[Path]) -> str:
-    """Return a hash of the names and contents of ``files``, whatever their order."""
-    digest = hashlib.sha256()
-    for file in sorted(files):
-        content = hashlib.sha256(file.read_bytes()).hexdigest()
-        digest.update(f"{file.name} {content}\n".encode())
-    return digest.hexdigest()
-
-
 @functools.cache
 def package_stamp() -> str:
     """Return the hash of all files on which compiled kernels depend."""
     return source_stamp(file for name in _FOLDERS for file in (_PACKAGE / name).glob("*.py"))
+
+
+class _CheckedFile(IndexDataCacheFile):
+    """numba's files of one function, each with a checksum behind what numba reads of it."""
+
+    def _dump(self, obj: Any) -> bytes:
+        data: bytes = super()._dump(obj)
+        return data + hashlib.sha256(data).digest()
+
+    def _load_index(self) -> Any:
+        found = super()._load_index()
+        if found:
+            self._check(self._index_path, len(pickle.dumps(self._version, -1)))
+        return found
+
+    def _load_data(self, name: str) -> Any:
+        self._check(self._data_path(name), 0)
+        return super()._load_data(name)
+
+    def _check(self, path: str, start: int) -> None:
+        content = Path(path).read_bytes()[start:]
+        if hashlib.sha256(content[:-_DIGEST]).digest() != content[-_DIGEST:]:
+            raise ValueError(f"the checksum of {path} is another")
 
 
 class KernelCache(FunctionCache):
@@ -45,11 +65,32 @@ class KernelCache(FunctionCache):
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)
-        self._cache_file = IndexDataCacheFile(
+        self._cache_file = _CheckedFile(
             cache_path=self._cache_path,
             filename_base=self._impl.filename_base,
             source_stamp=package_stamp(),
         )
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return what is kept of a signature; None, after a word, where it is damaged."""
+        try:
+            return super().load_overload(sig, target_context)
+        except Exception as error:  # whatever a damaged file makes the reader stumble over
+            self._say("damaged", error)
+            with contextlib.suppress(OSError):
+                self.flush()
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep what was compiled; where that cannot be written, say so and do without."""
+        try:
+            super().save_overload(sig, data)
+        except OSError as error:
+            self._say("not written", error)
+
+    def _say(self, what: str, error: Exception) -> None:
+        path = f"{self._cache_path}/{self._impl.filename_base}.*"
+        warnings.warn(f"compiled anew, as {path} is {what}: {error!r}", RuntimeWarning, 2)
 
 
 def _compiled(function: Function, **options: Any) -> Function:

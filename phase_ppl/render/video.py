@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -14,9 +13,10 @@ from phase_ppl.render.encoder import MAX_GIF_FPS, encode_gif, encode_mp4
 from phase_ppl.render.frames import Painter
 from phase_ppl.render.panels import PANEL, panel, side_by_side, write_centred
 from phase_ppl.render.tracks import Drawable, FloatArray, between_frames, scene_and_trajectory
+from phase_ppl.world.checks import positive_number, whole_number
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import atomic_output
+from phase_ppl.world.files import as_path, atomic_output
 from phase_ppl.world.scene import Scene
 
 FRAMES_PER_SECOND: Final = 20
@@ -66,13 +66,11 @@ def video(
         InvalidSettingError: no scene, or ``fps`` or ``frames_per_step`` is out of range.
         InvalidEventError: a trajectory of another shape, or not finite.
     """
-    if not (np.isfinite(fps) and fps > 0):
-        raise InvalidSettingError(f"fps={fps!r}, expected a positive number")
-    as_gif = Path(path).suffix.lower() == ".gif"
+    positive_number("fps", fps)
+    as_gif = as_path(path).suffix.lower() == ".gif"
     if as_gif and fps > MAX_GIF_FPS:
         raise InvalidSettingError(f"fps={fps!r}, but a GIF has at most {MAX_GIF_FPS} a second")
-    if not isinstance(frames_per_step, int) or frames_per_step < 1:
-        raise InvalidSettingError(f"frames_per_step={frames_per_step!r}, expected 1, 2, ...")
+    whole_number("frames_per_step", frames_per_step)
     shown = [scene_and_trajectory(what, scene)]
     if compare is not None:
         beside = None if isinstance(compare, Event) else shown[0][0]

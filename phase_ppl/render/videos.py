@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import Final
 
 from phase_ppl.render.video import video
-from phase_ppl.world.checks import whole_number
-from phase_ppl.world.errors import InvalidEventError, OutputError, shown
+from phase_ppl.world.checks import number_of_workers
+from phase_ppl.world.errors import InvalidEventError, shown
 from phase_ppl.world.event import Event
+from phase_ppl.world.files import writable_folder
 
 _LONGEST_NAME: Final = 80
 
@@ -47,12 +48,8 @@ def videos(
     import loky
     from tqdm import tqdm
 
-    n_workers = loky.cpu_count() if workers is None else whole_number("workers", workers)
-    target = Path(folder)
-    try:
-        target.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"cannot write into {target}: {error.strerror or error}") from None
+    n_workers = number_of_workers(workers)
+    target = writable_folder(folder)
     paths = [target / name for name in _names(events)]
     waiting = [pair for pair in zip(events, paths, strict=True) if not pair[1].is_file()]
     disable = None if progress is None else not progress

@@ -7,14 +7,17 @@ It is a black box: inference sees its frames only.
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import dataclasses
 import functools
 import math
+import threading
 import time
 import traceback
 from collections.abc import Callable, Generator, Iterable, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +28,10 @@ from phase_ppl.world.names import ENTITIES
 from phase_ppl.world.scene import Scene
 
 FloatArray = NDArray[np.float64]
+Result = TypeVar("Result")
+
+_FINITE: Final = 1e30
+"""Larger numbers are as good as infinite; their distances would be so in single precision."""
 
 FRAME_SHAPE: Final = (len(ENTITIES), 3)
 _STREAM: Final = 0x5EED
@@ -54,6 +61,10 @@ class Simulator(Protocol):
 
 class Cancelled(PhasePPLError):
     """The run was cancelled from elsewhere."""
+
+
+class OutOfTime(Cancelled):
+    """The time that a run was given is over."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -110,6 +121,9 @@ def simulate_one(
     error_ceiling: float = math.inf,
     *,
     cancelled: Callable[[], bool] | None = None,
+    limit: float = math.inf,
+    stop: Sequence[Future[Any]] = (),
+    deadline: float = math.inf,
 ) -> SimulationResult:
     """Run one simulation against what was observed, no further than it can matter.
 
@@ -121,18 +135,89 @@ def simulate_one(
         error_ceiling: the simulation is closed once its summed error exceeds this, units. Below
             zero nothing is simulated. What stays under it is the same as without a ceiling.
         cancelled: asked after each frame.
+        limit: seconds that it may take; what takes longer is a failure.
+        stop: whatever of these is done ends it, also within a frame.
+        deadline: time, by ``time.perf_counter``, that ends it.
 
     Raises:
-        Cancelled: ``cancelled`` said so.
+        Cancelled: ``cancelled`` said so, or ``stop`` was done.
+        OutOfTime: ``deadline`` is over.
     """
-    return _follow(
-        lambda: simulator(scene, hypothesis.effective(), random_generator(seed)),
-        hypothesis,
-        seed,
-        observed_positions,
-        error_ceiling,
-        cancelled,
-    )
+
+    def work() -> SimulationResult:
+        return _follow(
+            lambda: simulator(scene, hypothesis.effective(), random_generator(seed)),
+            hypothesis,
+            seed,
+            observed_positions,
+            error_ceiling,
+            cancelled,
+        )
+
+    if error_ceiling < 0:
+        return work()
+
+    def failed(reason: str) -> SimulationResult:
+        n_frames = len(observed_positions)
+        return SimulationResult.failed(hypothesis, int(seed), n_frames, reason, limit)
+
+    return in_time(work, failed, limit, stop, deadline)
+
+
+def too_long(limit: float) -> str:
+    """Return in words why a simulation failed that took longer than its limit."""
+    if limit <= 0:
+        return "no time was left for it"
+    return f"it took longer than the {limit:g} s that a simulation may take"
+
+
+def in_time(
+    work: Callable[[], Result],
+    failed: Callable[[str], Result],
+    limit: float,
+    stop: Sequence[Future[Any]],
+    deadline: float,
+) -> Result:
+    """Return what ``work`` returns, from a thread of its own where something can end it.
+
+    A thread that is given up is ended at its next line of Python; one that hangs elsewhere goes on
+    unheeded, and does not keep its process from ending. Arguments as of :func:`simulate_one`;
+    ``failed`` says what becomes of work that took too long.
+
+    Raises:
+        OutOfTime: ``deadline`` is over.
+        Cancelled: ``stop`` was done.
+    """
+    if math.inf == limit == deadline and not stop:
+        return work()
+    if limit <= 0:
+        return failed(too_long(limit))
+    done: Future[Result] = Future()
+
+    def worked() -> None:
+        try:
+            result = work()
+        except BaseException as error:
+            done.set_exception(error)
+        else:
+            done.set_result(result)
+
+    thread = threading.Thread(target=worked, name="phase_ppl-simulation", daemon=True)
+    thread.start()
+    try:
+        seconds = max(0.0, min(limit, deadline - time.perf_counter()))
+        wait([done, *stop], seconds if seconds < math.inf else None, FIRST_COMPLETED)
+        if done.done():
+            return done.result()
+        if any(future.done() for future in stop):
+            raise Cancelled("the simulation was cancelled")
+        if time.perf_counter() >= deadline:
+            raise OutOfTime("the time of the run is over")
+        return failed(too_long(limit))
+    finally:
+        if not done.done():
+            number = ctypes.c_ulong(thread.ident or 0)
+            ctypes.pythonapi.PyThreadState_SetAsyncExc(number, ctypes.py_object(SystemExit))
 
 
 def simulate_together(
@@ -255,12 +340,15 @@ def _checked(
     count = 0
     try:
         for count, given in enumerate(incoming, start=1):
-            frame = np.asarray(given, dtype=np.float64)
+            values = np.asarray(given)
+            if values.dtype.kind not in "biuf" or np.ma.is_masked(given):
+                raise SimulationError(f"frame {count - 1} holds {shown(given)}, expected numbers")
+            frame = values.astype(np.float64, copy=False)
             if frame.shape != FRAME_SHAPE:
                 raise SimulationError(
                     f"frame {count - 1} has shape {frame.shape}, expected {FRAME_SHAPE}"
                 )
-            if not np.isfinite(frame).all():
+            if not (np.abs(frame) < _FINITE).all():
                 raise SimulationError(f"frame {count - 1} holds a value that is not finite")
             yield frame
         raise SimulationError(f"the simulator ended after {count} of {n_frames} frames")

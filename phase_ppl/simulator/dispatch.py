@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 import dataclasses
+import math
+import time
 from collections import deque
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Future, wait
-from typing import Any
+from typing import Any, Final
 
-from phase_ppl.simulator.contract import Cancelled, SimulationResult
+from phase_ppl.simulator.contract import Cancelled, OutOfTime, SimulationResult, too_long
 from phase_ppl.simulator.pool import Pool
 from phase_ppl.world.errors import SimulationError
 from phase_ppl.world.hypothesis import Hypothesis
 
 Request = tuple[Hypothesis, int, float]
 """Hypothesis, seed, error ceiling."""
+
+_POLL_SECONDS: Final = 1.0
+"""How often is looked for what nobody tells: an executor that was closed, a worker that hangs."""
+
+_PATIENCE: Final = 2.0
+_STARTUP_SECONDS: Final = 10.0
+"""A worker that cannot end a simulation itself is killed after twice its limit and these."""
 
 
 @dataclasses.dataclass(eq=False)
@@ -24,6 +33,7 @@ class _Job:
     request: Request
     losses: int = 0
     with_work: bool = False
+    begun: float = 0.0
 
 
 class Dispatch:
@@ -38,6 +48,8 @@ class Dispatch:
         n_frames: frames of a complete simulation.
         max_retries: how often a lost simulation is run again.
         stop: done once the run is cancelled.
+        limit: returns the seconds that a simulation may take that begins now.
+        deadline: time, by ``time.perf_counter``, at which everything ends.
 
     Attributes:
         retries: simulations run again so far.
@@ -50,8 +62,12 @@ class Dispatch:
         n_frames: int,
         max_retries: int,
         stop: Future[None],
+        limit: Callable[[], float] = lambda: math.inf,
+        deadline: float = math.inf,
     ) -> None:
         self.retries = 0
+        self._limit, self._deadline = limit, deadline
+        self._hung: set[int] = set()
         self._pool, self._stop = pool, stop
         self._n_frames, self._max_retries = n_frames, max_retries
         self._waiting = deque(_Job(request) for request in requests)
@@ -62,7 +78,7 @@ class Dispatch:
         """Yield each request with its result, as they finish. Closing this ends what runs.
 
         Raises:
-            Cancelled: ``stop`` was done.
+            Cancelled: ``stop`` was done, or the deadline is over.
             SimulationError: no simulation can be run.
         """
         try:
@@ -83,7 +99,8 @@ class Dispatch:
         future = self._pool.warm_up()
         if future is None:
             return
-        wait([future, self._stop], return_when=FIRST_COMPLETED)
+        while not wait([future, self._stop], _POLL_SECONDS, FIRST_COMPLETED).done:
+            self._check_cancelled()
         self._check_cancelled()
         if _is_broken(future):
             self._pool.stop(())
@@ -109,12 +126,25 @@ class Dispatch:
                 return
 
     def _submit(self, job: _Job) -> Future[SimulationResult | None]:
-        return self._pool.submit(*job.request, job.with_work)
+        job.begun = time.perf_counter()
+        return self._pool.submit(*job.request, self._limit(), job.with_work)
 
     def _finished(self) -> set[Future[Any]]:
         pending: list[Future[Any]] = [*self._running, self._stop]
-        finished = set(wait(pending, return_when=FIRST_COMPLETED).done)
-        self._check_cancelled()
+        finished: set[Future[Any]] = set()
+        self._hung.clear()
+        while not finished:
+            wait(pending, timeout=_POLL_SECONDS, return_when=FIRST_COMPLETED)
+            self._check_cancelled()
+            # whoever waits is not told of what was cancelled
+            finished = {future for future in self._running if future.done()}
+            if not finished and self._pool.restarts:
+                patience = _PATIENCE * self._limit() + _STARTUP_SECONDS
+                late = time.perf_counter() - patience
+                self._hung = {id(job) for job in self._running.values() if job.begun < late}
+                if self._hung:
+                    self._pool.stop(self._running)
+                    return set(self._running)
         if self._pool.restarts and any(_is_broken(future) for future in finished):
             self._pool.stop(self._running)
             return set(self._running)
@@ -129,6 +159,11 @@ class Dispatch:
                 job.with_work = True
                 self._waiting.appendleft(job)
             return result
+        if self._hung:  # its pool was stopped for those
+            if id(job) in self._hung:
+                return self._failed(job, too_long(self._limit()))
+            self._waiting.appendleft(job)
+            return None
         if isinstance(error, SimulationError) or not isinstance(error, Exception):
             raise error
         if isinstance(error, BrokenExecutor) and not self._pool.restarts:
@@ -142,12 +177,17 @@ class Dispatch:
             failure = f"its worker process died, in {job.losses} of {job.losses} runs"
         else:
             failure = f"{type(error).__name__}: {error}"
+        return self._failed(job, failure)
+
+    def _failed(self, job: _Job, failure: str) -> SimulationResult:
         hypothesis, seed, _ = job.request
         return SimulationResult.failed(hypothesis, seed, self._n_frames, failure)
 
     def _check_cancelled(self) -> None:
         if self._stop.done():
             raise Cancelled("the run was cancelled")
+        if time.perf_counter() >= self._deadline:
+            raise OutOfTime("the time of the run is over")
 
 
 def _error_of(future: Future[Any]) -> BaseException | None:

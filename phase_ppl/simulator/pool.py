@@ -30,7 +30,12 @@ class Work(NamedTuple):
 
 
 def work_in_worker(
-    token: str, packed: bytes | None, hypothesis: Hypothesis, seed: int, error_ceiling: float
+    token: str,
+    packed: bytes | None,
+    hypothesis: Hypothesis,
+    seed: int,
+    error_ceiling: float,
+    limit: float,
 ) -> SimulationResult | None:
     """Run one simulation; None if this process does not know the runner's work yet.
 
@@ -41,7 +46,8 @@ def work_in_worker(
     if work is None:
         return None
     return simulate_one(
-        work.simulator, work.scene, hypothesis, seed, work.observed_positions, error_ceiling
+        *(work.simulator, work.scene, hypothesis, seed, work.observed_positions, error_ceiling),
+        limit=limit,
     )
 
 
@@ -81,9 +87,12 @@ class Pool(Protocol):
         ...
 
     def submit(
-        self, hypothesis: Hypothesis, seed: int, error_ceiling: float, with_work: bool
+        self, hypothesis: Hypothesis, seed: int, error_ceiling: float, limit: float, with_work: bool
     ) -> Future[SimulationResult | None]:
-        """Begin one simulation; ``with_work`` where a worker did not know the work."""
+        """Begin one simulation of ``limit`` seconds at most.
+
+        ``with_work``: a worker did not know the work.
+        """
         ...
 
     def stop(self, running: Iterable[Future[Any]]) -> None:
@@ -99,7 +108,7 @@ class OwnWorkers:
     """Worker processes that live until they are closed.
 
     Args:
-        workers: number of processes.
+        workers: number of processes, at most.
         token: names the work.
         packed: the pickled :class:`Work`.
         warm_up: let one worker warm up before the first simulation.
@@ -108,9 +117,17 @@ class OwnWorkers:
     restarts = True
 
     def __init__(self, workers: int, token: str, packed: bytes, warm_up: bool) -> None:
-        self.slots: int | None = workers
+        self.slots: int | None = 0
+        self._most, self._packed = workers, packed
         self._token, self._cold = token, warm_up
-        self._processes = Processes(workers, token, packed)
+        self._processes = Processes(1, token, packed)
+
+    def suffice(self, n: int) -> None:
+        """Have as many processes as ``n`` simulations need, and no more than there may be."""
+        wanted = min(n, self._most)
+        if wanted > (self.slots or 0):
+            self.slots = wanted
+            self._processes.resize(wanted)
 
     def warm_up(self) -> Future[None] | None:
         """Let one worker warm up, before the first simulation."""
@@ -120,10 +137,12 @@ class OwnWorkers:
         return self._begin(warm_up_in_worker, self._token)
 
     def submit(
-        self, hypothesis: Hypothesis, seed: int, error_ceiling: float, with_work: bool
+        self, hypothesis: Hypothesis, seed: int, error_ceiling: float, limit: float, with_work: bool
     ) -> Future[SimulationResult | None]:
         """Begin one simulation; the workers know the work."""
-        return self._begin(work_in_worker, self._token, None, hypothesis, seed, error_ceiling)
+        return self._begin(
+            work_in_worker, self._token, None, hypothesis, seed, error_ceiling, limit
+        )
 
     def stop(self, running: Iterable[Future[Any]]) -> None:
         """Kill all workers; the next simulation starts new ones."""
@@ -162,7 +181,7 @@ class BorrowedExecutor:
         return None
 
     def submit(
-        self, hypothesis: Hypothesis, seed: int, error_ceiling: float, with_work: bool
+        self, hypothesis: Hypothesis, seed: int, error_ceiling: float, limit: float, with_work: bool
     ) -> Future[SimulationResult | None]:
         """Begin one simulation.
 
@@ -172,9 +191,9 @@ class BorrowedExecutor:
         packed = self._packed if with_work else None
         try:
             return self._executor.submit(
-                work_in_worker, self._token, packed, hypothesis, seed, error_ceiling
+                work_in_worker, self._token, packed, hypothesis, seed, error_ceiling, limit
             )
-        except RuntimeError as error:  # shut down, or broken
+        except Exception as error:  # shut down, or broken
             raise SimulationError(f"the executor takes no simulation: {error}") from error
 
     def stop(self, running: Iterable[Future[Any]]) -> None:

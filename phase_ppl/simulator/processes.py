@@ -137,6 +137,11 @@ class Processes:
             finally:
                 self._note_processes()
 
+    def resize(self, workers: int) -> None:
+        """Have another number of processes, from the next task on; nothing may be running."""
+        self._workers = workers
+        self.kill()
+
     def kill(self) -> None:
         """Kill all workers; the next task starts new ones."""
         with self._lock:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import math
 import secrets
 import threading
@@ -13,21 +14,22 @@ from concurrent.futures import Executor, Future, InvalidStateError
 from types import TracebackType
 
 import cloudpickle
-import loky
 import numpy as np
 
 from phase_ppl.simulator.contract import (
     Cancelled,
     SimulationResult,
     Simulator,
+    in_time,
     simulate_one,
     simulate_together,
+    too_long,
 )
 from phase_ppl.simulator.costs import Statistics
 from phase_ppl.simulator.dispatch import Dispatch, Request
 from phase_ppl.simulator.failures import failure_error, fresh_seed, n_retries
 from phase_ppl.simulator.pool import BorrowedExecutor, OwnWorkers, Pool, Work
-from phase_ppl.world.checks import whole_number
+from phase_ppl.world.checks import number_of_workers, positive_number, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.observation import Observation
@@ -54,11 +56,18 @@ class Runner:
             first one ends the run; "retry": it is run again with a fresh seed, which follows from
             its own, and is a failed result only if that fails as well.
         retries: how often "retry" runs a simulation again; by default 3.
+        simulation_seconds: what takes longer is a failed simulation; None: nothing is. One that
+            cannot be ended, as it is in the midst of compiled code, goes on unheeded.
         on_result: called in this process as each simulation finishes, not before the last retry.
 
     Attributes:
         statistics: what the simulations have cost so far.
         workers: number of processes; None where an executor decides.
+        scene: as given.
+        limit: seconds that a simulation may take.
+        patience: time, by ``time.perf_counter``, after which, once one took too long, no further
+            one is begun: it has failed then.
+        deadline: time at which ``run`` raises :class:`~phase_ppl.simulator.contract.OutOfTime`.
         on_failure, retries: as given; retries are 0 without "retry".
 
     Raises:
@@ -78,16 +87,24 @@ class Runner:
         max_retries: int = 1,
         on_failure: str = "reject",
         retries: int | None = None,
+        simulation_seconds: float | None = None,
         on_result: Callable[[SimulationResult], None] | None = None,
     ) -> None:
         if not callable(simulator):
             raise InvalidSettingError(f"simulator={shown(simulator)} cannot be called")
-        slots = None if workers is None else whole_number("workers", workers)
-        self.workers = loky.cpu_count() if slots is None and executor is None else slots
+        if executor is not None and not callable(getattr(executor, "submit", None)):
+            raise InvalidSettingError(f"executor={shown(executor)} is no PEP 3148 executor")
+        own = executor is None or workers is not None
+        slots = self.workers = number_of_workers(workers) if own else None
         self.on_failure, self.retries = on_failure, n_retries(on_failure, retries)
+        if simulation_seconds is not None:
+            positive_number("simulation_seconds", simulation_seconds)
+        self.limit = math.inf if simulation_seconds is None else float(simulation_seconds)
+        self.patience = self.deadline = math.inf
+        self._cut = False
         self.statistics = Statistics()
         self.on_result = on_result
-        self._simulator, self._scene = simulator, scene
+        self._simulator, self.scene = simulator, scene
         self._observed = np.array(observation.positions)
         self._max_retries = whole_number("max_retries", max_retries, 0)
         self._stop: Future[None] = Future()
@@ -105,7 +122,7 @@ class Runner:
             self._pool = OwnWorkers(self.workers, *self._packed_work(), warm_up)
 
     def _packed_work(self) -> tuple[str, bytes]:
-        work = Work(self._simulator, self._scene, self._observed)
+        work = Work(self._simulator, self.scene, self._observed)
         try:
             return secrets.token_hex(8), cloudpickle.dumps(work)
         except Exception as error:
@@ -229,31 +246,52 @@ class Runner:
         return self._count(
             simulate_one(
                 self._simulator,
-                self._scene,
+                self.scene,
                 hypothesis,
                 seed,
                 self._observed,
                 ceiling,
                 cancelled=self._stop.done,
+                limit=self._limit(),
+                stop=[self._stop],
+                deadline=self.deadline,
             )
         )
+
+    def _limit(self) -> float:
+        """Return the seconds that a simulation may take that begins now."""
+        over = self._cut and time.perf_counter() > self.patience
+        return 0.0 if over else self.limit
 
     def _run_together(self, requests: Sequence[Request]) -> dict[Request, SimulationResult]:
         self._check_cancelled()
         hypotheses = [hypothesis for hypothesis, _, _ in requests]
         seeds = [seed for _, seed, _ in requests]
-        results = (
-            simulate_together(self._simulator, self._scene, hypotheses, seeds, self._observed)
-            if requests
-            else []
-        )
+        results: list[SimulationResult] = []
+        if requests:
+            together = functools.partial(simulate_together, self._simulator, self.scene)
+
+            def failed(reason: str) -> list[SimulationResult]:
+                return [
+                    SimulationResult.failed(h, seed, self.n_frames, reason)
+                    for h, seed, _ in requests
+                ]
+
+            work = functools.partial(together, hypotheses, seeds, self._observed)
+            results = in_time(work, failed, self._limit() * len(seeds), [self._stop], self.deadline)
         self._check_cancelled()
         for result in results:
             self._count(result)
         return dict(zip(requests, results, strict=True))
 
     def _run_in(self, pool: Pool, requests: Sequence[Request]) -> dict[Request, SimulationResult]:
-        dispatch = Dispatch(pool, requests, self.n_frames, self._max_retries, self._stop)
+        if isinstance(pool, OwnWorkers):
+            pool.suffice(len(requests))
+        dispatch = Dispatch(
+            *(pool, requests, self.n_frames, self._max_retries, self._stop),
+            limit=self._limit,
+            deadline=self.deadline,
+        )
         try:
             with contextlib.closing(dispatch.results()) as results:
                 return {request: self._count(result) for request, result in results}
@@ -271,6 +309,7 @@ class Runner:
         statistics.seconds_simulating += result.seconds
         if result.failure is not None:
             statistics.failures += 1
+            self._cut |= result.failure == too_long(self.limit)
             if self.on_failure == "raise":
                 raise failure_error(result)
             if self._attempts_left:

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.simulator.contract import Simulator, simulate_trajectory
 from phase_ppl.simulator.joint import JointSimulator
-from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.checks import check_memory, instance_of, whole_number
 from phase_ppl.world.event import Event, Truth
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.observation import MIN_FRAMES, Observation
 from phase_ppl.world.scene import Scene
+
+_FRAME_BYTES: Final = 300
+"""Of memory, until the event is written."""
 
 
 def simulate(
@@ -38,8 +43,11 @@ def simulate(
         InvalidSettingError: fewer than 2 frames.
         SimulationError: the simulator failed.
     """
-    if frames < MIN_FRAMES:
-        raise InvalidSettingError(f"frames={frames}, expected at least {MIN_FRAMES}")
+    instance_of("scene", scene, Scene, "a phase_ppl.Scene")
+    instance_of("hypothesis", hypothesis, Hypothesis, "a phase_ppl.Hypothesis")
+    seed = whole_number("seed", seed, 0)
+    frames = whole_number("frames", frames, MIN_FRAMES)
+    check_memory(f"frames={frames}", _FRAME_BYTES * frames)
     run = JointSimulator(planner) if simulator is None else simulator
     trajectory = simulate_trajectory(run, scene, hypothesis, seed, frames)
     red, green = hypothesis.effective_goals

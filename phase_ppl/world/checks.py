@@ -5,8 +5,12 @@ from __future__ import annotations
 import contextlib
 import math
 import numbers
+import os
+from typing import Final
 
 from phase_ppl.world.errors import InvalidSettingError, shown
+
+MOST_WORKERS: Final = 1024
 
 
 def number_or_nan(value: object) -> float:
@@ -17,15 +21,46 @@ def number_or_nan(value: object) -> float:
     return math.nan
 
 
-def whole_number(name: str, value: object, minimum: int = 1) -> int:
-    """Return ``value`` as an int if it is a whole number, NumPy's too, of at least ``minimum``.
+def whole_number(name: str, value: object, minimum: int = 1, maximum: int | None = None) -> int:
+    """Return ``value`` as an int if it is a whole number, NumPy's too, within its limits.
 
     Raises:
         InvalidSettingError: it is not.
     """
-    if isinstance(value, bool) or not isinstance(value, numbers.Integral) or value < minimum:
+    whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
+    number = int(value) if whole else minimum - 1  # type: ignore[call-overload]
+    if number < minimum:
         raise InvalidSettingError(f"{name}={shown(value)}, expected a whole number >= {minimum}")
-    return int(value)
+    if maximum is not None and number > maximum:
+        raise InvalidSettingError(f"{name}={shown(value)}, expected at most {maximum}")
+    return number
+
+
+def number_of_workers(value: object, name: str = "workers") -> int:
+    """Return how many processes or threads there are to be; None: one per usable core.
+
+    Raises:
+        InvalidSettingError: no whole number, or more than any machine has use for.
+    """
+    import loky
+
+    return loky.cpu_count() if value is None else whole_number(name, value, 1, MOST_WORKERS)
+
+
+def check_memory(what: str, n_bytes: float) -> None:
+    """Raise InvalidSettingError if ``what`` is asked for takes more memory than there is."""
+    there = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    if n_bytes > there:
+        raise InvalidSettingError(
+            f"{what} would take {n_bytes / 1e9:,.0f} GB of memory; this machine has "
+            f"{there / 1e9:,.0f}"
+        )
+
+
+def instance_of(name: str, value: object, kind: type, expected: str) -> None:
+    """Raise InvalidSettingError unless ``value`` is of a kind."""
+    if not isinstance(value, kind):
+        raise InvalidSettingError(f"{name}={shown(value)}, expected {expected}")
 
 
 def positive_number(name: str, value: object) -> float:

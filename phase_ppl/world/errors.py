@@ -7,10 +7,12 @@ All derive from :class:`PhasePPLError`; those about a value also derive from
 from __future__ import annotations
 
 import difflib
+import os
 from collections.abc import Iterable
 from typing import Any
 
 _SHOWN_CHARACTERS = 80
+_PATH_CHARACTERS = 400
 
 
 class PhasePPLError(Exception):
@@ -90,5 +92,16 @@ def unknown_name(what: str, name: object, allowed: Iterable[str]) -> UnknownName
 
 def shown(value: object) -> str:
     """Return ``value`` as an error message shows it: one line, cut where it is long."""
-    text = repr(value)
+    try:
+        text = " ".join(repr(value).splitlines())
+    except Exception:  # of a number of thousands of digits, or an object of somebody's own
+        text = f"<{type(value).__name__}>"
     return text if len(text) <= _SHOWN_CHARACTERS else text[: _SHOWN_CHARACTERS - 3] + "..."
+
+
+def shown_path(path: str | os.PathLike[str]) -> str:
+    """Return a path as an error message shows it: cut where it is long, escaped where it is odd."""
+    text = os.fspath(path)
+    if len(text) > _PATH_CHARACTERS:
+        text = f"{text[: _SHOWN_CHARACTERS - 3]}... ({len(text)} characters)"
+    return text if text.isprintable() else repr(text)[1:-1]

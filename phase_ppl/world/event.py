@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
+from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import unknown_name
 from phase_ppl.world.goals import GOALS, goal_index
 from phase_ppl.world.hypothesis import checked_strength
@@ -76,4 +77,6 @@ class Event:
     predictions: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
+        instance_of("scene", self.scene, Scene, "a phase_ppl.Scene")
+        instance_of("observation", self.observation, Observation, "a phase_ppl.Observation")
         check_inside(self.observation.trajectory, self.scene, "trajectory")

@@ -1,16 +1,29 @@
-"""Writing files so that nobody ever finds half of one."""
+"""Writing files so that nobody ever finds half of one, and folders that one process works in."""
 
 from __future__ import annotations
 
 import contextlib
+import fcntl
+import hashlib
 import json
 import os
 import secrets
+import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
-from phase_ppl.world.errors import InvalidEventError, OutputError
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    InvalidSettingError,
+    OutputError,
+    shown,
+    shown_path,
+)
+
+_NAME_BYTES: Final = 255
+_PATH_BYTES: Final = 4095
+"""Of names and paths, the longest that common file systems have."""
 
 
 @contextlib.contextmanager
@@ -18,7 +31,8 @@ def atomic_output(path: str | os.PathLike[str], suffixes: Sequence[str]) -> Iter
     """Yield a fresh path beside ``path``; what was written there becomes ``path`` at the end.
 
     If the block raises, ``path`` stays as it was and what was written is deleted. Whether the
-    folder can be written is found out before the block begins.
+    folder can be written is found out before the block begins. What was written is on the disk
+    before it takes the place of what was there.
 
     Args:
         path: where the result is to be.
@@ -27,10 +41,23 @@ def atomic_output(path: str | os.PathLike[str], suffixes: Sequence[str]) -> Iter
     Raises:
         OutputError: another ending, a folder in the way, or the folder cannot be written.
     """
-    target = Path(path)
-    with _part_of(target, suffixes) as part:
+    with _part_of(target := as_path(path), suffixes) as part:
         yield part
+        if not part.stat().st_size:
+            raise OutputError(f"cannot write {shown_path(target)}: nothing was written")
+        with part.open("rb") as file:
+            os.fsync(file.fileno())
         os.replace(part, target)
+
+
+def write_bytes(path: str | os.PathLike[str], suffixes: Sequence[str], content: bytes) -> None:
+    """Write a file, whole or not at all.
+
+    Raises:
+        OutputError: it cannot be written there, or its name ends in none of ``suffixes``.
+    """
+    with atomic_output(path, suffixes) as part:
+        part.write_bytes(content)
 
 
 def write_json(path: str | os.PathLike[str], record: Mapping[str, Any]) -> None:
@@ -39,9 +66,23 @@ def write_json(path: str | os.PathLike[str], record: Mapping[str, Any]) -> None:
     Raises:
         OutputError: it cannot be written there, or its name does not end in .json.
     """
-    with atomic_output(path, (".json",)) as part:
-        text = json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False)
-        part.write_text(text + "\n", encoding="utf-8")
+    text = json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False)
+    write_bytes(path, (".json",), f"{text}\n".encode())
+
+
+def as_path(path: object) -> Path:
+    """Return ``path`` as one that a file system can be asked for.
+
+    Raises:
+        InvalidSettingError: it is no path, or none that a file can have.
+    """
+    if not isinstance(path, str | os.PathLike) or isinstance(os.fspath(path), bytes):
+        raise InvalidSettingError(f"{shown(path)} is no path of a file or folder")
+    found = Path(path)
+    longest = max((len(os.fsencode(part)) for part in found.parts), default=0)
+    if "\0" in str(found) or longest > _NAME_BYTES or len(os.fsencode(found)) > _PATH_BYTES:
+        raise InvalidSettingError(f"{shown_path(found)} is a name that no file can have")
+    return found
 
 
 def existing_file(path: str | os.PathLike[str]) -> Path:
@@ -50,34 +91,94 @@ def existing_file(path: str | os.PathLike[str]) -> Path:
     Raises:
         InvalidEventError: there is no such file.
     """
-    source = Path(path)
+    source = as_path(path)
     if not source.is_file():
-        raise InvalidEventError(f"{source}: no such file")
+        raise InvalidEventError(f"{shown_path(source)}: no such file")
     return source
 
 
 def check_output(path: str | os.PathLike[str], suffixes: Sequence[str]) -> None:
     """Raise OutputError if :func:`atomic_output` could not write ``path``; nothing is written."""
-    with _part_of(Path(path), suffixes):
+    with _part_of(as_path(path), suffixes):
         pass
 
 
+def writable_folder(path: str | os.PathLike[str]) -> Path:
+    """Create a folder, where there is none, and check that it can be written.
+
+    Raises:
+        OutputError: it cannot.
+    """
+    folder = as_path(path)
+    with _refusing(f"into folder {shown_path(folder)}"):
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    return folder
+
+
 @contextlib.contextmanager
-def _part_of(target: Path, suffixes: Sequence[str]) -> Iterator[Path]:
-    if target.suffix.lower() not in suffixes:
-        raise OutputError(f"cannot write {target}: expected a name in {' or '.join(suffixes)}")
-    if target.is_dir():
-        raise OutputError(f"cannot write {target}: it is a folder")
-    # a short name of its own: a long target name must not become too long
-    part = target.with_name(f".part-{secrets.token_hex(4)}{target.suffix}")
+def locked(path: str | os.PathLike[str] | None) -> Iterator[None]:
+    """Keep a folder, or a file that is yet to be, to this process for as long as the block lasts.
+
+    None: there is nothing to keep. The lock goes with the process, however that ends. Where a file
+    system has no locks, there is none.
+
+    Raises:
+        OutputError: another process has it, or the folder cannot be written.
+    """
+    if path is None:
+        yield
+        return
+    target = as_path(path)
+    digest = hashlib.sha256(target.name.encode(errors="replace")).hexdigest()[:8]
+    lock = target / ".lock" if target.is_dir() else target.with_name(f".lock-{digest}")
+    with contextlib.ExitStack() as held:
+        with _refusing(shown_path(target)):
+            while True:
+                handle = os.open(lock, os.O_RDWR | os.O_CREAT, 0o666)
+                held.callback(os.close, handle)
+                try:
+                    fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                except BlockingIOError:
+                    raise OutputError(
+                        f"another process is at work in {shown_path(target)}"
+                    ) from None
+                except OSError:
+                    break
+                # whoever had it before may have deleted the file in between
+                with contextlib.suppress(FileNotFoundError):
+                    if os.path.samestat(os.fstat(handle), os.stat(lock)):
+                        break
+        held.callback(lock.unlink, missing_ok=True)
+        yield
+
+
+@contextlib.contextmanager
+def _refusing(what: str) -> Iterator[None]:
+    """Turn whatever a file system refuses into one line."""
     try:
-        part.touch(exist_ok=False)
-        yield part
+        yield
     except OSError as error:
         if isinstance(error, OutputError):
             raise
         reason = error.strerror or str(error).split("\n")[0]
-        raise OutputError(f"cannot write {target}: {reason}") from error
-    finally:
-        with contextlib.suppress(OSError):
-            part.unlink(missing_ok=True)
+        raise OutputError(f"cannot write {what}: {reason}") from error
+
+
+@contextlib.contextmanager
+def _part_of(target: Path, suffixes: Sequence[str]) -> Iterator[Path]:
+    name = shown_path(target)
+    if target.suffix.lower() not in suffixes:
+        raise OutputError(f"cannot write {name}: expected a name in {' or '.join(suffixes)}")
+    # a short name of its own: a long target name must not become too long
+    part = target.with_name(f".part-{secrets.token_hex(4)}{target.suffix}")
+    with _refusing(name):
+        if target.is_dir():
+            raise OutputError(f"cannot write {name}: it is a folder")
+        try:
+            part.touch(exist_ok=False)
+            yield part
+        finally:
+            with contextlib.suppress(OSError):
+                part.unlink(missing_ok=True)

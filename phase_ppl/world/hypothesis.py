@@ -23,6 +23,10 @@ STRENGTH_RANGE: Final = (150.0, 600.0)
 """Support of a strength, newtons."""
 
 
+MOST_STRENGTH: Final = 1e6
+"""Newtons, beyond which a body of some kilograms moves further in a step than the arena is wide."""
+
+
 def checked_strength(name: str, value: object) -> float:
     """Return ``value`` as a force in newtons.
 
@@ -33,8 +37,10 @@ def checked_strength(name: str, value: object) -> float:
         force = math.nan if isinstance(value, (str, bool)) else float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError, OverflowError):
         force = math.nan
-    if not (math.isfinite(force) and force > 0):
-        raise InvalidSettingError(f"{name}={shown(value)} is no positive force in newtons")
+    if not 0 < force <= MOST_STRENGTH:
+        raise InvalidSettingError(
+            f"{name}={shown(value)} is no positive force in newtons, of {MOST_STRENGTH:g} at most"
+        )
     return force
 
 

@@ -2,23 +2,32 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import importlib.metadata
 import inspect
 import json
 import platform
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from phase_ppl import __version__
-from phase_ppl.world.errors import shown
+from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.event import Event
 
 LIBRARIES: Final = ("numpyro", "jax", "numpy", "xarray", "pymunk", "numba")
 """Those whose versions can change a number."""
+
+_PACKAGE: Final = Path(__file__).resolve().parent.parent
+_FOLDERS: Final = (
+    *("world", "physics", "agents", "simulator", "closed_loop"),
+    *("dataset", "models", "inference", "evaluation/models"),
+)
+"""Folders of the package on whose code, or weights of networks, results depend."""
 
 _ADDRESS: Final = re.compile(r" at 0x[0-9a-fA-F]+")
 
@@ -51,10 +60,56 @@ def qualified_name(thing: Any) -> str:
     return f"{named.__module__}.{named.__qualname__}"
 
 
+def source_stamp(files: Iterable[Path]) -> str:
+    """Return a hash of the names and contents of ``files``, whatever their order."""
+    digest = hashlib.sha256()
+    for file in sorted(files):
+        content = hashlib.sha256(file.read_bytes()).hexdigest()
+        digest.update(f"{file.name} {content}\n".encode())
+    return digest.hexdigest()
+
+
+@functools.cache
+def code_stamp() -> str:
+    """Return a hash of all in this package on which a result depends."""
+    found = (file for name in _FOLDERS for file in (_PACKAGE / name).rglob("*"))
+    return source_stamp(file for file in found if file.suffix in (".py", ".npz"))[:16]
+
+
 def versions() -> dict[str, str]:
-    """Return the versions of this package, of Python and of :data:`LIBRARIES`."""
+    """Return the versions of Python, of :data:`LIBRARIES` and of this package, and its code's."""
     found = {name: importlib.metadata.version(name) for name in LIBRARIES}
-    return {"phase_ppl": __version__, "python": platform.python_version(), **found}
+    return {
+        "phase_ppl": __version__,
+        "source": code_stamp(),
+        "python": platform.python_version(),
+        **found,
+    }
+
+
+def versions_so_far(
+    before: Sequence[Mapping[str, Any]], path: object, other_versions: bool | None = None
+) -> list[dict[str, Any]]:
+    """Return the versions of which something was made that is gone on with, the present ones last.
+
+    Args:
+        before: those so far.
+        path: where it is.
+        other_versions: whether it may be gone on with by others; None: that cannot be chosen.
+
+    Raises:
+        InvalidSettingError: the present ones are others, and must not be.
+    """
+    now = versions()
+    last = before[-1] if before else {}
+    found = differences(last if isinstance(last, Mapping) else {}, now)
+    if before and found and not other_versions:
+        choice = "; --other-versions (other_versions=True) goes on with these, and records both"
+        raise InvalidSettingError(
+            f"{path} was made with other versions: {'; '.join(found)}"
+            f"{'' if other_versions is None else choice}"
+        )
+    return [*map(dict, before), *([now] if found or not before else [])]
 
 
 def stable(value: Any) -> Any:

@@ -66,6 +66,8 @@ class Rooms:
                     f"wall {wall.tolist()} does not run from the arena's centre "
                     f"{centre.tolist()} straight up, left, down or right"
                 )
+            if along[ray] < _TOLERANCE:
+                raise InvalidEventError(f"wall {wall.tolist()} has no length")
             if along[ray] > half_width + _TOLERANCE:
                 raise InvalidEventError(f"wall {wall.tolist()} leaves the arena")
             lengths[ray] = max(lengths[ray], along[ray])

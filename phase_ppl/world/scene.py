@@ -38,6 +38,8 @@ def finite_array(name: str, value: object, shape: tuple[int | None, ...]) -> Flo
         InvalidEventError: not numbers, not finite or of another shape; the message says which
             value of ``name`` it is.
     """
+    if np.ma.is_masked(value):
+        raise InvalidEventError(f"{name} is masked in places, expected numbers everywhere")
     try:
         given = np.asarray(value)
     except ValueError:

@@ -15,6 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from phase_ppl.dataset import documents, load_event, load_events, save_event, save_events
+from phase_ppl.dataset.documents import parse_text
 from phase_ppl.dataset.events_json import event_record
 from phase_ppl.world.errors import (
     InvalidEventError,
@@ -281,3 +282,10 @@ def test_a_damaged_file_is_an_event_or_refused_by_name(
         assert load_event(tmp_path / "again.json").id == event.id
     assert str(path) in complaint
     assert "\n" not in complaint
+
+
+def test_names_given_twice_are_found_in_any_number_of_them() -> None:
+    # compared each with each, these would take an hour
+    names = [f'"{n}": 0' for n in range(200_000)]
+    with pytest.raises(InvalidEventError, match="gives '199999' twice"):
+        parse_text("{" + ", ".join([*names, '"199999": 1']) + "}")

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.cli.main import main
+from phase_ppl.cli import main
 from phase_ppl.evaluation.models.socialgnn import socialgnn
 from phase_ppl.evaluation.prediction import GOAL_QUESTIONS
 from phase_ppl.evaluation.registry import ready

@@ -26,6 +26,7 @@ from phase_ppl.inference.runs import session
 from phase_ppl.inference.runs.archive import read_archive, write_archive
 from phase_ppl.inference.runs.checkpoint import Checkpoint
 from phase_ppl.inference.runs.packing import packed_leaf, unpacked_leaf
+from phase_ppl.world import identity
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, OutputError
 from tests.inference.runs import EVENT, MODEL, OPTIONS, assert_same_draws, infer, stops_at
 from tests.inference.toy import walkers, walking_event
@@ -379,3 +380,60 @@ def test_a_damaged_file_is_noticed_or_means_the_same(path: Path) -> None:
             k: v.tobytes() for k, v in arrays.items()
         }
     assert noticed > 100
+
+
+# --- other versions, and two at once ---------------------------------------------------------
+
+
+def test_a_run_is_not_gone_on_with_by_another_version_unless_told_to(
+    path: Path, whole: ppl.Posterior, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mine = identity.versions()
+    monkeypatch.setattr(identity, "code_stamp", lambda: "another")
+    before = path.read_bytes()
+    with pytest.raises(InvalidSettingError, match=r"other versions: source differs.*records both"):
+        resume(path, iterations=4)
+    assert path.read_bytes() == before
+    # of a complete run nothing is left that could be mixed
+    assert json.loads(resume(path).tree.attrs["versions"]) == mine
+    longer = resume(path, iterations=3, other_versions=True)
+    assert json.loads(longer.tree.attrs["versions"])["source"] == "another"
+    assert json.loads(longer.tree.attrs["earlier_versions"]) == [mine]
+    monkeypatch.undo()
+    back = resume(path, iterations=4, other_versions=True)
+    assert_same_draws(whole.tree, back.tree)
+    assert [one["source"] for one in json.loads(back.tree.attrs["earlier_versions"])] == [
+        mine["source"],
+        "another",
+    ]
+    assert "earlier_versions" not in whole.tree.attrs
+
+
+def test_a_file_of_before_versions_were_kept_is_taken_for_another_version(path: Path) -> None:
+    document, arrays = read_archive(path)
+    del document["versions"]
+    write_archive(path, document, arrays)
+    with pytest.raises(InvalidSettingError, match="other versions"):
+        resume(path, iterations=3)
+
+
+def test_two_processes_do_not_work_on_one_file(tmp_path: Path, path: Path) -> None:
+    holder = textwrap.dedent(
+        """
+        import sys
+        from phase_ppl.world.files import locked
+        with locked(sys.argv[1]):
+            print("held", flush=True)
+            sys.stdin.read()
+        """
+    )
+    command = [sys.executable, "-c", holder, str(path)]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen(command, env=environment, **pipes) as other:  # type: ignore[call-overload]
+        assert other.stdout.readline() == b"held\n"
+        with pytest.raises(OutputError, match=r"another process is at work in .*run\.ckpt"):
+            resume(path, iterations=3)
+        other.kill()
+    resume(path, iterations=3)
+    assert list(tmp_path.iterdir()) == [path]

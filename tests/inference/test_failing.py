@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,7 +15,7 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.simulator.contract import random_generator
-from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.errors import InvalidSettingError, SimulationError
 from tests.inference.runs import EVENT, OPTIONS, assert_same_draws
 from tests.inference.toy import walkers
 
@@ -117,3 +121,52 @@ def test_raise_in_the_initial_particles_keeps_nothing() -> None:
     with pytest.raises(ppl.SimulationError, match="not today") as caught:
         ppl.infer(EVENT, model, **OPTIONS, on_failure="raise")
     assert caught.value.posterior is None
+
+
+# --- what hangs ------------------------------------------------------------------------------
+
+
+class Hangs:
+    """Walks as the toy does, but hangs from a certain simulation on."""
+
+    def __init__(self, at: int) -> None:
+        self.at, self.calls = at, 0
+
+    def __call__(self, scene: Any, hypothesis: Any, rng: Any) -> Iterator[Any]:
+        self.calls += 1
+        if self.calls > self.at:
+            time.sleep(1000)
+        yield from walkers(scene, hypothesis, rng)
+
+
+def test_a_limit_of_seconds_makes_a_failure_of_what_hangs() -> None:
+    model = ppl.Model(simulator=Hangs(10))  # one of them only to see whether it repeats itself
+    options = {**OPTIONS, "chains": 2, "iterations": 4, "simulation_seconds": 0.2}
+    post = ppl.infer(EVENT, model, **options)
+    assert post.cost["failures"] == int(failed(post).sum()) == 1
+    assert post.settings["simulation_seconds"] == 0.2
+
+
+def test_a_budget_of_seconds_holds_where_the_simulator_hangs() -> None:
+    options = {key: value for key, value in OPTIONS.items() if key != "iterations"}
+    post = ppl.infer(EVENT, ppl.Model(simulator=Hangs(10)), budget=ppl.seconds(6), **options)
+    assert post.tree["posterior"].sizes["draw"] == 1  # 4 to begin with, 4 of an iteration
+    assert not post.cost["interrupted"]
+    hangs = Hangs(0)
+    with pytest.raises(SimulationError, match=r"took longer than the 0\.3 s"):
+        ppl.infer(EVENT, ppl.Model(simulator=hangs), budget=ppl.seconds(0.3), **options)
+    assert hangs.calls == 1  # after it no time was left
+
+
+@pytest.mark.skipif(os.name != "posix", reason="sends a signal")
+def test_ctrl_c_ends_a_run_whose_only_worker_hangs(tmp_path: Path) -> None:
+    class HangsLoudly(Hangs):
+        def __call__(self, *given: Any) -> Iterator[Any]:
+            if self.calls == self.at:
+                threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT)).start()
+            return super().__call__(*given)
+
+    with pytest.raises(ppl.Interrupted) as caught:
+        ppl.infer(EVENT, ppl.Model(simulator=HangsLoudly(10)), **OPTIONS)
+    assert caught.value.posterior is not None
+    assert caught.value.posterior.tree["posterior"].sizes["draw"] == 1

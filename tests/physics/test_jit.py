@@ -44,6 +44,33 @@ def test_kernels_are_compiled_anew_when_any_kernel_file_has_changed(
     assert sum(load("kernel").stats.cache_misses.values()) == 1
 
 
+@pytest.mark.parametrize("suffix", ["nbi", "nbc"])
+@pytest.mark.parametrize("damage", ["cut", "flipped", "empty"])
+def test_a_damaged_cache_is_named_and_made_anew(
+    load: Any, tmp_path: Path, suffix: str, damage: str
+) -> None:
+    load("kernel")
+    (file,) = tmp_path.glob(f"cache/**/*.{suffix}")
+    content = file.read_bytes()
+    half = len(content) // 2
+    flipped = content[:half] + bytes([content[half] ^ 1]) + content[half + 1 :]
+    file.write_bytes({"cut": content[:half], "flipped": flipped, "empty": b""}[damage])
+    with pytest.warns(RuntimeWarning, match=r"compiled anew, as .*small_kernel.*is damaged"):
+        load("kernel")
+    assert sum(load("kernel").stats.cache_hits.values()) == 1
+
+
+def test_a_cache_that_cannot_be_written_is_done_without(
+    load: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(jit.IndexDataCacheFile, "_save_data", full)
+    with pytest.warns(RuntimeWarning, match=r"is not written: .*No space left"):
+        assert sum(load("kernel").stats.cache_misses.values()) == 1
+
+
 def test_stamp_covers_names_and_contents_but_not_order(tmp_path: Path) -> None:
     files = [tmp_path / "a.py", tmp_path / "b.py"]
     for file in files:

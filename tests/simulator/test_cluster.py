@@ -14,6 +14,7 @@ import distributed
 import pytest
 
 import phase_ppl as ppl
+from phase_ppl.world.errors import SimulationError
 from tests.inference.toy import walkers, walking_event
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="kills a process")
@@ -76,3 +77,30 @@ def test_a_cluster_that_loses_a_worker_gives_the_same_posterior(tmp_path: Path) 
     assert post.cost["simulations"] == 12
     assert post.cost["failures"] == 0
     assert post.cost["workers"] is None
+
+
+def test_a_cluster_that_is_closed_ends_the_run(tmp_path: Path) -> None:
+    simulator = SlowWalkers(tmp_path)
+    with (
+        distributed.LocalCluster(
+            n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None
+        ) as cluster,
+        distributed.Client(cluster) as client,
+    ):
+
+        def close() -> None:
+            while len(list(tmp_path.iterdir())) < 6:  # 4 to begin with, then an iteration
+                time.sleep(0.01)
+            cluster.close()
+
+        closer = threading.Thread(target=close)
+        closer.start()
+        with pytest.raises(SimulationError, match="the executor takes no simulation") as caught:
+            ppl.infer(
+                walking_event(),
+                ppl.Model(simulator=simulator),
+                executor=client.get_executor(),
+                **OPTIONS,
+            )
+        closer.join()
+    assert caught.value.posterior is not None

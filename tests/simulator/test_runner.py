@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import concurrent.futures as futures
+import re
 import threading
 import time
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from phase_ppl.simulator import dispatch
 from phase_ppl.simulator.contract import Cancelled, SimulationResult
 from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.errors import InvalidSettingError, SimulationError
@@ -288,3 +290,98 @@ def test_a_run_is_cancelled_from_another_thread(how: str, end: Any, tmp_path: Pa
             running.result(timeout=30)
         stopped.close()
     assert stopped.statistics.simulations == 0
+
+
+# --- what hangs ------------------------------------------------------------------------------
+
+
+def loops_for_weak(scene: Any, hypothesis: Any, rng: Any) -> Any:
+    while hypothesis == WEAK:
+        pass
+    yield from toys.drift(scene, hypothesis, rng)
+
+
+def sleeps_for_weak(scene: Any, hypothesis: Any, rng: Any) -> Any:
+    yield scene.start
+    if hypothesis == WEAK:
+        time.sleep(1000)
+    yield from toys.drift(scene, hypothesis, rng)
+
+
+def keeps_python_busy(scene: Any, hypothesis: Any, rng: Any) -> Any:
+    if hypothesis == WEAK:  # years within one call, in which no other thread gets its turn
+        re.match("(a+)+$", "a" * 64 + "b")
+    yield from toys.drift(scene, hypothesis, rng)
+
+
+@pytest.mark.parametrize("simulator", [loops_for_weak, sleeps_for_weak])
+@pytest.mark.parametrize("how", ["here", "workers", "executor"])
+def test_a_simulation_that_hangs_is_a_counted_failure(how: str, simulator: Any) -> None:
+    with futures.ThreadPoolExecutor(1) as threads:
+        where = {"here": {"workers": 1}, "workers": {"workers": 2}, "executor": {}}[how]
+        executor = threads if how == "executor" else None
+        with runner(simulator, simulation_seconds=0.4, executor=executor, **where) as limited:
+            results = limited.run([GO, WEAK, HELP], [1, 2, 3])
+    assert [r.completed for r in results] == [True, False, True]
+    assert results[1].failure == "it took longer than the 0.4 s that a simulation may take"
+    assert limited.statistics.failures == 1
+    with runner(simulator, workers=1) as free:
+        assert_same(free.run([GO, HELP], [1, 3]), [results[0], results[2]])
+
+
+def test_a_loop_of_python_that_is_given_up_is_ended() -> None:
+    before = set(threading.enumerate())
+    with runner(loops_for_weak, simulation_seconds=0.1, workers=1) as limited:
+        limited.run([WEAK], [1])
+    deadline = time.monotonic() + 30
+    while set(threading.enumerate()) - before:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def test_a_worker_that_cannot_end_its_simulation_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dispatch, "_STARTUP_SECONDS", 1.0)
+    with runner(keeps_python_busy, simulation_seconds=2.0, workers=2) as limited:
+        results = limited.run([GO, WEAK, HELP], [1, 2, 3])
+    assert [r.completed for r in results] == [True, False, True]
+    assert "took longer than the 2 s" in str(results[1].failure)
+    assert limited.statistics.retries == 0
+
+
+def test_what_hangs_here_is_cancelled_from_another_thread(tmp_path: Path) -> None:
+    marker = tmp_path / "begun"
+    with futures.ThreadPoolExecutor(1) as caller, runner(toys.Sleeps(marker), workers=1) as here:
+        running = caller.submit(here.run, [GO], [1])
+        while not marker.exists():
+            time.sleep(0.01)
+        here.cancel()
+        with pytest.raises(Cancelled):
+            running.result(timeout=30)
+
+
+def test_an_executor_that_is_shut_down_ends_the_wait(tmp_path: Path) -> None:
+    marker, threads = tmp_path / "begun", futures.ThreadPoolExecutor(1)
+    with futures.ThreadPoolExecutor(1) as caller:
+        borrowed = runner(toys.Sleeps(marker, 0.5), executor=threads)
+        running = caller.submit(borrowed.run, [GO, WEAK, HELP], [1, 2, 3])
+        while not marker.exists():
+            time.sleep(0.01)
+        threads.shutdown(wait=False, cancel_futures=True)
+        with pytest.raises(SimulationError, match="the executor takes no simulation"):
+            running.result(timeout=30)
+
+
+def test_a_batch_that_hangs_is_failures() -> None:
+    class Hangs(toys.Batched):
+        def simulate_batch(self, *given: Any) -> Any:
+            time.sleep(1000)
+
+    with runner(Hangs(), simulation_seconds=0.1) as limited:
+        results = limited.run([GO, WEAK], [1, 2])
+    assert ["took longer" in str(r.failure) for r in results] == [True, True]
+
+
+@pytest.mark.parametrize("seconds", [0, -1.0, np.nan, "5"])
+def test_a_limit_that_is_none_is_refused(seconds: Any) -> None:
+    with pytest.raises(InvalidSettingError, match="simulation_seconds="):
+        runner(toys.drift, simulation_seconds=seconds)

@@ -8,8 +8,6 @@ import time
 from collections.abc import Mapping
 from typing import Any, Final
 
-import loky
-
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.dataset.generation.making import Made, make
 from phase_ppl.dataset.generation.plan import PHASE500, Plan, Slot, scaled
@@ -17,8 +15,9 @@ from phase_ppl.dataset.generation.store import GeneratedEvents
 from phase_ppl.dataset.generation.workshop import Workshop
 from phase_ppl.simulator.jobs import Failure, results
 from phase_ppl.simulator.joint import JointSimulator
-from phase_ppl.world.checks import whole_number
+from phase_ppl.world.checks import number_of_workers
 from phase_ppl.world.errors import SimulationError
+from phase_ppl.world.files import locked, writable_folder
 
 PRESETS: Final[Mapping[str, Mapping[str, int]]] = {"phase500": PHASE500}
 """Name -> cells: the paper's set."""
@@ -45,6 +44,7 @@ def generate(
     recolour: bool = True,
     keep_rejected: bool = False,
     resume: bool = False,
+    other_versions: bool = False,
     workers: int | None = None,
     progress: bool | None = None,
 ) -> GeneratedEvents:
@@ -71,6 +71,8 @@ def generate(
         reflect, recolour: whether events are reflected, and colours exchanged, at random.
         keep_rejected: whether rejected draws are kept, with the reason.
         resume: go on with what ``out`` holds.
+        other_versions: also where that was made by other versions of this package, or of what it
+            builds on; the manifest keeps both.
         workers: processes; by default one per usable core.
         progress: True or False for a bar on stderr; None: where stderr is a terminal.
 
@@ -85,7 +87,7 @@ def generate(
     """
     given = {"splits": splits, "frames": frames, "max_tries": max_tries}
     plan = Plan(
-        cells=dict(cells) if n is None else scaled(cells, n),
+        cells=cells if n is None else scaled(cells, n),
         copies=copies,
         replans=replans,
         planner=planner,
@@ -95,8 +97,18 @@ def generate(
         recolour=recolour,
         **{name: value for name, value in given.items() if value is not None},  # type: ignore[arg-type]
     )
-    n_workers = loky.cpu_count() if workers is None else whole_number("workers", workers)
-    workshop = Workshop(out, plan, keep_rejected=keep_rejected, resume=resume)
+    n_workers = number_of_workers(workers)
+    with locked(writable_folder(out)):
+        workshop = Workshop(
+            out, plan, keep_rejected=keep_rejected, resume=resume, other_versions=other_versions
+        )
+        return _carry_out(plan, workshop, n_workers, progress)
+
+
+def _carry_out(
+    plan: Plan, workshop: Workshop, n_workers: int, progress: bool | None
+) -> GeneratedEvents:
+    """Make what is missing, and put everything together."""
     missing = workshop.missing()
     clock = time.perf_counter()
     failures: list[str] = []

@@ -18,7 +18,7 @@ import numpy as np
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.dataset.generation.changes import MOST_CHANGES
 from phase_ppl.dataset.generation.registry import family_and_variant
-from phase_ppl.world.checks import whole_number
+from phase_ppl.world.checks import check_memory, instance_of, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.scene import TURNINGS, Turning
 
@@ -52,6 +52,9 @@ REFLECTION_SHARES: Final[Mapping[str, float]] = {
 """How often the original test videos are reflected, and how."""
 
 FRAMES: Final = 101
+_EVENT_BYTES: Final = 20_000
+_FRAME_BYTES: Final = 600
+"""Of memory that an event takes, and each of its frames, when all are put together."""
 MAX_TRIES: Final = 200
 
 
@@ -118,6 +121,8 @@ class Plan:
     max_tries: int = MAX_TRIES
 
     def __post_init__(self) -> None:
+        for given in ("cells", "splits"):
+            instance_of(given, getattr(self, given), Mapping, "a mapping from names to numbers")
         for cell, n in self.cells.items():
             family_and_variant(cell)
             whole_number(cell, n, 0)
@@ -139,6 +144,9 @@ class Plan:
             )
         whole_number("frames", self.frames, 2)
         whole_number("seed", self.seed, 0)
+        n = sum(self.cells.values()) * (1 + self.copies + self.replans)
+        what = f"a plan of {n} events of {self.frames} frames"
+        check_memory(what, n * (_EVENT_BYTES + _FRAME_BYTES * self.frames))
         whole_number("max_tries", self.max_tries, 1)
         object.__setattr__(self, "planner", PlannerConfig.named(self.planner))
         most = len(self.looks) - 1
@@ -190,4 +198,5 @@ def apportioned(total: int, shares: Mapping[str, float]) -> dict[str, int]:
 
 def scaled(cells: Mapping[str, int], n: int) -> dict[str, int]:
     """Return numbers of events in the proportions of ``cells``, ``n`` in all."""
+    instance_of("cells", cells, Mapping, "a mapping from names to numbers")
     return apportioned(whole_number("n", n, 1), cells)

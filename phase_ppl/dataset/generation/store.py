@@ -27,6 +27,7 @@ from phase_ppl.dataset.events_netcdf import checksum
 from phase_ppl.dataset.stored_events import StoredEvents
 from phase_ppl.world.errors import InvalidEventError, PhasePPLError, shown
 from phase_ppl.world.event import Event
+from phase_ppl.world.identity import differences
 from phase_ppl.world.scene import Turning
 
 MANIFEST_SCHEMA: Final = "phase-ppl-manifest-1"
@@ -168,6 +169,10 @@ def verify(folder: str | os.PathLike[str]) -> list[str]:
     """
     found = GeneratedEvents(folder)
     wrong = []
+    if found.manifest.get("earlier_versions"):
+        before, now = found.manifest["earlier_versions"][-1], found.manifest["versions"]
+        apart = "; ".join(differences(before, now))
+        wrong.append(f"not all were made by the same versions: {apart}")
     for index, entry in enumerate(found.entries):
         try:
             same = checksum(found[index]) == entry["checksum"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 import json
@@ -27,8 +28,8 @@ from phase_ppl.dataset.generation.store import (
 from phase_ppl.dataset.load import save_events
 from phase_ppl.world.errors import InvalidEventError, OutputError, PhasePPLError, shown
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import write_json
-from phase_ppl.world.identity import differences, versions
+from phase_ppl.world.files import writable_folder, write_json
+from phase_ppl.world.identity import differences, versions_so_far
 
 PLAN_SCHEMA: Final = "phase-ppl-plan-1"
 PARTS: Final = "parts"
@@ -56,6 +57,7 @@ class Workshop:
         plan: what is to be made.
         keep_rejected: whether rejected draws are kept.
         resume: whether to go on with what is there.
+        other_versions: whether also by other versions of this package and what it builds on.
 
     Attributes:
         damaged: names of events whose part was there and cannot be used: they are missing again.
@@ -63,34 +65,43 @@ class Workshop:
     Raises:
         OutputError: the folder cannot be written, holds a data set already, or one of another
             plan.
+        InvalidSettingError: what is missing would be made by other versions.
     """
 
     def __init__(
-        self, path: str | os.PathLike[str], plan: Plan, *, keep_rejected: bool, resume: bool
+        self,
+        path: str | os.PathLike[str],
+        plan: Plan,
+        *,
+        keep_rejected: bool,
+        resume: bool,
+        other_versions: bool = False,
     ) -> None:
         self.path, self.plan = Path(path), plan
         record = {"schema": PLAN_SCHEMA, "keep_rejected": keep_rejected, **plan.to_dict()}
         target = self.path / PLAN
+        made_by: list[dict[str, Any]] = []
         if target.exists():
             if not resume:
                 raise OutputError(
                     f"{self.path} holds a data set already; resume it, or name another"
                 )
-            # sets were begun before there were re-planned copies
-            apart = differences({"replans": 0, **read_json(target)}, record)
+            # sets were begun before there were re-planned copies, and before versions were kept
+            stored = {"replans": 0, **read_json(target)}
+            made_by = stored.pop("versions", None) or [{}]
+            apart = differences(stored, record)
             if apart:
                 raise OutputError(
                     f"{self.path} holds a data set of another plan: {'; '.join(apart)}"
                 )
-        try:
-            (self.path / PARTS).mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise OutputError(f"cannot write into {self.path}: {error.strerror or error}") from None
+        writable_folder(self.path / PARTS)
         self._keep_rejected = keep_rejected
-        if not target.exists():
-            write_json(target, record)
         self.damaged: list[str] = []
         self._missing = {} if self._is_finished() else self._look_for_missing()
+        self._made_by = made_by
+        if self._missing:
+            self._made_by = versions_so_far(made_by, self.path, other_versions)
+            write_json(target, {**record, "versions": self._made_by})
 
     def _is_finished(self) -> bool:
         return (self.path / MANIFEST).is_file()
@@ -174,7 +185,10 @@ class Workshop:
             self._assemble(cost)
         for slot in self.plan.slots():
             self.part(slot).unlink(missing_ok=True)
-        (self.path / PARTS).rmdir()
+        for half in (self.path / PARTS).glob(".part-*"):  # of a process that was killed
+            half.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # what else is there is not ours
+            (self.path / PARTS).rmdir()
         return GeneratedEvents(self.path)
 
     def _assemble(self, cost: Mapping[str, Any]) -> None:
@@ -210,7 +224,8 @@ class Workshop:
             {
                 "schema": MANIFEST_SCHEMA,
                 "plan": self.plan.to_dict(),
-                "versions": versions(),
+                "versions": self._made_by[-1],
+                "earlier_versions": self._made_by[:-1],
                 "kept": {cell: tally.kept for cell, tally in draws.items()},
                 "rejected": {cell: dict(tally.reasons) for cell, tally in draws.items()},
                 "replans": {

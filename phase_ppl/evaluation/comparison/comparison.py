@@ -32,13 +32,12 @@ from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
-    OutputError,
     PhasePPLError,
     shown,
     unknown_name,
 )
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import write_json
+from phase_ppl.world.files import writable_folder, write_json
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -142,11 +141,7 @@ class ModelComparison:
         Raises:
             OutputError: it cannot be written.
         """
-        path = Path(folder)
-        try:
-            path.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise OutputError(f"cannot write into {path}: {error.strerror or error}") from None
+        path = writable_folder(folder)
         record = {
             "schema": SCHEMA,
             "settings": dict(self.settings),

@@ -24,7 +24,7 @@ from phase_ppl.evaluation.figures import pairs as _pairs
 from phase_ppl.evaluation.figures import strips as _strips
 from phase_ppl.evaluation.figures.results import FolderResults, NothingToDrawError, Results
 from phase_ppl.evaluation.folder import COMPARISON, ResultsFolder
-from phase_ppl.world.errors import OutputError
+from phase_ppl.world.files import writable_folder
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -105,10 +105,7 @@ def draw_comparison(
 def _draw_all(
     drawn: Mapping[str, Callable[[Any], Figure]], results: Results, target: Path, progress: bool
 ) -> list[Path]:
-    try:
-        target.mkdir(exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"cannot write {target}: {error.strerror or error}") from None
+    writable_folder(target)
     files = []
     for name, draw in drawn.items():
         file = target / f"{name}.png"

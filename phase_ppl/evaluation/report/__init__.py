@@ -8,7 +8,7 @@ from typing import Final
 
 from phase_ppl.evaluation.folder import COMPARISON, POSTERIOR, SETTINGS, ResultsFolder
 from phase_ppl.world.errors import InvalidEventError
-from phase_ppl.world.files import atomic_output, check_output
+from phase_ppl.world.files import as_path, check_output, write_bytes
 
 NAME: Final = "report.html"
 
@@ -36,7 +36,7 @@ def report(
         InvalidEventError: the folder is none of these, or a file in it is damaged.
         OutputError: the page cannot be written there, or its name does not end in .html.
     """
-    source = Path(folder)
+    source = as_path(folder)
     target = source / NAME if path is None else Path(path)
     if not source.is_dir():
         raise InvalidEventError(f"{source}: no such folder")
@@ -68,6 +68,5 @@ def write_page(text: str, path: str | os.PathLike[str]) -> Path:
     Raises:
         OutputError: it cannot be written there, or its name does not end in .html.
     """
-    with atomic_output(path, (".html",)) as part:
-        part.write_text(text, encoding="utf-8", newline="\n")
+    write_bytes(path, (".html",), text.encode())
     return Path(path)

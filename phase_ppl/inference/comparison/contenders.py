@@ -18,6 +18,7 @@ from phase_ppl.inference.runs.length import check_chains, run_length
 from phase_ppl.inference.settings import SimpleSettings, described_budget
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import event_salt
+from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import InvalidSettingError, PhasePPLError, shown
 from phase_ppl.world.event import Event
 
@@ -176,6 +177,7 @@ def contenders(
     """
     if isinstance(kernels, str):
         kernels = [kernels]
+    instance_of("kernels", kernels, Iterable, "names, or a mapping from labels to kernels")
     named: Iterable[tuple[str | None, Spec]] = (
         list(kernels.items()) if isinstance(kernels, Mapping) else [(None, k) for k in kernels]
     )

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.world.errors import InvalidEventError
-from phase_ppl.world.files import atomic_output, existing_file
+from phase_ppl.world.files import existing_file, write_bytes
 
 SUFFIXES: Final = (".ckpt",)
 
@@ -38,17 +38,15 @@ def write_archive(
     Raises:
         OutputError: the file cannot be written there, or its name does not end in .ckpt.
     """
-    with atomic_output(path, SUFFIXES) as part, part.open("wb") as file:
-        with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
-            archive.writestr(_DOCUMENT, json.dumps(document))
-            for name, values in arrays.items():
-                with archive.open(name + _ARRAY, "w", force_zip64=True) as member:
-                    np.lib.format.write_array(
-                        member, np.asarray(values, order="C"), _VERSION, allow_pickle=False
-                    )
-        # on the disk before it takes the place of the file before
-        file.flush()
-        os.fsync(file.fileno())
+    memory = io.BytesIO()
+    with zipfile.ZipFile(memory, "w", zipfile.ZIP_STORED) as archive:
+        archive.writestr(_DOCUMENT, json.dumps(document))
+        for name, values in arrays.items():
+            with archive.open(name + _ARRAY, "w", force_zip64=True) as member:
+                np.lib.format.write_array(
+                    member, np.asarray(values, order="C"), _VERSION, allow_pickle=False
+                )
+    write_bytes(path, SUFFIXES, memory.getvalue())
 
 
 def read_archive(path: str | os.PathLike[str]) -> tuple[dict[str, Any], Arrays]:

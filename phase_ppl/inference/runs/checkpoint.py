@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 import jax
@@ -30,7 +29,11 @@ from phase_ppl.models.bridge import Record
 from phase_ppl.simulator.costs import Statistics
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.event import Event
+from phase_ppl.world.files import as_path
 from phase_ppl.world.identity import event_digest
+
+_TARGET: Final = ("iterations", "seconds")
+_FAILURES: Final = ("on_failure", "retries")
 
 SCHEMA: Final = "phase-ppl-checkpoint-2"
 
@@ -62,6 +65,7 @@ class Progressed:
         steps: the particles after each iteration.
         records: all simulations.
         spent: what it cost.
+        versions: of this package and what it builds on, of which it was made; the last last.
     """
 
     state: Any
@@ -69,6 +73,7 @@ class Progressed:
     steps: list[Step]
     records: list[Record]
     spent: Spent
+    versions: Sequence[Mapping[str, Any]]
 
 
 class Checkpoint:
@@ -88,14 +93,14 @@ class Checkpoint:
         kernel: name of the kernel; None where it is a user's own object.
         options: of the kernel; None where they are not plain data.
         settings: of SIMPLE; likewise.
-        start, steps, records, spent: as in :class:`Progressed`.
+        start, steps, records, spent, versions: as in :class:`Progressed`.
 
     Raises:
         InvalidEventError: there is no such file, or it is damaged or of another kind.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        self.path = Path(path)
+        self.path = as_path(path)
         document, self._arrays = read_archive(path)
         try:
             if document["schema"] != SCHEMA:
@@ -112,6 +117,8 @@ class Checkpoint:
         if event_digest(self.event) != self.identity["event"]:
             raise ValueError("its event is not that of the run")
         self.target, self.failures = dict(document["target"]), dict(document["failures"])
+        for known in (*_TARGET, *_FAILURES):
+            (self.target if known in _TARGET else self.failures)[known]
         again = document["again"]
         self.model: dict[str, Any] | None = again["model"]
         self.kernel: str | None = again["kernel"]
@@ -122,6 +129,9 @@ class Checkpoint:
         self.records = unpacked_records(
             self._arrays, document["failed"], self.event.observation.n_frames
         )
+        self.versions = [
+            dict(one) for one in document.get("versions", [{}])
+        ]  # there were none once
         spent = dict(document["spent"])
         self.spent = Spent(**{**spent, "statistics": Statistics(**spent["statistics"])})
         with on_cpu():
@@ -129,6 +139,13 @@ class Checkpoint:
                 (str(name), unpacked_leaf(self._arrays[f"state/{i}"], kind))
                 for i, (name, kind) in enumerate(document["state"])
             ]
+
+    def made(self, make: Callable[..., Any], given: Mapping[str, Any]) -> Any:
+        """Return what is made of a part of the file; raise InvalidEventError if nothing can be."""
+        try:
+            return make(**given)
+        except Exception as error:  # it may hold anything
+            raise damaged(self.path, error) from None
 
     def state(self, blank: Any) -> Any:
         """Return the state of the kernel.
@@ -187,6 +204,7 @@ def write_checkpoint(
         "event_id": plan.event.id,
         "iterations": len(done.steps),
         "spent": dataclasses.asdict(done.spent),
+        "versions": list(done.versions),
         "state": [
             [jax.tree_util.keystr(path), kind]
             for (path, _), (_, kind) in zip(leaves, packed, strict=True)

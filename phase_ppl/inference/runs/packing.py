@@ -28,6 +28,8 @@ def packed_leaf(leaf: Any) -> tuple[NDArray[Any], str | None]:
 
 def unpacked_leaf(values: NDArray[Any], kind: str | None) -> jax.Array:
     """Return the leaf that :func:`packed_leaf` was given."""
+    if values.dtype.kind == "f" and np.isnan(values).any():
+        raise ValueError("a value of its state is NaN")
     leaf = jnp.asarray(values)
     return leaf if kind is None else random.wrap_key_data(leaf, impl=kind)
 

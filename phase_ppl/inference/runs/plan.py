@@ -14,7 +14,7 @@ from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models import priors
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.model import Model
-from phase_ppl.world.checks import whole_number
+from phase_ppl.world.checks import instance_of, whole_number
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
 from phase_ppl.world.event import Event
 from phase_ppl.world.identity import event_digest, source_hash, stable
@@ -55,8 +55,8 @@ class Plan:
         if not isinstance(self.event, Event):
             raise no_event(self.event)
         object.__setattr__(self, "info", described(self.kernel))
-        whole_number("chains", self.chains)
-        whole_number("seed", self.seed, minimum=0)
+        object.__setattr__(self, "chains", whole_number("chains", self.chains))
+        object.__setattr__(self, "seed", whole_number("seed", self.seed, minimum=0))
 
     def identity(self) -> dict[str, Any]:
         """Return as plain data what a run must have in common with another to be the same."""
@@ -95,6 +95,8 @@ def complete_model(
         InvalidSettingError: beta is given for a likelihood that has none.
     """
     model = Model() if model is None else model
+    instance_of("model", model, Model, "a phase_ppl.Model")
+    instance_of("settings", settings, SimpleSettings, "a phase_ppl.SimpleSettings")
     if planner is not None:
         model = dataclasses.replace(model, planner=planner)
     if settings.beta is not None:

@@ -8,8 +8,14 @@ import json
 import math
 import os
 import platform
+import time
+import warnings
+import weakref
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from typing import Any
+from typing import Any, Final
+
+import numpy as np
 
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.inference.proposals.strength.estimators import estimator_name
@@ -31,9 +37,23 @@ from phase_ppl.inference.settings import (
 from phase_ppl.models.bridge import SimulatorBridge
 from phase_ppl.models.program import event_salt
 from phase_ppl.models.stepwise import StepwiseLikelihood
-from phase_ppl.simulator.contract import Cancelled
+from phase_ppl.simulator.contract import Cancelled, OutOfTime, SimulationResult
+from phase_ppl.simulator.costs import Statistics
 from phase_ppl.simulator.runner import Runner
+from phase_ppl.world.checks import check_memory
 from phase_ppl.world.errors import InvalidSettingError, OutputError
+
+_RECORD_BYTES: Final = 3000
+_FRAME_BYTES: Final = 104
+"""Of memory that a simulation takes, and each of its frames."""
+
+_known_simulators: Final[weakref.WeakSet[Any]] = weakref.WeakSet()
+
+_APART: Final = 0.5
+"""Units by which a first frame may be off the start."""
+
+_OVERTIME: Final = 1.1
+"""An iteration is given up that goes on for so much of the seconds, and one second."""
 
 
 class Interrupted(KeyboardInterrupt):
@@ -59,9 +79,11 @@ class Means:
     Attributes:
         iterations, budget: as given; the length of the run.
         on_failure, retries: what becomes of failed simulations; draws depend on it where some fail.
+        simulation_seconds: that a simulation may take; None: any.
         workers, executor: where simulations run.
         progress: whether to show a bar.
         path: of the checkpoint; None: none is written.
+        versions: of which the run was made so far, the present ones last.
         began: when the call began, by :func:`phase_ppl.inference.runs.pace.clock`.
         burn_in: draws at the beginning of each chain that do not count; None: by default.
     """
@@ -70,10 +92,12 @@ class Means:
     budget: Budget | FrameBudget | TimeBudget | None
     on_failure: str
     retries: int | None
+    simulation_seconds: float | None
     workers: int | None
     executor: Executor | None
     progress: bool | None
     path: str | os.PathLike[str] | None
+    versions: Sequence[Mapping[str, Any]]
     began: float
     burn_in: int | None = None
 
@@ -114,6 +138,7 @@ def _runner(plan: Plan, means: Means) -> Runner:
         executor=means.executor,
         on_failure=means.on_failure,
         retries=means.retries,
+        simulation_seconds=means.simulation_seconds,
     )
 
 
@@ -145,6 +170,13 @@ class Session:
             means.iterations,
             means.budget,
             observation.n_frames,
+        )
+        length = self._length
+        asked = length.simulations or (length.frames or 0) // observation.n_frames
+        most = max(asked, length.at_most(plan.chains, length.iterations or 0))
+        check_memory(
+            f"chains={plan.chains}, {most} simulations of {observation.n_frames} frames",
+            most * (_RECORD_BYTES + _FRAME_BYTES * observation.n_frames),
         )
         self._run = Chains(recipe, data, self._bridge, runner, plan.chains, plan.seed)
         before = Spent() if saved is None else saved.spent
@@ -181,6 +213,8 @@ class Session:
             self._runner.on_result = bar.one_more
             try:
                 self._advance(bar)
+            except OutOfTime:  # the iteration that was under way does not count
+                return None
             except (KeyboardInterrupt, Cancelled) as stop:
                 # in case that it came while the file was being written; the posterior comes first
                 with contextlib.suppress(OutputError):
@@ -191,12 +225,24 @@ class Session:
         return None
 
     def _advance(self, bar: Progress) -> None:
+        seconds, runner = self._length.seconds, self._runner
         if self._run.start is None:
+            limit = runner.limit
+            if seconds is not None:
+                runner.limit = min(limit, seconds)
+                runner.patience = time.perf_counter() + seconds - self._pace.spent
             self._pace.begin()
             self._run.initialise()
             self._pace.end(initial=True)
             self._account.settle()
             self._keep()
+            runner.limit = limit
+            if self._plan.model.simulator is not None:
+                results = [record.result for record in self._bridge.records]
+                _check_once(runner, self._plan.model.simulator, results)
+        if seconds is not None:
+            left = _OVERTIME * seconds + 1.0 - self._pace.spent
+            runner.deadline = time.perf_counter() + left
         while self._pace.another(len(self._run.steps), self._account.tally):
             bar.reach(self._simulations())
             bar.expect(self._expected())
@@ -234,8 +280,19 @@ class Session:
             path,
             self._plan,
             self._length.target,
-            {"on_failure": self._runner.on_failure, "retries": self._means.retries},
-            Progressed(run.state, run.start, run.steps, self._bridge.records, spent),
+            {
+                "on_failure": self._runner.on_failure,
+                "retries": self._means.retries,
+                "simulation_seconds": self._means.simulation_seconds,
+            },
+            Progressed(
+                run.state,
+                run.start,
+                run.steps,
+                self._bridge.records,
+                spent,
+                self._means.versions,
+            ),
         )
         self._written = len(run.steps)
 
@@ -250,6 +307,10 @@ class Session:
             "settings": json.dumps(self._settings(), default=repr),
             "cost": json.dumps(self._cost(interrupted)),
         }
+        *earlier, now = self._means.versions
+        attrs["versions"] = json.dumps(now)
+        if earlier:
+            attrs["earlier_versions"] = json.dumps(earlier)
         drawn = Drawn.kept(run.start, run.steps, plan.info)
         if self._means.burn_in is not None:
             # of an interrupted run at least the last draw counts
@@ -265,6 +326,7 @@ class Session:
             "seed": plan.seed,
             "on_failure": self._runner.on_failure,
             "retries": self._runner.retries,
+            "simulation_seconds": self._means.simulation_seconds,
             "turning": plan.event.scene.turning,
             "simple": _without_beta(plan.settings),
             "model": plan.model.fingerprint(),
@@ -292,6 +354,36 @@ class Session:
             "calls": self._calls,
             "interrupted": interrupted,
         }
+
+
+def _check_once(runner: Runner, simulator: Any, results: Sequence[SimulationResult]) -> None:
+    """Warn of a simulator that does not start where it is told to, or draws not from its seed."""
+    first = next((result for result in results if result.completed), None)
+    with contextlib.suppress(TypeError):  # of one that cannot be told from others
+        if simulator in _known_simulators:
+            return
+        _known_simulators.add(simulator)
+    if first is None:
+        return
+    kept = runner.statistics, runner.on_result, runner.on_failure
+    runner.statistics, runner.on_result, runner.on_failure = Statistics(), None, "reject"
+    try:
+        (again,) = runner.run([first.hypothesis], [first.seed])
+    finally:
+        runner.statistics, runner.on_result, runner.on_failure = kept
+    if not np.array_equal(first.trajectory, again.trajectory, equal_nan=True):
+        warnings.warn(
+            "the simulator gave another result for the same seed: unless all its randomness comes "
+            "from rng, a run can be neither repeated nor resumed",
+            stacklevel=2,
+        )
+    apart = np.abs(first.trajectory[0, :, :2] - runner.scene.start[:, :2]).max()
+    if apart > _APART:
+        warnings.warn(
+            f"the first frame of the simulator is {apart:.3g} units off the start of the scene, "
+            "which frame 0 shows",
+            stacklevel=2,
+        )
 
 
 def _without_beta(settings: SimpleSettings) -> dict[str, Any]:

@@ -7,7 +7,6 @@ import json
 import time
 from typing import Any, Final, Self
 
-import loky
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
@@ -20,7 +19,7 @@ from phase_ppl.closed_loop.reader import Reader, Reading
 from phase_ppl.models.model import Model
 from phase_ppl.models.stepwise import StepwiseLikelihood, prior_table
 from phase_ppl.physics.actions import ACTION_NAMES
-from phase_ppl.world.checks import whole_number
+from phase_ppl.world.checks import instance_of, number_of_workers, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.goals import GOALS, N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS
@@ -62,10 +61,11 @@ class Watch:
         self._clock = time.perf_counter()
         self.model = Model(likelihood=StepwiseLikelihood()) if model is None else model
         likelihood, planner = _parts(self.model)
+        instance_of("scene", scene, Scene, "a phase_ppl.Scene")
         self._scene, self._event_id = scene, event_id
         self._likelihood = likelihood
         self._seed = whole_number("seed", seed, minimum=0)
-        self.threads = loky.cpu_count() if threads is None else whole_number("threads", threads)
+        self.threads = number_of_workers(threads, "threads")
         levels = likelihood.tracking.strengths
         self._prior = _prior_table(self.model.prior, levels)
         self._reader = Reader(
@@ -216,6 +216,7 @@ def watch(
 
 
 def _parts(model: Model) -> tuple[StepwiseLikelihood, PlannerConfig]:
+    instance_of("model", model, Model, "a phase_ppl.Model")
     likelihood, planner = model.likelihood, model.planner
     if not isinstance(likelihood, StepwiseLikelihood):
         raise InvalidSettingError(

@@ -28,6 +28,7 @@ from phase_ppl.world.errors import (
     SimulationError,
     UnknownNameError,
 )
+from phase_ppl.world.files import locked
 from phase_ppl.world.goals import goal_literal
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS
 from phase_ppl.world.literals import Predicate
@@ -233,10 +234,14 @@ def test_a_damaged_part_is_made_anew(
         first.write_text(text.replace('"attempt": 0', '"attempt": 1'))
     else:
         first.write_text(other.read_text())
+    (tmp_path / "part" / "parts" / ".part-0a1b2c3d.json").write_text("half")
+    (tmp_path / "part" / "parts" / "notes.txt").write_text("of a user")
     resumed = generate(tmp_path / "part", cells=CELLS, resume=True, **QUICK)
     assert len(calls) == 4 + 3
     assert resumed.manifest["made_anew"] == [whole.entries[0]["id"]]
     assert whole.manifest["made_anew"] == []
+    left = [file.name for file in (tmp_path / "part" / "parts").iterdir()]
+    assert left == ["notes.txt"]
     assert resumed.entries == whole.entries
     assert verify(tmp_path / "part") == []
 
@@ -258,7 +263,7 @@ def test_sets_of_earlier_versions_are_finished_read_and_checked(
         generate(tmp_path / "set", cells=CELLS, **QUICK)
     # plans knew no re-planned copies, parts had no checksum and said less about rejected draws
     plan = json.loads((tmp_path / "set" / "plan.json").read_text())
-    del plan["replans"]
+    del plan["replans"], plan["versions"]
     (tmp_path / "set" / "plan.json").write_text(json.dumps(plan))
     for file in (tmp_path / "set" / "parts").iterdir():
         part = json.loads(file.read_text())
@@ -266,11 +271,14 @@ def test_sets_of_earlier_versions_are_finished_read_and_checked(
         del part["entries"][0]["replanned"]
         part["rejected"] = [{"attempt": 0, "reason": "dull"}]
         file.write_text(json.dumps(part))
-    found = generate(tmp_path / "set", cells=CELLS, resume=True, **QUICK)
+    with pytest.raises(InvalidSettingError, match="other versions"):
+        generate(tmp_path / "set", cells=CELLS, resume=True, **QUICK)
+    found = generate(tmp_path / "set", cells=CELLS, resume=True, other_versions=True, **QUICK)
     assert len(calls) == 3 + 3
     assert sum(sum(why.values()) for why in found.manifest["rejected"].values()) == 2
     manifest = json.loads((tmp_path / "set" / "manifest.json").read_text())
-    del manifest["replans"], manifest["made_anew"]
+    assert ["not all were made by the same versions" in line for line in verify(tmp_path / "set")]
+    del manifest["replans"], manifest["made_anew"], manifest["earlier_versions"]
     (tmp_path / "set" / "manifest.json").write_text(json.dumps(manifest))
     assert verify(tmp_path / "set") == []
     assert len(ppl.load_events(tmp_path / "set")) == 5
@@ -297,6 +305,11 @@ def test_interrupted_generation_goes_on_to_the_same_set(
         ppl.load_events(tmp_path / "part")
     with pytest.raises(OutputError, match="resume"):
         generate(tmp_path / "part", cells=CELLS, **QUICK)
+    with (
+        locked(tmp_path / "part"),
+        pytest.raises(OutputError, match="another process is at work"),
+    ):
+        generate(tmp_path / "part", cells=CELLS, resume=True, **QUICK)
     with pytest.raises(OutputError, match="seed is 1, was 0"):
         generate(tmp_path / "part", cells=CELLS, seed=1, resume=True, **QUICK)
     resumed = generate(tmp_path / "part", cells=CELLS, resume=True, **QUICK)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.cli.main import main
+from phase_ppl.cli import main
 from phase_ppl.closed_loop.reader import Reader
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.event import Event

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,8 +24,6 @@ from phase_ppl.cli import (
 )
 from phase_ppl.cli.shared import (
     BAD_INPUT,
-    BROKEN_PIPE,
-    INTERRUPTED,
     Parser,
     check_suffix,
     command,
@@ -40,26 +37,15 @@ from phase_ppl.render.video import SUFFIXES as FILM_SUFFIXES
 from phase_ppl.world.errors import PhasePPLError
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; return the exit code.
-
-    It is 0, or 1 where something failed that did not stop the rest, 2 for bad input, 130 where
-    interrupted, 141 where output was not read to its end.
-    """
+def run(arguments: Sequence[str] | None) -> int:
+    """Run a command; return the exit code."""
     options = _parser().parse_args(arguments)
     try:
         code: int = options.run(options)
-        sys.stdout.flush()
         return code
-    except BrokenPipeError:  # of "| head"; Python must not try to write the rest at its end
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return BROKEN_PIPE
     except PhasePPLError as error:
         print(f"phase-ppl: error: {one_line(error)}", file=sys.stderr)
         return BAD_INPUT
-    except KeyboardInterrupt:
-        print("phase-ppl: interrupted", file=sys.stderr)
-        return INTERRUPTED
 
 
 # --- simulate --------------------------------------------------------------------------------

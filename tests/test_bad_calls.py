@@ -1,0 +1,235 @@
+"""Calls that cannot work: one line that names the value, and nothing begun."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpyro
+import pytest
+
+import phase_ppl as ppl
+from phase_ppl.cli import main
+from phase_ppl.inference.runs import session
+from phase_ppl.inference.runs.archive import read_archive, write_archive
+from phase_ppl.world.errors import PhasePPLError
+from phase_ppl.world.hypothesis import Hypothesis
+from tests.inference.runs import EVENT, MODEL, OPTIONS
+from tests.inference.toy import walkers
+
+LONG = "x" * 5000
+GO = Hypothesis("Get red agent to red lm", "Get green agent to blue lm")
+
+CALLS: dict[str, tuple[Callable[[], Any], str]] = {
+    "model": (lambda: ppl.infer(EVENT, model="simple"), "model='simple', expected a phase_ppl.M"),
+    "settings": (lambda: ppl.infer(EVENT, settings={}), "settings={}, expected"),
+    "gradient": (lambda: ppl.infer(EVENT, kernel=numpyro.infer.NUTS), "NUTS needs a gradient"),
+    "executor": (lambda: ppl.infer(EVENT, MODEL, executor=object()), "no PEP 3148 executor"),
+    "checkpoint": (lambda: ppl.infer(EVENT, checkpoint=3), "3 is no path"),
+    "chains": (lambda: ppl.infer(EVENT, MODEL, chains=10**9, workers=1), "GB of memory"),
+    "iterations": (lambda: ppl.infer(EVENT, MODEL, iterations=10**12, workers=1), "GB of memory"),
+    "workers": (lambda: ppl.infer(EVENT, MODEL, workers=10**6), "expected at most 1024"),
+    "a huge seed": (lambda: ppl.infer(EVENT, MODEL, seed=-(10**5000)), "seed=<int>, expected"),
+    "limit": (lambda: ppl.infer(EVENT, MODEL, simulation_seconds=0), "simulation_seconds=0"),
+    "kernels": (lambda: ppl.compare(EVENT, kernels=None), "kernels=None, expected names"),
+    "repeats": (lambda: ppl.compare(EVENT, repeats=10**9), "expected at most 1000000"),
+    "resume": (lambda: ppl.resume(None), "None is no path"),
+    "report": (lambda: ppl.report(None), "None is no path"),
+    "load": (lambda: ppl.load_event(None), "None is no path"),
+    "load long": (lambda: ppl.load_event(LONG), "(5000 characters) is a name that no file can"),
+    "load null": (lambda: ppl.load_events("a\0b.json"), r"a\x00b.json is a name that no file can"),
+    "posterior long": (lambda: ppl.load_posterior(LONG), "is a name that no file can have"),
+    "save": (lambda: ppl.save_event(EVENT, None), "None is no path"),
+    "save null": (lambda: ppl.save_event(EVENT, "a\0.json"), r"a\x00.json is a name"),
+    "save no event": (lambda: ppl.save_event(3, "a.json"), "event=3, expected a phase_ppl.Event"),
+    "save no events": (lambda: ppl.save_events([3], "a.json"), "event=3, expected"),
+    "dataset": (lambda: ppl.event_dataset(None), "event=None, expected"),
+    "event": (lambda: ppl.Event(EVENT.scene, 3), "observation=3, expected"),
+    "watch": (lambda: ppl.watch(None), "scene=None, expected"),
+    "evaluate": (lambda: ppl.evaluate(None), "events=None, expected"),
+    "cells": (lambda: ppl.generate("no", cells="chasing"), "cells='chasing', expected a mapping"),
+    "splits": (lambda: ppl.generate("no", n=2, splits="x"), "splits='x', expected a mapping"),
+    "n": (lambda: ppl.generate("no", n=10**9), "a plan of 1000000000 events"),
+    "frames": (lambda: ppl.simulate(EVENT.scene, GO, frames=10**12), "frames=1000000000000 would"),
+    "no frames": (lambda: ppl.simulate(EVENT.scene, GO, frames="9"), "frames='9', expected a wh"),
+    "no hypothesis": (lambda: ppl.simulate(EVENT.scene, None), "hypothesis=None, expected"),
+    "strength": (lambda: Hypothesis(12, 13, strength_red=1e200), "strength_red=1e+200 is no"),
+    "masked": (
+        lambda: ppl.Observation(np.ma.masked_greater(EVENT.observation.trajectory, 9.0)),
+        "trajectory is masked in places",
+    ),
+    "wall": (
+        lambda: ppl.Scene(EVENT.scene.start, EVENT.scene.radius, [[[16, 12], [16, 12]]]),
+        "wall [[16.0, 12.0], [16.0, 12.0]] has no length",
+    ),
+    "fps": (lambda: ppl.render.video(EVENT, "a.mp4", fps="x"), "fps='x', expected"),
+}
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_a_call_that_cannot_work_is_refused_in_one_line(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    call, message = CALLS[name]
+    with pytest.raises(PhasePPLError, match=re.escape(message)) as raised:
+        call()
+    assert "\n" not in str(raised.value)
+    assert len(str(raised.value)) < 300
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_numbers_of_numpy_are_numbers(tmp_path: Path) -> None:
+    options = {**OPTIONS, "chains": np.int64(2), "iterations": np.int32(1), "seed": np.uint8(3)}
+    post = ppl.infer(EVENT, MODEL, checkpoint=tmp_path / "run.ckpt", **options)
+    assert post.settings["chains"] == 2
+    assert ppl.resume(tmp_path / "run.ckpt", model=MODEL, workers=1).settings["seed"] == 3
+
+
+def _nan(arrays: dict[str, Any]) -> None:
+    name = next(n for n in arrays if n.startswith("state/") and arrays[n].dtype.kind == "f")
+    arrays[name] = np.full_like(arrays[name], np.nan)
+
+
+EDITED: dict[str, Callable[[dict[str, Any], dict[str, Any]], Any]] = {
+    "settings of another kind": lambda document, _: document["again"].update(settings={"x": 1}),
+    "settings of no kind": lambda document, _: document["again"].update(settings=[3]),
+    "a target without fields": lambda document, _: document.update(target={}),
+    "failures without fields": lambda document, _: document.update(failures={}),
+    "versions of no kind": lambda document, _: document.update(versions=3),
+    "NaN in the state": lambda _, arrays: _nan(arrays),
+}
+
+
+@pytest.mark.parametrize("edit", EDITED)
+def test_an_edited_checkpoint_is_refused_in_one_line(tmp_path: Path, edit: str) -> None:
+    path = tmp_path / "run.ckpt"
+    ppl.infer(EVENT, MODEL, checkpoint=path, **{**OPTIONS, "chains": 2, "iterations": 1})
+    document, arrays = read_archive(path)
+    EDITED[edit](document, arrays)
+    write_archive(path, document, arrays)
+    with pytest.raises(PhasePPLError, match=r"run\.ckpt is no checkpoint, or a damaged") as raised:
+        ppl.resume(path, model=MODEL, iterations=2, workers=1)
+    assert "\n" not in str(raised.value)
+
+
+# --- simulators that are not what they should be -----------------------------------------------
+
+
+def unseeded(scene: Any, hypothesis: Any, rng: Any) -> Iterator[Any]:
+    yield from walkers(scene, hypothesis, np.random.default_rng())
+
+
+def late(scene: Any, hypothesis: Any, rng: Any) -> Iterator[Any]:
+    for frame in walkers(scene, hypothesis, rng):
+        yield frame + np.array([2.0, 0.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    ("simulator", "message"),
+    [(unseeded, "another result for the same seed"), (late, "2 units off the start of the scene")],
+)
+def test_a_simulator_that_is_not_what_it_should_be_is_told_of_once(
+    simulator: Any, message: str
+) -> None:
+    options = {**OPTIONS, "chains": 2, "iterations": 1}
+    with pytest.warns(UserWarning, match=message):
+        post = ppl.infer(EVENT, ppl.Model(simulator=simulator), **options)
+    assert post.cost["simulations"] == len(post.tree["simulations"]["seed"]) == 4
+    ppl.infer(EVENT, ppl.Model(simulator=simulator), **options)
+    assert simulator in session._known_simulators
+
+
+@pytest.mark.parametrize("kind", ["complex", "masked", "text"])
+def test_frames_that_are_no_numbers_are_failures(kind: str) -> None:
+    def odd(scene: Any, hypothesis: Any, rng: Any) -> Iterator[Any]:
+        for frame in walkers(scene, hypothesis, rng):
+            yield {
+                "complex": frame + 1j,
+                "masked": np.ma.masked_greater(frame, 9.0),
+                "text": frame.astype(str),
+            }[kind]
+
+    with pytest.raises(PhasePPLError, match=r"frame 0 holds .*, expected numbers"):
+        ppl.infer(EVENT, ppl.Model(simulator=odd), **OPTIONS)
+
+
+def test_frames_that_overflow_are_told_of_in_words() -> None:
+    def far(scene: Any, hypothesis: Any, rng: Any) -> Iterator[Any]:
+        for frame in walkers(scene, hypothesis, rng):
+            yield frame + 1e300
+
+    with pytest.raises(PhasePPLError, match="frame 0 holds a value that is not finite"):
+        ppl.infer(EVENT, ppl.Model(simulator=far), **OPTIONS)
+
+
+# --- a terminal that is not what it should be --------------------------------------------------
+
+
+TO = ("--to", "phase-test", "--out")
+
+
+def run(*command: str, **options: Any) -> subprocess.CompletedProcess[str]:
+    whole = [sys.executable, "-m", "phase_ppl.cli", *command]
+    return subprocess.run(whole, stderr=subprocess.PIPE, text=True, timeout=120, **options)
+
+
+@pytest.fixture(scope="module")
+def event(tmp_path_factory: pytest.TempPathFactory) -> str:
+    path = tmp_path_factory.mktemp("event") / "walk.json"
+    ppl.save_event(ppl.Event(EVENT.scene, EVENT.observation, id="Bär"), path)
+    return str(path)
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="a device that is always full")
+def test_a_full_output_is_one_line(event: str, tmp_path: Path) -> None:
+    with open("/dev/full", "w") as full:
+        done = run("export", event, *TO, str(tmp_path / "x.json"), stdout=full)
+        assert done.stderr.count("\n") == 1
+        assert "No space left on device" in done.stderr
+        assert done.returncode == 2
+
+
+def test_a_closed_output_is_no_error(event: str, tmp_path: Path) -> None:
+    options = f"{' '.join(TO)} {tmp_path}/x.json"
+    command = f"{sys.executable} -m phase_ppl.cli export {event} {options} >&-"
+    done = subprocess.run(command, shell=True, stderr=subprocess.PIPE, text=True, timeout=120)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_an_output_of_few_letters_gets_all_the_same(event: str, tmp_path: Path) -> None:
+    out = tmp_path / "Bär.json"
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii", "PYTHONUTF8": "0"}
+    done = run("export", event, *TO, str(out), stdout=subprocess.PIPE, env=environment)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert r"B\xe4r.json" in done.stdout
+
+
+def test_ctrl_c_is_heard_while_the_commands_are_loaded(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Interrupts:
+        def find_spec(self, name: str, *_: Any) -> None:
+            if name == "phase_ppl.cli.commands":
+                os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.delitem(sys.modules, "phase_ppl.cli.commands", raising=False)
+    monkeypatch.setattr(sys, "meta_path", [Interrupts(), *sys.meta_path])
+    assert main(["--version"]) == 130
+    assert capsys.readouterr().err == "phase-ppl: interrupted\n"
+
+
+def test_a_platform_that_jax_does_not_have_is_not_blamed_on_the_prior(event: str) -> None:
+    environment = {**os.environ, "JAX_PLATFORMS": "abacus"}
+    done = run("infer", event, "--quiet", stdout=subprocess.PIPE, env=environment)
+    assert done.returncode == 2
+    assert "JAX_PLATFORMS='abacus'" in done.stderr
+    assert "prior" not in done.stderr
+    assert done.stderr.count("\n") == 1
