@@ -115,9 +115,9 @@ class WeightedRows:
             codes = self._rows.values[name]
             mass = statistics.shares(codes, self._rows.weights)
             error = without.error(statistics.shares(codes, without.weights), mass)
-            spread = float((error**2).sum())
-            if spread:
-                sizes.append(float((mass * (1 - mass)).sum()) / spread)
+            spread, variance = float((error**2).sum()), float((mass * (1 - mass)).sum())
+            if spread > 0 and variance > statistics.ROUNDING:
+                sizes.append(variance / spread)
         return min(sizes, default=float(len(np.unique(self._rows.index["chain"]))))
 
     def _error_of_share(

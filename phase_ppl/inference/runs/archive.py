@@ -26,6 +26,7 @@ Arrays = dict[str, NDArray[Any]]
 
 _DOCUMENT: Final = "run.json"
 _ARRAY: Final = ".npy"
+_LIST: Final = "arrays"
 _KINDS: Final = "biuf"
 _VERSION: Final = (1, 0)
 
@@ -40,7 +41,8 @@ def write_archive(
     """
     memory = io.BytesIO()
     with zipfile.ZipFile(memory, "w", zipfile.ZIP_STORED) as archive:
-        archive.writestr(_DOCUMENT, json.dumps(document))
+        # the list tells a file that lost some of them without a trace
+        archive.writestr(_DOCUMENT, json.dumps({**document, _LIST: list(arrays)}))
         for name, values in arrays.items():
             with archive.open(name + _ARRAY, "w", force_zip64=True) as member:
                 np.lib.format.write_array(
@@ -63,6 +65,8 @@ def read_archive(path: str | os.PathLike[str]) -> tuple[dict[str, Any], Arrays]:
         if not isinstance(document, dict):
             raise ValueError(f"{_DOCUMENT} is no object")
         arrays = {name.removesuffix(_ARRAY): _array(data) for name, data in members.items()}
+        if document.pop(_LIST) != list(arrays):
+            raise ValueError("it has not the arrays that were written")
     except Exception as error:  # whatever a damaged file makes the readers stumble over
         raise damaged(source, error) from None
     return document, arrays
