@@ -90,6 +90,16 @@ def test_reference_beside_what_it_says_of_itself(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_a_few_attacks_of_each_kind_are_withstood(tmp_path: Path) -> None:
+    report: dict[str, Any] = figures(tmp_path, "attack.py", "--inputs", "12", "--kills", "2")
+    assert report["bad"] == []
+    assert sum(report["counts"].values()) == 14
+    assert {name.split()[0] for name in report["counts"]} == {
+        *("commands", "calls", "flips", "hostile", "kills"),
+    }
+
+
+@pytest.mark.slow
 def test_calibration_of_a_few_events(tmp_path: Path) -> None:
     options = ["--events", "2", "--iterations", "8", "--kernel", "prior_mh"]
     image = tmp_path / "ranks.png"

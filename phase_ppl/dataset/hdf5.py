@@ -176,10 +176,15 @@ def root_attribute(path: str | os.PathLike[str], name: str) -> str:
 
     try:
         with h5py.File(path, "r") as file:
-            there = name in file.attrs and file.attrs.get_id(name).shape == ()
-            value = file.attrs[name] if there else ""
+            return _text_of(file, name)
     except (OSError, RuntimeError, ValueError):
         return ""
+
+
+def _text_of(file: Any, name: str) -> str:
+    # a list of texts could be far larger than the file
+    single = name in file.attrs and file.attrs.get_id(name).shape == ()
+    value = file.attrs[name] if single else ""
     return str(value.decode(errors="replace") if isinstance(value, bytes) else value)
 
 
@@ -204,11 +209,11 @@ def check_hdf5(source: str | os.PathLike[str] | BinaryIO, *, groups: bool = Fals
         if n_bytes > limit:
             raise _too_large()
         with h5py.File(source, "r") as file:
-            _Check(n_bytes, limit).group(file, groups)
-            if not groups and str(file.attrs.get("schema")).startswith(_POSTERIORS):
+            if not groups and _text_of(file, "schema").startswith(_POSTERIORS):
                 raise InvalidEventError(
                     "is a posterior, not an event; phase_ppl.Posterior.load reads it"
                 )
+            _Check(n_bytes, limit).group(file, groups)
 
 
 class _Check:

@@ -14,6 +14,7 @@ import pytest
 
 from phase_ppl.simulator import dispatch
 from phase_ppl.simulator.contract import Cancelled, SimulationResult
+from phase_ppl.simulator.pool import OwnWorkers
 from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.errors import InvalidSettingError, SimulationError
 from phase_ppl.world.observation import Observation
@@ -385,3 +386,12 @@ def test_a_batch_that_hangs_is_failures() -> None:
 def test_a_limit_that_is_none_is_refused(seconds: Any) -> None:
     with pytest.raises(InvalidSettingError, match="simulation_seconds="):
         runner(toys.drift, simulation_seconds=seconds)
+
+
+def test_there_are_never_more_workers_than_there_is_to_do() -> None:
+    with runner(toys.drift, workers=1000) as many:
+        results = many.run([GO, WEAK], [1, 2])
+        assert isinstance(many._pool, OwnWorkers)
+        assert many._pool.slots == 2
+        assert_same(results, many.run([GO, WEAK, HELP], [1, 2, 3])[:2])
+        assert many._pool.slots == 3

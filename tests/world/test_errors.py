@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from phase_ppl.world.errors import (
@@ -12,9 +13,10 @@ from phase_ppl.world.errors import (
     PhasePPLError,
     SimulationError,
     UnknownNameError,
+    shown,
     unknown_name,
 )
-from phase_ppl.world.files import atomic_output
+from phase_ppl.world.files import atomic_output, locked
 
 
 def test_errors_are_caught_by_code_that_knows_only_pythons_own() -> None:
@@ -100,3 +102,35 @@ def test_where_nothing_can_be_written_is_found_out_before_the_work(
     assert not begun
     assert "\n" not in str(raised.value)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "folder.json"]
+
+
+def test_nothing_is_no_result(tmp_path: Path) -> None:
+    """As of a program that ends well and writes nothing."""
+
+    def write_nothing() -> None:
+        with atomic_output(tmp_path / "film.mp4", (".mp4",)):
+            pass
+
+    with pytest.raises(OutputError, match=r"film\.mp4: nothing was written"):
+        write_nothing()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_lock_is_for_one_at_a_time_and_leaves_nothing(tmp_path: Path) -> None:
+    for target in (tmp_path, tmp_path / "run.ckpt"):
+        twice = locked(target), pytest.raises(OutputError, match="another process"), locked(target)
+        with twice[0], twice[1], twice[2]:
+            raise AssertionError("two at a time")
+        with locked(target), locked(None):
+            pass
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_value_is_shown_in_one_line_whatever_it_is() -> None:
+    class Unshowable:
+        def __repr__(self) -> str:
+            raise RuntimeError
+
+    assert shown(10**5000) == "<int>"
+    assert shown(Unshowable()) == "<Unshowable>"
+    assert "\n" not in shown(np.zeros((4, 3)))
