@@ -21,6 +21,7 @@ from phase_ppl.inference.runs import session
 from phase_ppl.inference.runs.archive import read_archive, write_archive
 from phase_ppl.world.errors import PhasePPLError
 from phase_ppl.world.hypothesis import Hypothesis
+from tests.analysis.factory import random_tree
 from tests.inference.runs import EVENT, MODEL, OPTIONS
 from tests.inference.toy import walkers
 
@@ -39,6 +40,10 @@ CALLS: dict[str, tuple[Callable[[], Any], str]] = {
     "a huge seed": (lambda: ppl.infer(EVENT, MODEL, seed=-(10**5000)), "seed=<int>, expected"),
     "limit": (lambda: ppl.infer(EVENT, MODEL, simulation_seconds=0), "simulation_seconds=0"),
     "kernels": (lambda: ppl.compare(EVENT, kernels=None), "kernels=None, expected names"),
+    "workers of compare": (lambda: ppl.compare(EVENT, workers=10**6), "expected at most 1024"),
+    "copies": (lambda: ppl.generate("no", n=2, copies=10**5000), "copies=<int>, expected at most"),
+    "weights": (lambda: ppl.Posterior(random_tree(1), 10**5000), "unknown weights <int>"),
+    "report page": (lambda: ppl.report(".", 3), "3 is no path"),
     "repeats": (lambda: ppl.compare(EVENT, repeats=10**9), "expected at most 1000000"),
     "resume": (lambda: ppl.resume(None), "None is no path"),
     "report": (lambda: ppl.report(None), "None is no path"),

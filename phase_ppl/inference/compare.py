@@ -26,6 +26,7 @@ from phase_ppl.inference.runs.progress import is_shown
 from phase_ppl.inference.settings import Budget, SimpleSettings, described_budget, whole_number
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import event_salt
+from phase_ppl.world.checks import number_of_workers
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown, unknown_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import locked
@@ -116,6 +117,7 @@ def compare(
     settings = SimpleSettings() if settings is None else settings
     repeats = whole_number("repeats", repeats, maximum=_MOST_REPEATS)
     seed = whole_number("seed", seed, minimum=0)
+    number_of_workers(workers)
     if weights not in WEIGHTINGS:
         raise unknown_name("weights", weights, WEIGHTINGS)
     if not dataclasses.is_dataclass(budget):

@@ -10,6 +10,9 @@ from typing import Final
 
 from phase_ppl.world.errors import InvalidSettingError, shown
 
+MOST: Final = 2**63 - 1
+"""Of a whole number, what arrays can hold."""
+
 MOST_WORKERS: Final = 1024
 
 
@@ -21,7 +24,7 @@ def number_or_nan(value: object) -> float:
     return math.nan
 
 
-def whole_number(name: str, value: object, minimum: int = 1, maximum: int | None = None) -> int:
+def whole_number(name: str, value: object, minimum: int = 1, maximum: int = MOST) -> int:
     """Return ``value`` as an int if it is a whole number, NumPy's too, within its limits.
 
     Raises:
@@ -31,7 +34,7 @@ def whole_number(name: str, value: object, minimum: int = 1, maximum: int | None
     number = int(value) if whole else minimum - 1  # type: ignore[call-overload]
     if number < minimum:
         raise InvalidSettingError(f"{name}={shown(value)}, expected a whole number >= {minimum}")
-    if maximum is not None and number > maximum:
+    if number > maximum:
         raise InvalidSettingError(f"{name}={shown(value)}, expected at most {maximum}")
     return number
 

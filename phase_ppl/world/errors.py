@@ -76,7 +76,8 @@ class SimulationError(PhasePPLError, RuntimeError):
 def unknown_name(what: str, name: object, allowed: Iterable[str]) -> UnknownNameError:
     """Return the error for ``name``, naming close matches or, if few, all allowed."""
     names = list(allowed)
-    wanted = str(name)[:_SHOWN_CHARACTERS].lower()
+    text = name if isinstance(name, str) else shown(name)
+    wanted = text[:_SHOWN_CHARACTERS].lower()
     containing = [n for n in names if len(wanted) > 1 and wanted in n.lower()]
     by_lower = {candidate.lower(): candidate for candidate in names}
     similar = difflib.get_close_matches(wanted, list(by_lower), n=4, cutoff=0.5)

@@ -181,3 +181,15 @@ def test_texts_are_read_a_few_at_a_time_and_come_back(tmp_path: Path) -> None:
     path, words = tmp_path / "texts.nc", [["a", "", "ccc"], ["dd", "é", "f"]]
     xr.Dataset({"word": (("x", "y"), np.array(words, object))}).to_netcdf(path, engine="h5netcdf")
     assert read_netcdf(path)["/"]["word"].values.tolist() == words
+
+
+def test_a_file_whose_root_cannot_be_opened_is_refused_by_name(
+    tmp_path: Path, posterior: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def damaged(*_: object, **__: object) -> None:
+        raise KeyError("Unable to synchronously open object")
+
+    (tmp_path / "run.nc").write_bytes(posterior)
+    monkeypatch.setattr(h5py, "File", damaged)
+    with pytest.raises(InvalidEventError, match=r"run\.nc: cannot be read as NetCDF"):
+        ppl.load_posterior(tmp_path / "run.nc")

@@ -37,7 +37,7 @@ def report(
         OutputError: the page cannot be written there, or its name does not end in .html.
     """
     source = as_path(folder)
-    target = source / NAME if path is None else Path(path)
+    target = source / NAME if path is None else as_path(path)
     if not source.is_dir():
         raise InvalidEventError(f"{source}: no such folder")
     of_evaluation = (source / SETTINGS).is_file()
