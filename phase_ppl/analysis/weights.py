@@ -218,7 +218,10 @@ def log_reciprocal_proposal(
         return np.full(simulations.sizes["simulation"], np.nan)
     if log_likelihood is None:
         log_likelihood = simulations["log_likelihood"].values.astype(float)
-    log_completion = np.minimum(0.0, simulations["log_bound"].values + log_likelihood)
+    bound = simulations["log_bound"].values
+    log_completion = np.zeros(len(bound))  # for certain, where there was no bound
+    limited = np.isfinite(bound)
+    log_completion[limited] = np.minimum(0.0, bound[limited] + log_likelihood[limited])
     log_first = -simulations["log_proposal"].values - log_completion
     return np.asarray(np.logaddexp(log_first, simulations["log_again"].values), np.float64)
 

@@ -84,9 +84,9 @@ def test_the_frames_of_a_simulation_add_up_to_its_likelihood(post: ppl.Posterior
     np.testing.assert_array_equal(frames, simulations["frames_simulated"].values)
     total = simulations["log_likelihood"].values[completed]
     np.testing.assert_allclose(by_frame[completed].sum(axis=1), total)
-    found, visited = post.over_time(), ppl.Posterior(post.tree, "visited")
+    found, weighed = post.over_time(), ppl.Posterior(post.tree, "importance")
     for name in ("goal_red", "goal_green", "relation", "scenario"):
-        np.testing.assert_allclose(found[name][-1], visited.marginal(name), atol=1e-9)
+        np.testing.assert_allclose(found[name][-1], weighed.marginal(name), atol=1e-9)
 
 
 def test_nothing_that_is_asked_of_a_posterior_simulates_again(
