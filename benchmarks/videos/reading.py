@@ -11,15 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.agents.policies import Outlook
 from phase_ppl.closed_loop.hidden_state import HiddenState, Tracking
-from phase_ppl.closed_loop.reader import Reader, policy
+from phase_ppl.closed_loop.reader import Looked, Reader, log_likelihoods
 from phase_ppl.models import priors
 from phase_ppl.models.effective import log_prior_of_effective
+from phase_ppl.models.stepwise import StepwiseLikelihood
 from phase_ppl.physics.actions import ACTION_NAMES, Action, executed
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import N_GOALS, goal_index
-from phase_ppl.world.relations import RELATION_TABLE
 
 FloatArray = NDArray[np.float64]
 ALIKE = 0.7
@@ -71,7 +70,7 @@ def compare_with_replay(task: tuple[Event, dict[str, Any]]) -> dict[str, Any]:
             own = density.max(axis=1 - agent)
             best += int(own[action] >= own.max() - 1e-9)
             alike += int(own[action] > own.max() - ALIKE)
-        held += int((free.beam.best()[1] == told.beam.best()[1]).sum())
+        held += int((free.best().held == told.best().held).sum())
     levels = np.array(Tracking().strengths)
     place = np.unravel_index(free.strengths().argmax(), (len(levels), len(levels)))
     strengths = np.mean(levels[list(place)] == record["strength_newton"])
@@ -87,69 +86,92 @@ def compare_with_replay(task: tuple[Event, dict[str, Any]]) -> dict[str, Any]:
 
 @dataclasses.dataclass
 class Kept:
-    """Densities of all joint actions and outlooks of all intents, per step of a video."""
+    """Densities of all joint actions and what all sets of searches found, per step of a video.
+
+    Attributes:
+        truth: effective goals of red and green; levels: places of their strengths.
+        steps: per step (looked, wanted, relative density, its highest log density).
+        strengths: (step, strength of red, of green) probabilities.
+        unexplained: (step,) nats, as of :class:`phase_ppl.closed_loop.reader.Reading`.
+    """
 
     truth: tuple[int, int]
-    densities: list[FloatArray]
-    outlooks: list[list[list[Outlook]]]
-    of_pair: list[list[NDArray[np.int64]]]
+    levels: tuple[int, int]
+    steps: list[tuple[list[list[Looked]], NDArray[np.bool_], FloatArray, float]]
+    strengths: FloatArray
+    unexplained: FloatArray
+    log_peak: FloatArray
+    seconds: float
 
     @property
     def n_steps(self) -> int:
-        return len(self.densities)
+        return len(self.steps)
 
-    def log_likelihood(self, sharpness: float, lapse: float) -> FloatArray:
-        """Return (goal_red, goal_green) summed over frames."""
-        total = np.zeros((N_GOALS, N_GOALS))
-        for density, outlooks, index in zip(
-            self.densities, self.outlooks, self.of_pair, strict=True
-        ):
-            red, green = (
-                np.stack([policy(outlook, sharpness, lapse) for outlook in found])
-                for found in outlooks
+    def log_likelihood(
+        self, sharpness: float, lapse: float, weight: float, planner_seeds: int | None = None
+    ) -> FloatArray:
+        """Return (step, goal_red, goal_green) with other settings, or fewer sets of searches."""
+        log_mass, found = log_prior().copy(), []
+        for looked, wanted, relative, highest in self.steps:
+            now, _ = log_likelihoods(
+                looked[:planner_seeds], wanted, relative, log_mass, sharpness, lapse
             )
-            with np.errstate(divide="ignore"):
-                total += np.log((red @ density @ green.T)[index[0], index[1]])
-        return total
-
-    def of_truth(self, table: FloatArray) -> float:
-        """Return the entry of the true pair of goals."""
-        return float(table[self.truth])
-
-    def log_score(self, table: FloatArray, weight: float) -> float:
-        """Return the mean log probability of the true goals and relation."""
-        log_mass = log_prior() + weight * np.where(np.isnan(table), -np.inf, table)
-        mass = np.exp(log_mass - np.logaddexp.reduce(log_mass.ravel()))
-        red, green = self.truth
-        relation = mass[RELATION_TABLE[red, green] == RELATION_TABLE].sum()
-        found = [mass.sum(axis=1)[red], mass.sum(axis=0)[green], relation]
-        return float(np.mean(np.log(np.maximum(found, 1e-12))))
+            found.append(now + highest)
+            log_mass += weight * found[-1]
+        return np.array(found)
 
 
 class Recorder(Reader):
     """A reader that keeps what it computes with."""
 
-    def __init__(self, *args: Any) -> None:
-        super().__init__(*args)
-        self.densities: list[FloatArray] = []
-        self.outlooks: list[list[list[Outlook]]] = []
-        self.of_pair: list[list[NDArray[np.int64]]] = []
+    def __init__(self, *args: Any, **settings: Any) -> None:
+        super().__init__(*args, **settings)
+        self.steps: list[Any] = []
 
-    def _of_pairs(self, outlooks: list[list[Outlook]], relative: FloatArray) -> FloatArray:
-        self.densities.append(relative)
-        self.outlooks.append(outlooks)
-        self.of_pair.append([agent.of_pair.copy() for agent in self._policies])
-        return super()._of_pairs(outlooks, relative)
+    def _of_pairs(
+        self, looked: list[list[Looked]], wanted: NDArray[np.bool_], relative: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        small = [
+            [one._replace(of_pair=one.of_pair.astype(np.int16)) for one in pair] for pair in looked
+        ]
+        self.steps.append((small, wanted, relative))
+        return super()._of_pairs(looked, wanted, relative)
 
 
-def record(event: Event) -> Kept:
-    """Read a real video and keep everything."""
+def record(event: Event, likelihood: StepwiseLikelihood, seed: int = 0) -> Kept:
+    """Read a video and keep everything."""
     assert event.truth is not None
     truth = goal_index(event.truth.goal_red), goal_index(event.truth.goal_green)
-    with Recorder(event.scene, PlannerConfig.fast(), Tracking(), 1.0, 0.5) as reader:
+    levels = np.array(likelihood.tracking.strengths)
+    places = [
+        int(np.abs(levels - newtons).argmin())
+        for newtons in (event.truth.strength_red, event.truth.strength_green)
+    ]
+    began = time.process_time()
+    readings = []
+    with Recorder(
+        event.scene,
+        PlannerConfig.fast(),
+        likelihood.tracking,
+        likelihood.sharpness,
+        likelihood.lapse,
+        seed,
+        planner_seeds=likelihood.planner_seeds,
+        weight=likelihood.weight,
+        log_prior=log_prior(),
+    ) as reader:
         for frame in event.observation.trajectory[1:]:
-            reader.read(frame)
-    return Kept(truth, reader.densities, reader.outlooks, reader.of_pair)
+            readings.append(reader.read(frame))
+    seconds = time.process_time() - began
+    unexplained, log_peak = (
+        np.array([getattr(one, name) for one in readings]) for name in ("unexplained", "log_peak")
+    )
+    steps = [
+        (*step, float(peak - nats))
+        for step, peak, nats in zip(reader.steps, log_peak, unexplained, strict=True)
+    ]
+    strengths = np.stack([one.strengths for one in readings])
+    return Kept(truth, (places[0], places[1]), steps, strengths, unexplained, log_peak, seconds)
 
 
 @functools.cache

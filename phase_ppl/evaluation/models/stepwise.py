@@ -59,6 +59,7 @@ def stepwise(
     sharpness: float | None = None,
     lapse: float | None = None,
     weight: float | None = None,
+    planner_seeds: int | None = None,
     strengths: Any = None,
     noise: float | None = None,
 ) -> Stepwise:
@@ -66,7 +67,7 @@ def stepwise(
 
     Args:
         prior, planner: of the :class:`phase_ppl.Model`.
-        sharpness, lapse, weight: of the :class:`phase_ppl.StepwiseLikelihood`.
+        sharpness, lapse, weight, planner_seeds: of the :class:`phase_ppl.StepwiseLikelihood`.
         strengths, noise: of its :class:`phase_ppl.Tracking`.
 
     Raises:
@@ -77,7 +78,7 @@ def stepwise(
     from phase_ppl.models.stepwise import StepwiseLikelihood
 
     tracking = Tracking(**_given(strengths=strengths, noise=noise))
-    given = _given(sharpness=sharpness, lapse=lapse, weight=weight)
+    given = _given(sharpness=sharpness, lapse=lapse, weight=weight, planner_seeds=planner_seeds)
     likelihood = StepwiseLikelihood(tracking=tracking, **given)
     return Stepwise(Model(prior=prior, planner=planner, likelihood=likelihood))
 
