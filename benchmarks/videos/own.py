@@ -9,12 +9,11 @@ from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.mind import Mind
 from phase_ppl.agents.policies import Policies
 from phase_ppl.closed_loop.noise import filter_gains
-from phase_ppl.closed_loop.reader import policy
 from phase_ppl.dataset.generation.situation import CannotDraw, Draw, Situation
 from phase_ppl.dataset.generation.tables import LAYOUTS
 from phase_ppl.models.stepwise import StepwiseLikelihood
 from phase_ppl.physics import compiled, inverse
-from phase_ppl.physics.actions import N_ACTIONS, executed
+from phase_ppl.physics.actions import N_ACTIONS, Action, executed
 from phase_ppl.physics.constants import WORLD_INNER_STEPS
 from phase_ppl.world.event import Event, Truth
 from phase_ppl.world.goals import GOALS, N_GOALS, is_self_referring
@@ -69,12 +68,15 @@ def own_event(number: int, likelihood: StepwiseLikelihood, n_frames: int = 41) -
     scratch, trial = compiled.make_scratch(), inverse.make_trial()
     newtons, gains = np.array([strengths]), filter_gains(tracking.scale, 0.0)
     trajectory = [np.array(scene.start)]
+    conduct = likelihood.conduct
+    strays = [rng.random() < conduct.start[1] for _ in agents]
     for _ in range(n_frames - 1):
         meant = []
-        for agent in agents:
+        strays = [rng.random() < conduct.change[int(stray), 1] for stray in strays]
+        for agent, stray in zip(agents, strays, strict=True):
             agent.observe(bodies[0], held[0], weld[0], wanted)
-            found = policy(agent.outlooks()[0], likelihood.sharpness, likelihood.lapse)
-            meant.append(int(rng.choice(N_ACTIONS, p=found)))
+            found = None if stray else conduct.policy(agent.outlooks()[0])
+            meant.append(Action(int(rng.choice(N_ACTIONS, p=found))))
             agent.done(meant[-1])
         done = [executed(action, scene.turning) for action in meant]
         inverse.attempt(bodies[0], held[0], weld[0], *done, params, scratch, trial)

@@ -5,20 +5,22 @@ from __future__ import annotations
 import dataclasses
 import functools
 import time
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.closed_loop.hidden_state import HiddenState, Tracking
-from phase_ppl.closed_loop.reader import Looked, Reader, log_likelihoods
+from phase_ppl.closed_loop.reader import Conduct, GoalFilter, Looked, Reader
 from phase_ppl.models import priors
 from phase_ppl.models.effective import log_prior_of_effective
 from phase_ppl.models.stepwise import StepwiseLikelihood
 from phase_ppl.physics.actions import ACTION_NAMES, Action, executed
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import N_GOALS, goal_index
+from phase_ppl.world.relations import RELATION_TABLE
 
 FloatArray = NDArray[np.float64]
 ALIKE = 0.7
@@ -108,58 +110,123 @@ class Kept:
         return len(self.steps)
 
     def log_likelihood(
-        self, sharpness: float, lapse: float, weight: float, planner_seeds: int | None = None
+        self, conduct: Conduct, weight: float, planner_seeds: int | None = None
     ) -> FloatArray:
         """Return (step, goal_red, goal_green) with other settings, or fewer sets of searches."""
-        log_mass, found = log_prior().copy(), []
+        n = len(self.steps[0][0][:planner_seeds])
+        log_mass, goals, found = log_prior().copy(), GoalFilter(conduct, n), []
         for looked, wanted, relative, highest in self.steps:
-            now, _ = log_likelihoods(
-                looked[:planner_seeds], wanted, relative, log_mass, sharpness, lapse
-            )
+            now, _ = goals.take(looked[:planner_seeds], wanted, relative, log_mass)
             found.append(now + highest)
             log_mass += weight * found[-1]
         return np.array(found)
 
+    def scores(self, table: FloatArray, weight: float) -> Scores:
+        """Return how a summed table answers.
 
-class Recorder(Reader):
-    """A reader that keeps what it computes with."""
+        Args:
+            table: (goal_red, goal_green).
+            weight: of every frame.
+        """
+        log_mass = log_prior() + weight * table
+        mass = np.exp(log_mass - np.logaddexp.reduce(log_mass.ravel()))
+        relations = np.array([mass[code == RELATION_TABLE].sum() for code in range(3)])
+        answers = [mass.sum(axis=1), mass.sum(axis=0), relations]
+        true = [*self.truth, int(RELATION_TABLE[self.truth])]
+        of_true = [
+            max(float(answer[code]), 1e-12) for answer, code in zip(answers, true, strict=True)
+        ]
+        right = [answer.argmax() == code for answer, code in zip(answers, true, strict=True)]
+        sure = [answer.max() for answer in answers]
+        return Scores(
+            *(float(np.mean(part)) for part in (right[:2], sure[:2], np.log(of_true[:2]))),
+            *(float(part[2]) for part in (right, sure, np.log(of_true))),
+        )
 
-    def __init__(self, *args: Any, **settings: Any) -> None:
-        super().__init__(*args, **settings)
+    def surprise(self, likelihood: StepwiseLikelihood) -> FloatArray:
+        """Return (step,) nats by which frames are less probable than a perfect match."""
+        tables = self.log_likelihood(likelihood.conduct, likelihood.weight)
+        before = log_prior() + likelihood.weight * np.vstack(
+            [np.zeros((1, N_GOALS, N_GOALS)), tables.cumsum(axis=0)[:-1]]
+        )
+        flat = before.reshape(len(tables), -1)
+        flat = flat - np.logaddexp.reduce(flat, axis=1)[:, None]
+        found = np.logaddexp.reduce(flat + tables.reshape(flat.shape), axis=1)
+        return np.asarray(self.log_peak - found)
+
+
+HEAD = "goals right, sure, log score; relation"
+"""Of the columns of :class:`Scores` as text."""
+
+
+class Scores(NamedTuple):
+    """Shares right, mean probabilities of the best and mean log probabilities of the truth."""
+
+    goals: float
+    goals_confidence: float
+    goals_log_score: float
+    relation: float
+    relation_confidence: float
+    relation_log_score: float
+
+    def __str__(self) -> str:
+        goals, relation = self[:3], self[3:]
+        return "; ".join("{:.2f} {:.2f} {:6.3f}".format(*part) for part in (goals, relation))
+
+    @classmethod
+    def of(cls, rows: Sequence[Scores]) -> Scores:
+        """Return the mean of some."""
+        return cls(*np.mean(rows, axis=0).tolist())
+
+
+class Recorder(GoalFilter):
+    """One that keeps what it is given."""
+
+    def __init__(self, conduct: Conduct, n_sets: int) -> None:
+        super().__init__(conduct, n_sets)
         self.steps: list[Any] = []
 
-    def _of_pairs(
-        self, looked: list[list[Looked]], wanted: NDArray[np.bool_], relative: FloatArray
+    def take(
+        self,
+        looked: Sequence[Sequence[Looked]],
+        wanted: NDArray[np.bool_],
+        relative: FloatArray,
+        log_mass: FloatArray,
     ) -> tuple[FloatArray, FloatArray]:
         small = [
             [one._replace(of_pair=one.of_pair.astype(np.int16)) for one in pair] for pair in looked
         ]
         self.steps.append((small, wanted, relative))
-        return super()._of_pairs(looked, wanted, relative)
+        return super().take(looked, wanted, relative, log_mass)
+
+
+def levels_of(event: Event) -> tuple[int, int]:
+    """Return the places of the true strengths among the four levels."""
+    assert event.truth is not None
+    levels = np.array(Tracking().strengths)
+    newtons = event.truth.strength_red, event.truth.strength_green
+    red, green = (int(np.abs(levels - one).argmin()) for one in newtons)
+    return red, green
 
 
 def record(event: Event, likelihood: StepwiseLikelihood, seed: int = 0) -> Kept:
     """Read a video and keep everything."""
     assert event.truth is not None
     truth = goal_index(event.truth.goal_red), goal_index(event.truth.goal_green)
-    levels = np.array(likelihood.tracking.strengths)
-    places = [
-        int(np.abs(levels - newtons).argmin())
-        for newtons in (event.truth.strength_red, event.truth.strength_green)
-    ]
     began = time.process_time()
     readings = []
-    with Recorder(
+    kept = Recorder(likelihood.conduct, likelihood.planner_seeds)
+    with Reader(
         event.scene,
         PlannerConfig.fast(),
         likelihood.tracking,
-        likelihood.sharpness,
-        likelihood.lapse,
+        likelihood.conduct,
         seed,
         planner_seeds=likelihood.planner_seeds,
         weight=likelihood.weight,
         log_prior=log_prior(),
     ) as reader:
+        reader._goals = kept
         for frame in event.observation.trajectory[1:]:
             readings.append(reader.read(frame))
     seconds = time.process_time() - began
@@ -168,10 +235,10 @@ def record(event: Event, likelihood: StepwiseLikelihood, seed: int = 0) -> Kept:
     )
     steps = [
         (*step, float(peak - nats))
-        for step, peak, nats in zip(reader.steps, log_peak, unexplained, strict=True)
+        for step, peak, nats in zip(kept.steps, log_peak, unexplained, strict=True)
     ]
     strengths = np.stack([one.strengths for one in readings])
-    return Kept(truth, (places[0], places[1]), steps, strengths, unexplained, log_peak, seconds)
+    return Kept(truth, levels_of(event), steps, strengths, unexplained, log_peak, seconds)
 
 
 @functools.cache

@@ -6,10 +6,15 @@ the policies pi of the joint simulator's agents at what was observed, and T one 
 A policy is known from a search only, which depends on chance, and so do the beliefs from which it
 starts. Therefore each pi is a mean over several independent sets of beliefs and searches, taken
 inside the logarithm: the log of one noisy policy is too low, and says too much of single frames.
+
+Agents that do otherwise than planned do so for many frames on end, which are no independent
+evidence against their goals. Therefore each agent either pursues its goal or does anything
+whatever, changes between the two now and then, and which it is, is summed out frame by frame.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Final, NamedTuple
 
@@ -18,7 +23,7 @@ from numpy.typing import NDArray
 
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.mind import Mind
-from phase_ppl.agents.policies import NO_INTENT, Outlook, Policies
+from phase_ppl.agents.policies import Outlook, Policies
 from phase_ppl.closed_loop.hidden_state import HiddenState, Tracking, most_probable_actions
 from phase_ppl.physics.actions import N_ACTIONS
 from phase_ppl.world.goals import N_GOALS
@@ -59,18 +64,43 @@ class Reading(NamedTuple):
     searches: int
 
 
-def policy(outlook: Outlook, sharpness: float, lapse: float) -> FloatArray:
-    """Return (action,) probabilities pi = (1 - lapse) visits^sharpness / Z + lapse / |A|.
+class Conduct(NamedTuple):
+    """How agents act on their plans.
 
-    Args:
-        outlook: what the planner makes of an intent.
-        sharpness: exponent of the root's visits.
-        lapse: probability of any action whatever.
+    Attributes:
+        sharpness: exponent of a search's root visits.
+        lapse: probability that an agent that pursues its goal does anything whatever, by frame.
+        leave: probability, by frame, that it ceases to pursue its goal;
+        resume: that it then takes it up again. In between it does anything whatever.
     """
-    found = np.full(N_ACTIONS, lapse / N_ACTIONS)
-    share = (outlook.visits / outlook.visits.max()) ** sharpness
-    found[outlook.actions] += (1.0 - lapse) * share / share.sum()
-    return found
+
+    sharpness: float
+    lapse: float
+    leave: float
+    resume: float
+
+    @property
+    def start(self) -> FloatArray:
+        """Probabilities (pursues its goal, does not) at first, which are those of any frame."""
+        return np.array([self.resume, self.leave]) / (self.leave + self.resume)
+
+    @property
+    def change(self) -> FloatArray:
+        """Probabilities (before, now) of pursuing one's goal, or not."""
+        return np.array([[1 - self.leave, self.leave], [self.resume, 1 - self.resume]])
+
+    def policy(self, outlook: Outlook) -> FloatArray:
+        """Return (action,) probabilities of an agent that pursues its goal.
+
+        pi = (1 - lapse) visits^sharpness / Z + lapse / |A|
+
+        Args:
+            outlook: what the planner makes of an intent.
+        """
+        found = np.full(N_ACTIONS, self.lapse / N_ACTIONS)
+        share = (outlook.visits / outlook.visits.max()) ** self.sharpness
+        found[outlook.actions] += (1.0 - self.lapse) * share / share.sum()
+        return found
 
 
 class Looked(NamedTuple):
@@ -92,7 +122,7 @@ class Reader:
         scene: where everything starts, at rest.
         planner: settings of the agents' planner.
         tracking: settings of the filter of hidden states.
-        sharpness, lapse: of :func:`policy`.
+        conduct: how agents act on their plans.
         seed: of beliefs and searches.
         threads: at most so many searches at a time; the result does not depend on it.
         planner_seeds: independent sets of beliefs and searches. Each plans with strengths of its
@@ -109,8 +139,7 @@ class Reader:
         scene: Scene,
         planner: PlannerConfig,
         tracking: Tracking,
-        sharpness: float,
-        lapse: float,
+        conduct: Conduct,
         seed: int = 0,
         threads: int = 1,
         planner_seeds: int = 1,
@@ -118,7 +147,8 @@ class Reader:
         log_prior: FloatArray | None = None,
     ) -> None:
         self._scene, self._planner = scene, planner
-        self._sharpness, self._lapse, self._weight = sharpness, lapse, weight
+        self._weight = weight
+        self._goals = GoalFilter(conduct, planner_seeds)
         self._hidden = HiddenState(scene, tracking)
         self._minds: dict[tuple[float, float], Mind] = {}
         self._policies = [
@@ -149,7 +179,7 @@ class Reader:
         density = self._hidden.advance(frame)
         highest = float(density.max())
         relative = np.exp(density - highest)
-        likelihood, without = self._of_pairs(looked, wanted, relative)
+        likelihood, without = self._goals.take(looked, wanted, relative, self._log_mass)
         likelihood += highest
         without += highest
         self._log_mass += self._weight * likelihood
@@ -203,80 +233,106 @@ class Reader:
             for pair in self._policies
         ]
 
-    def _of_pairs(
-        self, looked: list[list[Looked]], wanted: NDArray[np.bool_], relative: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return the log likelihoods of all pairs of goals, and those without each set.
-
-        Args:
-            looked: (set, agent).
-            wanted: (goal_red, goal_green) pairs for which all sets were made.
-            relative: (A, A) density after every pair of actions.
-        """
-        return log_likelihoods(
-            looked, wanted, relative, self._log_mass, self._sharpness, self._lapse
-        )
-
     def _mind(self, strengths: tuple[float, float]) -> Mind:
         if strengths not in self._minds:
             self._minds[strengths] = Mind.of(self._scene, strengths, self._planner)
         return self._minds[strengths]
 
 
-def log_likelihoods(
-    looked: list[list[Looked]],
-    wanted: NDArray[np.bool_],
-    relative: FloatArray,
-    log_mass: FloatArray,
-    sharpness: float,
-    lapse: float,
-) -> tuple[FloatArray, FloatArray]:
-    """Return (goal_red, goal_green) log sums over actions of both policies and the density.
-
-    Both policies are means over the sets of searches. Where there is only the first set, its
-    result is moved by as much as the others moved that of the wanted pairs: a log of fewer
-    searches is lower in the mean, which would speak against whoever is improbable already.
+class GoalFilter:
+    """How probable frames are under every pair of goals, one frame after the other.
 
     Args:
-        looked, wanted, relative: as of ``Reader._of_pairs``.
-        log_mass: (goal_red, goal_green) before the frame.
-        sharpness, lapse: of :func:`policy`.
+        conduct: how agents act on their plans.
+        n_sets: sets of beliefs and searches.
+    """
+
+    def __init__(self, conduct: Conduct, n_sets: int) -> None:
+        self._conduct = conduct
+        # (all sets and without each, does red pursue its goal, does green, goal_red, goal_green)
+        n = 1 + n_sets if n_sets > 1 else 1
+        start = np.multiply.outer(conduct.start, conduct.start)
+        self._modes = np.tile(start[..., None, None], (n, 1, 1, N_GOALS, N_GOALS))
+
+    def take(
+        self,
+        looked: Sequence[Sequence[Looked]],
+        wanted: NDArray[np.bool_],
+        relative: FloatArray,
+        log_mass: FloatArray,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the log likelihoods of the next frame given those before it.
+
+        Policies are means over the sets of searches. Where there is only the first set, its
+        result is moved by as much as the others moved that of the wanted pairs: a log of fewer
+        searches is lower in the mean, which would speak against whoever is improbable already.
+
+        Args:
+            looked: (set, agent) what the planners make of the moment.
+            wanted: (goal_red, goal_green) pairs for which there are all sets.
+            relative: (A, A) density of the frame after every pair of actions.
+            log_mass: (goal_red, goal_green) before the frame.
+
+        Returns:
+            (goal_red, goal_green) with all sets, and (set, goal_red, goal_green) without each.
+        """
+        n = len(looked)
+        policies = self._policies(looked)
+        possible = (policies[0].sum(axis=-1) > 0).all(axis=0)
+        sure = wanted & possible & np.isfinite(log_mass)
+        change = self._conduct.change
+        modes = np.einsum("ik,jl,nijxy->nklxy", change, change, self._modes)
+        alone = _by_modes(policies[0], relative)
+        share = np.exp(log_mass[sure] - log_mass[sure].max(initial=-np.inf))
+        total = policies[:, :, sure].sum(axis=0)
+        results = []
+        for place in range(len(modes)):
+            found = alone.copy()
+            if n > 1 and sure.any():
+                mean = total / n if place == 0 else (total - policies[place - 1][:, sure]) / (n - 1)
+                found[:, :, sure] = _by_modes(mean, relative)
+            joint = modes[place] * found
+            likelihood = joint.sum(axis=(0, 1))
+            with np.errstate(divide="ignore"):
+                result = np.log(np.where(possible, likelihood, 0.0))
+            if n > 1 and sure.any():
+                first = np.log((modes[place] * alone).sum(axis=(0, 1))[sure])
+                result[~sure] += share @ (result[sure] - first) / share.sum()
+            results.append(result)
+            self._modes[place] = joint / likelihood
+        return results[0], np.array(results[1:]).reshape(-1, N_GOALS, N_GOALS)
+
+    def _policies(self, looked: Sequence[Sequence[Looked]]) -> FloatArray:
+        """Return (set, agent, goal_red, goal_green, action), 0 where there is no intent."""
+        found = np.empty((len(looked), len(AGENTS), N_GOALS, N_GOALS, N_ACTIONS))
+        for place, pair in enumerate(looked):
+            for agent, one in enumerate(pair):
+                table = np.zeros((len(one.outlooks) + 1, N_ACTIONS))
+                for row, outlook in enumerate(one.outlooks):
+                    table[row] = self._conduct.policy(outlook)
+                found[place, agent] = table[one.of_pair]  # the last row for NO_INTENT, which is -1
+        return found
+
+
+def _by_modes(policies: FloatArray, relative: FloatArray) -> FloatArray:
+    """Return the density of a frame by whether red, and green, pursue their goals.
+
+    Args:
+        policies: (agent, ..., action); relative: (A, A).
 
     Returns:
-        Those of all sets, and (set, goal_red, goal_green) those without each one.
+        (2, 2, ...), first that they do.
     """
-    n = len(looked)
-    policies = np.empty((n, len(AGENTS), N_GOALS, N_GOALS, N_ACTIONS))
-    for place, pair in enumerate(looked):
-        for agent, one in enumerate(pair):
-            table = np.zeros((len(one.outlooks) + 1, N_ACTIONS))  # the last is no intent's
-            for row, outlook in enumerate(one.outlooks):
-                table[row] = policy(outlook, sharpness, lapse)
-            policies[place, agent] = table[one.of_pair]
-    assert NO_INTENT == -1  # which picks the last row
-
-    def of(both: FloatArray) -> FloatArray:
-        with np.errstate(divide="ignore"):
-            return np.asarray(np.log(((both[0] @ relative) * both[1]).sum(axis=-1)))
-
-    first = of(policies[0])
-    if n == 1:
-        return first, np.empty((0, N_GOALS, N_GOALS))
-    sure = wanted & np.isfinite(first) & np.isfinite(log_mass)
-    if not sure.any():
-        return first, np.repeat(first[None], n, axis=0)
-    total = policies[:, :, sure].sum(axis=0)
-    share = np.exp(log_mass[sure] - log_mass[sure].max())
-    share /= share.sum()
-
-    def combined(mean: FloatArray) -> FloatArray:
-        found = of(mean)
-        result = first + share @ (found - first[sure])
-        result[sure] = found
-        return np.asarray(result)
-
-    without = [combined((total - one) / (n - 1)) for one in policies[:, :, sure]]
-    return combined(total / n), np.stack(without)
+    red, green = policies
+    anything = np.full(N_ACTIONS, 1.0 / N_ACTIONS)
+    after_red = red @ relative
+    neither = np.full(red.shape[:-1], anything @ relative @ anything)
+    return np.array(
+        [
+            [(after_red * green).sum(axis=-1), after_red @ anything],
+            [green @ (anything @ relative), neither],
+        ]
+    )
 
 
 def _seed(seed: int, place: int) -> int:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.closed_loop.hidden_state import Tracking
+from phase_ppl.closed_loop.reader import Conduct
 from phase_ppl.world.checks import nonnegative_number, positive_number, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.goals import N_GOALS
@@ -30,19 +31,30 @@ _NODES: Final = 4
 
 @dataclasses.dataclass(frozen=True)
 class StepwiseLikelihood:
-    """p(s_1..T | h) = prod_t p(s_t | s_<t, h)^weight, with one step of planner and physics.
+    """p(s_1..T | h) = prod_t p(s_t | s_<t, h), with one step of planner and physics.
 
-    A policy is pi = (1 - lapse) visits^sharpness / Z + lapse / |A|, with the visits of the root
-    actions in the planner's search. ``sharpness`` and ``lapse`` are within 0.01 nats a
-    frame of the highest likelihood under the true hypotheses of one half of 50 real videos,
-    ``weight`` has the highest log score there; on the other half, which was looked at as well,
-    they come within 0.02 nats an answer of the best (``benchmarks/stepwise.py fit``).
+    An agent that pursues its goal acts by pi = (1 - lapse) visits^sharpness / Z + lapse / |A|, with
+    the visits of the root actions in the planner's search, as a mean over ``planner_seeds``
+    independent sets of beliefs and searches. Now and then it ceases to (``leave``), does anything
+    whatever, and takes its goal up again (``resume``): where real agents plan otherwise than the
+    model, they do so for many frames on end, which are no independent evidence.
+
+    ``sharpness``, ``lapse``, ``leave`` and ``resume`` were chosen by the log score of goals and
+    relation, after the whole video and after half of it, on the first half of 50 real videos,
+    and looked at on the other half (``benchmarks/stepwise.py fit``): figures on those videos are
+    in-sample. With them frames count in full, ``weight`` 1. Strengths are tempered, see
+    ``tracking``. What is computed is approximate in the planner's searches and in the filter of
+    the hidden state.
 
     Attributes:
         sharpness: exponent of the visits.
-        lapse: probability that an agent does anything whatever, in [0, 1].
-        weight: what a frame counts. Where the real agents plan otherwise than the model, they do
-            so for many frames on end, which are no independent evidence.
+        lapse: probability, by frame, that an agent that pursues its goal does anything whatever.
+        leave: probability, by frame, that an agent ceases to pursue its goal.
+        resume: probability, by frame, that it takes it up again.
+        weight: what a frame counts, prod_t p(s_t | s_<t, h)^weight; other than 1, the posterior
+            is tempered.
+        planner_seeds: sets of searches. Errors come from their spread; 1 is the instant setting,
+            with errors unknown. Only the most probable pairs of goals are searched by all sets.
         tracking: how hidden velocities, holds and strengths are followed.
 
     Raises:
@@ -51,21 +63,34 @@ class StepwiseLikelihood:
 
     sharpness: float = 4.0
     lapse: float = 0.2
-    weight: float = 0.15
+    leave: float = 0.2
+    resume: float = 0.05
+    weight: float = 1.0
     planner_seeds: int = 4
     tracking: Tracking = dataclasses.field(default_factory=Tracking)
 
     def __post_init__(self) -> None:
         for name in ("sharpness", "lapse"):
             nonnegative_number(name, getattr(self, name))
-        positive_number("weight", self.weight)
+        for name in ("weight", "leave", "resume"):
+            positive_number(name, getattr(self, name))
         whole_number("planner_seeds", self.planner_seeds)
         if not 0 < self.lapse <= 1:
             raise InvalidSettingError(
                 f"lapse={self.lapse!r}, expected a number in (0, 1], or frames could be impossible"
             )
+        for name in ("leave", "resume"):
+            if getattr(self, name) > 1:
+                raise InvalidSettingError(
+                    f"{name}={getattr(self, name)!r}, expected a probability in (0, 1]"
+                )
         if not isinstance(self.tracking, Tracking):
             raise InvalidSettingError(f"tracking={shown(self.tracking)}, expected a Tracking")
+
+    @property
+    def conduct(self) -> Conduct:
+        """How agents act on their plans."""
+        return Conduct(self.sharpness, self.lapse, self.leave, self.resume)
 
     # Kernels that sample see the likelihood as an error per frame: by how much, in nats, another
     # hypothesis explains it better.

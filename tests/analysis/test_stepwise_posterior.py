@@ -98,9 +98,7 @@ def test_the_best_hypothesis_leads_and_the_evidence_grows() -> None:
     likelihood = FOUND["log_likelihood"].values.sum(axis=0)
     strengths = FOUND["strengths"].values[-1] * 4
     total = sum(
-        mass
-        * np.exp(likelihood[effective_goals(red, green, ALPHAS[alpha])])
-        * strengths[fr, fg]
+        mass * np.exp(likelihood[effective_goals(red, green, ALPHAS[alpha])]) * strengths[fr, fg]
         for (red, green, alpha, fr, fg), mass in prior.items()
     )
     assert evidence[3] == pytest.approx(np.log(total))

@@ -43,7 +43,7 @@ def near_item(**changes: Any) -> Scene:
 
 def test_actions_holds_and_strengths_are_recovered() -> None:
     where = near_item()
-    hidden = HiddenState(where, Tracking())
+    hidden = HiddenState(where, Tracking(strength_weight=1.0))
     found = []
     for (frame, state), (red, _) in zip(played(where, CARRY), CARRY, strict=True):
         found.append(hidden.advance(frame))
