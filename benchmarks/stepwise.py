@@ -2,8 +2,13 @@
 
 python benchmarks/stepwise.py replays [--json FILE]
     Actions, holds and strengths against those recovered from the real videos.
-python benchmarks/stepwise.py fit [--half first|second|all] [--json FILE]
-    Mean log likelihood per frame under the truth, and log scores, by sharpness, lapse and weight.
+python benchmarks/stepwise.py fit [--half first|second|all] [--keep DIR] [--json FILE]
+    Mean log likelihood per frame under the truth, and accuracy and log score after the whole video
+    and after half of it, by sets of searches, sharpness, lapse and weight.
+python benchmarks/stepwise.py calibration [--events N] [--keep DIR] [--json FILE]
+    Confidence beside accuracy on videos drawn from the model itself, and quantiles of surprise.
+python benchmarks/stepwise.py beam [--half first|second|all] [--json FILE]
+    How often the filter all but rules out the true strengths, by noise and weight of the evidence.
 python benchmarks/stepwise.py accuracy [--jitter S] [--planner P] [--keep DIR] [--json FILE]
     Goals, relation, log score and agreement with people; seconds per second of video.
 python benchmarks/stepwise.py seeds [--limit N] [--noise-seeds K] [--json FILE]
@@ -17,6 +22,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import itertools
+import pickle
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -24,16 +30,23 @@ from typing import Any
 
 import common
 import numpy as np
-from videos import reading
+from videos import own, reading
 
 import phase_ppl as ppl
+from phase_ppl.closed_loop.hidden_state import HiddenState, Tracking
+from phase_ppl.closed_loop.reader import Conduct
 from phase_ppl.models.stepwise import StepwiseLikelihood
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import goal_index
 from phase_ppl.world.observation import Observation
 
 KINDS = ("goal", "relation")
-SHARPNESS, LAPSE, WEIGHT = (2.0, 3.0, 4.0, 6.0), (0.1, 0.2, 0.3, 0.5), (0.1, 0.15, 0.2, 0.3, 1.0)
+SHARPNESS, LAPSE, WEIGHT = (4.0, 6.0), (0.1, 0.2, 0.3), (0.3, 0.5, 1.0)
+LEAVE_RESUME = ((1e-6, 1.0), (0.05, 0.05), (0.1, 0.05), (0.1, 0.1), (0.05, 0.02), (0.2, 0.05))
+"""The first: agents never cease to pursue their goals."""
+SEEDS = (1, 2, 4)
+JITTERS, STRENGTH_WEIGHTS = (0.0, 0.05), (1.0, 0.3, 0.1, 0.05, 0.03)
+OWN_FRAMES = 31
 
 
 def replays(options: argparse.Namespace) -> dict[str, Any]:
@@ -57,32 +70,136 @@ def replays(options: argparse.Namespace) -> dict[str, Any]:
     return found
 
 
+def kept_readings(
+    events: list[Event], likelihood: StepwiseLikelihood, folder: str | None
+) -> list[reading.Kept]:
+    """Return what reading the events finds, all sets of searches apart; one file an event."""
+    tasks = [(event, likelihood, None if folder is None else Path(folder)) for event in events]
+    found = dict(
+        (task[0].id, kept) for task, kept in common.parallel(_kept_reading, tasks, "videos")
+    )
+    return [found[event.id] for event in events]
+
+
+def _kept_reading(task: tuple[Event, StepwiseLikelihood, Path | None]) -> reading.Kept:
+    event, likelihood, folder = task
+    file = None if folder is None else folder / f"{event.id}.pkl"
+    if file is not None and file.exists():
+        kept: reading.Kept = pickle.loads(file.read_bytes())
+        return kept
+    kept = reading.record(event, likelihood)
+    if file is not None:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        part = file.with_suffix(".part")
+        part.write_bytes(pickle.dumps(kept))
+        part.rename(file)
+    return kept
+
+
 def fit(options: argparse.Namespace) -> dict[str, Any]:
-    """Print scores on a grid of settings."""
+    """Print scores on a grid of settings; each video is read once."""
     events = common.dev_events(options.half, options.limit)
-    kept = [found for _, found in common.parallel(reading.record, events, "videos")]
+    # a lower weight has more pairs of goals searched by all sets than those that are compared
+    kept = kept_readings(events, StepwiseLikelihood(weight=min(WEIGHT)), options.keep)
     found: dict[str, Any] = {}
-    print(f"{'sharpness':>9}{'lapse':>7}{'nats/frame':>12}   log score by weight {WEIGHT}")
-    for sharpness, lapse in itertools.product(SHARPNESS, LAPSE):
-        likelihoods = [one.log_likelihood(sharpness, lapse) for one in kept]
+    names = ("sets", *Conduct._fields, "weight", "nats")
+    print("".join(f"{name:>10}" for name in names), f"  end: {reading.HEAD}; half: {reading.HEAD}")
+    for seeds, sharpness, lapse, (leave, resume) in itertools.product(
+        SEEDS, SHARPNESS, LAPSE, LEAVE_RESUME
+    ):
+        conduct = Conduct(sharpness, lapse, leave, resume)
+        tables = [one.log_likelihood(conduct, 1.0, seeds).cumsum(axis=0) for one in kept]
         per_frame = sum(
-            one.of_truth(table) for one, table in zip(kept, likelihoods, strict=True)
+            float(table[-1][one.truth]) for one, table in zip(kept, tables, strict=True)
         ) / sum(one.n_steps for one in kept)
-        scores = {
-            weight: float(
-                np.mean(
+        for weight in WEIGHT:
+            end, half = (
+                reading.Scores.of(
                     [
-                        one.log_score(table, weight)
-                        for one, table in zip(kept, likelihoods, strict=True)
+                        one.scores(table[int(share * len(table)) - 1], weight)
+                        for one, table in zip(kept, tables, strict=True)
                     ]
                 )
+                for share in (1.0, 0.5)
             )
-            for weight in WEIGHT
-        }
-        found[f"{sharpness:g}, {lapse:g}"] = {"nats_per_frame": per_frame, "log_score": scores}
-        words = "  ".join(f"{score:6.2f}" for score in scores.values())
-        print(f"{sharpness:9g}{lapse:7g}{per_frame:12.3f}   {words}")
+            settings = (seeds, *conduct, weight)
+            found[", ".join(f"{value:g}" for value in settings)] = {
+                "nats_per_frame": per_frame,
+                "end": end._asdict(),
+                "half": half._asdict(),
+            }
+            words = "".join(f"{value:10g}" for value in settings)
+            print(f"{words}{per_frame:10.3f}   {end}; {half}", flush=True)
     return found
+
+
+def calibration(options: argparse.Namespace) -> dict[str, Any]:
+    """Print whether confidence is accuracy where the model is true."""
+    own_tracking = dataclasses.replace(StepwiseLikelihood().tracking, noise=0.0)
+    likelihood = dataclasses.replace(StepwiseLikelihood(), tracking=own_tracking)
+    numbers = range(options.events)
+    drawn = [own.own_event(number, likelihood, OWN_FRAMES) for number in numbers]
+    kept = kept_readings(drawn, likelihood, options.keep)
+    found: dict[str, Any] = {}
+    print(f"{'sets':>4}{'weight':>7}   {reading.HEAD}")
+    for seeds, weight in itertools.product(SEEDS, sorted({*WEIGHT, likelihood.weight})):
+        tables = [one.log_likelihood(likelihood.conduct, weight, seeds).sum(axis=0) for one in kept]
+        scores = reading.Scores.of(
+            [one.scores(table, weight) for one, table in zip(kept, tables, strict=True)]
+        )
+        found[f"{seeds}, {weight:g}"] = scores._asdict()
+        print(f"{seeds:4}{weight:7g}   {scores}")
+    strengths = [one.strengths[-1].sum(axis=1 - agent) for one in kept for agent in (0, 1)]
+    true = [level for one in kept for level in one.levels]
+    found["strengths"] = _of_strengths(strengths, true)
+    print("strengths:", found["strengths"])
+    shares = (0.5, 0.9, 0.99, 0.999)
+    unexplained = np.concatenate([one.unexplained for one in kept])
+    surprise = np.concatenate([one.surprise(likelihood) for one in kept])
+    for name, nats in (("unexplained", unexplained), ("surprise", surprise)):
+        found[name] = dict(zip(map(str, shares), np.quantile(nats, shares).tolist(), strict=True))
+        print(f"{name}, nats below a perfect match, quantiles:", found[name])
+    return found
+
+
+def beam(options: argparse.Namespace) -> dict[str, Any]:
+    """Print what the filter finds of the strengths."""
+    found: dict[str, Any] = {}
+    events = common.dev_events(options.half, options.limit)
+    for jitter in JITTERS:
+        tasks = [(event, jitter) for event in events]
+        rows = [row for _, row in common.parallel(_evidence, tasks, f"jitter {jitter:g}")]
+        for weight in STRENGTH_WEIGHTS:
+            tables = [np.exp(weight * (log - log.max())) for log, _ in rows]
+            marginals = [t.sum(axis=1 - agent) / t.sum() for t in tables for agent in (0, 1)]
+            true = [level for _, levels in rows for level in levels]
+            found[f"{jitter:g}, {weight:g}"] = scores = _of_strengths(marginals, true)
+            words = "  ".join(f"{name} {value:.3f}" for name, value in scores.items())
+            print(f"jitter {jitter:g}  weight {weight:g}  {words}", flush=True)
+    print(f"log score of equal probabilities: {-np.log(4):.3f}")
+    return found
+
+
+def _evidence(task: tuple[Event, float]) -> tuple[Any, tuple[int, int]]:
+    """Return (strength of red, of green) log evidence, and the true levels."""
+    event, jitter = task
+    seen = jittered(event, jitter)
+    hidden = HiddenState(seen.scene, Tracking())
+    for frame in seen.observation.trajectory[1:]:
+        hidden.advance(frame)
+    with np.errstate(divide="ignore"):
+        return np.log(hidden.strengths()) / Tracking().strength_weight, reading.levels_of(event)
+
+
+def _of_strengths(marginals: list[Any], true: list[int]) -> dict[str, float]:
+    of_true = np.array([table[level] for table, level in zip(marginals, true, strict=True)])
+    best = [int(table.argmax()) == level for table, level in zip(marginals, true, strict=True)]
+    return {
+        "log_score": float(np.log(np.maximum(of_true, 1e-12)).mean()),
+        "ruled_out": float((of_true < 0.001).mean()),
+        "accuracy": float(np.mean(best)),
+        "confidence": float(np.mean([table.max() for table in marginals])),
+    }
 
 
 def jittered(event: Event, jitter: float) -> Event:
@@ -204,13 +321,16 @@ def curve(options: argparse.Namespace) -> dict[str, Any]:
 
 OPTIONS: dict[Callable[..., dict[str, Any]], tuple[str, ...]] = {
     replays: (),
-    fit: ("half",),
+    fit: ("half", "keep"),
+    calibration: ("events", "keep"),
+    beam: ("half",),
     accuracy: ("half", "jitter", "planner", "keep", "seed"),
     seeds: ("noise-seeds",),
     curve: ("half", "budgets", "keep", "seed"),
 }
 KNOWN: dict[str, dict[str, Any]] = {
     "half": {"choices": common.HALVES, "default": "all"},
+    "events": {"type": int, "default": 40, "help": "videos"},
     "jitter": {"type": float, "default": 0.0, "help": "units"},
     "planner": {"choices": ("fast", "paper"), "default": "fast"},
     "keep": {"metavar": "DIR", "help": "go on with what is there"},

@@ -184,9 +184,22 @@ def test_what_a_reader_recovers(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.skipif(not VIDEOS.exists(), reason="the real videos are not at ../shared/phase-test")
-def test_sharper_policies_are_compared(tmp_path: Path) -> None:
-    report: dict[str, Any] = figures(tmp_path, "stepwise.py", "fit", "--limit", "4")
-    assert report["4, 0.2"]["nats_per_frame"] > report["2, 0.5"]["nats_per_frame"]
+def test_conducts_are_compared_on_readings_that_are_kept(tmp_path: Path) -> None:
+    keep = tmp_path / "kept"
+    options = ("--limit", "4", "--keep", str(keep))
+    report: dict[str, Any] = figures(tmp_path, "stepwise.py", "fit", *options)
+    assert len(list(keep.glob("*.pkl"))) == 4
+    steady, wavering = report["4, 4, 0.2, 1e-06, 1, 1"], report["4, 4, 0.2, 0.1, 0.05, 1"]
+    assert wavering["end"]["relation_log_score"] > steady["end"]["relation_log_score"]
+    assert figures(tmp_path, "stepwise.py", "fit", *options) == report
+
+
+@pytest.mark.slow
+def test_confidence_is_compared_with_accuracy(tmp_path: Path) -> None:
+    report: dict[str, Any] = figures(tmp_path, "stepwise.py", "calibration", "--events", "2")
+    assert 0 <= report["4, 1"]["goals"] <= 1
+    assert report["unexplained"]["0.5"] < report["unexplained"]["0.99"]
+    assert 0 <= report["strengths"]["confidence"] <= 1
 
 
 @pytest.mark.slow

@@ -5,17 +5,18 @@ from __future__ import annotations
 import dataclasses
 import functools
 import time
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.agents.policies import Outlook
 from phase_ppl.closed_loop.hidden_state import HiddenState, Tracking
-from phase_ppl.closed_loop.reader import Reader, policy
+from phase_ppl.closed_loop.reader import Conduct, GoalFilter, Looked, Reader
 from phase_ppl.models import priors
 from phase_ppl.models.effective import log_prior_of_effective
+from phase_ppl.models.stepwise import StepwiseLikelihood
 from phase_ppl.physics.actions import ACTION_NAMES, Action, executed
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import N_GOALS, goal_index
@@ -71,7 +72,7 @@ def compare_with_replay(task: tuple[Event, dict[str, Any]]) -> dict[str, Any]:
             own = density.max(axis=1 - agent)
             best += int(own[action] >= own.max() - 1e-9)
             alike += int(own[action] > own.max() - ALIKE)
-        held += int((free.beam.best()[1] == told.beam.best()[1]).sum())
+        held += int((free.best().held == told.best().held).sum())
     levels = np.array(Tracking().strengths)
     place = np.unravel_index(free.strengths().argmax(), (len(levels), len(levels)))
     strengths = np.mean(levels[list(place)] == record["strength_newton"])
@@ -87,69 +88,157 @@ def compare_with_replay(task: tuple[Event, dict[str, Any]]) -> dict[str, Any]:
 
 @dataclasses.dataclass
 class Kept:
-    """Densities of all joint actions and outlooks of all intents, per step of a video."""
+    """Densities of all joint actions and what all sets of searches found, per step of a video.
+
+    Attributes:
+        truth: effective goals of red and green; levels: places of their strengths.
+        steps: per step (looked, wanted, relative density, its highest log density).
+        strengths: (step, strength of red, of green) probabilities.
+        unexplained: (step,) nats, as of :class:`phase_ppl.closed_loop.reader.Reading`.
+    """
 
     truth: tuple[int, int]
-    densities: list[FloatArray]
-    outlooks: list[list[list[Outlook]]]
-    of_pair: list[list[NDArray[np.int64]]]
+    levels: tuple[int, int]
+    steps: list[tuple[list[list[Looked]], NDArray[np.bool_], FloatArray, float]]
+    strengths: FloatArray
+    unexplained: FloatArray
+    log_peak: FloatArray
+    seconds: float
 
     @property
     def n_steps(self) -> int:
-        return len(self.densities)
+        return len(self.steps)
 
-    def log_likelihood(self, sharpness: float, lapse: float) -> FloatArray:
-        """Return (goal_red, goal_green) summed over frames."""
-        total = np.zeros((N_GOALS, N_GOALS))
-        for density, outlooks, index in zip(
-            self.densities, self.outlooks, self.of_pair, strict=True
-        ):
-            red, green = (
-                np.stack([policy(outlook, sharpness, lapse) for outlook in found])
-                for found in outlooks
-            )
-            with np.errstate(divide="ignore"):
-                total += np.log((red @ density @ green.T)[index[0], index[1]])
-        return total
+    def log_likelihood(
+        self, conduct: Conduct, weight: float, planner_seeds: int | None = None
+    ) -> FloatArray:
+        """Return (step, goal_red, goal_green) with other settings, or fewer sets of searches."""
+        n = len(self.steps[0][0][:planner_seeds])
+        log_mass, goals, found = log_prior().copy(), GoalFilter(conduct, n), []
+        for looked, wanted, relative, highest in self.steps:
+            now, _ = goals.take(looked[:planner_seeds], wanted, relative, log_mass)
+            found.append(now + highest)
+            log_mass += weight * found[-1]
+        return np.array(found)
 
-    def of_truth(self, table: FloatArray) -> float:
-        """Return the entry of the true pair of goals."""
-        return float(table[self.truth])
+    def scores(self, table: FloatArray, weight: float) -> Scores:
+        """Return how a summed table answers.
 
-    def log_score(self, table: FloatArray, weight: float) -> float:
-        """Return the mean log probability of the true goals and relation."""
-        log_mass = log_prior() + weight * np.where(np.isnan(table), -np.inf, table)
+        Args:
+            table: (goal_red, goal_green).
+            weight: of every frame.
+        """
+        log_mass = log_prior() + weight * table
         mass = np.exp(log_mass - np.logaddexp.reduce(log_mass.ravel()))
-        red, green = self.truth
-        relation = mass[RELATION_TABLE[red, green] == RELATION_TABLE].sum()
-        found = [mass.sum(axis=1)[red], mass.sum(axis=0)[green], relation]
-        return float(np.mean(np.log(np.maximum(found, 1e-12))))
+        relations = np.array([mass[code == RELATION_TABLE].sum() for code in range(3)])
+        answers = [mass.sum(axis=1), mass.sum(axis=0), relations]
+        true = [*self.truth, int(RELATION_TABLE[self.truth])]
+        of_true = [
+            max(float(answer[code]), 1e-12) for answer, code in zip(answers, true, strict=True)
+        ]
+        right = [answer.argmax() == code for answer, code in zip(answers, true, strict=True)]
+        sure = [answer.max() for answer in answers]
+        return Scores(
+            *(float(np.mean(part)) for part in (right[:2], sure[:2], np.log(of_true[:2]))),
+            *(float(part[2]) for part in (right, sure, np.log(of_true))),
+        )
+
+    def surprise(self, likelihood: StepwiseLikelihood) -> FloatArray:
+        """Return (step,) nats by which frames are less probable than a perfect match."""
+        tables = self.log_likelihood(likelihood.conduct, likelihood.weight)
+        before = log_prior() + likelihood.weight * np.vstack(
+            [np.zeros((1, N_GOALS, N_GOALS)), tables.cumsum(axis=0)[:-1]]
+        )
+        flat = before.reshape(len(tables), -1)
+        flat = flat - np.logaddexp.reduce(flat, axis=1)[:, None]
+        found = np.logaddexp.reduce(flat + tables.reshape(flat.shape), axis=1)
+        return np.asarray(self.log_peak - found)
 
 
-class Recorder(Reader):
-    """A reader that keeps what it computes with."""
-
-    def __init__(self, *args: Any) -> None:
-        super().__init__(*args)
-        self.densities: list[FloatArray] = []
-        self.outlooks: list[list[list[Outlook]]] = []
-        self.of_pair: list[list[NDArray[np.int64]]] = []
-
-    def _of_pairs(self, outlooks: list[list[Outlook]], relative: FloatArray) -> FloatArray:
-        self.densities.append(relative)
-        self.outlooks.append(outlooks)
-        self.of_pair.append([agent.of_pair.copy() for agent in self._policies])
-        return super()._of_pairs(outlooks, relative)
+HEAD = "goals right, sure, log score; relation"
+"""Of the columns of :class:`Scores` as text."""
 
 
-def record(event: Event) -> Kept:
-    """Read a real video and keep everything."""
+class Scores(NamedTuple):
+    """Shares right, mean probabilities of the best and mean log probabilities of the truth."""
+
+    goals: float
+    goals_confidence: float
+    goals_log_score: float
+    relation: float
+    relation_confidence: float
+    relation_log_score: float
+
+    def __str__(self) -> str:
+        goals, relation = self[:3], self[3:]
+        return "; ".join("{:.2f} {:.2f} {:6.3f}".format(*part) for part in (goals, relation))
+
+    @classmethod
+    def of(cls, rows: Sequence[Scores]) -> Scores:
+        """Return the mean of some."""
+        return cls(*np.mean(rows, axis=0).tolist())
+
+
+class Recorder(GoalFilter):
+    """One that keeps what it is given."""
+
+    def __init__(self, conduct: Conduct, n_sets: int) -> None:
+        super().__init__(conduct, n_sets)
+        self.steps: list[Any] = []
+
+    def take(
+        self,
+        looked: Sequence[Sequence[Looked]],
+        wanted: NDArray[np.bool_],
+        relative: FloatArray,
+        log_mass: FloatArray,
+    ) -> tuple[FloatArray, FloatArray]:
+        small = [
+            [one._replace(of_pair=one.of_pair.astype(np.int16)) for one in pair] for pair in looked
+        ]
+        self.steps.append((small, wanted, relative))
+        return super().take(looked, wanted, relative, log_mass)
+
+
+def levels_of(event: Event) -> tuple[int, int]:
+    """Return the places of the true strengths among the four levels."""
+    assert event.truth is not None
+    levels = np.array(Tracking().strengths)
+    newtons = event.truth.strength_red, event.truth.strength_green
+    red, green = (int(np.abs(levels - one).argmin()) for one in newtons)
+    return red, green
+
+
+def record(event: Event, likelihood: StepwiseLikelihood, seed: int = 0) -> Kept:
+    """Read a video and keep everything."""
     assert event.truth is not None
     truth = goal_index(event.truth.goal_red), goal_index(event.truth.goal_green)
-    with Recorder(event.scene, PlannerConfig.fast(), Tracking(), 1.0, 0.5) as reader:
+    began = time.process_time()
+    readings = []
+    kept = Recorder(likelihood.conduct, likelihood.planner_seeds)
+    with Reader(
+        event.scene,
+        PlannerConfig.fast(),
+        likelihood.tracking,
+        likelihood.conduct,
+        seed,
+        planner_seeds=likelihood.planner_seeds,
+        weight=likelihood.weight,
+        log_prior=log_prior(),
+    ) as reader:
+        reader._goals = kept
         for frame in event.observation.trajectory[1:]:
-            reader.read(frame)
-    return Kept(truth, reader.densities, reader.outlooks, reader.of_pair)
+            readings.append(reader.read(frame))
+    seconds = time.process_time() - began
+    unexplained, log_peak = (
+        np.array([getattr(one, name) for one in readings]) for name in ("unexplained", "log_peak")
+    )
+    steps = [
+        (*step, float(peak - nats))
+        for step, peak, nats in zip(kept.steps, log_peak, unexplained, strict=True)
+    ]
+    strengths = np.stack([one.strengths for one in readings])
+    return Kept(truth, levels_of(event), steps, strengths, unexplained, log_peak, seconds)
 
 
 @functools.cache

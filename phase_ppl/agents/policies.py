@@ -20,9 +20,10 @@ from phase_ppl.agents import pomcp, rewards, symbols
 from phase_ppl.agents.choice import best_subgoal, make_search, reflex, search_actions
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.mind import Mind
+from phase_ppl.agents.operators import Abilities
 from phase_ppl.agents.perception import Perception
 from phase_ppl.agents.planning import stance
-from phase_ppl.agents.subgoals import subgoal_planner
+from phase_ppl.agents.subgoals import SubgoalPlanner, subgoal_planner
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import Action
 from phase_ppl.world.goals import N_GOALS, goal_literal, is_self_referring
@@ -78,7 +79,7 @@ class Policies:
     Attributes:
         intents: those of the last observation.
         of_pair: (goal_red, goal_green) -> index into ``intents``, or ``NO_INTENT`` where this
-            agent's goal names itself.
+            agent's goal names itself, or the pair was not asked for.
     """
 
     def __init__(self, agent: int, mind: Mind, config: PlannerConfig, seed: int) -> None:
@@ -92,6 +93,8 @@ class Policies:
         self._facts = np.zeros((particles, symbols.N_FACTS), np.int8)
         self._done = np.zeros((2, N_GOALS, particles), np.bool_)
         self._costs = np.zeros((N_GOALS, particles))
+        self._planners = _planners(agent, mind.abilities)
+        self._groups: dict[bytes, list[tuple[symbols.SymbolicState, list[int]]]] = {}
         self._step = 0
         self.intents: list[Intent] = []
         self.of_pair = np.full((N_GOALS, N_GOALS), NO_INTENT)
@@ -104,32 +107,56 @@ class Policies:
     @mind.setter
     def mind(self, mind: Mind) -> None:
         self._perception.mind = mind
+        self._planners = _planners(self.agent, mind.abilities)
 
     def done(self, action: Action) -> None:
         """Say what the agent has just executed."""
         self._perception.done(action)
 
-    def observe(self, bodies: FloatArray, held: IntArray, weld: FloatArray) -> None:
+    def observe(
+        self,
+        bodies: FloatArray,
+        held: IntArray,
+        weld: FloatArray,
+        wanted: NDArray[np.bool_] | None = None,
+    ) -> None:
         """Look at the true state; bring beliefs and intents up to date.
 
         Args:
             bodies, held, weld: the true state as ``physics.compiled.from_state`` gives it.
+            wanted: (goal_red, goal_green) the pairs whose intents are needed; None: all.
         """
         self._step += 1
         self._perception.observe(bodies, held, weld)
         self._describe()
         found: dict[Intent, int] = {}
+        of_pair = self.of_pair if self.agent == 0 else self.of_pair.T
+        of_pair[:] = NO_INTENT
+        asked = wanted if wanted is None or self.agent == 0 else wanted.T
         for own in range(N_GOALS):
             if is_self_referring(own, self.agent):
                 continue
-            for others in _alike(self.agent, own):
+            for others in self._alike(own, None if asked is None else asked[own]):
                 intent = self._intent(own, others[0])
-                index = found.setdefault(intent, len(found))
-                if self.agent == 0:
-                    self.of_pair[own, others] = index
-                else:
-                    self.of_pair[others, own] = index
+                of_pair[own, others] = found.setdefault(intent, len(found))
         self.intents = list(found)
+
+    def _alike(self, own: int, asked: NDArray[np.bool_] | None) -> list[list[int]]:
+        """Return the other's goals in classes that lead to the same intent with goal ``own``."""
+        classes: list[list[int]] = []
+        for others in _alike(self.agent, own):
+            chosen = others if asked is None else [other for other in others if asked[other]]
+            if not chosen:
+                continue
+            if not self._planners[own, chosen[0]].stance.helps_along:
+                classes.append(chosen)
+                continue
+            # it matters whether the other is where it wants to be
+            by_done: dict[bytes, list[int]] = defaultdict(list)
+            for other in chosen:
+                by_done[self._done[1, other].tobytes()].append(other)
+            classes += by_done.values()
+        return classes
 
     def _describe(self) -> None:
         beliefs, mind = self._perception.beliefs, self.mind
@@ -161,27 +188,42 @@ class Policies:
         rows, self._kind = np.unique(self._facts, axis=0, return_inverse=True)
         self._kinds = [symbols.unpack(row) for row in rows]
         self._observed = tuple(beliefs.observed.tolist())
+        self._done_share = self._done[0].mean(axis=1)
+        self._groups = {}
+
+    def _grouped(self, kinds: IntArray) -> list[tuple[symbols.SymbolicState, list[int]]]:
+        """Return the symbolic states among the particles, and which particles are in each.
+
+        Args:
+            kinds: (K,) 4 x place in ``_kinds`` + 2 x own goal reached + other's goal reached.
+        """
+        key = kinds.tobytes()
+        if key not in self._groups:  # most goals are reached in the same particles: in none
+            members: dict[int, list[int]] = defaultdict(list)
+            for particle, kind in enumerate(kinds.tolist()):
+                members[kind].append(particle)
+            self._groups[key] = [
+                (
+                    self._kinds[kind >> 2]._replace(
+                        own_done=bool(kind & 2), other_done=bool(kind & 1)
+                    ),
+                    members[kind],
+                )
+                for kind in sorted(members)
+            ]
+        return self._groups[key]
 
     def _intent(self, own: int, other: int) -> Intent:
         """Return what the agent is about with its own goal and the other's."""
-        literal = goal_literal(own, self.agent)
-        planner = subgoal_planner(
-            self.agent, literal, goal_literal(other, 1 - self.agent), self.mind.abilities
-        )
-        own_done = self._done[0, own]
-        kinds = 4 * self._kind + 2 * own_done
+        planner = self._planners[own, other]
+        kinds = 4 * self._kind + 2 * self._done[0, own]
         if planner.stance.helps_along:
             kinds += self._done[1, other]
         agreeing: dict[Literal, list[int]] = defaultdict(list)
-        for kind in np.unique(kinds):
-            state = self._kinds[kind >> 2]._replace(
-                own_done=bool(kind & 2), other_done=bool(kind & 1)
-            )
-            agreeing[planner.subgoal(state, self._observed)] += np.flatnonzero(
-                kinds == kind
-            ).tolist()
+        for state, members in self._grouped(kinds):
+            agreeing[planner.subgoal(state, self._observed)] += members
         best = best_subgoal(
-            agreeing, self._costs[own], float(own_done.mean()), self.agent, self.config
+            agreeing, self._costs[own], float(self._done_share[own]), self.agent, self.config
         )
         return Intent(best, tuple(sorted(agreeing[best])), planner.stance.contested)
 
@@ -231,7 +273,7 @@ def _goal_codes(holder: int) -> IntArray:
 
 @functools.cache
 def _alike(agent: int, own: int) -> list[list[int]]:
-    """Return the other's goals in classes that make no difference to an agent with goal ``own``.
+    """Return the other's goals in classes towards which an agent with goal ``own`` stands alike.
 
     A subgoal depends on the other's goal only in whether it is the same, or the opposite; and,
     when helping the other to get somewhere, in whether that is reached.
@@ -239,8 +281,20 @@ def _alike(agent: int, own: int) -> list[list[int]]:
     literal = goal_literal(own, agent)
     classes: dict[object, list[int]] = defaultdict(list)
     for other in range(N_GOALS):
-        if is_self_referring(other, 1 - agent):
-            continue
-        towards = stance(agent, literal, goal_literal(other, 1 - agent))
-        classes[towards, other if towards.helps_along else None].append(other)
+        if not is_self_referring(other, 1 - agent):
+            classes[stance(agent, literal, goal_literal(other, 1 - agent))].append(other)
     return list(classes.values())
+
+
+@functools.lru_cache(maxsize=64)
+def _planners(agent: int, abilities: Abilities) -> dict[tuple[int, int], SubgoalPlanner]:
+    """Return (own goal, other's goal) -> planner, the same one for goals that are alike."""
+    return {
+        (own, other): subgoal_planner(
+            agent, goal_literal(own, agent), goal_literal(others[0], 1 - agent), abilities
+        )
+        for own in range(N_GOALS)
+        if not is_self_referring(own, agent)
+        for others in _alike(agent, own)
+        for other in others
+    }

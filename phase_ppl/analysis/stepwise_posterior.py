@@ -1,4 +1,4 @@
-"""The posterior of the closed-loop likelihood: exact over all hypotheses, at every frame."""
+"""The posterior of the closed-loop likelihood: summed over all hypotheses, at every frame."""
 
 from __future__ import annotations
 
@@ -21,8 +21,9 @@ from phase_ppl.analysis.quantities import (
     quantities,
     relation_codes,
 )
+from phase_ppl.analysis.stepwise_diagnostics import diagnostics
 from phase_ppl.analysis.stepwise_print import stepwise_summary, stepwise_table
-from phase_ppl.analysis.stepwise_table import SCHEMA, STRENGTHS, Table, check
+from phase_ppl.analysis.stepwise_table import SCHEMAS, STRENGTHS, Table, brought_up, check
 from phase_ppl.analysis.weights import log_sum_exp
 from phase_ppl.analysis.why import why
 from phase_ppl.dataset.hdf5 import netcdf_bytes, read_netcdf, root_attribute
@@ -36,7 +37,8 @@ FloatArray = NDArray[np.float64]
 
 FILTERING: Final = (
     "Filtering: what can be believed at each frame from the frames so far; later frames change "
-    "nothing of it."
+    "nothing of it. Only which way agents can turn, where a reader of a file found that out from "
+    "the video, is known from the start."
 )
 """Goes with every result over time."""
 
@@ -44,10 +46,16 @@ FILTERING: Final = (
 class StepwisePosterior(Hypotheses):
     """Posterior over all pairs of goals, alphas and strengths, read step by step.
 
-    It is exact but for the noise of the planner and the filter of the hidden state, so that its
-    results have no Monte-Carlo error. What one can ask it is in
-    :class:`phase_ppl.analysis.hypotheses.Hypotheses`; beside that ``over_time``, ``why`` and
-    ``log_evidence``.
+    The sum over hypotheses leaves none out; what goes into it is approximate. Policies are
+    estimated by searches: ``.error`` of every answer is the standard error that comes of it, by
+    the jackknife over the sets of searches (``planner_seeds``), NaN with one. Velocities, holds
+    and strengths come from a filter, and strengths are taken to be independent of the goals given
+    the video. Where the likelihood's ``weight`` is not 1, frames count less than they would under
+    the model, and likewise for strengths ``Tracking.strength_weight``; the defaults of both, and of
+    sharpness and lapse, were chosen on videos (:class:`phase_ppl.StepwiseLikelihood` says which).
+
+    What one can ask it is in :class:`phase_ppl.analysis.hypotheses.Hypotheses`; beside that
+    ``over_time``, ``why``, ``log_evidence`` and ``diagnostics``.
 
     Args:
         found: what was read (:mod:`phase_ppl.analysis.stepwise_table`).
@@ -66,9 +74,11 @@ class StepwisePosterior(Hypotheses):
         *,
         scenario: ScenarioFunction | None = None,
     ) -> None:
+        found = brought_up(found)
         check(found)
         self._found, self._scenario = found, scenario
         self._table = Table(found)
+        self._diagnostics: dict[str, Any] | None = None
         last = self._table.n_frames - 1
         self._frame = last if frame is None else frame
         if not 0 <= self._frame <= last:
@@ -80,8 +90,18 @@ class StepwisePosterior(Hypotheses):
         super().__init__(quantities(), dataclasses.replace(rows, values=columns))
 
     def _jackknife(self, share: float) -> Jackknife | None:
-        """Return one in which nothing varies: nothing here was drawn."""
-        return Jackknife(np.repeat(self._rows.weights[None], 2, axis=0), 1.0)
+        """Leave out single sets of searches, of which there are few, whatever is asked."""
+        if 0.0 not in self._jackknives:
+            n = self.planner_seeds
+            self._jackknives[0.0] = (
+                Jackknife(self._table.weights_without(self._frame), n - 1.0) if n > 1 else None
+            )
+        return self._jackknives[0.0]
+
+    @property
+    def planner_seeds(self) -> int:
+        """Independent sets of beliefs and searches that were made."""
+        return self._table.n_seeds
 
     @property
     def dataset(self) -> xr.Dataset:
@@ -118,12 +138,36 @@ class StepwisePosterior(Hypotheses):
 
     @property
     def log_evidence(self) -> float:
-        """Log sum_h P(h) p(s_1..t | s_0, h)^weight over all hypotheses, in nats.
+        """Log p(s_1..t | s_0) of the frames that are counted, in nats, per (unit^8 rad^2) a frame.
 
-        Of two models with the same weight and tracking, the one with more explains the video
-        better.
+        Log sum_h P(h) prod_t p(s_t | s_<t, h), each frame counted in full whatever the
+        likelihood's ``weight``. Of two priors, the one with more explains the video better; so of
+        two models with the same tracking.
         """
-        return log_sum_exp(self._table.log_mass(self._frame).ravel())
+        return log_sum_exp(self._table.log_mass(self._frame, 1.0).ravel())
+
+    def surprise(self) -> FloatArray:
+        """Return (time,) nats by which each frame was less probable than a perfect match.
+
+        A perfect match is a frame exactly where an action puts it, were that action certain; what
+        was expected is the posterior given the frames before. 0 for the first frame.
+        """
+        found = self._found["log_peak"].values - self._table.log_predictive()
+        return np.asarray(found[: self._frame + 1])
+
+    def diagnostics(self) -> dict[str, Any]:
+        """Return whether this can be trusted.
+
+        Keys: ``frames``; ``planner_seeds`` and ``weight``, of the likelihood; ``leading``, the most
+        probable goals and relation with their errors; ``surprise_median`` (nats, see
+        :meth:`surprise`) and ``surprising_share``, that of frames above ``surprise_reference``;
+        ``unexplained_most`` and ``unexplained_frames``, which no action explains;
+        ``overlapping_frames``, in which bodies lie on each other or in a wall; and ``verdict``, in
+        words, the worst sign first.
+        """
+        if self._diagnostics is None:
+            self._diagnostics = diagnostics(self)
+        return self._diagnostics
 
     def map(self) -> Hypothesis:
         """Return the most probable hypothesis; its goals are the stated ones."""
@@ -142,7 +186,9 @@ class StepwisePosterior(Hypotheses):
         Returns:
             ``goal_red``, ``goal_green``, ``relation``, ``scenario``: probabilities (time, label),
             labels in ``goal_red_is`` and so on; ``time`` in seconds. The attribute ``filtering``
-            says what it is.
+            says what it is: nothing of later frames, but for ``turning`` (which way agents can
+            turn) where the scene's was read off a whole video, as the reader of the authors' files
+            does.
         """
         masses = self._table.pair_masses()[: self._frame + 1]
         red, green = (codes.ravel() for codes in np.indices((N_GOALS, N_GOALS)))
@@ -240,4 +286,4 @@ class StepwisePosterior(Hypotheses):
 
 def is_stepwise(path: str | os.PathLike[str]) -> bool:
     """Whether a file holds a posterior that was read step by step."""
-    return root_attribute(path, "schema") == SCHEMA
+    return root_attribute(path, "schema") in SCHEMAS

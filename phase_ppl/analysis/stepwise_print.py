@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from phase_ppl.analysis.estimate import with_error
 from phase_ppl.analysis.summary import answer_lines, answers, plain, wrapped
 
 if TYPE_CHECKING:
@@ -14,12 +16,13 @@ def stepwise_summary(post: StepwisePosterior) -> dict[str, Any]:
     """Return ``post`` in JSON's types.
 
     Keys: ``goals``, ``relation``, ``scenario``, ``strengths`` as of a sampled posterior; ``map``,
-    ``log_evidence`` (nats), ``frame``, ``settings``, ``cost``.
+    ``log_evidence`` (nats), ``diagnostics``, ``frame``, ``settings``, ``cost``.
     """
     record = {
         **answers(post),
         "map": post.map_record(),
         "log_evidence": post.log_evidence,
+        "diagnostics": post.diagnostics(),
         "frame": post.frame,
         "settings": post.settings,
         "cost": post.cost,
@@ -29,11 +32,29 @@ def stepwise_summary(post: StepwisePosterior) -> dict[str, Any]:
 
 def stepwise_table(post: StepwisePosterior) -> str:
     """Return ``post`` as a table of at most 88 columns."""
-    n = len(post.observed())
-    head = f"{post.event_id}: read step by step, {n} frames; all hypotheses, no sampling"
+    found = post.diagnostics()
+    head = f"{post.event_id}: read step by step, {found['frames']} frames; all hypotheses, "
+    seeds = found["planner_seeds"]
+    head += f"{seeds} sets of searches" if seeds > 1 else "one set of searches"
     lines = [*wrapped("posterior", head), "", *answer_lines(post), ""]
-    lines += wrapped("evidence", f"log p(video) = {post.log_evidence:.1f} nats")
-    return "\n".join([*lines, *wrapped("cost", _cost(post.cost, n))])
+    lines += wrapped("errors", _errors(found))
+    lines += wrapped(
+        "evidence", f"log p(video) = {post.log_evidence:.1f} nats, every frame counted in full"
+    )
+    if found["weight"] != 1:
+        words = f"in the probabilities above a frame counts {found['weight']:g} (tempered)"
+        lines += wrapped("weight", words)
+    lines += wrapped("cost", _cost(post.cost, found["frames"]))
+    return "\n".join([*lines, *wrapped("verdict", found["verdict"])])
+
+
+def _errors(found: Mapping[str, Any]) -> str:
+    names = {"goal_red": "red", "goal_green": "green", "relation": "relation"}
+    parts = [
+        f"{name} {with_error(found['leading'][key]['probability'], found['leading'][key]['error'])}"
+        for key, name in names.items()
+    ]
+    return f"of the planner's chance: {', '.join(parts)}"
 
 
 def _cost(cost: dict[str, Any], n: int) -> str:

@@ -17,24 +17,36 @@ from phase_ppl.world.hypothesis import ALPHAS
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-SCHEMA: Final = "phase_ppl/stepwise/1"
+SCHEMA: Final = "phase_ppl/stepwise/2"
+
+_FIRST_SCHEMA: Final = "phase_ppl/stepwise/1"
+"""Of files with one set of searches, and nothing to tell errors and surprise by."""
+
+SCHEMAS: Final = (_FIRST_SCHEMA, SCHEMA)
+"""What can be read."""
 
 STATED: Final = ("stated_goal_red", "stated_goal_green", "alpha")
 STRENGTHS: Final = ("strength_red", "strength_green")
 
 DIMENSIONS: Final = {
     "log_likelihood": ("time", "goal_red", "goal_green"),
+    "log_likelihood_without": ("planner_seed", "time", "goal_red", "goal_green"),
     "strengths": ("time", *STRENGTHS),
     "log_prior": (*STATED, *STRENGTHS),
     "actions": ("time", "agent", "action"),
     "held": ("time", "agent"),
+    "unexplained": ("time",),
+    "log_peak": ("time",),
     "trajectory": ("time", "entity", "coord"),
 }
 """Variable -> dimensions.
 
 ``log_likelihood`` of each frame given those before it and a pair of effective goals, 0 for the
-first; ``strengths`` their probabilities, whatever the goals, given the frames so far and equal
-ones before; ``actions`` those of what each agent did to come to a frame."""
+first; ``log_likelihood_without`` likewise without each set of searches, none where there is only
+one; ``strengths`` their probabilities, whatever the goals, given the frames so far and equal
+ones before; ``actions`` those of what each agent did to come to a frame; ``unexplained`` by how
+many nats the best pair of actions leaves the frame less probable than one that is exactly where an
+action puts it, whose log density is ``log_peak``."""
 
 REQUIRED_ATTRS: Final = ("event_id", "settings", "cost", "weight", "schema")
 
@@ -42,10 +54,24 @@ _LEAST: Final = 1e-12
 """Rows with less of the mass than this are left out of tables."""
 
 
+def brought_up(found: xr.Dataset) -> xr.Dataset:
+    """Return a reading of an earlier schema as one of today's, with what it lacks left unknown."""
+    if found.attrs.get("schema") != _FIRST_SCHEMA or "time" not in found.sizes:
+        return found
+    n = found.sizes["time"]
+    unknown = ("time", np.full(n, np.nan))
+    without = np.empty((0, n, N_GOALS, N_GOALS), np.float32)
+    return found.assign(
+        log_likelihood_without=(DIMENSIONS["log_likelihood_without"], without),
+        unexplained=unknown,
+        log_peak=unknown,
+    )
+
+
 def check(found: xr.Dataset) -> None:
     """Raise InvalidEventError, naming what is missing or wrong, if ``found`` is no such reading."""
     schema = found.attrs.get("schema")
-    if schema != SCHEMA:
+    if schema not in SCHEMAS:
         raise InvalidEventError(f"this was not read step by step: its schema is {schema!r}")
     missing = [name for name in REQUIRED_ATTRS if name not in found.attrs]
     missing += [name for name in DIMENSIONS if name not in found.variables]
@@ -87,7 +113,9 @@ class Table:
         self._weight = float(found.attrs["weight"])
         self._levels = found[STRENGTHS[0]].values, found[STRENGTHS[1]].values
         self._log_prior = found["log_prior"].values
-        so_far = np.cumsum(found["log_likelihood"].values, axis=0)
+        self._likelihood = found["log_likelihood"].values
+        self._without = found["log_likelihood_without"].values
+        so_far = np.cumsum(self._likelihood, axis=0)
         self._so_far = so_far.reshape(len(so_far), -1)
         with np.errstate(divide="ignore"):
             self._log_strengths = np.log(found["strengths"].values)
@@ -97,17 +125,36 @@ class Table:
         """Frames that were read."""
         return len(self._so_far)
 
-    def log_mass(self, frame: int) -> FloatArray:
-        """Return the log masses, shaped as ``log_prior``, given the frames up to ``frame``."""
-        of_pairs = self._weight * self._so_far[frame][effective_pairs()]
-        strengths = self._log_strengths[frame] + np.log(self._log_strengths[frame].size)
-        return np.asarray(self._log_prior + of_pairs[..., None, None] + strengths)
+    @property
+    def n_seeds(self) -> int:
+        """Sets of searches."""
+        return max(1, len(self._without))
 
-    def rows(self, frame: int) -> Rows:
-        """Return the hypotheses that have any mass to speak of, at a frame."""
+    def log_mass(self, frame: int, weight: float | None = None) -> FloatArray:
+        """Return the log masses, shaped as ``log_prior``, given the frames up to ``frame``.
+
+        Args:
+            frame: the last one that counts.
+            weight: of each frame; None: the likelihood's.
+        """
+        weight = self._weight if weight is None else weight
+        return self._masses(frame, weight * self._so_far[frame])
+
+    def _masses(self, frame: int, of_pairs: FloatArray) -> FloatArray:
+        strengths = self._log_strengths[frame] + np.log(self._log_strengths[frame].size)
+        of_hypotheses = of_pairs[effective_pairs()][..., None, None]
+        return np.asarray(self._log_prior + of_hypotheses + strengths)
+
+    def _kept(self, frame: int) -> tuple[tuple[IntArray, ...], FloatArray]:
+        """Return the places of the rows, and their weights."""
         log_mass = self.log_mass(frame)
         weights = np.exp(log_mass - log_sum_exp(log_mass.ravel()))
         kept = np.nonzero(weights > _LEAST)
+        return kept, weights[kept] / weights[kept].sum()
+
+    def rows(self, frame: int) -> Rows:
+        """Return the hypotheses that have any mass to speak of, at a frame."""
+        kept, weights = self._kept(frame)
         pairs = effective_pairs()[kept[:3]]
         red, green = np.unravel_index(pairs, (N_GOALS, N_GOALS))
         values = dict(zip(STATED, kept[:3], strict=True))
@@ -116,8 +163,17 @@ class Table:
             name: levels[codes]
             for name, levels, codes in zip(STRENGTHS, self._levels, kept[3:], strict=True)
         }
-        found = weights[kept]
-        return Rows(values, found / found.sum(), {"hypothesis": np.arange(len(found))})
+        return Rows(values, weights, {"hypothesis": np.arange(len(weights))})
+
+    def weights_without(self, frame: int) -> FloatArray:
+        """Return (planner_seed, row) weights of :meth:`rows` without each set of searches."""
+        kept, _ = self._kept(frame)
+        found = []
+        for one in self._without:
+            so_far = one[: frame + 1].sum(axis=0, dtype=np.float64).ravel()
+            log_mass = self._masses(frame, self._weight * so_far)[kept]
+            found.append(np.exp(log_mass - log_sum_exp(log_mass)))
+        return np.array(found)
 
     def pair_masses(self) -> FloatArray:
         """Return (time, goal_red, goal_green) probabilities, given the frames so far."""
@@ -133,3 +189,22 @@ class Table:
             log_mass += self._weight * self._so_far[frame]
             found[frame] = np.exp(log_mass - log_sum_exp(log_mass))
         return found.reshape(self.n_frames, N_GOALS, N_GOALS)
+
+    def log_predictive(self) -> FloatArray:
+        """Return (time,) log density of each frame given those before it; 0 for the first."""
+        with np.errstate(divide="ignore"):
+            before = np.log(self.pair_masses()[:-1])
+        joint = (before + self._likelihood[1:]).reshape(self.n_frames - 1, -1)
+        return np.concatenate([[0.0], np.logaddexp.reduce(joint, axis=1)])
+
+
+def log_prior_of_pairs(log_prior: FloatArray) -> FloatArray:
+    """Return (goal_red, goal_green) log prior masses of pairs of effective goals.
+
+    Args:
+        log_prior: of hypotheses, as in a reading.
+    """
+    found = np.full(N_GOALS**2, -np.inf)
+    of_stated = np.logaddexp.reduce(log_prior.reshape(*log_prior.shape[:3], -1), axis=-1)
+    np.logaddexp.at(found, effective_pairs().ravel(), of_stated.ravel())
+    return found.reshape(N_GOALS, N_GOALS)

@@ -42,16 +42,23 @@ def add_to(commands: Any) -> None:
     parser.add_argument("--out", metavar="DIR", type=Path, help="for the figures")
 
 
+def _plain_json(found: Mapping[str, Any]) -> str:
+    return json.dumps(plain(dict(found)), indent=1, ensure_ascii=False, allow_nan=False)
+
+
 def _diagnose(options: argparse.Namespace) -> int:
     post = posterior(options.file, options.weights)
-    if not isinstance(post, phase_ppl.Posterior):
-        raise InvalidSettingError(
-            f"{options.file} was read step by step: it has no chains to diagnose"
-        )
     found = post.diagnostics()
+    if not isinstance(post, phase_ppl.Posterior):
+        if options.out is not None:
+            raise InvalidSettingError(
+                f"--out: {options.file} was read step by step, it has no chains to draw"
+            )
+        print(_plain_json(found) if options.json else post)
+        return 0
     written = [] if options.out is None else _figures(post, writable_folder(options.out))
     if options.json:
-        print(json.dumps(plain(found), indent=1, ensure_ascii=False, allow_nan=False))
+        print(_plain_json(found))
         return 0
     print(table(post.event_id, found))
     if options.out is None:

@@ -1,15 +1,20 @@
 """The hidden part of the state, filtered from what is seen: velocities, holds and strengths.
 
-A beam of full states goes along with the video. At each frame every joint action is tried from
-each of them; the states after those that explain the frame best go on, corrected by what was
-seen. Frames are compared like with like: means over the substeps of a step.
+A beam of full states goes along with the video, some for every pair of strengths. At each frame
+every joint action is tried from each of them; the states after those that explain the frame best
+go on, corrected by what was seen. Frames are compared like with like: means over the substeps of a
+step.
+
+Each pair of strengths has a filter of its own, and its evidence is the product over the frames of
+how probable that filter found them, so that none is lost by being dropped from the beam.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import itertools
-from typing import Final
+import math
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,12 +50,17 @@ _VELOCITY_BIN: Final = 3.0
 class Tracking:
     """How the hidden state is followed.
 
-    The values were chosen on ten of the real videos, by agreement with the actions recovered
-    from them, and confirmed on all 50 (``benchmarks/stepwise.py replays``).
+    The scales and the tail were chosen on ten of the real videos, by agreement with the actions
+    recovered from them, and confirmed on all 50 (``benchmarks/stepwise.py replays``);
+    ``strength_weight`` by the log score of the strengths of the first half of the real videos,
+    with and without noise on the positions (``benchmarks/stepwise.py beam``). It is far below 1
+    since a beam keeps few of the many histories that frames cannot tell apart: the evidence of a
+    pair of strengths then varies by far more than it should, on videos of the model's own too.
 
     Attributes:
         strengths: newtons that each agent may have, ascending.
-        states: places in the beam.
+        states: places in the beam, beside the best state of every pair of strengths.
+        strength_weight: what a frame counts as evidence for strengths; below 1 it is tempered.
         scale: of the distance of an entity from where the right action would have put it, units;
             noise of the observation adds to it.
         angle_scale: likewise of an agent's angle, rad.
@@ -63,6 +73,7 @@ class Tracking:
 
     strengths: tuple[float, ...] = STRENGTH_LEVELS
     states: int = 24
+    strength_weight: float = 0.05
     scale: float = 0.06
     angle_scale: float = 0.06
     tail: float = 3.0
@@ -79,7 +90,7 @@ class Tracking:
             raise InvalidSettingError(f"strengths={self.strengths}: a strength is named twice")
         if isinstance(self.states, bool) or not isinstance(self.states, int) or self.states < 1:
             raise InvalidSettingError(f"states={self.states!r}, expected a whole number >= 1")
-        for name in ("scale", "angle_scale", "tail"):
+        for name in ("scale", "angle_scale", "tail", "strength_weight"):
             positive_number(name, getattr(self, name))
         if self.noise is not None:
             nonnegative_number("noise", self.noise)
@@ -91,23 +102,32 @@ class Beam:
 
     Attributes:
         bodies: (B, 4, 9); held: (B, 2); weld: (B, 2, 3): as in :mod:`phase_ppl.physics.compiled`.
-        strengths: (B, 2) newtons.
-        log_weight: (B,) log probabilities.
+        pair: (B,) the pair of strengths, as an index.
+        within: (B,) log probabilities given the pair of strengths.
     """
 
     bodies: FloatArray
     held: IntArray
     weld: FloatArray
-    strengths: FloatArray
-    log_weight: FloatArray
+    pair: IntArray
+    within: FloatArray
 
     def __len__(self) -> int:
         return len(self.bodies)
 
-    def best(self) -> tuple[FloatArray, IntArray, FloatArray]:
-        """Return (bodies, held, weld) of the most probable state."""
-        row = int(self.log_weight.argmax())
-        return self.bodies[row], self.held[row], self.weld[row]
+
+class Expected(NamedTuple):
+    """A pair of strengths, and the most probable state given it.
+
+    Attributes:
+        strengths: of red and green, newtons.
+        bodies, held, weld: (4, 9), (2,), (2, 3), as in :mod:`phase_ppl.physics.compiled`.
+    """
+
+    strengths: tuple[float, float]
+    bodies: FloatArray
+    held: IntArray
+    weld: FloatArray
 
 
 class HiddenState:
@@ -119,20 +139,22 @@ class HiddenState:
 
     Attributes:
         beam: states after the last frame.
+        log_peak: log density that the last frame would have had exactly where an action puts it.
     """
 
     def __init__(self, scene: Scene, tracking: Tracking) -> None:
         self.tracking = tracking
-        pairs = np.array(list(itertools.product(tracking.strengths, repeat=len(AGENTS))))
-        n = len(pairs)
+        self._pairs = np.array(list(itertools.product(tracking.strengths, repeat=len(AGENTS))))
+        n = len(self._pairs)
         bodies, held, weld = compiled.from_state(State.at_start(scene), scene.radius)
         self.beam = Beam(
             np.repeat(bodies[None], n, axis=0),
             np.repeat(held[None], n, axis=0),
             np.repeat(weld[None], n, axis=0),
-            pairs,
-            np.full(n, -np.log(n)),
+            np.arange(n),
+            np.zeros(n),
         )
+        self._evidence = np.zeros(n)  # log, of each pair of strengths
         # its forces are overwritten state by state
         strongest = (max(tracking.strengths),) * 2
         self._params = compiled.make_params(scene, strongest, inner_steps=WORLD_INNER_STEPS)
@@ -144,6 +166,7 @@ class HiddenState:
         with np.errstate(divide="ignore"):
             self._log_prior = np.log(intended)
         self._noise = NoiseEstimate(tracking.noise, scene.start)
+        self.log_peak = 0.0
 
     def advance(self, observed: FloatArray) -> FloatArray:
         """Take in the next frame.
@@ -155,15 +178,16 @@ class HiddenState:
             (A, A) log density of the frame after every pair of intended actions, red's first.
         """
         tracking, beam = self.tracking, self.beam
-        noise = self._noise.update(observed)
+        scale = float(np.hypot(tracking.scale, self._noise.now))  # from the frames before
+        self.log_peak = _log_peak(scale, tracking.angle_scale, tracking.tail)
         found = np.empty((len(beam), N_ACTIONS, N_ACTIONS))
         inverse.try_all(
             beam.bodies,
             beam.held,
             beam.weld,
-            beam.strengths,
+            self._pairs[beam.pair],
             observed,
-            float(np.hypot(tracking.scale, noise)),
+            scale,
             tracking.angle_scale,
             tracking.tail,
             self._params,
@@ -171,36 +195,82 @@ class HiddenState:
             self._trial,
             found,
         )
-        found += beam.log_weight[:, None, None]
-        self._go_on(found + self._log_prior, observed, filter_gains(tracking.scale, noise))
-        density = np.logaddexp.reduce(found, axis=0)
+        found += beam.within[:, None, None]
+        before = self._log_strengths()
+        density = np.logaddexp.reduce(found + before[beam.pair][:, None, None], axis=0)
+        self._noise.update(observed)
+        self._go_on(
+            found + self._log_prior, observed, filter_gains(tracking.scale, self._noise.now)
+        )
         return np.asarray(density[np.ix_(self._executed, self._executed)])
 
     def strengths(self) -> FloatArray:
         """Return (strength of red, strength of green) probabilities, by the settings' order."""
-        levels = np.array(self.tracking.strengths)
-        table = np.zeros((len(levels), len(levels)))
-        red, green = np.searchsorted(levels, self.beam.strengths).T
-        np.add.at(table, (red, green), np.exp(self.beam.log_weight))
-        return table
+        n = len(self.tracking.strengths)
+        return np.exp(self._log_strengths()).reshape(n, n)
+
+    def _log_strengths(self) -> FloatArray:
+        """Return (pair,) log probabilities of the pairs of strengths."""
+        found = self.tracking.strength_weight * self._evidence
+        return np.asarray(found - np.logaddexp.reduce(found))
+
+    def best(self) -> Expected:
+        """Return the most probable state."""
+        row = int((self.beam.within + self._log_strengths()[self.beam.pair]).argmax())
+        return self._expected(row)
+
+    def spread(self, n: int) -> list[Expected]:
+        """Return ``n`` pairs of strengths that stand for what is believed of them, with states.
+
+        They are quantiles of the probabilities: of red's strength, and of green's given red's,
+        evenly spread over both; one alone is the median.
+        """
+        table = self.strengths()
+        found = []
+        for place in range(n):
+            red = _quantile(table.sum(axis=1), (place + 0.5) / n)
+            # a permutation, so that the agents' quantiles are not those of equal strengths
+            green = _quantile(table[red], ((place * _stride(n) + n // 2) % n + 0.5) / n)
+            (rows,) = np.nonzero(self.beam.pair == red * len(table) + green)
+            found.append(self._expected(int(rows[self.beam.within[rows].argmax()])))
+        return found
+
+    def _expected(self, row: int) -> Expected:
+        beam = self.beam
+        red, green = self._pairs[beam.pair[row]].tolist()
+        return Expected((red, green), beam.bodies[row], beam.held[row], beam.weld[row])
 
     def _go_on(self, joint: FloatArray, observed: FloatArray, gains: FloatArray) -> None:
         """Replace the beam by the best states after the frame; ``joint`` is (B, A, A)."""
-        flat = joint.ravel()
-        n = min(len(flat), _TRIED * self.tracking.states)
-        order = np.argpartition(-flat, n - 1)[:n]
-        order = order[np.argsort(-flat[order], kind="stable")]
-        order = order[flat[order] > flat[order[0]] - _LEAST]
-        parents, red, green = np.unravel_index(order, joint.shape)
-        n = len(order)
-        bodies = np.empty((n, len(ENTITIES), self.beam.bodies.shape[2]))
+        beam, n_pairs = self.beam, len(self._pairs)
+        flat = joint.reshape(len(beam), -1)
+        evidence = np.full(n_pairs, -np.inf)
+        np.logaddexp.at(evidence, beam.pair, np.logaddexp.reduce(flat, axis=1))
+        self._evidence += evidence
+        self._evidence -= self._evidence.max()
+        flat = flat - evidence[beam.pair][:, None]
+        # the best of every pair of strengths, then the most probable of all
+        highest = flat.max(axis=1)
+        order = np.lexsort((-highest, beam.pair))
+        states = order[np.searchsorted(beam.pair[order], np.arange(n_pairs))]
+        first = states * flat.shape[1] + flat[states].argmax(axis=1)
+        overall = (flat + self._log_strengths()[beam.pair][:, None]).ravel()
+        overall[first] = -np.inf
+        n = min(len(overall), _TRIED * self.tracking.states)
+        rest = np.argpartition(-overall, n - 1)[:n]
+        rest = rest[np.argsort(-overall[rest], kind="stable")]
+        rest = rest[overall[rest] > -_LEAST]
+        chosen = np.concatenate([first, rest])
+        parents, red, green = np.unravel_index(chosen, joint.shape)
+        n = len(chosen)
+        bodies = np.empty((n, len(ENTITIES), beam.bodies.shape[2]))
         held = np.empty((n, len(AGENTS)), np.int64)
         weld = np.empty((n, len(AGENTS), 3))
         inverse.follow(
-            self.beam.bodies,
-            self.beam.held,
-            self.beam.weld,
-            self.beam.strengths,
+            beam.bodies,
+            beam.held,
+            beam.weld,
+            self._pairs[beam.pair],
             parents.astype(np.int64),
             np.column_stack([red, green]).astype(np.int64),
             observed,
@@ -212,32 +282,59 @@ class HiddenState:
             held,
             weld,
         )
-        strengths = self.beam.strengths[parents]
-        rows, mass = self._merged(bodies, held, strengths, flat[order])
-        mass -= np.logaddexp.reduce(mass)
-        self.beam = Beam(bodies[rows], held[rows], weld[rows], strengths[rows], mass)
+        pair = beam.pair[parents]
+        rows, mass = self._merged(bodies, held, pair, flat.ravel()[chosen])
+        pair = pair[rows]
+        total = np.full(n_pairs, -np.inf)
+        np.logaddexp.at(total, pair, mass)
+        self.beam = Beam(bodies[rows], held[rows], weld[rows], pair, mass - total[pair])
 
     def _merged(
-        self, bodies: FloatArray, held: IntArray, strengths: FloatArray, weight: FloatArray
+        self, bodies: FloatArray, held: IntArray, pair: IntArray, weight: FloatArray
     ) -> tuple[list[int], FloatArray]:
-        """Return which states go on, and their log weights; the best stands for all alike."""
+        """Return which states go on, and their log weights; the first stands for all alike."""
         places: dict[tuple[float, ...], int] = {}
         alike: dict[tuple[float, ...], int] = {}
         rows: list[int] = []
         mass: list[float] = []
+        room = len(self._pairs) + self.tracking.states
         velocities = np.round(bodies[:, :, 3:5].reshape(len(bodies), -1) / _VELOCITY_BIN)
-        for row in range(len(bodies)):
-            kind = (*held[row].tolist(), *strengths[row].tolist())
-            key = (*kind, *velocities[row].tolist())
+        for row, (holds, strengths, velocity) in enumerate(
+            zip(held.tolist(), pair.tolist(), velocities.tolist(), strict=True)
+        ):
+            kind = (*holds, strengths)
+            key = (*kind, *velocity)
             place = places.get(key)
             if place is not None:
                 mass[place] = float(np.logaddexp(mass[place], weight[row]))
-            elif len(rows) < self.tracking.states and alike.get(kind, 0) < _ALIKE:
+            elif len(rows) < room and alike.get(kind, 0) < _ALIKE:
                 alike[kind] = alike.get(kind, 0) + 1
                 places[key] = len(rows)
                 rows.append(row)
                 mass.append(float(weight[row]))
         return rows, np.array(mass)
+
+
+def _log_peak(scale: float, angle_scale: float, tail: float) -> float:
+    """Return the log density of a frame that is exactly where it was expected.
+
+    The density is that of :func:`phase_ppl.physics.inverse.try_all`.
+    """
+    angle = math.lgamma(0.5 * (tail + 1)) - math.lgamma(0.5 * tail)
+    angle -= 0.5 * math.log(tail * math.pi) + math.log(angle_scale)
+    position = -math.log(2 * math.pi) - 2 * math.log(scale)
+    return len(ENTITIES) * position + len(AGENTS) * angle
+
+
+def _quantile(masses: FloatArray, share: float) -> int:
+    """Return the first place up to which lies more than a share of the mass."""
+    cumulated = np.cumsum(masses)
+    return int(min(np.searchsorted(cumulated, share * cumulated[-1], "right"), len(masses) - 1))
+
+
+def _stride(n: int) -> int:
+    """Return a number without a common factor with ``n``, at about its golden section."""
+    return next(k for k in range(max(1, round(0.618 * n)), 2 * n + 2) if math.gcd(k, n) == 1)
 
 
 def most_probable_actions(density: FloatArray) -> tuple[Action, Action]:

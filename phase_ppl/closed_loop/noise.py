@@ -12,6 +12,9 @@ from phase_ppl.world.names import BLUE_ITEM
 
 FloatArray = NDArray[np.float64]
 
+UNSEEN: Final = 0.05
+"""Units that are assumed before there is anything to estimate the noise from."""
+
 _MEDIAN: Final = 0.6745
 """Median of |x| for a standard normal x."""
 
@@ -32,24 +35,27 @@ class NoiseEstimate:
     Args:
         known: units; None: to be estimated.
         start: (4, 3) the first frame.
+
+    Attributes:
+        now: the estimate from the frames so far, units; before there are three, ``UNSEEN``. A
+            frame is to be scored with the one from the frames before it.
     """
 
     def __init__(self, known: float | None, start: FloatArray) -> None:
         self._known = known
         self._last: list[FloatArray] = [start[BLUE_ITEM:, :2]]
         self._differences: list[FloatArray] = []
+        self.now = UNSEEN if known is None else known
 
-    def update(self, observed: FloatArray) -> float:
-        """Take in a frame (4, 3); return the estimate from all until now, units."""
+    def update(self, observed: FloatArray) -> None:
+        """Take in a frame, (4, 3)."""
         if self._known is not None:
-            return self._known
+            return
         self._last = [*self._last[-2:], observed[BLUE_ITEM:, :2]]
-        if len(self._last) < 3:
-            change = np.abs(self._last[1] - self._last[0])
-            return float(np.median(change)) / (_MEDIAN * math.sqrt(2))
-        before, between, now = self._last
-        self._differences.append(np.abs(now - 2 * between + before))
-        return float(np.median(self._differences)) / (_MEDIAN * math.sqrt(6))
+        if len(self._last) == 3:
+            before, between, now = self._last
+            self._differences.append(np.abs(now - 2 * between + before))
+            self.now = float(np.median(self._differences)) / (_MEDIAN * math.sqrt(6))
 
 
 def filter_gains(drift: float, noise: float) -> FloatArray:

@@ -20,13 +20,19 @@ BLUE_TO_RED = goal_index("Get blue item to red lm")
 BLUE_NOT_TO_RED = goal_index("Get blue item away from red lm")
 
 
-def reading(**changes: Any) -> xr.Dataset:
-    """Return one of four frames, which come to speak for one pair of goals and against another."""
+def reading(planner_seeds: int = 3, **changes: Any) -> xr.Dataset:
+    """Return one of four frames, which come to speak for one pair of goals and against another.
+
+    Each of the sets of searches, left out, makes some difference to the rest.
+    """
     n, rng = 4, np.random.default_rng(0)
     likelihood = np.zeros((n, N_GOALS, N_GOALS))
     likelihood[1:] = rng.normal(0, 0.1, (n - 1, N_GOALS, N_GOALS))
     likelihood[1:, BLUE_TO_RED, BLUE_TO_RED] += 4.0
     likelihood[2, BLUE_NOT_TO_RED, BLUE_TO_RED] += 6.0
+    n_sets = planner_seeds if planner_seeds > 1 else 0
+    without = likelihood + rng.normal(0, 0.5, (n_sets, *likelihood.shape))
+    without[:, 0] = 0
     strengths = np.full((n, 2, 2), 0.25)
     strengths[2:] = [[0.1, 0.2], [0.3, 0.4]]
     prior = np.full((N_GOALS, N_GOALS, len(ALPHAS), 2, 2), 1.0)
@@ -37,10 +43,13 @@ def reading(**changes: Any) -> xr.Dataset:
     where = scene()
     columns: dict[str, Any] = {
         "log_likelihood": likelihood,
+        "log_likelihood_without": without.astype(np.float32),
         "strengths": strengths,
         "log_prior": log_prior,
         "actions": np.full((n, 2, len(ACTION_NAMES)), 1 / len(ACTION_NAMES)),
         "held": np.full((n, 2), -1),
+        "unexplained": np.zeros(n),
+        "log_peak": np.zeros(n),
         "trajectory": np.repeat(where.start[None], n, axis=0),
         **changes.pop("columns", {}),
     }

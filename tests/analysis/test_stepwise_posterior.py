@@ -49,9 +49,28 @@ def test_every_answer_is_a_sum_over_hypotheses(frame: int) -> None:
     assert post.probability(relation="friendly") == pytest.approx(friendly, abs=1e-9)
     assert post.probability(strength_red=(500, 600)) == pytest.approx(strong, abs=1e-9)
     assert post.query("P(relation=friendly)") == pytest.approx(friendly, abs=1e-9)
-    assert post.probability(relation="friendly").error == 0
-    if frame:
-        assert post.mode("goal_red").error == 0
+
+
+def test_errors_are_the_jackknife_over_sets_of_searches() -> None:
+    post = StepwisePosterior(FOUND)
+    likelihood = FOUND["log_likelihood"].values
+    shares = []
+    for without in FOUND["log_likelihood_without"].values:
+        alone = StepwisePosterior(
+            reading(planner_seeds=1, columns={"log_likelihood": without.astype(float)})
+        )
+        shares.append(float(alone.probability(relation="friendly")))
+    expected = np.sqrt((3 - 1) * np.var(shares))
+    assert expected > 0.001
+    found = post.probability(relation="friendly")
+    assert found.error == pytest.approx(expected, rel=1e-4)
+    assert post.at(0).probability(relation="friendly").error == 0  # nothing was searched yet
+    assert post.query("P(relation=friendly)").error == found.error
+    assert np.isfinite(post.hdi("strength_red")["error"]).all()
+    one = StepwisePosterior(reading(planner_seeds=1, columns={"log_likelihood": likelihood}))
+    assert np.isnan(one.probability(relation="friendly").error)
+    assert "With one set of searches nothing tells" in str(one)
+    assert "± ?" in str(one)
 
 
 def test_over_time_is_the_posterior_at_each_frame() -> None:
@@ -74,6 +93,19 @@ def test_the_best_hypothesis_leads_and_the_evidence_grows() -> None:
     evidence = [post.at(frame).log_evidence for frame in range(4)]
     assert evidence[0] == pytest.approx(0, abs=1e-9)
     assert evidence[3] > evidence[0]
+    # frames count in full, although the posterior tempers them
+    prior = by_hand(0)
+    likelihood = FOUND["log_likelihood"].values.sum(axis=0)
+    strengths = FOUND["strengths"].values[-1] * 4
+    total = sum(
+        mass * np.exp(likelihood[effective_goals(red, green, ALPHAS[alpha])]) * strengths[fr, fg]
+        for (red, green, alpha, fr, fg), mass in prior.items()
+    )
+    assert evidence[3] == pytest.approx(np.log(total))
+    tempered = StepwisePosterior(reading(weight=0.1))
+    assert tempered.log_evidence == pytest.approx(evidence[3])
+    assert "a frame counts 0.1 (tempered)" in str(tempered)
+    assert "tempered" not in str(StepwisePosterior(reading(weight=1.0)))
 
 
 def test_why_gives_the_log_odds_and_who_changed_them() -> None:
@@ -124,6 +156,50 @@ def test_it_is_saved_and_read_again(tmp_path: Path) -> None:
     file.write_bytes(content)
     with pytest.raises(InvalidEventError):
         StepwisePosterior.load(file)
+
+
+def test_files_of_the_first_schema_are_read_and_know_no_errors(tmp_path: Path) -> None:
+    new = ("log_likelihood_without", "unexplained", "log_peak")
+    old = FOUND.drop_vars(new).assign_attrs(schema="phase_ppl/stepwise/1")
+    file = tmp_path / "old.nc"
+    old.to_netcdf(file, engine="h5netcdf")
+    post = ppl.load_posterior(file)
+    assert isinstance(post, StepwisePosterior)
+    assert post.probability(relation="friendly") == pytest.approx(
+        StepwisePosterior(FOUND).probability(relation="friendly")
+    )
+    assert np.isnan(post.probability(relation="friendly").error)
+    assert "Nothing was kept" in post.diagnostics()["verdict"]
+    with pytest.raises(InvalidEventError, match="lacks unexplained"):
+        StepwisePosterior(FOUND.drop_vars("unexplained"))
+
+
+def test_the_verdict_leads_with_the_worst_sign() -> None:
+    fine = StepwisePosterior(FOUND).diagnostics()
+    assert fine["unexplained_frames"] == fine["overlapping_frames"] == []
+    assert fine["verdict"].startswith("Actions explain every frame")
+    poses = FOUND["trajectory"].values.copy()
+    poses[2, 0, :2] = poses[2, 1, :2]  # red lies on green
+    lying = StepwisePosterior(reading(columns={"trajectory": poses})).diagnostics()
+    assert lying["overlapping_frames"] == [2]
+    assert lying["verdict"].startswith("Bodies lie on each other or in a wall in frame 2,")
+    jump = {"unexplained": np.array([0.0, 1.0, 40.0, 1.0]), "trajectory": poses}
+    torn = StepwisePosterior(reading(columns=jump)).diagnostics()
+    assert torn["unexplained_frames"] == [2]
+    assert torn["verdict"].startswith("No action explains frame 2:")
+    assert "Bodies lie" in torn["verdict"]
+    odd = StepwisePosterior(reading(columns={"log_peak": np.full(4, 60.0)})).diagnostics()
+    assert odd["surprising_share"] == 1.0
+    assert odd["verdict"].startswith("100% of the frames surprise")
+    without = FOUND["log_likelihood_without"].values.copy()
+    without[0, 1:, BLUE_NOT_TO_RED, BLUE_TO_RED] += 30.0
+    split = StepwisePosterior(reading(columns={"log_likelihood_without": without})).diagnostics()
+    assert "sets of searches disagree" in split["verdict"]
+    for found in (lying, torn, odd, split):
+        assert "Actions explain every frame" not in found["verdict"]
+    start = StepwisePosterior(FOUND, 0).diagnostics()
+    assert start["verdict"].startswith("Nothing was seen but the start")
+    assert str(StepwisePosterior(FOUND)).endswith(fine["verdict"][-20:])
 
 
 def test_what_is_no_reading_is_refused() -> None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 import phase_ppl as ppl
 from phase_ppl.closed_loop.hidden_state import HiddenState, Tracking
-from phase_ppl.closed_loop.noise import NoiseEstimate, filter_gains
+from phase_ppl.closed_loop.noise import UNSEEN, NoiseEstimate, filter_gains
 from phase_ppl.physics.actions import ACTION_NAMES, Action
 from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.world.errors import InvalidSettingError
@@ -43,12 +43,12 @@ def near_item(**changes: Any) -> Scene:
 
 def test_actions_holds_and_strengths_are_recovered() -> None:
     where = near_item()
-    hidden = HiddenState(where, Tracking())
+    hidden = HiddenState(where, Tracking(strength_weight=1.0))
     found = []
     for (frame, state), (red, _) in zip(played(where, CARRY), CARRY, strict=True):
         found.append(hidden.advance(frame))
         if red is not Action.ATTACH:  # which shows as soon as something moves
-            assert hidden.beam.best()[1].tolist() == state.held.tolist()
+            assert hidden.best().held.tolist() == state.held.tolist()
     for step, (density, actions) in enumerate(zip(found, CARRY, strict=True)):
         for agent, action in enumerate(actions):
             own = density.max(axis=1 - agent)
@@ -75,7 +75,7 @@ def test_a_body_that_jumps_is_followed() -> None:
         moved[3, :2] += 2.0
         density = hidden.advance(moved)
         assert np.isfinite(density).all()
-    assert hidden.beam.best()[0][3, :2] == pytest.approx(frames[-1][3, :2] + 2.0, abs=0.05)
+    assert hidden.best().bodies[3, :2] == pytest.approx(frames[-1][3, :2] + 2.0, abs=0.05)
 
 
 @pytest.mark.skipif(not FOLDER.exists(), reason="the real videos are not here")
@@ -109,11 +109,64 @@ def noisy(sigma: float, n: int = 60) -> NDArray[np.float64]:
 def test_noise_is_estimated_from_items_that_mostly_lie_still(sigma: float) -> None:
     frames = noisy(sigma)
     estimate = NoiseEstimate(None, frames[0])
-    found = [estimate.update(frame) for frame in frames[1:]]
-    assert found[-1] == pytest.approx(sigma, rel=0.25)
-    assert NoiseEstimate(0.2, frames[0]).update(frames[1]) == 0.2
+    for frame in frames[1:]:
+        estimate.update(frame)
+    assert estimate.now == pytest.approx(sigma, rel=0.25)
+    known = NoiseEstimate(0.2, frames[0])
+    known.update(frames[1])
+    assert known.now == 0.2
     clean = NoiseEstimate(None, noisy(0.0)[0])
-    assert max(clean.update(frame) for frame in noisy(0.0)[1:]) == 0
+    assert clean.now == UNSEEN
+    for frame in noisy(0.0)[1:3]:
+        clean.update(frame)
+    assert clean.now == 0
+
+
+def test_a_frame_is_scored_with_the_noise_of_the_frames_before() -> None:
+    where = near_item()
+    still = [frame for frame, _ in played(where, [(Action.STOP, Action.STOP)] * 5)]
+    jump = still[-1].copy()
+    jump[2:, :2] += 1.0  # which alone would say that positions are noisy
+    peaks = []
+    for last in (still[-1], jump):
+        hidden = HiddenState(where, Tracking())
+        for frame in [*still[:-1], last]:
+            hidden.advance(frame)
+        peaks.append(hidden.log_peak)
+    assert peaks[0] == peaks[1]
+
+
+def test_no_strength_is_lost_and_each_has_states_of_its_own() -> None:
+    where = near_item()
+    tracking = Tracking(states=4, strength_weight=1.0)
+    hidden = HiddenState(where, tracking)
+    frames = [frame for frame, _ in played(where, CARRY, (150.0, 600.0))]
+    for frame in frames:
+        hidden.advance(frame)
+        assert sorted(set(hidden.beam.pair.tolist())) == list(range(16))
+        assert len(hidden.beam) <= 16 + 4
+        for pair in range(16):
+            within = hidden.beam.within[hidden.beam.pair == pair]
+            assert np.exp(within).sum() == pytest.approx(1)
+    sure = hidden.strengths()
+    assert sure[0, 3] > 0.99
+    doubtful = HiddenState(where, Tracking(states=4, strength_weight=0.01))
+    for frame in frames:
+        doubtful.advance(frame)
+    assert 0.1 < doubtful.strengths()[0, 3] < 0.6
+
+
+def test_planners_spread_over_what_is_believed_of_the_strengths() -> None:
+    hidden = HiddenState(near_item(), Tracking(strength_weight=1.0))
+    assert [one.strengths for one in hidden.spread(1)] == [(450.0, 450.0)]
+    for n in (2, 3, 4, 8):
+        found = hidden.spread(n)
+        for agent in range(2):
+            levels = [one.strengths[agent] for one in found]
+            assert len(set(levels)) == min(n, 4)
+    for frame, _ in played(near_item(), CARRY):
+        hidden.advance(frame)
+    assert {one.strengths for one in hidden.spread(4)} == {STRENGTHS}
 
 
 def test_noisier_positions_are_followed_less() -> None:
@@ -129,6 +182,7 @@ def test_noisier_positions_are_followed_less() -> None:
         ({"strengths": (100.0,)}, r"expected newtons in \[150, 600\]"),
         ({"strengths": (300, 300)}, "named twice"),
         ({"states": 0}, "states=0"),
+        ({"strength_weight": 0.0}, "strength_weight=0.0"),
         ({"scale": float("nan")}, "scale=nan"),
         ({"noise": -1.0}, "noise=-1.0"),
     ],

@@ -58,15 +58,19 @@ def stepwise(
     planner: Any = None,
     sharpness: float | None = None,
     lapse: float | None = None,
+    leave: float | None = None,
+    resume: float | None = None,
     weight: float | None = None,
+    planner_seeds: int | None = None,
     strengths: Any = None,
     noise: float | None = None,
 ) -> Stepwise:
-    """Closed loop: each frame given what was seen before; exact over all pairs of goals.
+    """Closed loop: each frame given what was seen before, summed over all pairs of goals.
 
     Args:
         prior, planner: of the :class:`phase_ppl.Model`.
-        sharpness, lapse, weight: of the :class:`phase_ppl.StepwiseLikelihood`.
+        sharpness, lapse, leave, resume, weight, planner_seeds: of the
+            :class:`phase_ppl.StepwiseLikelihood`.
         strengths, noise: of its :class:`phase_ppl.Tracking`.
 
     Raises:
@@ -77,7 +81,14 @@ def stepwise(
     from phase_ppl.models.stepwise import StepwiseLikelihood
 
     tracking = Tracking(**_given(strengths=strengths, noise=noise))
-    given = _given(sharpness=sharpness, lapse=lapse, weight=weight)
+    given = _given(
+        sharpness=sharpness,
+        lapse=lapse,
+        leave=leave,
+        resume=resume,
+        weight=weight,
+        planner_seeds=planner_seeds,
+    )
     likelihood = StepwiseLikelihood(tracking=tracking, **given)
     return Stepwise(Model(prior=prior, planner=planner, likelihood=likelihood))
 

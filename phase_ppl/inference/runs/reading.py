@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.inference.runs.plan import Plan
 from phase_ppl.inference.stepwise.enumerate import read_event
+from phase_ppl.models.stepwise import level_of
 from phase_ppl.simulator.contract import SimulationResult
 from phase_ppl.simulator.dispatch import Request
 from phase_ppl.simulator.runner import Runner
@@ -26,7 +27,8 @@ class ReadingRunner(Runner):
 
     The error of a frame is by how many nats, times the likelihood's weight, the best pair of
     goals explains it better; that of the first frame tells the same of the strengths, each of
-    which counts as the nearest that was followed. The "trajectory" is the observed one, on which
+    which counts as the nearest that was followed, as in the prior of the table of all hypotheses.
+    The "trajectory" is the observed one, on which
     every frame is conditioned. Nothing is random, so seeds make no difference.
 
     Args:
@@ -51,7 +53,7 @@ class ReadingRunner(Runner):
         hypothesis, seed, _ = request
         red, green = hypothesis.effective_goals
         errors = self._errors[:, red, green].copy()
-        place = [int(np.abs(self._levels - n).argmin()) for n in hypothesis.strengths]
+        place = [level_of(newtons, self._levels) for newtons in hypothesis.strengths]
         errors[0] += self._strength_errors[place[0], place[1]]
         if not np.isfinite(errors).all():
             reason = "impossible given what was seen"

@@ -14,7 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 import phase_ppl
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-from phase_ppl.analysis.stepwise_table import DIMENSIONS, SCHEMA, STRENGTHS
+from phase_ppl.analysis.stepwise_table import (
+    DIMENSIONS,
+    SCHEMA,
+    STRENGTHS,
+    log_prior_of_pairs,
+)
 from phase_ppl.closed_loop.reader import Reader, Reading
 from phase_ppl.models.model import Model
 from phase_ppl.models.stepwise import StepwiseLikelihood, prior_table
@@ -72,10 +77,12 @@ class Watch:
             scene,
             planner,
             likelihood.tracking,
-            likelihood.sharpness,
-            likelihood.lapse,
+            likelihood.conduct,
             self._seed,
             self.threads,
+            likelihood.planner_seeds,
+            likelihood.weight,
+            log_prior_of_pairs(self._prior),
         )
         self._frames: list[FloatArray] = []
         self._torn = False  # a frame was begun and not finished
@@ -83,7 +90,9 @@ class Watch:
         nothing_yet = np.zeros((N_GOALS, N_GOALS))
         unknown = np.full((len(AGENTS), len(ACTION_NAMES)), 1.0 / len(ACTION_NAMES))
         empty = np.full(len(AGENTS), NOTHING, np.int64)
-        self._readings = [Reading(nothing_yet, start, unknown, empty, 0)]
+        seeds = likelihood.planner_seeds if likelihood.planner_seeds > 1 else 0
+        without = np.zeros((seeds, N_GOALS, N_GOALS))
+        self._readings = [Reading(nothing_yet, without, start, unknown, empty, 0.0, 0.0, 0)]
 
     def __enter__(self) -> Self:
         return self
@@ -140,10 +149,16 @@ class Watch:
         readings = self._readings[: len(self._frames)]
         columns: dict[str, Any] = {
             "log_likelihood": np.stack([one.log_likelihood for one in readings]),
+            # for errors only, to which single precision does no harm
+            "log_likelihood_without": np.stack([one.without for one in readings], axis=1).astype(
+                np.float32
+            ),
             "strengths": np.stack([one.strengths for one in readings]),
             "log_prior": self._prior,
             "actions": np.stack([one.actions for one in readings]),
             "held": np.stack([one.held for one in readings]),
+            "unexplained": np.array([one.unexplained for one in readings]),
+            "log_peak": np.array([one.log_peak for one in readings]),
             "trajectory": np.stack(self._frames),
         }
         scene = self._scene

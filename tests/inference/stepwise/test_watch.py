@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,12 @@ import pytest
 import phase_ppl as ppl
 from phase_ppl.cli import main
 from phase_ppl.closed_loop.reader import Reader
+from phase_ppl.inference.stepwise import enumerate as enumerate_
+from phase_ppl.models import priors
+from phase_ppl.models.stepwise import level_of, prior_table
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.event import Event
+from phase_ppl.world.hypothesis import STRENGTH_LEVELS
 from phase_ppl.world.observation import Observation
 
 QUICK = ppl.PlannerConfig(simulations=14, particles=6)
@@ -116,6 +121,17 @@ def test_an_interrupted_reading_keeps_what_was_read(monkeypatch: pytest.MonkeyPa
         assert len(watch.posterior().observed()) == 3
 
 
+def test_a_long_reading_says_how_long(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(enumerate_, "_TIMED", 2)
+    monkeypatch.setattr(enumerate_, "_LONG", 0.0)
+    ppl.infer(short(5), MODEL, workers=1)
+    assert "reading 4 more frames takes about" in capsys.readouterr().err
+    ppl.infer(short(5), MODEL, workers=1, progress=False)
+    assert capsys.readouterr().err == ""
+
+
 def test_other_likelihoods_and_simulators_cannot_be_read() -> None:
     event = short(3)
     with pytest.raises(InvalidSettingError, match="takes a StepwiseLikelihood"):
@@ -134,12 +150,15 @@ def test_options_of_sampling_are_refused(options: Any) -> None:
         ppl.infer(short(3), MODEL, **options)
 
 
+@pytest.mark.parametrize("prior", ["strength_levels", "uniform"])
 @pytest.mark.parametrize(
     ("kernel", "iterations"),
-    [("importance", 250), pytest.param("prior_mh", 2000, marks=pytest.mark.slow)],
+    [("importance", 400), pytest.param("prior_mh", 2000, marks=pytest.mark.slow)],
 )
-def test_kernels_that_sample_find_the_same(kernel: str, iterations: int) -> None:
-    model = dataclasses.replace(MODEL, prior="strength_levels")
+def test_kernels_that_sample_find_the_same(kernel: str, iterations: int, prior: str) -> None:
+    # with strengths that tell something, so that a wrong prior of theirs would show
+    likelihood = ppl.StepwiseLikelihood(tracking=ppl.Tracking(strength_weight=0.5))
+    model = dataclasses.replace(MODEL, prior=prior, likelihood=likelihood)
     exact = ppl.infer(short(), model, workers=1, progress=False)
     post = ppl.infer(
         *(short(), model), kernel=kernel, chains=40, iterations=iterations, progress=False
@@ -150,6 +169,51 @@ def test_kernels_that_sample_find_the_same(kernel: str, iterations: int) -> None
     for name, tolerance in (("relation", 0.06), ("goal_red", 0.12)):
         apart = np.abs(post.marginal(name).values - exact.marginal(name).values).sum() / 2
         assert apart < tolerance, name
+    bounds = (150.0, 225.0, 375.0, 525.0, 600.0)
+    for name in ("strength_red", "strength_green"):
+        for cell in itertools.pairwise(bounds):
+            expected = exact.probability(**{name: cell})
+            assert abs(post.probability(**{name: cell}) - expected) < 0.05, (name, cell)
+
+
+def test_a_level_has_the_prior_mass_of_the_strengths_nearest_to_it() -> None:
+    levels = np.array(STRENGTH_LEVELS)
+    for prior, masses in (
+        ("uniform", [1 / 6, 1 / 3, 1 / 3, 1 / 6]),
+        ("strength_levels", [1 / 4] * 4),
+    ):
+        table = np.exp(prior_table(priors.named(prior), levels))
+        np.testing.assert_allclose(table.sum(axis=(0, 1, 2, 3)), masses, atol=1e-6)
+        np.testing.assert_allclose(table.sum(axis=(0, 1, 2, 4)), masses, atol=1e-6)
+    assert [level_of(f, levels) for f in (150, 224, 226, 374, 526, 600)] == [0, 0, 1, 1, 3, 3]
+
+
+def test_sets_of_searches_give_errors_and_one_gives_none(whole: ppl.StepwisePosterior) -> None:
+    assert whole.planner_seeds == 4
+    assert whole.probability(relation="friendly").error > 0
+    instant = dataclasses.replace(MODEL, likelihood=ppl.StepwiseLikelihood(planner_seeds=1))
+    post = ppl.infer(short(), instant, workers=1, progress=False)
+    assert np.isnan(post.probability(relation="friendly").error)
+    assert post.cost["searches"] < whole.cost["searches"] / 2
+
+
+def test_impossible_videos_are_called_out(whole: ppl.StepwisePosterior) -> None:
+    assert whole.diagnostics()["unexplained_frames"] == []
+    event = short()
+    torn = event.observation.trajectory.copy()
+    torn[4:6, 0, 0] -= 9.0  # red is elsewhere for two frames
+    lying = event.observation.trajectory.copy()
+    lying[3:, 0, :2] = lying[3:, 1, :2]
+    found = []
+    for frames in (torn, lying):
+        changed = dataclasses.replace(event, observation=Observation(frames))
+        post = ppl.infer(changed, MODEL, workers=1, progress=False)
+        found.append(post.diagnostics())
+        assert found[-1]["verdict"] in " ".join(str(post).split())
+    assert {4, 6} <= set(found[0]["unexplained_frames"])
+    assert found[0]["verdict"].startswith("No action explains")
+    assert found[1]["overlapping_frames"] == list(range(3, 9))
+    assert "Bodies lie on each other" in found[1]["verdict"]
 
 
 def test_the_registered_model_predicts(tmp_path: Path) -> None:
@@ -176,6 +240,9 @@ def test_the_terminal_watches(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     written = {file.name for file in out.iterdir()}
     assert {"posterior.nc", "why.png", "over_time.png", "watch.mp4", "summary.json"} <= written
     assert main(["query", str(out), "P(relation=friendly)"]) == 0
-    assert main(["diagnose", str(out)]) != 0
+    assert main(["diagnose", str(out), "--json"]) == 0
+    assert "planner_seeds" in capsys.readouterr().out
+    assert main(["diagnose", str(out), "--out", str(tmp_path / "figures")]) != 0
+    assert "no chains to draw" in capsys.readouterr().err
     assert main(["infer", str(event), "--watch"]) != 0
     assert "--watch needs --model stepwise" in capsys.readouterr().err
