@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from phase_ppl.analysis.estimate import with_error
 from phase_ppl.analysis.summary import answer_lines, answers, plain, wrapped
 
 if TYPE_CHECKING:
@@ -15,8 +13,8 @@ if TYPE_CHECKING:
 def stepwise_summary(post: StepwisePosterior) -> dict[str, Any]:
     """Return ``post`` in JSON's types.
 
-    Keys: ``goals``, ``relation``, ``scenario``, ``strengths`` as of a sampled posterior; ``map``,
-    ``log_evidence`` (nats), ``diagnostics``, ``frame``, ``settings``, ``cost``.
+    Keys: ``goals``, ``relation``, ``scenario``, ``strengths``, ``errors`` as of a sampled posterior;
+    ``map``, ``log_evidence`` (nats), ``diagnostics``, ``frame``, ``settings``, ``cost``.
     """
     record = {
         **answers(post),
@@ -36,25 +34,15 @@ def stepwise_table(post: StepwisePosterior) -> str:
     head = f"{post.event_id}: read step by step, {found['frames']} frames; all hypotheses, "
     seeds = found["planner_seeds"]
     head += f"{seeds} sets of searches" if seeds > 1 else "one set of searches"
-    lines = [*wrapped("posterior", head), "", *answer_lines(post), ""]
-    lines += wrapped("errors", _errors(found))
+    lines = [*wrapped("posterior", head), *wrapped("verdict", found["verdict"]), ""]
+    lines += [*answer_lines(post), ""]
     lines += wrapped(
         "evidence", f"log p(video) = {post.log_evidence:.1f} nats, every frame counted in full"
     )
     if found["weight"] != 1:
         words = f"in the probabilities above a frame counts {found['weight']:g} (tempered)"
         lines += wrapped("weight", words)
-    lines += wrapped("cost", _cost(post.cost, found["frames"]))
-    return "\n".join([*lines, *wrapped("verdict", found["verdict"])])
-
-
-def _errors(found: Mapping[str, Any]) -> str:
-    names = {"goal_red": "red", "goal_green": "green", "relation": "relation"}
-    parts = [
-        f"{name} {with_error(found['leading'][key]['probability'], found['leading'][key]['error'])}"
-        for key, name in names.items()
-    ]
-    return f"of the planner's chance: {', '.join(parts)}"
+    return "\n".join([*lines, *wrapped("cost", _cost(post.cost, found["frames"]))])
 
 
 def _cost(cost: dict[str, Any], n: int) -> str:
