@@ -155,7 +155,7 @@ def calibration(options: argparse.Namespace) -> dict[str, Any]:
     print("strengths:", found["strengths"])
     shares = (0.5, 0.9, 0.99, 0.999)
     unexplained = np.concatenate([one.unexplained for one in kept])
-    surprise = np.concatenate([one.surprise(likelihood) for one in kept])
+    surprise = np.concatenate([one.surprise(likelihood) - one.unexplained for one in kept])
     for name, nats in (("unexplained", unexplained), ("surprise", surprise)):
         found[name] = dict(zip(map(str, shares), np.quantile(nats, shares).tolist(), strict=True))
         print(f"{name}, nats below a perfect match, quantiles:", found[name])

@@ -159,8 +159,9 @@ class StepwisePosterior(Hypotheses):
         """Return whether this can be trusted.
 
         Keys: ``frames``; ``planner_seeds`` and ``weight``, of the likelihood; ``leading``, the most
-        probable goals and relation with their errors; ``surprise_median`` (nats, see
-        :meth:`surprise`) and ``surprising_share``, that of frames above ``surprise_reference``;
+        probable goals and relation with their errors; ``surprise_median`` (nats, of
+        :meth:`surprise` less what no action explains) and ``surprising_share``, that of frames
+        above ``surprise_reference``;
         ``unexplained_most`` and ``unexplained_frames``, which no action explains;
         ``overlapping_frames``, in which bodies lie on each other or in a wall; and ``verdict``, in
         words, the worst sign first.

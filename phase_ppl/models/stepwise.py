@@ -31,7 +31,7 @@ _NODES: Final = 4
 
 @dataclasses.dataclass(frozen=True)
 class StepwiseLikelihood:
-    """p(s_1..T | h) = prod_t p(s_t | s_<t, h), with one step of planner and physics.
+    """p(s_1..T | h) = prod_t p(s_t | s_<t, h)^weight, with one step of planner and physics.
 
     An agent that pursues its goal acts by pi = (1 - lapse) visits^sharpness / Z + lapse / |A|, with
     the visits of the root actions in the planner's search, as a mean over ``planner_seeds``
@@ -39,20 +39,20 @@ class StepwiseLikelihood:
     whatever, and takes its goal up again (``resume``): where real agents plan otherwise than the
     model, they do so for many frames on end, which are no independent evidence.
 
-    ``sharpness``, ``lapse``, ``leave`` and ``resume`` were chosen by the log score of goals and
-    relation, after the whole video and after half of it, on the first half of 50 real videos,
-    and looked at on the other half (``benchmarks/stepwise.py fit``): figures on those videos are
-    in-sample. With them frames count in full, ``weight`` 1. Strengths are tempered, see
-    ``tracking``. What is computed is approximate in the planner's searches and in the filter of
-    the hidden state.
+    ``sharpness``, ``lapse``, ``leave``, ``resume`` and ``weight`` were chosen by the log score of
+    goals and relation, after the whole video and after half of it, on the first half of 50 real
+    videos, and looked at on the other half (``benchmarks/stepwise.py fit``): figures on those
+    videos are in-sample. The posterior is tempered, each frame counting half: in three of the
+    videos an agent hinders otherwise than the model would, and in full it would be sure of
+    something else. Strengths are tempered further, see ``tracking``. What is computed is
+    approximate in the planner's searches and in the filter of the hidden state.
 
     Attributes:
         sharpness: exponent of the visits.
         lapse: probability, by frame, that an agent that pursues its goal does anything whatever.
         leave: probability, by frame, that an agent ceases to pursue its goal.
         resume: probability, by frame, that it takes it up again.
-        weight: what a frame counts, prod_t p(s_t | s_<t, h)^weight; other than 1, the posterior
-            is tempered.
+        weight: what a frame counts; with 1 the posterior is not tempered.
         planner_seeds: sets of searches. Errors come from their spread; 1 is the instant setting,
             with errors unknown. Only the most probable pairs of goals are searched by all sets.
         tracking: how hidden velocities, holds and strengths are followed.
@@ -65,7 +65,7 @@ class StepwiseLikelihood:
     lapse: float = 0.2
     leave: float = 0.2
     resume: float = 0.05
-    weight: float = 1.0
+    weight: float = 0.5
     planner_seeds: int = 4
     tracking: Tracking = dataclasses.field(default_factory=Tracking)
 
