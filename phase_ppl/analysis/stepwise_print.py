@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 def stepwise_summary(post: StepwisePosterior) -> dict[str, Any]:
     """Return ``post`` in JSON's types.
 
-    Keys: ``goals``, ``relation``, ``scenario``, ``strengths``, ``errors`` as of a sampled posterior;
+    Keys: ``goals``, ``relation``, ``scenario``, ``strengths``, ``errors`` as of sampled ones;
     ``map``, ``log_evidence`` (nats), ``diagnostics``, ``frame``, ``settings``, ``cost``.
     """
     record = {
