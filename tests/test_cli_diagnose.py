@@ -87,7 +87,7 @@ def test_a_file_without_frames_has_no_figure_over_time(tmp_path: Path) -> None:
         (["missing.nc"], "missing.nc: no such file"),
         (["."], ". holds no posterior.nc"),
         (["run.nc", "--weights", "counts"], "did you mean 'count'"),
-        (["bad.nc"], "cannot be read as NetCDF"),
+        (["bad.nc"], "is no NetCDF 4 file"),
         (["run.nc", "--out", "run.nc/x"], "cannot write into folder"),
     ],
 )

@@ -163,5 +163,6 @@ def _prefix(tree: xr.DataTree, n_draws: int, done: NDArray[np.bool_]) -> xr.Data
             dataset = dataset.isel(simulation=np.flatnonzero(done))
         groups[name] = dataset
     prefix = xr.DataTree.from_dict(groups)
-    prefix.attrs = dict(tree.attrs)
+    share = n_draws / tree["posterior"].sizes["draw"]
+    prefix.attrs = {**tree.attrs, "burn_in": int(tree.attrs.get("burn_in", 0) * share)}
     return prefix

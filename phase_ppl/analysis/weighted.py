@@ -105,7 +105,8 @@ class WeightedRows:
         """The number of independent draws that would be as sure of both goals; NaN if unknown.
 
         The least over the goals of sum p (1 - p) / sum of squared errors; as many as there are
-        chains, where all of these say the same.
+        chains, where all of these say the same. No more than the weights are worth (Kish), unless
+        there are more chains: that leaving out any of these changes nothing proves no more.
         """
         without = self._jackknife(0.0)
         if without is None or self._groups is None:
@@ -118,7 +119,9 @@ class WeightedRows:
             spread, variance = float((error**2).sum()), float((mass * (1 - mass)).sum())
             if spread > 0 and variance > statistics.ROUNDING:
                 sizes.append(variance / spread)
-        return min(sizes, default=float(len(np.unique(self._rows.index["chain"]))))
+        chains = float(len(np.unique(self._rows.index["chain"])))
+        worth = float(1 / (self._rows.weights**2).sum())
+        return min(min(sizes, default=chains), max(chains, worth))
 
     def _error_of_share(
         self, mass: FloatArray | float, error: FloatArray, given: float = 1.0

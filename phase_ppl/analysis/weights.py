@@ -184,13 +184,14 @@ def importance(tree: xr.DataTree) -> Rows:
     log_reciprocal = log_reciprocal_proposal(tree)
     simulations = tree["simulations"].dataset
     log_joint = (simulations["log_prior"] + simulations["log_likelihood"]).values.astype(float)
-    usable = simulations["completed"].values & ~simulations["failed"].values
-    row = np.flatnonzero(usable & np.isfinite(log_joint + log_reciprocal))
+    row = np.flatnonzero(simulations["completed"].values & ~simulations["failed"].values)
+    log_weight = log_joint[row] + log_reciprocal[row]
+    row, log_weight = row[np.isfinite(log_weight)], log_weight[np.isfinite(log_weight)]
     if not row.size:
         raise InvalidSettingError("weights 'importance' need at least one completed simulation")
     values = {name: simulations[name].values[row] for name in _sites(tree)}
     index = {"simulation": row, "chain": simulations["chain"].values[row].astype(np.int64)}
-    return Rows(values, truncated(normalised((log_joint + log_reciprocal)[row])), index)
+    return Rows(values, truncated(normalised(log_weight)), index)
 
 
 def has_proposals(tree: xr.DataTree) -> bool:

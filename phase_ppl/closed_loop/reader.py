@@ -299,7 +299,8 @@ class GoalFilter:
                 first = np.log((modes[place] * alone).sum(axis=(0, 1))[sure])
                 result[~sure] += share @ (result[sure] - first) / share.sum()
             results.append(result)
-            self._modes[place] = joint / likelihood
+            # a pair that is none, of which a goal names its own holder, stays as it is
+            np.divide(joint, likelihood, out=self._modes[place], where=likelihood > 0)
         return results[0], np.array(results[1:]).reshape(-1, N_GOALS, N_GOALS)
 
     def _policies(self, looked: Sequence[Sequence[Looked]]) -> FloatArray:

@@ -165,7 +165,7 @@ def test_an_exception_is_not_tried_again(tmp_path: Path) -> None:
 
 def test_closing_leaves_no_worker() -> None:
     with runner(toys.drift, workers=2) as two:
-        two.run([GO], [1])
+        two.run([GO, GO], [1, 2])
         workers = multiprocessing.active_children()
         assert len(workers) == 2
     assert not any(is_alive(worker.pid or 0) for worker in workers)

@@ -198,9 +198,10 @@ class MetropolisKernel(ParticleKernel[MHState]):
         log_u = log_uniform(key_accept)
         current = program.log_likelihood(state.step_error)
         floor = log_u - move.log_known - move.log_bound + current.sum()
-        never = jnp.float32(jnp.inf)
-        ceiling = self.error_ceiling(floor) if self._early_reject else never
-        log_bound = log_u - floor if self._early_reject else never
+        ceiling: jax.Array | float = np.inf
+        log_bound: jax.Array | float = np.inf
+        if self._early_reject:
+            ceiling, log_bound = self.error_ceiling(floor), log_u - floor
         step_error = program.simulate(
             move.sites, move.log_prior, seed, ceiling, move.log_proposal, log_bound
         )
