@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final
@@ -15,6 +16,7 @@ from phase_ppl.analysis.diagnostic_plots import chains as chains
 from phase_ppl.analysis.diagnostic_plots import diagnostics as diagnostics
 from phase_ppl.analysis.diagnostic_plots import errors as errors
 from phase_ppl.analysis.diagnostic_plots import goal_map as goal_map
+from phase_ppl.analysis.estimate import Estimate
 from phase_ppl.analysis.over_time_plot import over_time as over_time
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.analysis.style import INK, NORMAL, SMALL, bare, new_figure, written
@@ -123,12 +125,18 @@ def goal_bars(axes: Axes, post: Hypotheses, name: str, agent: int) -> None:
 
 def relation_bars(axes: Axes, post: Hypotheses) -> None:
     """Draw the relation's and the scenario's probabilities as two groups of bars."""
-    relation, scenario = post.marginal("relation"), post.marginal("scenario")
+    marginals = [post.marginal(name) for name in ("relation", "scenario")]
     entries = [
-        *zip(relation["relation"].values.tolist(), relation.values.tolist(), strict=True),
-        *zip(scenario["scenario"].values.tolist(), scenario.values.tolist(), strict=True),
+        (label, Estimate(value, error))
+        for found in marginals
+        for label, value, error in zip(
+            found[found.dims[0]].values.tolist(),
+            found.values.tolist(),
+            found["error"].values.tolist(),
+            strict=True,
+        )
     ]
-    gap = len(relation)
+    gap = len(marginals[0])
     _bars(axes, entries, "#4c5b76", gap_after=gap)
     axes.set_title("Relation, and scenario", fontsize=NORMAL + 1, loc="left", color=INK)
     axes.set_xlabel("posterior probability", fontsize=NORMAL, color=INK)
@@ -176,14 +184,13 @@ def tracks(axes: Axes, post: Posterior | StepwisePosterior) -> None:
 
 
 def strength_histogram(axes: Axes, post: Hypotheses, name: str, agent: int) -> None:
-    """Draw the posterior of one agent's strength, its mean and 94 % interval in the title."""
+    """Draw the posterior of one agent's strength, its mean, with its error, in the title."""
     table = post.to_dataframe()
-    low, high = post.hdi(name).values
     bins = np.linspace(*STRENGTH_RANGE, 19)
     clipped = np.clip(table[name], *STRENGTH_RANGE)
     axes.hist(clipped, bins=bins.tolist(), weights=table["weight"], color=_line_colour(agent))
     axes.set_title(
-        f"{AGENTS[agent]}: {post.mean(name):.0f} N ({low:.0f} to {high:.0f})",
+        f"{AGENTS[agent]}: {post.mean(name)} N",
         fontsize=NORMAL,
         loc="left",
         color=INK,
@@ -201,18 +208,27 @@ def _bars(
     colour: Colour | str,
     gap_after: int | None = None,
 ) -> None:
-    """Draw labelled horizontal bars from the top down, with their values at their ends."""
+    """Draw labelled horizontal bars from the top down, with values and errors at their ends.
+
+    Errors that are known are drawn as whiskers too, as far as probabilities reach.
+    """
     places = np.arange(len(entries), dtype=float)
     if gap_after is not None:
         places[gap_after:] += 0.6
     values = [value for _, value in entries]
     axes.barh(places, values, height=0.72, color=colour)
     for place, value in zip(places, values, strict=True):
-        text = f"{value:.2f}" if value else "0"
-        axes.text(value + 0.015, place, text, va="center", fontsize=SMALL, color=INK)
+        text = f"{float(value):.2f}" if value else "0"
+        error = getattr(value, "error", math.nan)
+        if error > 0:
+            low, high = max(0.0, value - error), min(1.0, value + error)
+            axes.plot([low, high], [place, place], color=INK, lw=0.8, alpha=0.7)
+            text += f" ± {error:.2f}"
+        end = min(1.0, value + error) if error > 0 else value
+        axes.text(end + 0.015, place, text, va="center", fontsize=SMALL, color=INK)
     axes.set_yticks(places, [label for label, _ in entries])
     axes.set_ylim(places[-1] + 0.6, -0.6)
-    axes.set_xlim(0, 1.15)
+    axes.set_xlim(0, 1.3)
     axes.set_xticks([0, 0.5, 1], ["0", "0.5", "1"])
     bare(axes)
     axes.tick_params(axis="y", length=0)
