@@ -62,7 +62,7 @@ def add_to(commands: Any) -> None:
         choices=MODELS,
         default=MODELS[0],
         help="simple: whole simulations, sampled (the default); stepwise: every frame given those "
-        "before it, exactly",
+        "before it, over all hypotheses",
     )
     infer.add_argument(
         "--watch",

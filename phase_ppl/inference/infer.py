@@ -80,7 +80,7 @@ def infer(
     """Return the posterior over goals, relation and strengths, given what was seen.
 
     By sampling, with simulations; or, where the model's likelihood is a
-    :class:`phase_ppl.StepwiseLikelihood` and no kernel is named, exactly: the video is read once
+    :class:`phase_ppl.StepwiseLikelihood` and no kernel is named, summed: the video is read once
     under all hypotheses, and the result is a :class:`phase_ppl.StepwisePosterior`.
 
     Only ``event.scene`` and ``event.observation`` are read. The same seed gives the same result
