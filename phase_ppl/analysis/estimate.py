@@ -8,7 +8,7 @@ too much of it. Two things are added that chains do not show by differing from e
 
 * Chains that still move away from where they began. Where draws count equally, the squared
   difference of the statistic between the first and the last half of the draws, as far as it is
-  beyond chance. Of chains that have settled this makes errors too large, by half at most.
+  beyond chance. Of chains that have settled this makes errors too large, by up to two thirds.
 * What few draws need not have shown. Fifteen particles that agree do not make a goal impossible:
   the error of a probability is at least that of Jeffreys' posterior after as many independent
   draws as the run is worth (:func:`with_unseen`).
@@ -155,7 +155,9 @@ def leaving_out(
     halves: Sequence[NDArray[np.bool_]] = (),
     share: float = 0.0,
 ) -> Jackknife | None:
-    """Return the weights of rows without sets of groups of chains; None of a single group.
+    """Return the weights of rows without sets of groups of chains.
+
+    None of a single group, or where without one of the sets nothing would be left.
 
     Args:
         weights: (row,) non-negative.
@@ -172,14 +174,8 @@ def leaving_out(
     if len(halves) == 2:
         parts += [np.where(half, weights, 0.0)[None] for half in halves]
         parts += [np.where(half, left, 0.0) for half in halves]
-    all_of_them = np.concatenate(parts)
-    total = all_of_them.sum(axis=1, keepdims=True)
-    known = (total[: len(sets)] > 0).all() and not (total > 0).all()
-    if known:  # the halves cannot be compared
-        all_of_them, total, parts = left, total[: len(sets)], [left]
-    with np.errstate(invalid="ignore"):
-        found = all_of_them / total
-    return Jackknife(found, factor, len(sets) if len(parts) > 1 else None)
+    n_sets = len(sets) if len(parts) > 1 else None
+    return Jackknife(np.concatenate(parts), factor, n_sets).only(np.ones(len(weights), bool))
 
 
 def with_unseen(mass: ArrayLike, error: ArrayLike, size: float) -> FloatArray:
