@@ -376,7 +376,7 @@ def _strength(post: Posterior | StepwisePosterior, agent: str) -> tuple[str, str
     name = f"strength_{agent.split()[0]}"
     low, high = post.hdi(name).values
     interval = f"{HDI_PROBABILITY:.0%} interval {low:.0f} to {high:.0f} N"
-    return agent, f"{post.mean(name):.0f} N ({interval})"
+    return agent, f"{post.mean(name)} N ({interval})"
 
 
 # --- an evaluation ---------------------------------------------------------------------------
