@@ -31,7 +31,7 @@ help:
 	@echo "make clean    remove the virtual environment, caches and demo-out/"
 
 demo: $(VENV)/.installed
-	$(BIN)/phase-ppl infer $(EVENT) --planner $(PLANNER) --seed $(SEED) --out $(OUT)
+	$(BIN)/phase-ppl infer $(EVENT) --planner $(PLANNER) --seed $(SEED) --out $(OUT) --overwrite
 
 test: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal $(ARGS)
