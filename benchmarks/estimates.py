@@ -23,7 +23,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 from common import write
-from numpy.typing import NDArray
+
+from phase_ppl.world.arrays import FloatArray
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # its event is the tests'
 
@@ -38,8 +39,6 @@ from phase_ppl.world.hypothesis import STRENGTH_RANGE, Hypothesis
 from phase_ppl.world.relations import RELATION_TABLE, RELATIONS
 from phase_ppl.world.scene import Scene
 from tests.inference.toy import walking_event
-
-FloatArray = NDArray[np.float64]
 
 CHAINS = 15
 LENGTHS = (6, 60)

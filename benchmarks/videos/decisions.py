@@ -25,11 +25,11 @@ from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import N_ACTIONS, Action, executed
 from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.simulator.joint import JointSimulator
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import GOALS
 from videos.replay import actions_of, scene_of
 
-FloatArray = NDArray[np.float64]
 SAME_PLACE, SAME_VELOCITY = 0.01, 0.05
 LOST = 0.5
 """The state has been lost if an entity must be moved by more than this, units."""

@@ -18,11 +18,11 @@ from phase_ppl.models import priors
 from phase_ppl.models.effective import log_prior_of_effective
 from phase_ppl.models.stepwise import StepwiseLikelihood
 from phase_ppl.physics.actions import ACTION_NAMES, Action, executed
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import N_GOALS, goal_index
 from phase_ppl.world.relations import RELATION_TABLE
 
-FloatArray = NDArray[np.float64]
 ALIKE = 0.7
 """Nats within which two actions explain a frame equally well."""
 

@@ -17,6 +17,7 @@ from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.physics import compiled
 from phase_ppl.simulator.contract import random_generator
 from phase_ppl.simulator.joint import JointSimulator
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import GOALS, goal_literal
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS, Hypothesis
@@ -25,7 +26,6 @@ from videos.decisions import Task as Recording
 from videos.decisions import states
 from videos.replay import scene_of
 
-FloatArray = NDArray[np.float64]
 QUARTERS = 4
 NEAR_GOAL = {True: 1.41, False: 0.57}
 """How near an item (an agent) comes to its landmark to have reached it, units."""

@@ -21,11 +21,8 @@ from phase_ppl.physics.actions import NO_ACTION, Action
 from phase_ppl.physics.compiled import Params, Scratch
 from phase_ppl.physics.jit import bare_kernel
 from phase_ppl.physics.welds import in_reach
+from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
 from phase_ppl.world.names import AGENTS, ENTITIES, NOTHING
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 OBSERVED_ENLARGEMENT: Final = 1.1
 """An unobserved entity must not overlap an observed shape enlarged this much."""

@@ -26,11 +26,9 @@ from phase_ppl.agents.planning import stance
 from phase_ppl.agents.subgoals import SubgoalPlanner, subgoal_planner
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import Action
+from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.goals import N_GOALS, goal_literal, is_self_referring
 from phase_ppl.world.literals import Literal
-
-IntArray = NDArray[np.int64]
-FloatArray = NDArray[np.float64]
 
 NO_INTENT = -1
 """Stands for a pair of goals that is none."""

@@ -23,9 +23,7 @@ from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import N_ACTIONS, NO_ACTION
 from phase_ppl.physics.compiled import Params, Scratch
 from phase_ppl.physics.jit import bare_kernel
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from phase_ppl.world.arrays import FloatArray, IntArray
 
 NO_NODE: Final = -1
 _UNVISITED_SCORE = 1e200

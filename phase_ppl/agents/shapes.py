@@ -8,20 +8,15 @@ from __future__ import annotations
 import math
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from phase_ppl.agents.ground import Ground
 from phase_ppl.physics.compiled import Params
 from phase_ppl.physics.jit import bare_kernel
+from phase_ppl.world.arrays import FloatArray, IntArray
 
 MAX_OUTLINE_CELLS: Final = 128
 RIM_POINTS: Final = 16
 OUTSIDE: Final = -1
 """Cell number of a point outside the grid."""
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @bare_kernel

@@ -8,18 +8,12 @@ from __future__ import annotations
 import math
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from phase_ppl.agents.ground import Ground
 from phase_ppl.agents.shapes import OUTSIDE, outline_cells, shapes_meet
 from phase_ppl.physics.compiled import Params
 from phase_ppl.physics.jit import bare_kernel
+from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
 from phase_ppl.world.geometry import TOUCH_ENLARGEMENT
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 HALF_ANGLE: Final = math.atan2(0.8, 0.4 + 1.0 / 6.0)
 """Half the opening of the cone of vision, rad: its edge passes local (0.8 R, 0.4 R)."""

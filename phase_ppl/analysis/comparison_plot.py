@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from phase_ppl.analysis.comparison import DISTANCES, Comparison
 from phase_ppl.analysis.style import (
@@ -20,13 +19,13 @@ from phase_ppl.analysis.style import (
     new_figure,
     written,
 )
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import unknown_name
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-FloatArray = NDArray[np.float64]
 
 STYLES: Final = ("-", (0, (5, 1.6)), (0, (1.2, 1.2)))
 """Lines of the kernels, for those beyond the colours."""

@@ -18,9 +18,8 @@ from typing import Final
 import numpy as np
 import pandas as pd
 import scipy.special
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from phase_ppl.world.arrays import FloatArray
 
 MIN_DRAWS: Final = 4
 """Draws per chain below which neither R-hat nor an effective sample size is estimated."""

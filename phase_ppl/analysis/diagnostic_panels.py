@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from phase_ppl.analysis.style import COLOURS, INK, MANY_COLOURS, NORMAL, OTHER, SMALL, bare
 from phase_ppl.analysis.tree import array
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.goals import GOALS, N_GOALS
 from phase_ppl.world.names import AGENTS
 
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
 
     from phase_ppl.analysis.posterior import Posterior
 
-FloatArray = NDArray[np.float64]
 
 NAMES: Final = {
     "log_joint": "log joint",

@@ -17,6 +17,7 @@ from phase_ppl.analysis.quantities import ScenarioFunction, quantities, relation
 from phase_ppl.analysis.tree import HYPOTHESIS, SITES, log_weight_of_draws, untried
 from phase_ppl.analysis.verdict import verdict
 from phase_ppl.analysis.weights import Rows, aborted_mass_bound
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.goals import GOALS, N_GOALS
 
 MASS: Final = 0.02
@@ -24,8 +25,6 @@ MASS: Final = 0.02
 
 CATEGORICAL: Final = ("goal_red", "goal_green", "relation", "scenario")
 """Quantities whose categories are reported."""
-
-FloatArray = NDArray[np.float64]
 
 
 def diagnostics(

@@ -35,8 +35,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from phase_ppl.analysis.statistics import ROUNDING
-
-FloatArray = NDArray[np.float64]
+from phase_ppl.world.arrays import FloatArray
 
 N_SETS: Final = 30
 """Random sets of chains that are left out."""

@@ -10,7 +10,6 @@ from typing import Any, Final, Self
 import numpy as np
 import pandas as pd
 import xarray as xr
-from numpy.typing import NDArray
 
 from phase_ppl.analysis import statistics
 from phase_ppl.analysis.define import Definition, check_name, defined
@@ -18,8 +17,6 @@ from phase_ppl.analysis.estimate import Estimate, Mode, doubt
 from phase_ppl.analysis.weighted import WeightedRows
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidSettingError
-
-FloatArray = NDArray[np.float64]
 
 HDI_PROBABILITY: Final = 0.94
 """Mass of the intervals that summaries report."""

@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 from phase_ppl.analysis.convergence import ess_mean
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.tree import array
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Truth
 from phase_ppl.world.goals import goal_index
 from phase_ppl.world.relations import RELATIONS
-
-FloatArray = NDArray[np.float64]
 
 COMPARED: Final = ("goal_red", "goal_green", "relation")
 """Quantities whose marginals are compared with a reference."""

@@ -17,9 +17,8 @@ from phase_ppl.analysis.weights import (
     normalised,
     truncated,
 )
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
-
-FloatArray = NDArray[np.float64]
 
 FOLLOWED: Final = ("goal_red", "goal_green", "relation", "scenario")
 """Quantities that are followed over time."""

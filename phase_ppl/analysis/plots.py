@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from phase_ppl.analysis.comparison_plot import comparison as comparison
 from phase_ppl.analysis.data_card import data_card as data_card
@@ -22,6 +21,7 @@ from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.analysis.style import INK, NORMAL, SMALL, bare, new_figure, written
 from phase_ppl.analysis.training_plot import training_curves as training_curves
 from phase_ppl.analysis.why_plot import why as why
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.geometry import agent_outline, is_agent
 from phase_ppl.world.hypothesis import STRENGTH_RANGE
 from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
     from phase_ppl.world.scene import Scene
 
 Colour = tuple[float, float, float]
-FloatArray = NDArray[np.float64]
 
 
 def _rgb(red: int, green: int, blue: int) -> Colour:

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from phase_ppl.analysis._arviz import arviz_data
 from phase_ppl.analysis.best import best_simulation, hypothesis_of, log_joint, replay
@@ -35,13 +34,12 @@ from phase_ppl.analysis.tree import (
     write_tree,
 )
 from phase_ppl.analysis.weights import WEIGHTINGS, chain_groups, halves
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidSettingError, unknown_name
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.scene import Scene
-
-FloatArray = NDArray[np.float64]
 
 
 class Posterior(Hypotheses):

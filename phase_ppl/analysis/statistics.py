@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from phase_ppl.world.arrays import FloatArray
 
 ROUNDING: Final = 1e-12
 """What is smaller, as a share of what was summed up, is left over from rounding."""

@@ -7,15 +7,14 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from phase_ppl.dataset.generation.situation import overlaps
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.names import ENTITIES
 
 if TYPE_CHECKING:
     from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 
-FloatArray = NDArray[np.float64]
 
 UNEXPLAINED: Final = 17.0
 """Nats below a perfect match, after the best pair of actions, from which on a frame counts as

@@ -10,7 +10,6 @@ from typing import Any, Final
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from phase_ppl.analysis.estimate import Jackknife
 from phase_ppl.analysis.hypotheses import Hypotheses
@@ -27,13 +26,12 @@ from phase_ppl.analysis.stepwise_table import SCHEMAS, STRENGTHS, Table, brought
 from phase_ppl.analysis.weights import log_sum_exp
 from phase_ppl.analysis.why import why
 from phase_ppl.dataset.hdf5 import netcdf_bytes, read_netcdf, root_attribute
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.files import check_output, existing_file, write_bytes
 from phase_ppl.world.goals import GOALS, N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
 from phase_ppl.world.scene import Scene
-
-FloatArray = NDArray[np.float64]
 
 FILTERING: Final = (
     "Filtering: what can be believed at each frame from the frames so far; later frames change "

@@ -14,9 +14,8 @@ from phase_ppl.analysis import statistics
 from phase_ppl.analysis.estimate import Estimate, Jackknife, leaving_out, with_unseen
 from phase_ppl.analysis.quantities import Quantity
 from phase_ppl.analysis.weights import Rows
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, unknown_name
-
-FloatArray = NDArray[np.float64]
 
 _LISTED: Final = 5
 """Labels that a message names at most, the most probable first."""

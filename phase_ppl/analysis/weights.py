@@ -47,9 +47,8 @@ from phase_ppl.analysis.tree import (
     log_weight_of_draws,
     simulation_of_draw,
 )
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
-
-FloatArray = NDArray[np.float64]
 
 _PAIR: Final = ("goal_red", "goal_green")
 

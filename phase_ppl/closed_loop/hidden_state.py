@@ -17,21 +17,18 @@ import math
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from phase_ppl.closed_loop.noise import NoiseEstimate, filter_gains
 from phase_ppl.physics import compiled, inverse
 from phase_ppl.physics.actions import N_ACTIONS, Action, executed
 from phase_ppl.physics.constants import WORLD_INNER_STEPS
+from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.checks import nonnegative_number, positive_number
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS, STRENGTH_RANGE
 from phase_ppl.world.names import AGENTS, ENTITIES
 from phase_ppl.world.scene import Scene
 from phase_ppl.world.state import State
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _ALIKE: Final = 4
 """States of the beam that agree on holds and strengths, at most: they differ in velocities."""

@@ -6,11 +6,9 @@ import math
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.names import BLUE_ITEM
-
-FloatArray = NDArray[np.float64]
 
 UNSEEN: Final = 0.05
 """Units that are assumed before there is anything to estimate the noise from."""

@@ -26,11 +26,10 @@ from phase_ppl.agents.mind import Mind
 from phase_ppl.agents.policies import Outlook, Policies
 from phase_ppl.closed_loop.hidden_state import HiddenState, Tracking, most_probable_actions
 from phase_ppl.physics.actions import N_ACTIONS
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.names import AGENTS
 from phase_ppl.world.scene import Scene
-
-FloatArray = NDArray[np.float64]
 
 SEARCHED_BY_ALL: Final = 0.99
 """Mass of the most probable pairs of goals, for which all sets of searches are made; for the rest

@@ -6,9 +6,8 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from phase_ppl.world.arrays import FloatArray
 
 _RESAMPLINGS: Final = 200
 

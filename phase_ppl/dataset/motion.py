@@ -7,11 +7,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.geometry import GRAB_POINTS
 from phase_ppl.world.names import AGENTS, ITEMS, NOTHING
 from phase_ppl.world.observation import FRAMES_PER_SECOND
 
-FloatArray = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 SLOW: Final = 0.5

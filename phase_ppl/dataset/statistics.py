@@ -7,18 +7,16 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from phase_ppl.dataset.counts import LEVELS, strengths, tables
 from phase_ppl.dataset.estimates import Estimates, percentile_99
 from phase_ppl.dataset.motion import SLOW, moves_to_the_end, seems_to_hold, speeds
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS
 from phase_ppl.world.names import AGENTS
 from phase_ppl.world.observation import FRAMES_PER_SECOND
-
-FloatArray = NDArray[np.float64]
 
 FRAME_EDGES: Final = (*range(0, 101, 10), 102)
 SPEED_EDGES: Final = tuple(range(0, 71, 2))

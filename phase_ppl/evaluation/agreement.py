@@ -12,9 +12,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.evaluation.bootstrap import FloatArray, divided, r_of_sums
+from phase_ppl.evaluation.bootstrap import divided, r_of_sums
 from phase_ppl.evaluation.prediction import QUESTIONS
 from phase_ppl.evaluation.votes import Judgments
+from phase_ppl.world.arrays import FloatArray
 
 LAPSE: Final = 0.01
 """Share of answers that the log score takes to be given at random, alike for all answers.

@@ -15,12 +15,12 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import special
 
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import whole_number
 
-FloatArray = NDArray[np.float64]
 Figure = dict[str, float | None]
 """``value``, ``ci_low``, ``ci_high``."""
 

@@ -8,15 +8,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from phase_ppl.evaluation import agreement
-from phase_ppl.evaluation.bootstrap import (
-    Figure,
-    FloatArray,
-    correlation,
-    figure,
-    proportion,
-    weighted_mean,
-)
-from phase_ppl.evaluation.tables import Facts, IntArray, Said
+from phase_ppl.evaluation.bootstrap import Figure, correlation, figure, proportion, weighted_mean
+from phase_ppl.evaluation.tables import Facts, Said
+from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.relations import RELATIONS, SCENARIOS
 
 Path = tuple[str, ...]

@@ -56,7 +56,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from phase_ppl.evaluation import agreement, tables
-from phase_ppl.evaluation.bootstrap import Figure, FloatArray, difference, figure, resampled
+from phase_ppl.evaluation.bootstrap import Figure, difference, figure, resampled
 from phase_ppl.evaluation.curves import (
     PREFIX,
     Curve,
@@ -71,6 +71,7 @@ from phase_ppl.evaluation.curves import (
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
 from phase_ppl.evaluation.references import reference_predictions
 from phase_ppl.evaluation.tables import KINDS, Facts, Said
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event
 
 _ORDER: Final = (

@@ -8,14 +8,13 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, shown, unknown_name
 from phase_ppl.world.goals import GOALS, goal_index
 from phase_ppl.world.names import AGENTS
 from phase_ppl.world.relations import RELATIONS, scenario
-
-FloatArray = NDArray[np.float64]
 
 QUESTIONS: Final[Mapping[str, tuple[str, ...]]] = {
     "goal_red": GOALS,

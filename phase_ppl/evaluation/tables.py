@@ -7,16 +7,13 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from phase_ppl.evaluation.bootstrap import FloatArray
 from phase_ppl.evaluation.prediction import GOAL_QUESTIONS, QUESTIONS, Prediction
 from phase_ppl.evaluation.votes import Judgments, event_judgments
+from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
 from phase_ppl.world.event import Event
 from phase_ppl.world.relations import SCENARIOS
-
-IntArray = NDArray[np.int64]
 
 KINDS: Final[Mapping[str, tuple[str, ...]]] = {
     "goal": tuple(GOAL_QUESTIONS.values()),

@@ -7,17 +7,14 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from phase_ppl.evaluation.prediction import GOAL_QUESTIONS, QUESTIONS
+from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.errors import InvalidEventError, PhasePPLError, shown, unknown_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import GOALS, goal_index
 from phase_ppl.world.names import AGENTS
 from phase_ppl.world.relations import RELATIONS
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 MAX_VOTES: Final = 10**9 - 1
 """Most votes on one question of one event."""

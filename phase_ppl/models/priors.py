@@ -18,13 +18,13 @@ import numpyro
 import numpyro.distributions as dist
 from jax import random
 from jax.scipy.special import log_ndtr, ndtri
-from numpy.typing import NDArray
 from numpyro.distributions import constraints
 
 from phase_ppl.models import sites
 from phase_ppl.models.density import Program
 from phase_ppl.models.one_of import OneOf
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, IMPOSSIBLE, SELF_REFERRING
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, unknown_name
 from phase_ppl.world.goals import N_GOALS, effective_goals
 from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_LEVELS, STRENGTH_RANGE
@@ -105,9 +105,6 @@ def relation_first(
     green = numpyro.sample(GOAL_SITES[1], dist.Categorical(logits=jnp.asarray(log_green)[red]))
     numpyro.sample(ALPHA_SITE, dist.Categorical(logits=jnp.asarray(log_alpha)[red, green]))
     sites.strengths()
-
-
-FloatArray = NDArray[np.float64]
 
 
 @functools.cache

@@ -8,9 +8,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
 from phase_ppl.physics.actions import DIRECTIONS, Action
 from phase_ppl.physics.constants import (
     FLOOR_FRICTION,
@@ -39,6 +36,7 @@ from phase_ppl.physics.flat import (
 from phase_ppl.physics.jit import bare_kernel, inlined_kernel
 from phase_ppl.physics.solver import rub, solve
 from phase_ppl.physics.welds import attach, find_grab, mend, place_frame, turn_frame
+from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.names import NOTHING
 
 __all__ = [
@@ -54,8 +52,6 @@ __all__ = [
     "to_state",
 ]
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _TURN_LEFT, _TURN_RIGHT = int(Action.TURN_LEFT), int(Action.TURN_RIGHT)
 _FIRST_PUSH, _LAST_PUSH = int(Action.UP), int(Action.DOWN_RIGHT)

@@ -9,9 +9,6 @@ from __future__ import annotations
 import math
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from phase_ppl.physics.constants import AGENT_SKIN, WALL_RADIUS
 from phase_ppl.physics.flat import Params, Scratch, X, Y
 from phase_ppl.physics.jit import bare_kernel, inlined_kernel
@@ -24,9 +21,7 @@ from phase_ppl.physics.manifold import (
     place_outlines,
     support_edge,
 )
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from phase_ppl.world.arrays import FloatArray, IntArray
 
 _TIE: Final = 1e-9
 """Of faces as near as this the first one counts, not the one that rounding favours: back, right,

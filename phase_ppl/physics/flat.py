@@ -10,17 +10,13 @@ import math
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from phase_ppl.physics import constants
+from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
 from phase_ppl.world.geometry import CENTRE_OF_MASS_Y, UNIT_TRAPEZOID
 from phase_ppl.world.names import AGENTS, ENTITIES
 from phase_ppl.world.scene import Scene
 from phase_ppl.world.state import State
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
 
 X: Final = 0
 Y: Final = 1

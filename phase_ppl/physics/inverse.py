@@ -10,16 +10,13 @@ import math
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import N_ACTIONS, Action
 from phase_ppl.physics.compiled import Params, Scratch
 from phase_ppl.physics.flat import ANGLE, SPIN, VX, VY, X, Y
 from phase_ppl.physics.jit import bare_kernel
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from phase_ppl.world.arrays import FloatArray, IntArray
 
 _UP = int(Action.UP)
 

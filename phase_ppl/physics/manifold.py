@@ -8,14 +8,11 @@ from __future__ import annotations
 
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from phase_ppl.physics.constants import AGENT_SKIN, COLLISION_SLOP
 from phase_ppl.physics.flat import MAX_CONTACTS, Params, Scratch, X, Y
 from phase_ppl.physics.jit import inlined_kernel
+from phase_ppl.world.arrays import FloatArray
 
-FloatArray = NDArray[np.float64]
 Edge = tuple[float, float, float, float]
 """Start x, y and end x, y."""
 

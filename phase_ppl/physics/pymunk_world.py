@@ -29,10 +29,10 @@ from typing import Final
 
 import numpy as np
 import pymunk
-from numpy.typing import NDArray
 
 from phase_ppl.physics import constants
 from phase_ppl.physics.actions import DIRECTIONS, Action
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.geometry import (
     CENTRE_OF_MASS_Y,
     GRAB_POINTS,
@@ -44,8 +44,6 @@ from phase_ppl.world.geometry import (
 from phase_ppl.world.names import AGENTS, ENTITIES, ITEMS, NOTHING
 from phase_ppl.world.scene import Scene
 from phase_ppl.world.state import State
-
-FloatArray = NDArray[np.float64]
 
 _BORDER_DEPTH: Final = 5.0
 """Half thickness of the arena's border. A thin border could be jumped by a fast body and would

@@ -10,15 +10,10 @@ from __future__ import annotations
 import math
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from phase_ppl.physics.flat import BIAS_SPIN, BIAS_VX, BIAS_VY, SPIN, VX, VY, Params, Scratch
 from phase_ppl.physics.jit import bare_kernel, inlined_kernel
 from phase_ppl.physics.welds import prepare_weld, pull
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from phase_ppl.world.arrays import FloatArray, IntArray
 
 SETTLED: Final = 1e-8
 """The iteration ends when the squares of all impulse changes sum to less than this, (N s)^2."""

@@ -5,17 +5,12 @@ from __future__ import annotations
 import math
 from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from phase_ppl.physics.constants import GRAB_CORRECTIONS
 from phase_ppl.physics.flat import ANGLE, SPIN, VX, VY, Params, Scratch, X, Y
 from phase_ppl.physics.jit import bare_kernel, inlined_kernel
+from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.geometry import GRAB_POINTS, GRAB_REACH
 from phase_ppl.world.names import NOTHING
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _N_POINTS: Final = len(GRAB_POINTS)
 

@@ -15,13 +15,13 @@ from numpy.typing import ArrayLike, NDArray
 from PIL import Image, ImageDraw
 
 from phase_ppl.render.sight import field_of_view
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.geometry import UNIT_TRAPEZOID, is_agent, rotation
 from phase_ppl.world.names import AGENTS, ENTITIES, ITEMS
 from phase_ppl.world.scene import Scene, finite_array
 
 Colour = tuple[int, int, int]
 Pixels = NDArray[np.uint8]
-FloatArray = NDArray[np.float64]
 Points = list[tuple[float, float]]
 
 WIDTH: Final = 640

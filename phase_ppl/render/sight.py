@@ -13,13 +13,11 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.geometry import centre_of_mass
 from phase_ppl.world.names import ENTITIES
 from phase_ppl.world.scene import Scene
-
-FloatArray = NDArray[np.float64]
 
 _RAYS: Final = 361
 """Rays at equal angles; further ones go to both sides of every wall's end and disc's edge."""

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.event import Event
 from phase_ppl.world.names import ENTITIES
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene, finite_array
 
-FloatArray = NDArray[np.float64]
 Drawable = Event | Observation | ArrayLike
 """Anything with trajectories; all but an event need a scene beside them."""
 

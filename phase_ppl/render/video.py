@@ -12,7 +12,8 @@ from PIL import Image
 from phase_ppl.render.encoder import MAX_GIF_FPS, encode_gif, encode_mp4
 from phase_ppl.render.frames import Painter
 from phase_ppl.render.panels import PANEL, panel, side_by_side, write_centred
-from phase_ppl.render.tracks import Drawable, FloatArray, between_frames, scene_and_trajectory
+from phase_ppl.render.tracks import Drawable, between_frames, scene_and_trajectory
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import positive_number, whole_number
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import Event

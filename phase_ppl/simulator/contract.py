@@ -22,12 +22,12 @@ from typing import Any, Final, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import PhasePPLError, SimulationError, shown
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.names import ENTITIES
 from phase_ppl.world.scene import Scene
 
-FloatArray = NDArray[np.float64]
 Result = TypeVar("Result")
 
 _FINITE: Final = 1e30

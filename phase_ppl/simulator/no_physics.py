@@ -13,13 +13,13 @@ from collections.abc import Iterator
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from phase_ppl.agents.agent import Agent, Mind
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.ground import body_origin
 from phase_ppl.physics import compiled
 from phase_ppl.simulator.joint import run_briefly
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import positive_number
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.literals import Literal, Predicate
@@ -28,8 +28,6 @@ from phase_ppl.world.observation import FRAMES_PER_SECOND
 from phase_ppl.world.rooms import N_ROOMS
 from phase_ppl.world.scene import Scene
 from phase_ppl.world.state import State
-
-FloatArray = NDArray[np.float64]
 
 SPEED: Final = 10.0
 """Of everything that moves, units per simulated second: about that of the recorded agents while

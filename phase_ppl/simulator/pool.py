@@ -6,8 +6,9 @@ from collections.abc import Iterable
 from concurrent.futures import Executor, Future
 from typing import Any, NamedTuple, Protocol
 
-from phase_ppl.simulator.contract import Cancelled, FloatArray, SimulationResult, simulate_one
+from phase_ppl.simulator.contract import Cancelled, SimulationResult, simulate_one
 from phase_ppl.simulator.processes import Closed, Processes, loaded
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import SimulationError
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.scene import Scene

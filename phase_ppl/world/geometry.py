@@ -11,11 +11,9 @@ import math
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.names import AGENTS
-
-FloatArray = NDArray[np.float64]
 
 UNIT_TRAPEZOID: Final = np.array([[-1.5, -1.0], [-0.5, 1.0], [0.5, 1.0], [1.5, -1.0]])
 """Corners of an agent of size 1 in its body frame, clockwise from the back left."""

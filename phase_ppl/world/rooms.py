@@ -13,12 +13,9 @@ import itertools
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.errors import InvalidEventError
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 UP, LEFT, DOWN, RIGHT = range(4)
 RAY_DIRECTIONS: Final = np.array([[0, 1], [-1, 0], [0, -1], [1, 0]], float)

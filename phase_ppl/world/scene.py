@@ -8,14 +8,13 @@ import math
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import number_or_nan
 from phase_ppl.world.errors import InvalidEventError, shown, unknown_name
 from phase_ppl.world.names import ENTITIES, LANDMARKS
 from phase_ppl.world.rooms import Rooms
 
-FloatArray = NDArray[np.float64]
 Turning = Literal["both", "ccw", "cw"]
 TURNINGS: Final = ("both", "ccw", "cw")
 

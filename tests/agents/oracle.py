@@ -10,7 +10,6 @@ import dataclasses
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from phase_ppl.agents import rewards
 from phase_ppl.agents.agent import Agent
@@ -21,11 +20,10 @@ from phase_ppl.agents.pomcp import Search
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import NO_ACTION
 from phase_ppl.physics.pymunk_world import PymunkWorld
+from phase_ppl.world.arrays import IntArray
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.literals import Literal
 from phase_ppl.world.state import State
-
-IntArray = NDArray[np.int64]
 
 
 @dataclasses.dataclass

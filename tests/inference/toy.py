@@ -25,14 +25,13 @@ from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import EventProgram
 from phase_ppl.simulator.contract import SimulationResult
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event, Truth
 from phase_ppl.world.goals import GOALS, N_GOALS, goal_literal
 from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_RANGE, Hypothesis
 from phase_ppl.world.literals import Predicate
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
-
-FloatArray = NDArray[np.float64]
 
 N_FRAMES = 5
 SETTINGS = SimpleSettings(eta=0.1, window=2)

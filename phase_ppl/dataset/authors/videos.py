@@ -62,6 +62,7 @@ from phase_ppl.dataset.generation.tables import LAYOUTS
 from phase_ppl.dataset.phase_test import check_start
 from phase_ppl.dataset.turning import full_turn, observed_turning
 from phase_ppl.physics.constants import SUBSTEPS
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, shown, unknown_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS
@@ -69,8 +70,6 @@ from phase_ppl.world.observation import FRAMES_PER_SECOND, Observation
 from phase_ppl.world.relations import RELATIONS
 from phase_ppl.world.rooms import RAY_DIRECTIONS
 from phase_ppl.world.scene import ARENA, LANDMARK_HALF_WIDTH, Scene, finite_array
-
-FloatArray = NDArray[np.float64]
 
 CHANNELS: Final = ("x", "y", "vx", "vy", "angle")
 

@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 
 from phase_ppl.dataset.generation.recording import Recording
 from phase_ppl.physics.actions import NO_ACTION, Action
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.goals import goal_literal, literal_goal
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.literals import Predicate
 from phase_ppl.world.names import AGENTS, BLUE_ITEM, ENTITIES, LANDMARKS
 from phase_ppl.world.scene import Scene, Turning
-
-FloatArray = NDArray[np.float64]
 
 
 class Reflection(NamedTuple):

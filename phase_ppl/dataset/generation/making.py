@@ -11,10 +11,11 @@ from phase_ppl.dataset.generation.copies import recoloured, reflected
 from phase_ppl.dataset.generation.filters import reason_against
 from phase_ppl.dataset.generation.measures import measures
 from phase_ppl.dataset.generation.plan import REFLECTION_SHARES, UNCHANGED, Look, Plan, Slot
-from phase_ppl.dataset.generation.recording import FloatArray, Recording, record
+from phase_ppl.dataset.generation.recording import Recording, record
 from phase_ppl.dataset.generation.registry import Family, family_and_variant
 from phase_ppl.dataset.generation.situation import Situation
 from phase_ppl.simulator.joint import JointSimulator
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event, Truth
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.observation import Observation

@@ -12,11 +12,10 @@ from numpy.typing import NDArray
 from phase_ppl.dataset.generation.situation import Situation
 from phase_ppl.physics.actions import NO_ACTION
 from phase_ppl.simulator.joint import JointSimulator
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.names import AGENTS, NOTHING
 from phase_ppl.world.scene import Scene
-
-FloatArray = NDArray[np.float64]
 
 AT_REST: Final = 0.02
 """Units per frame below which nothing is said to move."""

@@ -8,9 +8,9 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from phase_ppl.dataset.generation.tables import NARROW, SIZES, SPOTS, walls_of
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.geometry import agent_outline, is_agent, shapes_meet
 from phase_ppl.world.goals import literal_goal
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS, Hypothesis
@@ -18,8 +18,6 @@ from phase_ppl.world.literals import Literal, Predicate
 from phase_ppl.world.names import AGENTS, ENTITIES
 from phase_ppl.world.rooms import N_ROOMS, ROOMS_OF_RAY, Rooms
 from phase_ppl.world.scene import Scene, Turning
-
-FloatArray = NDArray[np.float64]
 
 _ARRANGEMENTS: Final = 50
 """Tries at places and angles without an overlap before a draw is given up."""

@@ -16,7 +16,6 @@ from phase_ppl.evaluation import tables
 from phase_ppl.evaluation.bootstrap import (
     LEVEL,
     Figure,
-    FloatArray,
     difference,
     figure,
     interval,
@@ -27,6 +26,7 @@ from phase_ppl.evaluation.comparison.contenders import Contender
 from phase_ppl.evaluation.curves import events_with
 from phase_ppl.evaluation.metrics import Paired
 from phase_ppl.evaluation.tables import KINDS
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event
 from phase_ppl.world.relations import SCENARIOS
 

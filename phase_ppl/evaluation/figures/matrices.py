@@ -6,19 +6,18 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from phase_ppl.analysis.style import INK, NORMAL, SMALL
 from phase_ppl.evaluation.figures.results import NothingToDrawError, Results
 from phase_ppl.evaluation.observers import Observer
 from phase_ppl.evaluation.sheet import GREY, Sheet, fitting, in_lines, in_words
+from phase_ppl.world.arrays import IntArray
 from phase_ppl.world.relations import SCENARIOS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-IntArray = NDArray[np.int64]
 
 _LEFT: Final = 1.4
 _SIDE: Final = 1.55

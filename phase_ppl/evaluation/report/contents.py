@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from phase_ppl.analysis import plots
 from phase_ppl.analysis.hypotheses import HDI_PROBABILITY
@@ -39,6 +38,7 @@ from phase_ppl.evaluation.tables import true_answer
 from phase_ppl.inference.runs.progress import counted
 from phase_ppl.render.stills import draw_strip
 from phase_ppl.render.video import video
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, unknown_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.names import AGENTS
@@ -48,7 +48,6 @@ from phase_ppl.world.scene import Scene
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FloatArray = NDArray[np.float64]
 
 REPLAY: Final = "replay.mp4"
 """The film in the folder of a run."""

@@ -34,8 +34,9 @@ from typing import Any, Final
 import numpy as np
 
 from phase_ppl.dataset.documents import parse_text, read_json
-from phase_ppl.evaluation.prediction import QUESTIONS, FloatArray
+from phase_ppl.evaluation.prediction import QUESTIONS
 from phase_ppl.evaluation.vlm.request import N_NAMED
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import (
     AnswerError,
     InvalidEventError,

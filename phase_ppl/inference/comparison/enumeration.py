@@ -27,13 +27,12 @@ from phase_ppl.models.program import MAX_SEED, EventProgram, event_salt
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, SELF_REFERRING, STRENGTH_SITES
 from phase_ppl.simulator.contract import SimulationResult
 from phase_ppl.simulator.runner import Runner
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidSettingError, SimulationError
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import Hypothesis
-
-FloatArray = NDArray[np.float64]
 
 PER_PAIR: Final = 4
 """Simulations of each pair, unless more are asked for."""

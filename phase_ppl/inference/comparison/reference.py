@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from phase_ppl.analysis.measures import COMPARED, Marginals, distances, marginals
 from phase_ppl.analysis.posterior import Posterior
@@ -28,11 +27,11 @@ from phase_ppl.inference.settings import (
     described_budget,
 )
 from phase_ppl.models.model import Model
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
 from phase_ppl.world.event import Event
 from phase_ppl.world.relations import RELATIONS
 
-FloatArray = NDArray[np.float64]
 Halves: TypeAlias = tuple[Marginals, Marginals]
 """What two halves of the same simulations say."""
 

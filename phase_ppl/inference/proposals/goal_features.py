@@ -14,14 +14,12 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.goals import N_GOALS, goal_literal
 from phase_ppl.world.literals import Predicate
 from phase_ppl.world.names import AGENTS
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 FEATURES: Final = (
     "constant",

@@ -16,11 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.models.sites import IMPOSSIBLE, SELF_REFERRING
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.goals import N_GOALS, effective_goals
 from phase_ppl.world.hypothesis import ALPHAS
 from phase_ppl.world.names import AGENTS
-
-FloatArray = NDArray[np.float64]
 
 
 class JointLogits(NamedTuple):

@@ -26,21 +26,19 @@ from typing import Final, Literal, NamedTuple
 
 import jax
 import numpy as np
-from numpy.typing import NDArray
 
 from phase_ppl.inference.proposals.goal_features import GOAL_PARTS, goal_features
 from phase_ppl.inference.proposals.social import joint_logits
 from phase_ppl.inference.proposals.strength.estimates import Estimator
 from phase_ppl.inference.proposals.strength.estimators import DEFAULT_ESTIMATOR, estimated_strengths
 from phase_ppl.models.sites import IMPOSSIBLE, SELF_REFERRING
+from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.goals import N_GOALS, goal_literal
 from phase_ppl.world.literals import Predicate
 from phase_ppl.world.names import AGENTS
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 Sign = Literal["intended", "printed"]
 Form = Literal["learned", "paper"]
 

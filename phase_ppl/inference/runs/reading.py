@@ -19,8 +19,6 @@ from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.scene import Scene
 
-FloatArray = NDArray[np.float64]
-
 
 class ReadingRunner(Runner):
     """Answers requests for simulations from a reading of the video, which is made once.

@@ -9,7 +9,7 @@ from typing import Any, Final, Self
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 import phase_ppl
 from phase_ppl.agents.config import PlannerConfig
@@ -24,6 +24,7 @@ from phase_ppl.closed_loop.reader import Reader, Reading
 from phase_ppl.models.model import Model
 from phase_ppl.models.stepwise import StepwiseLikelihood, prior_table
 from phase_ppl.physics.actions import ACTION_NAMES
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import instance_of, number_of_workers, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.goals import GOALS, N_GOALS
@@ -31,8 +32,6 @@ from phase_ppl.world.hypothesis import ALPHAS
 from phase_ppl.world.names import AGENTS, ENTITIES, NOTHING
 from phase_ppl.world.observation import FRAMES_PER_SECOND, SHOWN_SECONDS_PER_FRAME
 from phase_ppl.world.scene import Scene, check_inside, finite_array
-
-FloatArray = NDArray[np.float64]
 
 _PRIORS_KEPT: Final = 8
 _GOAL_DIMENSIONS: Final = ("goal_red", "goal_green", "stated_goal_red", "stated_goal_green")

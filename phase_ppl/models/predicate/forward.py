@@ -20,19 +20,17 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from phase_ppl.agents.operators import TOUCH_COST, Node, Step
 from phase_ppl.models.predicate.planning import cost_to_go, operators, without_physics
 from phase_ppl.models.predicate.symbols import SymbolicState
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import nonnegative_number, positive_number
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.goals import N_GOALS, goal_literal, is_self_referring
 from phase_ppl.world.literals import STOP, Literal, Predicate
 from phase_ppl.world.names import AGENTS, ENTITIES, NOTHING
 from phase_ppl.world.scene import Scene
-
-FloatArray = NDArray[np.float64]
 
 RATIONALITY: Final = 0.8
 OPERATOR_FRAMES: Final = 12.0

@@ -14,14 +14,12 @@ import functools
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import unknown_name
 from phase_ppl.world.goals import N_GOALS, is_self_referring
 from phase_ppl.world.names import AGENTS
 from phase_ppl.world.relations import RELATION_TABLE, RELATIONS
-
-FloatArray = NDArray[np.float64]
 
 INDEPENDENT: Final = "independent"
 """Name of the prior under which all pairs of effective goals are alike."""

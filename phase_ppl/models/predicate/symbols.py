@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from phase_ppl.agents.symbols import NEAR_AGENT_ON, NEAR_ITEM_ON, NEAR_TOUCH
 from phase_ppl.dataset.motion import HELD_WITHIN, items_held
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import positive_number, whole_number
 from phase_ppl.world.geometry import GRAB_POINTS, GRAB_REACH
 from phase_ppl.world.names import AGENTS, ENTITIES
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 
-FloatArray = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 FACTOR: Final = 3.0

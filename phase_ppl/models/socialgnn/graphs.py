@@ -12,6 +12,7 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from phase_ppl.world.arrays import IntArray
 from phase_ppl.world.errors import unknown_name
 from phase_ppl.world.geometry import TOUCH_ENLARGEMENT, touches
 from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS
@@ -19,9 +20,7 @@ from phase_ppl.world.observation import Observation
 from phase_ppl.world.rooms import RAY_DIRECTIONS
 from phase_ppl.world.scene import Scene
 
-FloatArray = NDArray[np.float64]
 SingleArray = NDArray[np.float32]
-IntArray = NDArray[np.int64]
 SmallIntArray = NDArray[np.int32]
 
 Variant = Literal["extended", "original"]

@@ -9,15 +9,13 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from phase_ppl.dataset.generation.copies import reflected
 from phase_ppl.dataset.generation.recording import Recording
 from phase_ppl.dataset.generation.tables import walls_of
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.scene import LANDMARK_CENTRES, Scene
-
-FloatArray = NDArray[np.float64]
 
 FRAMES = 40
 LAYOUT = 8

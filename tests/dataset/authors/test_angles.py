@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from phase_ppl.dataset import load_events
 from phase_ppl.dataset.authors.videos import repaired
 from phase_ppl.dataset.turning import full_turn
+from phase_ppl.world.arrays import FloatArray
 from tests.dataset.authors.pickles import wrapped
 from tests.world.examples import DEV, needs_dev
 
-FloatArray = NDArray[np.float64]
 SIZES = (0.8, 1.01, 1.2, 1.6)
 TURN = 2 * np.pi
 

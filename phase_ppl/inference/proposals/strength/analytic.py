@@ -18,12 +18,11 @@ from numpy.typing import NDArray
 
 from phase_ppl.inference.proposals.strength.estimates import StrengthEstimates
 from phase_ppl.physics.constants import FLOOR_FRICTION, STEP, mass
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS
 from phase_ppl.world.names import AGENTS
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
-
-FloatArray = NDArray[np.float64]
 
 TOLERANCE: Final = 0.01
 """Relative deviation from a level that still counts as a hit."""

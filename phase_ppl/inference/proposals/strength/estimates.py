@@ -8,11 +8,10 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.hypothesis import STRENGTH_RANGE
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
-
-FloatArray = NDArray[np.float64]
 
 _GRID = np.linspace(*STRENGTH_RANGE, 901)
 

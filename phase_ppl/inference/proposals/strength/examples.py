@@ -10,9 +10,8 @@ from tqdm import tqdm
 
 from phase_ppl.inference.proposals.strength.features import window_features
 from phase_ppl.inference.proposals.strength.scenes import Simulated
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.names import AGENTS
-
-FloatArray = NDArray[np.float64]
 
 LARGEST_JITTER: Final = 0.35
 """Of the positions in the training, units."""

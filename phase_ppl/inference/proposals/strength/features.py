@@ -15,10 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.physics.constants import FLOOR_FRICTION, STEP, mass
+from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.names import AGENTS, BLUE_ITEM, PINK_ITEM
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 REACHES: Final = (1, 2, 3)
 """Frames to either side that a parabola is fitted to."""

@@ -20,12 +20,11 @@ from numpy.typing import NDArray
 
 from phase_ppl.inference.proposals.strength.estimates import StrengthEstimates
 from phase_ppl.inference.proposals.strength.features import N_FEATURES, window_features
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.hypothesis import STRENGTH_RANGE
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
-
-FloatArray = NDArray[np.float64]
 
 HIDDEN: Final = 64
 """Units of each of the two hidden layers, as in the paper."""

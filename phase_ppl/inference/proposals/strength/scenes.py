@@ -19,14 +19,13 @@ from tqdm import tqdm
 from phase_ppl.dataset.generation.tables import LAYOUTS, SIZES, SPOTS, walls_of
 from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.simulator.simulate import simulate
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.goals import goal_literal, literal_goal
 from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_LEVELS, STRENGTH_RANGE, Hypothesis
 from phase_ppl.world.literals import Literal, Predicate
 from phase_ppl.world.names import BLUE_ITEM, GREEN, LANDMARKS, PINK_ITEM, RED
 from phase_ppl.world.scene import TURNINGS, Scene
-
-FloatArray = NDArray[np.float64]
 
 SIZE_SHARES: Final = (0.55, 0.16, 0.11, 0.18)
 """How often PHASE's sizes are drawn: about as often as there."""
