@@ -35,8 +35,7 @@ from phase_ppl.inference.runs.draws import burn_in
 from phase_ppl.models.effective import log_prior_of_effective
 from phase_ppl.models.priors import uniform
 from phase_ppl.world.goals import N_GOALS, is_self_referring
-from phase_ppl.world.hypothesis import STRENGTH_RANGE, Hypothesis
-from phase_ppl.world.relations import RELATION_TABLE, RELATIONS
+from phase_ppl.world.hypothesis import RELATION_TABLE, RELATIONS, STRENGTH_RANGE, Hypothesis
 from phase_ppl.world.scene import Scene
 from tests.inference.toy import walking_event
 

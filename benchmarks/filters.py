@@ -17,16 +17,14 @@ import numpy as np
 
 import phase_ppl as ppl
 from phase_ppl.dataset.documents import read_json
-from phase_ppl.dataset.generation.filters import MAX_STUCK, NEAR, reason_against
-from phase_ppl.dataset.generation.measures import measures
-from phase_ppl.dataset.generation.recording import Recording
+from phase_ppl.dataset.generation.copies import Recording
+from phase_ppl.dataset.generation.making import MAX_STUCK, NEAR, measures, reason_against
 from phase_ppl.dataset.generation.store import REJECTED
 from phase_ppl.physics.actions import NO_ACTION, Action
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import GOALS, goal_literal
 from phase_ppl.world.hypothesis import Hypothesis
-from phase_ppl.world.literals import Predicate
-from phase_ppl.world.names import AGENTS, ENTITIES, NOTHING
+from phase_ppl.world.names import AGENTS, ENTITIES, NOTHING, Predicate
 
 ACTIONS: Final = {action.name.lower().replace("_", ""): int(action) for action in Action}
 """Name of an action in the recovered ones -> number."""

@@ -13,15 +13,16 @@ from typing import Any
 import common
 import numpy as np
 
-from phase_ppl.inference.proposals.strength.estimates import (
+from phase_ppl.inference.proposals.strength import (
+    ESTIMATORS,
     Estimator,
     Quality,
     StrengthEstimates,
+    StrengthNetwork,
+    estimated_strengths,
     quality,
 )
-from phase_ppl.inference.proposals.strength.estimators import ESTIMATORS, estimated_strengths
-from phase_ppl.inference.proposals.strength.examples import blurred
-from phase_ppl.inference.proposals.strength.network import StrengthNetwork
+from phase_ppl.inference.proposals.strength_training import blurred
 from phase_ppl.inference.proposals.tables import window_count, window_length
 from phase_ppl.world.event import Event
 from phase_ppl.world.observation import Observation

@@ -13,7 +13,7 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.dataset.generation.filters import NEAR
+from phase_ppl.dataset.generation.making import NEAR
 
 ROOT = Path(__file__).parents[1]
 VIDEOS = Path(os.environ.get("PHASE_TEST") or ROOT.parent / "shared" / "phase-test")

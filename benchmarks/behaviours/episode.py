@@ -17,8 +17,7 @@ from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.geometry import is_on, touches
 from phase_ppl.world.goals import goal_literal
 from phase_ppl.world.hypothesis import Hypothesis
-from phase_ppl.world.literals import Literal, Predicate
-from phase_ppl.world.names import NOTHING
+from phase_ppl.world.names import NOTHING, Literal, Predicate
 from phase_ppl.world.scene import Scene
 
 RED, GREEN, BLUE, PINK = range(4)

@@ -20,8 +20,7 @@ import numpy as np
 
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.simulator.contract import simulate_one
-from phase_ppl.simulator.joint import JointSimulator
-from phase_ppl.simulator.simulate import simulate
+from phase_ppl.simulator.joint import JointSimulator, simulate
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import GOALS, is_self_referring
 from phase_ppl.world.hypothesis import Hypothesis

@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.mind import Mind
 from phase_ppl.agents.policies import Policies
-from phase_ppl.closed_loop.noise import filter_gains
-from phase_ppl.dataset.generation.situation import CannotDraw, Draw, Situation
-from phase_ppl.dataset.generation.tables import LAYOUTS
+from phase_ppl.closed_loop.hidden_state import filter_gains
+from phase_ppl.dataset.generation.situation import LAYOUTS, CannotDraw, Draw, Situation
 from phase_ppl.models.stepwise import StepwiseLikelihood
 from phase_ppl.physics import compiled, inverse
 from phase_ppl.physics.actions import N_ACTIONS, Action, executed

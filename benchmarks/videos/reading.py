@@ -21,7 +21,7 @@ from phase_ppl.physics.actions import ACTION_NAMES, Action, executed
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import N_GOALS, goal_index
-from phase_ppl.world.relations import RELATION_TABLE
+from phase_ppl.world.hypothesis import RELATION_TABLE
 
 ALIKE = 0.7
 """Nats within which two actions explain a frame equally well."""

@@ -21,7 +21,7 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import GOALS, goal_literal
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS, Hypothesis
-from phase_ppl.world.literals import Predicate
+from phase_ppl.world.names import Predicate
 from videos.decisions import Task as Recording
 from videos.decisions import states
 from videos.replay import scene_of

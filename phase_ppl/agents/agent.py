@@ -12,16 +12,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.agents import pomcp, rewards, symbols
-from phase_ppl.agents.beliefs import Beliefs
+from phase_ppl.agents import pomcp, symbols
+from phase_ppl.agents.beliefs import Beliefs, Perception
 from phase_ppl.agents.choice import Root, best_subgoal, make_search, reflex, search_actions
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.mind import Mind
-from phase_ppl.agents.perception import Perception
 from phase_ppl.agents.subgoals import subgoal_planner
 from phase_ppl.physics.actions import Action
 from phase_ppl.world.goals import goal_literal
-from phase_ppl.world.literals import Literal
+from phase_ppl.world.names import Literal
 
 
 class Decision(NamedTuple):
@@ -73,8 +72,8 @@ class Agent:
         self.mind = mind
         self.goal = goal_literal(goals[agent], agent)
         other_goal = goal_literal(goals[1 - agent], 1 - agent)
-        self._goal_code = rewards.subgoal_code(self.goal)
-        self._other_code = rewards.subgoal_code(other_goal)
+        self._goal_code = pomcp.subgoal_code(self.goal)
+        self._other_code = pomcp.subgoal_code(other_goal)
         self._planner = subgoal_planner(agent, self.goal, other_goal, mind.abilities)
         self._perception = Perception(agent, mind, config, generator)
         self._rng = self._perception.rng
@@ -149,7 +148,7 @@ class Agent:
         at_once = reflex(subgoal, int(agreeing[0]), self.agent, self.beliefs, self.mind)
         if at_once is not None:
             return Decision(at_once, subgoal, support, _NO_ACTIONS, _NO_ACTIONS, _NO_VALUES, held)
-        actions = rewards.actions_for(subgoal, self.agent, held, self._planner.stance.contested)
+        actions = pomcp.actions_for(subgoal, self.agent, held, self._planner.stance.contested)
         found = self._search_actions(subgoal, agreeing, actions)
         action = Action(int(actions[found.column]))
         return Decision(action, subgoal, support, actions, found.visits, found.values, held)

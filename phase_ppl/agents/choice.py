@@ -8,15 +8,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.agents import pomcp, rewards
+from phase_ppl.agents import pomcp
 from phase_ppl.agents.beliefs import Beliefs
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.mind import Mind
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import Action
 from phase_ppl.physics.compiled import Scratch
-from phase_ppl.world.literals import STOP, Literal, Predicate
-from phase_ppl.world.names import NOTHING
+from phase_ppl.world.names import NOTHING, STOP, Literal, Predicate
 
 
 def best_subgoal(
@@ -139,7 +138,7 @@ def search_actions(
         beliefs.weld,
         agreeing,
         agent,
-        rewards.subgoal_code(subgoal),
+        pomcp.subgoal_code(subgoal),
         actions,
         search,
         mind.params,

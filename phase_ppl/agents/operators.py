@@ -19,8 +19,7 @@ import numpy as np
 
 from phase_ppl.agents.symbols import SymbolicState
 from phase_ppl.physics.constants import FLOOR_FRICTION
-from phase_ppl.world.literals import Literal, Predicate
-from phase_ppl.world.names import AGENTS, ITEMS, NOTHING
+from phase_ppl.world.names import AGENTS, ITEMS, NOTHING, Literal, Predicate
 from phase_ppl.world.rooms import N_ROOMS, ROOMS_OF_RAY
 from phase_ppl.world.scene import Scene
 

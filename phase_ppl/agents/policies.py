@@ -16,19 +16,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.agents import pomcp, rewards, symbols
+from phase_ppl.agents import pomcp, symbols
+from phase_ppl.agents.beliefs import Perception
 from phase_ppl.agents.choice import best_subgoal, make_search, reflex, search_actions
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.mind import Mind
 from phase_ppl.agents.operators import Abilities
-from phase_ppl.agents.perception import Perception
-from phase_ppl.agents.planning import stance
-from phase_ppl.agents.subgoals import SubgoalPlanner, subgoal_planner
+from phase_ppl.agents.subgoals import SubgoalPlanner, stance, subgoal_planner
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import Action
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.goals import N_GOALS, goal_literal, is_self_referring
-from phase_ppl.world.literals import Literal
+from phase_ppl.world.names import Literal
 
 NO_INTENT = -1
 """Stands for a pair of goals that is none."""
@@ -241,7 +240,7 @@ class Policies:
         action = reflex(intent.subgoal, first, self.agent, beliefs, self.mind)
         if action is not None:
             return Outlook(np.array([action]), np.ones(1, np.int64), np.full(1, np.nan), action)
-        actions = rewards.actions_for(
+        actions = pomcp.actions_for(
             intent.subgoal, self.agent, int(beliefs.held[first, self.agent]), intent.contested
         )
         tree = pomcp.make_tree(self.config.simulations)
@@ -266,7 +265,7 @@ class Policies:
 
 
 def _goal_codes(holder: int) -> IntArray:
-    return np.array([rewards.subgoal_code(goal_literal(g, holder)) for g in range(N_GOALS)])
+    return np.array([pomcp.subgoal_code(goal_literal(g, holder)) for g in range(N_GOALS)])
 
 
 @functools.cache

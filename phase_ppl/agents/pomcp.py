@@ -16,14 +16,155 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.agents.ground import Ground
-from phase_ppl.agents.rewards import reward
-from phase_ppl.agents.rng import below
+from phase_ppl.agents.ground import DISTANCE_UNIT, Ground, body_origin, path_distance, room_of
 from phase_ppl.physics import compiled
-from phase_ppl.physics.actions import N_ACTIONS, NO_ACTION
+from phase_ppl.physics.actions import N_ACTIONS, NO_ACTION, Action
 from phase_ppl.physics.compiled import Params, Scratch
 from phase_ppl.physics.jit import bare_kernel
 from phase_ppl.world.arrays import FloatArray, IntArray
+from phase_ppl.world.names import NOTHING, Literal, Predicate
+from phase_ppl.world.rooms import N_ROOMS, UNREACHABLE
+
+SIDEWAYS_COST: Final = 0.02
+"""Cost of each translation other than straight ahead."""
+
+_ON, _TOUCH, _ATTACH, _CLOSE = (
+    int(p) for p in (Predicate.ON, Predicate.TOUCH, Predicate.ATTACH, Predicate.CLOSE)
+)
+_FIRST_SIDEWAYS, _LAST_SIDEWAYS = int(Action.DOWN), int(Action.DOWN_RIGHT)
+
+_NAVIGATION: Final = (
+    Action.TURN_LEFT,
+    Action.TURN_RIGHT,
+    Action.UP,
+    Action.STOP,
+    Action.NO_FORCE,
+)
+_GRIP: Final = (Action.ATTACH, Action.DETACH)
+
+
+def subgoal_code(literal: Literal) -> NDArray[np.int64]:
+    """Return (predicate, subject, target, sign) for compiled code."""
+    sign = 1 if literal.positive else -1
+    return np.array([literal.predicate, literal.subject, literal.target, sign], np.int64)
+
+
+def actions_for(
+    literal: Literal, agent: int, held: int, contested: bool = False
+) -> NDArray[np.int64]:
+    """Return the actions that ``agent`` considers for a subgoal, indices into ``Action``.
+
+    Args:
+        literal: the subgoal.
+        agent: who plans.
+        held: item it holds or ``NOTHING``.
+        contested: the other agent wants to keep it from the landmark it wants to be on.
+    """
+    predicate, subject = literal.predicate, literal.subject
+    without: tuple[Action, ...]
+    if predicate is Predicate.TOUCH or (subject == agent and predicate is Predicate.CLOSE):
+        return np.array(_NAVIGATION, np.int64)
+    if subject == agent and predicate is Predicate.ON and not contested:
+        return np.array(_NAVIGATION, np.int64)
+    if predicate is Predicate.ATTACH:
+        without = () if held != NOTHING else (Action.DETACH,)
+    elif predicate is Predicate.ON and subject >= 2:
+        without = (Action.DETACH,)
+    elif predicate is Predicate.CLOSE and subject >= 2:
+        without = _GRIP if held != NOTHING else (Action.DETACH,)
+    else:
+        without = _GRIP
+    return np.array([action for action in Action if action not in without], np.int64)
+
+
+@bare_kernel
+def _distance(
+    bodies: NDArray[np.float64],
+    held: NDArray[np.int64],
+    subgoal: NDArray[np.int64],
+    params: Params,
+    ground: Ground,
+) -> float:
+    predicate, subject, target = subgoal[0], subgoal[1], subgoal[2]
+    if predicate == _ATTACH:
+        return 0.0 if held[subject] == target else DISTANCE_UNIT
+    x, y = body_origin(bodies, subject, params.cog)
+    if predicate == _ON:
+        return path_distance(x, y, ground.landmarks[target, 0], ground.landmarks[target, 1], ground)
+    if predicate == _TOUCH:
+        other_x, other_y = body_origin(bodies, target, params.cog)
+        return path_distance(x, y, other_x, other_y, ground)
+    if target >= N_ROOMS:
+        door = target - N_ROOMS
+        return path_distance(x, y, ground.doors[door, 0], ground.doors[door, 1], ground)
+    px, py = ground.room_points[target, 0], ground.room_points[target, 1]
+    room = room_of(x, y, ground)
+    if room == target:
+        inside = math.sqrt((x - px) ** 2 + (y - py) ** 2)
+        return inside - UNREACHABLE if subject >= 2 else inside
+    door = ground.neighbour[room, target]
+    if door < 0:
+        return DISTANCE_UNIT
+    dx, dy = ground.doors[door, 0], ground.doors[door, 1]
+    return math.sqrt((x - dx) ** 2 + (y - dy) ** 2) + math.sqrt((dx - px) ** 2 + (dy - py) ** 2)
+
+
+@bare_kernel
+def reward(
+    bodies: NDArray[np.float64],
+    held: NDArray[np.int64],
+    subgoal: NDArray[np.int64],
+    action: int,
+    params: Params,
+    ground: Ground,
+) -> float:
+    """Return the reward of being in a state after ``action``, for one subgoal."""
+    value = -subgoal[3] * _distance(bodies, held, subgoal, params, ground) / DISTANCE_UNIT
+    if _FIRST_SIDEWAYS <= action <= _LAST_SIDEWAYS:
+        value -= SIDEWAYS_COST
+    return value
+
+
+# --- A counter-based random generator for compiled code: explicit state, no globals ---------------
+# SplitMix64 (Steele, Lea and Flood, 2014). The state is a uint64 array of length 1.
+
+_INCREMENT = np.uint64(0x9E3779B97F4A7C15)
+_MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
+_MIX_2 = np.uint64(0x94D049BB133111EB)
+_S30, _S27, _S31, _S11 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(11)
+_TO_UNIT = 1.0 / 9007199254740992.0
+
+
+def make_rng(generator: np.random.Generator) -> NDArray[np.uint64]:
+    """Return a compiled-code generator state seeded from a NumPy generator."""
+    return generator.integers(0, 2**64, size=1, dtype=np.uint64)
+
+
+@bare_kernel
+def uniform(rng: NDArray[np.uint64]) -> float:
+    """Return the next float in [0, 1) and advance ``rng``."""
+    rng[0] += _INCREMENT
+    z = rng[0]
+    z = (z ^ (z >> _S30)) * _MIX_1
+    z = (z ^ (z >> _S27)) * _MIX_2
+    z = z ^ (z >> _S31)
+    return np.float64(z >> _S11) * _TO_UNIT
+
+
+@bare_kernel
+def below(rng: NDArray[np.uint64], n: int) -> int:
+    """Return the next integer in 0..n-1 and advance ``rng``."""
+    return int(uniform(rng) * n)
+
+
+# --- the low-level planner: POMCP over an agent's own actions, with PUCT, on the... ---------------
+# Source: paper, Appendix "Hierarchical Planner"; Silver and Veness (2010); the PUCT variant of
+# Silver et al. (2018). Each simulation draws a particle, walks down the tree of the agent's own
+# actions (the other agent coasts), adds one node, and rolls out with random actions of both.
+#
+# Ours is the pairing of simulations: the n-th one through each root action meets the same
+# particle and random numbers, which compares the actions like with like and needs far fewer
+# simulations.
 
 NO_NODE: Final = -1
 _UNVISITED_SCORE = 1e200

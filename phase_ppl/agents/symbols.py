@@ -15,7 +15,7 @@ from phase_ppl.physics.compiled import Params
 from phase_ppl.physics.jit import bare_kernel
 from phase_ppl.physics.welds import in_reach
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.literals import Predicate
+from phase_ppl.world.names import Predicate
 
 NEAR_AGENT_ON: Final = 0.02 * DISTANCE_UNIT
 """An agent is done with ON(itself, landmark) this close to the centre, units."""

@@ -9,11 +9,146 @@ import math
 from typing import Final
 
 from phase_ppl.agents.ground import Ground
-from phase_ppl.agents.shapes import OUTSIDE, outline_cells, shapes_meet
 from phase_ppl.physics.compiled import Params
 from phase_ppl.physics.jit import bare_kernel
 from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
 from phase_ppl.world.geometry import TOUCH_ENLARGEMENT
+
+MAX_OUTLINE_CELLS: Final = 128
+RIM_POINTS: Final = 16
+OUTSIDE: Final = -1
+"""Cell number of a point outside the grid."""
+
+
+@bare_kernel
+def cell_of(x: float, y: float, ground: Ground) -> int:
+    """Return row * size + column of the 1 x 1 cell that holds a point, or OUTSIDE."""
+    column = int(math.floor(x - ground.origin[0]))
+    row = int(math.floor(ground.origin[1] - y))
+    if column < 0 or row < 0 or column >= ground.size or row >= ground.size:
+        return OUTSIDE
+    return row * ground.size + column
+
+
+@bare_kernel
+def corner(
+    bodies: FloatArray, agent: int, k: int, scale: float, params: Params
+) -> tuple[float, float]:
+    """Return corner ``k`` of an agent, its shape enlarged by ``scale`` about the centre of mass."""
+    c = math.cos(bodies[agent, 2])
+    s = math.sin(bodies[agent, 2])
+    lx = params.vertices[agent, k, 0] * scale
+    ly = params.vertices[agent, k, 1] * scale
+    return bodies[agent, 0] + lx * c - ly * s, bodies[agent, 1] + lx * s + ly * c
+
+
+@bare_kernel
+def outline_cells(
+    bodies: FloatArray, entity: int, params: Params, ground: Ground, cells: IntArray
+) -> int:
+    """Write the cells that the outline of ``entity`` touches into ``cells``; return their number.
+
+    Agents: the grid line between the cells of neighbouring corners; items: 16 points on the rim.
+    """
+    n = 0
+    if entity >= 2:
+        for i in range(RIM_POINTS):
+            angle = 2.0 * math.pi * i / RIM_POINTS
+            x = bodies[entity, 0] + params.radius[entity] * math.cos(angle)
+            y = bodies[entity, 1] + params.radius[entity] * math.sin(angle)
+            cells[n] = cell_of(x, y, ground)
+            n += 1
+        return n
+    for k in range(4):
+        x1, y1 = corner(bodies, entity, k, 1.0, params)
+        x2, y2 = corner(bodies, entity, (k + 1) % 4, 1.0, params)
+        steps = int(math.ceil(max(abs(x2 - x1), abs(y2 - y1)))) + 1
+        if n + steps > MAX_OUTLINE_CELLS:
+            break
+        for i in range(steps):
+            t = i / steps
+            cells[n] = cell_of(x1 + (x2 - x1) * t, y1 + (y2 - y1) * t, ground)
+            n += 1
+    return n
+
+
+@bare_kernel
+def _project(
+    bodies: FloatArray, agent: int, scale: float, ax: float, ay: float, params: Params
+) -> tuple[float, float]:
+    low, high = 1e300, -1e300
+    for k in range(4):
+        x, y = corner(bodies, agent, k, scale, params)
+        d = ax * x + ay * y
+        low = min(low, d)
+        high = max(high, d)
+    return low, high
+
+
+@bare_kernel
+def _agents_meet(bodies: FloatArray, scale_0: float, scale_1: float, params: Params) -> bool:
+    for owner in range(2):
+        for k in range(4):
+            x1, y1 = corner(bodies, owner, k, 1.0, params)
+            x2, y2 = corner(bodies, owner, (k + 1) % 4, 1.0, params)
+            ax, ay = y1 - y2, x2 - x1
+            low_0, high_0 = _project(bodies, 0, scale_0, ax, ay, params)
+            low_1, high_1 = _project(bodies, 1, scale_1, ax, ay, params)
+            if high_0 < low_1 or high_1 < low_0:
+                return False
+    return True
+
+
+@bare_kernel
+def _agent_meets_disc(
+    bodies: FloatArray, agent: int, scale: float, item: int, reach: float, params: Params
+) -> bool:
+    px, py = bodies[item, 0], bodies[item, 1]
+    inside = True
+    nearest = 1e300
+    for k in range(4):
+        x1, y1 = corner(bodies, agent, k, scale, params)
+        x2, y2 = corner(bodies, agent, (k + 1) % 4, scale, params)
+        ex, ey = x2 - x1, y2 - y1
+        cx, cy = px - x1, py - y1
+        t = (cx * ex + cy * ey) / (ex * ex + ey * ey)
+        t = min(1.0, max(0.0, t))
+        dx, dy = cx - t * ex, cy - t * ey
+        nearest = min(nearest, dx * dx + dy * dy)
+        # the signed side tells inside from outside whichever way the corners run
+        ox, oy = bodies[agent, 0] - x1, bodies[agent, 1] - y1
+        if (ex * cy - ey * cx) * (ex * oy - ey * ox) < 0:
+            inside = False
+    return inside or nearest <= reach * reach
+
+
+@bare_kernel
+def shapes_meet(
+    bodies: FloatArray, first: int, second: int, scale_1: float, scale_2: float, params: Params
+) -> bool:
+    """Whether two entities' shapes, enlarged by the scales, overlap."""
+    if first >= 2 and second < 2:
+        first, second = second, first
+        scale_1, scale_2 = scale_2, scale_1
+    dx = bodies[first, 0] - bodies[second, 0]
+    dy = bodies[first, 1] - bodies[second, 1]
+    far_1 = params.radius[first] * scale_1 * (1.75 if first < 2 else 1.0)
+    far_2 = params.radius[second] * scale_2 * (1.75 if second < 2 else 1.0)
+    distance_2 = dx * dx + dy * dy
+    if distance_2 > (far_1 + far_2) ** 2:
+        return False
+    if first >= 2:
+        return True
+    if second >= 2:
+        reach = params.radius[second] * scale_2
+        return _agent_meets_disc(bodies, first, scale_1, second, reach, params)
+    if first == 0:
+        return _agents_meet(bodies, scale_1, scale_2, params)
+    return _agents_meet(bodies, scale_2, scale_1, params)
+
+
+# --- what an agent observes: field of view with occlusion, touch, and the observation... ----------
+# Source: paper, Appendix "Belief Representation and Update".
 
 HALF_ANGLE: Final = math.atan2(0.8, 0.4 + 1.0 / 6.0)
 """Half the opening of the cone of vision, rad: its edge passes local (0.8 R, 0.4 R)."""

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 import xarray as xr
 
-from phase_ppl.analysis import convergence
+from phase_ppl.analysis import diagnostics
 from phase_ppl.analysis.diagnostics import MASS, categorical_draws, scalars
 from phase_ppl.analysis.quantities import ScenarioFunction, quantities
 from phase_ppl.analysis.tree import SIMULATED, log_weight_of_draws
@@ -123,6 +123,6 @@ def _posterior(tree: xr.DataTree, scenario: ScenarioFunction | None) -> xr.Datas
 
 
 def _has_r_hat(indicator: np.ndarray[Any, np.dtype[np.float64]]) -> bool:
-    if indicator.shape[1] < convergence.MIN_DRAWS:  # ArviZ does not look for it either
+    if indicator.shape[1] < diagnostics.MIN_DRAWS:  # ArviZ does not look for it either
         return True
-    return bool(np.isfinite(convergence.split_r_hat(indicator)))
+    return bool(np.isfinite(diagnostics.split_r_hat(indicator)))

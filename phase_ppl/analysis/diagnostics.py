@@ -1,24 +1,362 @@
-"""How the chains went, in numbers; :mod:`~phase_ppl.analysis.verdict` says it in words."""
+"""How the chains went, in numbers; :mod:`~phase_ppl.analysis.diagnostics` says it in words."""
 
 from __future__ import annotations
 
 import itertools
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import numpy as np
+import pandas as pd
+import scipy.special
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.analysis import convergence
 from phase_ppl.analysis.quantities import ScenarioFunction, quantities, relation_codes
 from phase_ppl.analysis.tree import HYPOTHESIS, SITES, log_weight_of_draws, untried
-from phase_ppl.analysis.verdict import verdict
 from phase_ppl.analysis.weights import Rows, aborted_mass_bound
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.goals import GOALS, N_GOALS
+
+MIN_DRAWS: Final = 4
+"""Draws per chain below which neither R-hat nor an effective sample size is estimated."""
+
+MIN_DRAWS_WITHIN: Final = 10
+"""Draws per chain from which on effective sample sizes are taken from autocorrelations."""
+
+MIN_CHAINS_BETWEEN: Final = 4
+"""Chains below which no effective sample size is taken from the spread between them."""
+
+_TAIL: Final = 0.05
+
+
+def r_hat(values: FloatArray) -> float:
+    """Return the rank-normalised split R-hat of (chain, draw) numbers: 1 where chains have mixed.
+
+    The larger one of bulk and tail. NaN where it does not exist: fewer than four draws, a value
+    that is not finite, or all values the same.
+    """
+    if not _varies(values):
+        return math.nan
+    halves = _halves(values)
+    folded = np.abs(halves - np.median(halves))
+    return max(_ratio(_normal_ranks(halves)), _ratio(_normal_ranks(folded)))
+
+
+def split_r_hat(values: FloatArray) -> float:
+    """Return the split R-hat of (chain, draw) numbers as they are, as for indicators; or NaN."""
+    return _ratio(_halves(values)) if _varies(values) else math.nan
+
+
+def ess_bulk(values: FloatArray) -> float:
+    """Return the effective number of draws for the centre of (chain, draw) numbers; or NaN."""
+    return _effective(values, _normal_ranks) if _varies(values) else math.nan
+
+
+def ess_tail(values: FloatArray) -> float:
+    """Return the effective number of draws for the 5 % and 95 % quantiles, the lower; or NaN."""
+    if not _varies(values):
+        return math.nan
+    low, high = np.quantile(values, (_TAIL, 1 - _TAIL))
+    return min(
+        _effective(values, lambda chains: (chains <= low).astype(float)),
+        _effective(values, lambda chains: (chains <= high).astype(float)),
+    )
+
+
+def ess_mean(values: FloatArray) -> float:
+    """Return the effective number of draws for the mean of (chain, draw) numbers; or NaN."""
+    return _effective(values) if _varies(values) else math.nan
+
+
+def mcse_mean(values: FloatArray) -> float:
+    """Return the Monte-Carlo standard error of the mean of (chain, draw) numbers; or NaN."""
+    return float(values.std(ddof=1)) / math.sqrt(ess_mean(values)) if _varies(values) else math.nan
+
+
+def _varies(values: FloatArray) -> bool:
+    if values.shape[1] < MIN_DRAWS or not np.isfinite(values).all():
+        return False
+    return bool(np.ptp(values) > np.finfo(float).eps * np.abs(values).max())
+
+
+def _halves(values: FloatArray) -> FloatArray:
+    """Return (2 chains, draw // 2) the first and second half of every chain."""
+    half = values.shape[1] // 2
+    return np.concatenate([values[:, :half], values[:, -half:]]).astype(float)
+
+
+def _normal_ranks(values: FloatArray) -> FloatArray:
+    """Return the values' ranks, of equals the mean, as quantiles of the normal distribution."""
+    ranks = pd.Series(values.ravel()).rank().to_numpy()
+    shares = (ranks - 3 / 8) / (values.size + 1 / 4)
+    quantiles: FloatArray = scipy.special.ndtri(shares)
+    return quantiles.reshape(values.shape)
+
+
+def _ratio(chains: FloatArray) -> float:
+    """Return R-hat; infinite where all spread is between chains, NaN where there is none."""
+    n = chains.shape[1]
+    between = chains.mean(axis=1).var(ddof=1)
+    if np.ptp(chains, axis=1).any():  # of equal numbers the variance may be rounded to above 0
+        within = chains.var(axis=1, ddof=1).mean()
+        return float(np.sqrt(between / within + (n - 1) / n))
+    return math.inf if between > 0 else math.nan
+
+
+def _effective(
+    values: FloatArray, view: Callable[[FloatArray], FloatArray] = lambda chains: chains
+) -> float:
+    """Return the effective sample size of what ``view`` makes of the chains."""
+    long = values.shape[1] >= MIN_DRAWS_WITHIN
+    chains = view(_halves(values) if long else values)
+    if np.ptp(chains) < np.finfo(float).resolution:
+        return float(chains.size)
+    most = chains.size * math.log10(chains.size)  # of chains that alternate
+    if long:
+        return chains.size / max(_autocorrelation_time(chains), chains.size / most)
+    if len(chains) < MIN_CHAINS_BETWEEN:
+        return math.nan
+    squared_error = chains.mean(axis=1).var(ddof=1) / len(chains)
+    variance = chains.var(ddof=1)
+    return float(variance / max(squared_error, variance / most))
+
+
+def _autocorrelation_time(chains: FloatArray) -> float:
+    """Return the sum of the autocorrelations, by Geyer's initial monotone sequence."""
+    n = chains.shape[1]
+    covariance = _autocovariance(chains).mean(axis=0)
+    within = covariance[0] * n / (n - 1)
+    total = covariance[0] + chains.mean(axis=1).var(ddof=1)
+    rho = 1 - (within - covariance) / total
+    rho[0] = 1.0
+    kept = np.zeros(n)
+    kept[:2] = rho[:2]
+    even, odd, t = 1.0, rho[1], 1
+    while t < n - 3 and even + odd > 0:
+        even, odd = rho[t + 1], rho[t + 2]
+        if even + odd >= 0:
+            kept[t + 1], kept[t + 2] = even, odd
+        t += 2
+    last = t - 2
+    if even > 0:
+        kept[last + 1] = even
+    for t in range(1, last - 1, 2):  # sums of pairs must not grow
+        before = kept[t - 1] + kept[t]
+        if kept[t + 1] + kept[t + 2] > before:
+            kept[t + 1] = kept[t + 2] = before / 2
+    return float(-1 + 2 * kept[: last + 1].sum() + kept[last + 1 : last + 2].sum())
+
+
+def _autocovariance(chains: FloatArray) -> FloatArray:
+    """Return (chain, lag) autocovariances, divided by the number of draws at every lag."""
+    n = chains.shape[1]
+    deviation = chains - chains.mean(axis=1, keepdims=True)
+    spectrum = np.fft.rfft(deviation, 2 * n, axis=1)
+    return np.fft.irfft(spectrum * spectrum.conj(), 2 * n, axis=1)[:, :n] / n
+
+
+# --- in words, whether a posterior can be trusted -------------------------------------------------
+
+AGREED: Final = 0.8
+"""Share of particles with the same leading goal from which on they are said to agree."""
+
+STUCK: Final = 0.05
+"""Acceptance rate below which the particles are said to have hardly moved."""
+
+FEW: Final = 0.1
+"""Effective share of weighted draws below which a few of them are said to decide."""
+
+FEW_DRAWS: Final = 5.0
+"""Independent draws that the answers are worth below which so few are said to decide."""
+
+MIXED: Final = 1.1
+"""R-hat above which draws are said to depend on where their chain began."""
+
+UNTRIED: Final = 0.05
+"""Prior mass of pairs of goals without a simulation from which on it is a sign."""
+
+_NAMES: Final = {"goal_red": "red", "goal_green": "green"}
+_NAMED: Final = 2
+"""Goals that are named where particles disagree."""
+
+
+def verdict(found: Mapping[str, Any]) -> str:
+    """Return in a few sentences whether the posterior with these diagnostics can be trusted.
+
+    What speaks most against it comes first. Only where nothing does, this is said.
+
+    Args:
+        found: what :func:`phase_ppl.analysis.diagnostics.diagnostics` returns.
+    """
+    weighted = found["weighted_draws_ess"] is not None
+    signs = [
+        *_biased(found),
+        *([] if weighted else _acceptance(found["acceptance_rate"])),
+        *_few(found),
+        *([_weighted(found)] if weighted else _disagreement(found)),
+        *([] if weighted else _mixing(found)),
+        *([] if weighted else _other_leaders(found["categories"])),
+        *_untried(found),
+    ]
+    simulations = found["simulations"]
+    if simulations["failed"]:
+        signs.append(f"{simulations['failed']} of {simulations['total']} simulations failed.")
+    sentences = [*signs, *([] if weighted else _notes(found))]
+    if not weighted and found["particles"] > 1 and not _split(found):
+        agreed = f"The {found['particles']} particles agree on both agents' goals {_margin(found)}"
+        none = ": nothing speaks against the leading goals."
+        sentences.append(agreed + ("." if signs else none))
+    return " ".join(sentences)
+
+
+def _biased(found: Mapping[str, Any]) -> list[str]:
+    """Return what makes the probabilities wrong however long the run is."""
+    sentences = []
+    if found["weights"] == "visited":
+        sentences.append(
+            "The weights 'visited' are not the posterior: what is proposed often counts more. "
+            f"Simulations stopped early hide at most {found['aborted_mass_bound']:.1%} of their "
+            "mass."
+        )
+    elif found["weights"] == "likelihood":
+        sentences.append("The weights 'likelihood' make every probability too extreme.")
+    if found["validity"] == "approximate" and found["weights"] != "importance":
+        sentences.append(
+            f"The kernel {found['kernel']} is approximate: its probabilities are biased however "
+            "long it runs."
+        )
+    return sentences
+
+
+def _few(found: Mapping[str, Any]) -> list[str]:
+    size = found["effective_size"]
+    if size is None or size >= FEW_DRAWS:
+        return []
+    return [
+        f"The goals are no surer than by {size:.1f} independent draws: single simulations decide, "
+        "and another run may well differ."
+    ]
+
+
+def _untried(found: Mapping[str, Any]) -> list[str]:
+    untried = found["untried"]
+    if untried is None or untried < UNTRIED:
+        return []
+    return [
+        f"Pairs of goals with {untried:.2f} of the prior's mass were never simulated, and count "
+        "as impossible."
+    ]
+
+
+def _margin(found: Mapping[str, Any]) -> str:
+    errors = [error for error in found["monte_carlo_error"].values() if error is not None]
+    if not errors:
+        return ""
+    return f"(Monte-Carlo error of a leading goal's probability: {max(errors):.2f})"
+
+
+def _split(found: Mapping[str, Any]) -> list[str]:
+    return [name for name, share in found["agreement"].items() if share < AGREED]
+
+
+def _disagreement(found: Mapping[str, Any]) -> list[str]:
+    particles, split = found["particles"], _split(found)
+    if particles == 1:
+        return ["With one particle nothing shows whether another would agree: use more."]
+    if not split:
+        return []
+    camps = {name: _camps(found["leading_goals"][name]) for name in split}
+    if len(split) == 1:
+        agreed = next(name for name in _NAMES if name not in split)
+        text = f"agree on {_NAMES[agreed]}'s goal but not on {_NAMES[split[0]]}'s"
+        text += f", where {camps[split[0]]}"
+    else:
+        text = "agree on neither agent's goal: " + "; ".join(
+            f"for {_NAMES[name]}, {camp}" for name, camp in camps.items()
+        )
+    return [
+        f"The {particles} particles {text} {_margin(found)}. More iterations would tell real "
+        "uncertainty from chains that have not mixed."
+    ]
+
+
+def _camps(leading: Mapping[str, int]) -> str:
+    """Return which goals the particles favour, as "7 favour 'A', 5 'B' and 3 something else"."""
+    named = [(goal, n) for goal, n in list(leading.items())[:_NAMED] if n > 1]
+    rest = sum(leading.values()) - sum(n for _, n in named)
+    if not named:
+        return f"all {rest} favour different ones"
+    (first, most), *others = named
+    parts = [f"{most} favour '{first}'", *(f"{n} '{goal}'" for goal, n in others)]
+    parts += [f"{rest} something else"] if rest else []
+    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
+
+
+def _acceptance(rate: float) -> list[str]:
+    if rate == 0:
+        return ["No proposal was accepted: this is still the bottom-up guess, not a posterior."]
+    if rate < STUCK:
+        return [
+            f"Only {rate:.0%} of the proposals were accepted: the particles have hardly left "
+            "the bottom-up guess."
+        ]
+    return []
+
+
+def _mixing(found: Mapping[str, Any]) -> list[str]:
+    """Return which quantities have chains that differ more than draws of one law do."""
+    worst = {"the log joint": found["scalars"]["log_joint"]["r_hat"]}
+    for name, labels in found["categories"].items():
+        known = [entry["r_hat"] for entry in labels.values() if entry["r_hat"] is not None]
+        worst[name.replace("_", " of ")] = max(known, default=None)
+    apart = {name: r for name, r in worst.items() if r is not None and r > MIXED}
+    if not apart:
+        return []
+    listed = ", ".join(f"{name} {r:.2f}" for name, r in apart.items())
+    return [
+        f"The chains still depend on where they began: R-hat (1 where they have mixed) is {listed}."
+    ]
+
+
+def _notes(found: Mapping[str, Any]) -> list[str]:
+    """Return what could not be looked at."""
+    draws = found["iterations"]
+    if draws < MIN_DRAWS:
+        return [
+            f"R-hat and effective sample sizes need {MIN_DRAWS} draws per particle; "
+            f"there {'is' if draws == 1 else 'are'} {draws}."
+        ]
+    if draws < MIN_DRAWS_WITHIN and found["particles"] < MIN_CHAINS_BETWEEN:
+        return [
+            f"Effective sample sizes need {MIN_DRAWS_WITHIN} draws per particle, or "
+            f"{MIN_CHAINS_BETWEEN} particles."
+        ]
+    return []
+
+
+def _other_leaders(categories: Mapping[str, Any]) -> list[str]:
+    """Return for which agent the weighting puts another goal first than the draws do."""
+    sentences = []
+    for name, agent in _NAMES.items():
+        goals = categories[name]
+        first = max(goals, key=lambda goal: goals[goal]["probability"])
+        if goals[first]["share"] < max(entry["share"] for entry in goals.values()):
+            sentences.append(f"The weights put another goal of {agent} first, '{first}'.")
+    return sentences
+
+
+def _weighted(found: Mapping[str, Any]) -> str:
+    ess, draws = found["weighted_draws_ess"], found["particles"] * found["iterations"]
+    text = f"The {draws} weighted draws are worth {ess * draws:.1f} equal ones"
+    margin = _margin(found)
+    text += f" {margin}" if margin else ""
+    return f"{text}: so few decide that another run may well differ." if ess < FEW else f"{text}."
+
+
+# --- how the chains went, in numbers; verdict says it in words ------------------------------------
 
 MASS: Final = 0.02
 """Share of the draws, or probability, from which on a category is reported."""
@@ -58,7 +396,7 @@ def diagnostics(
     * ``untried``: prior mass of the pairs of effective goals without a completed simulation; None
       where the file does not hold the prior of pairs.
     * ``scalars``: of the log joint, total error, strengths and real sites of the user's own,
-      ``r_hat``, ``ess_bulk`` and ``ess_tail`` (:mod:`phase_ppl.analysis.convergence`).
+      ``r_hat``, ``ess_bulk`` and ``ess_tail`` (:mod:`phase_ppl.analysis.diagnostics`).
     * ``categories``: of goals, relation and scenario, each category whose ``probability`` under
       the weighting or ``share`` of the draws exceeds 2 %, most probable first, with ``ess``,
       ``mcse`` (standard error of the share) and split ``r_hat`` of its indicator.
@@ -162,9 +500,9 @@ def categorical_draws(
 
 def _convergence_of_scalar(values: FloatArray, weighted: bool) -> dict[str, float | None]:
     measures = {
-        "r_hat": convergence.r_hat,
-        "ess_bulk": convergence.ess_bulk,
-        "ess_tail": convergence.ess_tail,
+        "r_hat": r_hat,
+        "ess_bulk": ess_bulk,
+        "ess_tail": ess_tail,
     }
     return {
         name: None if weighted else _finite(measure(values)) for name, measure in measures.items()
@@ -187,9 +525,9 @@ def _categories(
             continue
         indicator = (codes == code).astype(float)
         measures = {
-            "ess": convergence.ess_mean,
-            "mcse": convergence.mcse_mean,
-            "r_hat": convergence.split_r_hat,
+            "ess": ess_mean,
+            "mcse": mcse_mean,
+            "r_hat": split_r_hat,
         }
         found[labels[code]] = {
             "probability": float(probability[code]),

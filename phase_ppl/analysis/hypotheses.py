@@ -3,20 +3,143 @@
 from __future__ import annotations
 
 import dataclasses
+import keyword
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Final, Self
 
 import numpy as np
 import pandas as pd
 import xarray as xr
+from numpy.typing import NDArray
 
-from phase_ppl.analysis import statistics
-from phase_ppl.analysis.define import Definition, check_name, defined
-from phase_ppl.analysis.estimate import Estimate, Mode, doubt
-from phase_ppl.analysis.weighted import WeightedRows
+from phase_ppl.analysis import estimate
+from phase_ppl.analysis.estimate import Estimate, Mode, WeightedRows, doubt
+from phase_ppl.analysis.quantities import Quantity
 from phase_ppl.world.checks import whole_number
-from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
+
+Definition = Callable[["Named"], bool | int | float | str]
+"""(hypothesis in plain names) -> its value."""
+
+RESERVED: Final = frozenset(
+    (
+        *("given", "self", "weight", "chain", "draw", "simulation"),
+        *("error", "bound", "probability"),
+    )
+)
+"""Names that are taken by arguments, columns and coordinates of results."""
+
+_SHOWN: Final = ("goal_red", "goal_green", "alpha", "strength_red", "strength_green")
+"""What a message says of a hypothesis."""
+
+
+class Named:
+    """A hypothesis as functions of :meth:`Posterior.define` see it: ``h.goal_red`` and so on.
+
+    Its attributes are all quantities of the posterior, those defined before too: labels as
+    strings, strengths as floats, ``alpha`` as a pair such as (1, 0). Goals are effective ones.
+    """
+
+    __slots__ = ("_columns", "_quantities", "_row")
+
+    def __init__(
+        self,
+        quantities: Mapping[str, Quantity],
+        columns: Mapping[str, NDArray[Any]],
+        row: int,
+    ) -> None:
+        self._quantities = quantities
+        self._columns = columns
+        self._row = row
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__") or name not in self._quantities:
+            raise AttributeError(str(unknown_name("quantity", name, self._quantities)))
+        return self._quantities[name].value(self._columns[name][self._row])
+
+    def __dir__(self) -> Iterable[str]:
+        return sorted(self._quantities)
+
+    def __repr__(self) -> str:
+        return ", ".join(f"{name}={getattr(self, name)!r}" for name in _SHOWN)
+
+
+def check_name(name: object, taken: Iterable[str]) -> None:
+    """Raise InvalidSettingError if a quantity cannot be called ``name``.
+
+    Args:
+        name: asked for.
+        taken: names that cannot be given anew.
+    """
+    if not isinstance(name, str) or not name.isidentifier() or keyword.iskeyword(name):
+        raise InvalidSettingError(
+            f"a quantity cannot be called {shown(name)}: expected a name as of a Python variable"
+        )
+    if name in taken:
+        raise InvalidSettingError(f"there is a quantity {name!r} already: choose another name")
+    if name in RESERVED:
+        raise InvalidSettingError(f"{name!r} is a reserved name: choose another")
+
+
+def defined(
+    name: str,
+    function: Definition,
+    quantities: Mapping[str, Quantity],
+    columns: Mapping[str, NDArray[Any]],
+) -> tuple[Quantity, NDArray[Any]]:
+    """Return the quantity that ``function`` defines, and its column as codes or numbers.
+
+    The function is called once per distinct hypothesis. Truth values, whole numbers and strings
+    are categories, in order of their values; numbers that are not all whole are real.
+
+    Raises:
+        InvalidSettingError: it raises, or returns NaN, an infinity, something else or values of
+            several kinds; the message names the hypothesis.
+    """
+    if not callable(function):
+        raise InvalidSettingError(
+            f"define({name!r}, {shown(function)}): expected a function of a hypothesis, such as "
+            "lambda h: h.goal_red == h.goal_green"
+        )
+    table = pd.DataFrame({column: columns[column] for column in quantities})
+    number = table.groupby(list(table), sort=False, dropna=False).ngroup().to_numpy()
+    _, first = np.unique(number, return_index=True)
+    views = [Named(quantities, columns, int(row)) for row in first]
+    results = [_value(name, function, view) for view in views]
+    kinds = {type(result): view for result, view in zip(results, views, strict=True)}
+    if set(kinds) == {int, float}:
+        kinds, results = {float: kinds[float]}, [float(result) for result in results]
+    if len(kinds) > 1:
+        listed = " and ".join(f"{kind.__name__} (for {view!r})" for kind, view in kinds.items())
+        raise InvalidSettingError(f"{name} has values of several kinds: {listed}")
+    if float in kinds:
+        return Quantity(name), np.array(results, np.float64)[number]
+    values: list[Any] = [False, True] if bool in kinds else sorted(set(results))
+    code = {value: index for index, value in enumerate(values)}
+    quantity = Quantity(name, tuple(map(str, values)), tuple(values))
+    return quantity, np.array([code[result] for result in results], np.int64)[number]
+
+
+def _value(name: str, function: Definition, view: Named) -> bool | int | float | str:
+    try:
+        found = function(view)
+    except Exception as error:  # whatever a user's function does
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        raise InvalidSettingError(f"{name} failed for {view!r}: {reason}") from error
+    if isinstance(found, np.generic):
+        found = found.item()
+    for kind in (bool, int, float, str):  # a bool is an int too
+        if isinstance(found, kind):
+            if isinstance(found, float) and not math.isfinite(found):
+                raise InvalidSettingError(f"{name} is {found} for {view!r}: expected a number")
+            return kind(found)
+    raise InvalidSettingError(
+        f"{name} is {shown(found)} for {view!r}: expected a truth value, a number or a string"
+    )
+
+
+# --- A weighted table of hypotheses, and what one can ask it --------------------------------------
 
 HDI_PROBABILITY: Final = 0.94
 """Mass of the intervals that summaries report."""
@@ -57,7 +180,7 @@ class Hypotheses(WeightedRows):
             function: hypothesis -> a truth value, a whole number or a string, for a quantity
                 with categories (of which those of numbers have means too), or a real number. It
                 is called at once, once per distinct hypothesis, which offers the quantities by
-                name, as in ``h.goal_red`` (:class:`phase_ppl.analysis.define.Named`).
+                name, as in ``h.goal_red`` (:class:`phase_ppl.analysis.hypotheses.Named`).
 
         A function cannot be written to a file: define it again after :meth:`Posterior.load`.
 
@@ -106,12 +229,12 @@ class Hypotheses(WeightedRows):
         rows, weights, without = self._weighed(given)
         codes = np.ravel_multi_index([self._rows.values[name][rows] for name in names], shape)
         occupied, codes = np.unique(codes, return_inverse=True)
-        mass = statistics.shares(codes, weights)
+        mass = estimate.shares(codes, weights)
         table = np.zeros(shape)
         table.flat[occupied] = mass
         error = np.full(shape, np.nan if without is None else 0.0)
         if without is not None:
-            error.flat[occupied] = without.error(statistics.shares(codes, without.weights), mass)
+            error.flat[occupied] = without.error(estimate.shares(codes, without.weights), mass)
             error = self._error_of_share(table, error, float(self._rows.weights[rows].sum()))
         coords: dict[str, Any] = dict(zip(names, map(list, labels), strict=True))
         return xr.DataArray(
@@ -135,7 +258,7 @@ class Hypotheses(WeightedRows):
         """
         if not event:
             raise InvalidSettingError("name the event, as in probability(relation='friendly')")
-        return self._number(statistics.share, self._satisfied(event), given)
+        return self._number(estimate.share, self._satisfied(event), given)
 
     def top(
         self, name: str, n: int = N_TOP, *, given: Mapping[str, Any] | None = None
@@ -162,11 +285,11 @@ class Hypotheses(WeightedRows):
         labels = self._quantity(name).categories()
         rows, weights, without = self._weighed(given)
         codes, size = self._rows.values[name][rows], len(labels)
-        mass = statistics.shares(codes, weights, size)
+        mass = estimate.shares(codes, weights, size)
         label = labels[int(mass.argmax())]
         if without is None:
             return Mode(label)
-        return Mode(label, doubt(mass, without, statistics.shares(codes, without.weights, size)))
+        return Mode(label, doubt(mass, without, estimate.shares(codes, without.weights, size)))
 
     def entropy(self, *names: str, given: Mapping[str, Any] | None = None) -> Estimate:
         """Return the entropy, in nats, of the joint distribution of quantities with categories.
@@ -181,19 +304,19 @@ class Hypotheses(WeightedRows):
             size = len(self._quantity(name).categories())
             _, codes = np.unique(codes * size + self._rows.values[name], return_inverse=True)
         rows, weights, without = self._weighed(given)
-        number = float(statistics.entropy(statistics.shares(codes[rows], weights)))
+        number = float(estimate.entropy(estimate.shares(codes[rows], weights)))
         if without is None:
             return Estimate(number)
-        numbers = statistics.entropy(statistics.shares(codes[rows], without.weights))
+        numbers = estimate.entropy(estimate.shares(codes[rows], without.weights))
         return Estimate(number, float(without.error(numbers, number)))
 
     def mean(self, name: str, *, given: Mapping[str, Any] | None = None) -> Estimate:
         """Return the mean of a quantity with numbers, such as a strength in newtons."""
-        return self._number(statistics.mean, self._numbers(name), given)
+        return self._number(estimate.mean, self._numbers(name), given)
 
     def sd(self, name: str, *, given: Mapping[str, Any] | None = None) -> Estimate:
         """Return the standard deviation of a quantity with numbers."""
-        return self._number(statistics.sd, self._numbers(name), given)
+        return self._number(estimate.sd, self._numbers(name), given)
 
     def hdi(
         self,
@@ -217,12 +340,12 @@ class Hypotheses(WeightedRows):
         values = self._numbers(name)
         rows, weights, without = self._weighed(given, LEFT_OUT_OF_INTERVALS)
         levels, codes = np.unique(values[rows], return_inverse=True)
-        bounds = statistics.shortest_interval(levels, statistics.shares(codes, weights), prob)
+        bounds = estimate.shortest_interval(levels, estimate.shares(codes, weights), prob)
         error = np.full(2, np.nan)
         if without is not None:
-            masses = statistics.shares(codes, without.weights)
+            masses = estimate.shares(codes, without.weights)
             error = without.error(
-                [statistics.shortest_interval(levels, mass, prob) for mass in masses], bounds
+                [estimate.shortest_interval(levels, mass, prob) for mass in masses], bounds
             )
         coords = {"bound": ["lower", "upper"], "error": ("bound", error)}
         return xr.DataArray(list(bounds), coords, dims="bound", name=name)

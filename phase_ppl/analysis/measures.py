@@ -10,13 +10,13 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.convergence import ess_mean
+from phase_ppl.analysis.diagnostics import ess_mean
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.tree import array
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Truth
 from phase_ppl.world.goals import goal_index
-from phase_ppl.world.relations import RELATIONS
+from phase_ppl.world.hypothesis import RELATIONS
 
 COMPARED: Final = ("goal_red", "goal_green", "relation")
 """Quantities whose marginals are compared with a reference."""
@@ -95,7 +95,7 @@ def efficiency(post: Posterior) -> dict[str, float]:
       of effective goals changed.
     * ``distinct``: hypotheses among the draws.
     * ``ess_per_simulation``: effective sample size of the log joint
-      (:func:`phase_ppl.analysis.convergence.ess_mean`), per simulation; of weighted draws, 1 / the
+      (:func:`phase_ppl.analysis.diagnostics.ess_mean`), per simulation; of weighted draws, 1 / the
       sum of their squared weights.
     * ``simulations``, their ``frames``, and ``seconds`` of wall time.
     """

@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from phase_ppl.analysis.comparison_plot import comparison as comparison
-from phase_ppl.analysis.data_card import data_card as data_card
-from phase_ppl.analysis.diagnostic_plots import chains as chains
-from phase_ppl.analysis.diagnostic_plots import diagnostics as diagnostics
-from phase_ppl.analysis.diagnostic_plots import errors as errors
-from phase_ppl.analysis.diagnostic_plots import goal_map as goal_map
 from phase_ppl.analysis.estimate import Estimate
-from phase_ppl.analysis.over_time_plot import over_time as over_time
+from phase_ppl.analysis.figures.comparison import comparison as comparison
+from phase_ppl.analysis.figures.data_card import data_card as data_card
+from phase_ppl.analysis.figures.diagnostics import chains as chains
+from phase_ppl.analysis.figures.diagnostics import diagnostics as diagnostics
+from phase_ppl.analysis.figures.diagnostics import errors as errors
+from phase_ppl.analysis.figures.diagnostics import goal_map as goal_map
+from phase_ppl.analysis.figures.stepwise import over_time as over_time
+from phase_ppl.analysis.figures.stepwise import why as why
+from phase_ppl.analysis.figures.style import INK, NORMAL, SMALL, bare, new_figure, written
+from phase_ppl.analysis.figures.training import training_curves as training_curves
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-from phase_ppl.analysis.style import INK, NORMAL, SMALL, bare, new_figure, written
-from phase_ppl.analysis.training_plot import training_curves as training_curves
-from phase_ppl.analysis.why_plot import why as why
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.geometry import agent_outline, is_agent
 from phase_ppl.world.hypothesis import STRENGTH_RANGE

@@ -31,15 +31,14 @@ from numpy.typing import NDArray
 from phase_ppl.analysis.tree import array
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, unknown_name
 from phase_ppl.world.goals import GOALS, N_GOALS, goal_literal
-from phase_ppl.world.hypothesis import ALPHAS
-from phase_ppl.world.literals import Predicate
-from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS
-from phase_ppl.world.relations import (
+from phase_ppl.world.hypothesis import (
+    ALPHAS,
     RELATION_OF_SCENARIO,
     RELATIONS,
     SCENARIO_TABLE,
     SCENARIOS,
 )
+from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS, Predicate
 
 ScenarioFunction = Callable[[str, str], str]
 """(effective goal of red, of green) -> one of ``SCENARIOS``."""

@@ -13,7 +13,6 @@ import xarray as xr
 
 from phase_ppl.analysis.estimate import Jackknife
 from phase_ppl.analysis.hypotheses import Hypotheses
-from phase_ppl.analysis.kept_scene import kept_scene
 from phase_ppl.analysis.quantities import (
     ScenarioFunction,
     part_codes,
@@ -21,10 +20,10 @@ from phase_ppl.analysis.quantities import (
     relation_codes,
 )
 from phase_ppl.analysis.stepwise_diagnostics import diagnostics
-from phase_ppl.analysis.stepwise_print import stepwise_summary, stepwise_table
-from phase_ppl.analysis.stepwise_table import SCHEMAS, STRENGTHS, Table, brought_up, check
+from phase_ppl.analysis.stepwise_table import SCHEMAS, STRENGTHS, Table, brought_up, check, why
+from phase_ppl.analysis.summary import answer_lines, answers, plain, wrapped
+from phase_ppl.analysis.tree import kept_scene
 from phase_ppl.analysis.weights import log_sum_exp
-from phase_ppl.analysis.why import why
 from phase_ppl.dataset.hdf5 import netcdf_bytes, read_netcdf, root_attribute
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
@@ -32,6 +31,51 @@ from phase_ppl.world.files import check_output, existing_file, write_bytes
 from phase_ppl.world.goals import GOALS, N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
 from phase_ppl.world.scene import Scene
+
+
+def stepwise_summary(post: StepwisePosterior) -> dict[str, Any]:
+    """Return ``post`` in JSON's types.
+
+    Keys: ``goals``, ``relation``, ``scenario``, ``strengths``, ``errors`` as of sampled ones;
+    ``map``, ``log_evidence`` (nats), ``diagnostics``, ``frame``, ``settings``, ``cost``.
+    """
+    record = {
+        **answers(post),
+        "map": post.map_record(),
+        "log_evidence": post.log_evidence,
+        "diagnostics": post.diagnostics(),
+        "frame": post.frame,
+        "settings": post.settings,
+        "cost": post.cost,
+    }
+    return {name: plain(value) for name, value in record.items()}
+
+
+def stepwise_table(post: StepwisePosterior) -> str:
+    """Return ``post`` as a table of at most 88 columns."""
+    found = post.diagnostics()
+    head = f"{post.event_id}: read step by step, {found['frames']} frames; all hypotheses, "
+    seeds = found["planner_seeds"]
+    head += f"{seeds} sets of searches" if seeds > 1 else "one set of searches"
+    lines = [*wrapped("posterior", head), *wrapped("verdict", found["verdict"]), ""]
+    lines += [*answer_lines(post), ""]
+    lines += wrapped(
+        "evidence", f"log p(video) = {post.log_evidence:.1f} nats, every frame counted in full"
+    )
+    if found["weight"] != 1:
+        words = f"in the probabilities above a frame counts {found['weight']:g} (tempered)"
+        lines += wrapped("weight", words)
+    return "\n".join([*lines, *wrapped("cost", _cost(post.cost, found["frames"]))])
+
+
+def _cost(cost: dict[str, Any], n: int) -> str:
+    words = f"{cost['searches']} searches, {cost['searches'] / max(1, n - 1):.0f} a step"
+    if isinstance(cost.get("seconds"), int | float):
+        words += f", in {cost['seconds']:.1f} s; the video lasts {cost['video_seconds']:.1f} s"
+    return words
+
+
+# --- the posterior of the closed-loop likelihood: summed over all hypotheses, at every... ---------
 
 FILTERING: Final = (
     "Filtering: what can be believed at each frame from the frames so far; later frames change "

@@ -22,6 +22,7 @@ from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.files import check_output, existing_file, write_bytes
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS
+from phase_ppl.world.scene import Scene
 
 SCHEMA: Final = "phase-ppl-posterior-2"
 """Value of the root attribute ``schema``."""
@@ -262,3 +263,18 @@ def _likelihood_of(tree: xr.DataTree) -> str:
         return str(json.loads(tree.attrs["settings"])["model"]["likelihood"])
     except (KeyError, TypeError, ValueError):
         return ""
+
+
+# --- the scene of an event, as files of posteriors keep it ----------------------------------------
+
+
+def kept_scene(kept: xr.Dataset) -> Scene:
+    """Return the scene of a dataset with its arrays as variables and the rest as attributes."""
+    names = ("start", "radius", "walls", "landmark_centres")
+    x0, x1, y0, y1 = (float(v) for v in kept["arena"].values)
+    return Scene(
+        **{name: kept[name].values for name in names},
+        turning=kept.attrs["turning"],
+        arena=(x0, x1, y0, y1),
+        landmark_half_width=float(kept.attrs["landmark_half_width"]),
+    )

@@ -10,9 +10,9 @@ from typing import Any
 
 import phase_ppl
 from phase_ppl.cli.shared import add_progress, shows_progress, writable_folder
+from phase_ppl.dataset.counts import PHASE
 from phase_ppl.dataset.generation.store import MANIFEST, read_manifest
-from phase_ppl.dataset.phase_statistics import PHASE
-from phase_ppl.evaluation.sources import all_events
+from phase_ppl.evaluation.judgments import all_events
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import write_json
 

@@ -19,7 +19,7 @@ from phase_ppl.cli.shared import (
     writable_folder,
 )
 from phase_ppl.models.socialgnn.graphs import VARIANTS
-from phase_ppl.models.socialgnn.settings import TrainingSettings
+from phase_ppl.models.socialgnn.store import TrainingSettings
 from phase_ppl.world.errors import InvalidSettingError, unknown_name
 
 MODELS: Final = ("socialgnn",)

@@ -340,3 +340,16 @@ def _seed(seed: int, place: int) -> int:
     if place == 0:
         return seed
     return int(np.random.SeedSequence([seed, place]).generate_state(1, np.uint64)[0])
+
+
+# --- compiling all that reading a video needs, before there is one --------------------------------
+
+
+def warm_up() -> None:
+    """Compile the kernels, or load them from the cache on disk."""
+    spots = [[8.0, 20.0, 0.0], [24.0, 20.0, 0.0], [24.0, 4.0, 0.0], [8.0, 4.0, 0.0]]
+    scene = Scene(start=np.array(spots), radius=np.full(4, 0.8))
+    conduct = Conduct(1.0, 1.0, 0.5, 0.5)
+    with Reader(scene, PlannerConfig(simulations=2), Tracking(states=1), conduct) as reader:
+        for _ in range(2):
+            reader.read(scene.start)

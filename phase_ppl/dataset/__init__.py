@@ -1,8 +1,14 @@
 """Reading and writing events: the package's own files, the authors' videos, bundled events."""
 
-from phase_ppl.dataset.bundled import bundled_events, load_bundled
 from phase_ppl.dataset.export import export_events
-from phase_ppl.dataset.load import load_event, load_events, save_event, save_events
+from phase_ppl.dataset.load import (
+    bundled_events,
+    load_bundled,
+    load_event,
+    load_events,
+    save_event,
+    save_events,
+)
 
 __all__ = [
     "bundled_events",

@@ -8,14 +8,15 @@ import functools
 import importlib
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Final
 
 from phase_ppl.dataset import events_json, phase_test
-from phase_ppl.dataset.bundled import bundled_events, load_bundled
-from phase_ppl.dataset.documents import read_document
-from phase_ppl.dataset.fields import Entries
+from phase_ppl.dataset.documents import parse_document, read_document
+from phase_ppl.dataset.events_json import Entries, event_from_record
 from phase_ppl.dataset.hdf5 import is_hdf5
 from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import (
@@ -28,6 +29,36 @@ from phase_ppl.world.errors import (
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import as_path, check_output, write_bytes
 from phase_ppl.world.scene import TURNINGS, Turning
+
+_SUFFIX = ".json"
+
+
+def bundled_events() -> list[str]:
+    """Return the names of the bundled events, sorted."""
+    folder = _folder()
+    if not folder.is_dir():
+        return []
+    names = (file.name for file in folder.iterdir())
+    return sorted(name.removesuffix(_SUFFIX) for name in names if name.endswith(_SUFFIX))
+
+
+def load_bundled(name: str) -> Event:
+    """Return the bundled event ``name``.
+
+    Raises:
+        UnknownNameError: there is no such event; the message names those that there are.
+    """
+    names = bundled_events()
+    if name not in names:
+        raise unknown_name("bundled event", name, names)
+    return event_from_record(parse_document((_folder() / f"{name}{_SUFFIX}").read_bytes()))
+
+
+def _folder() -> Traversable:
+    return resources.files("phase_ppl.dataset") / "events"
+
+
+# --- reading and writing events, whatever the format of the file ----------------------------------
 
 _JSON: Final = ".json"
 _NETCDF: Final = ".nc"

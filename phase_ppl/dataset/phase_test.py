@@ -20,7 +20,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.dataset.fields import (
+from phase_ppl.dataset.events_json import (
     Entries,
     event_id,
     optional,
@@ -28,18 +28,17 @@ from phase_ppl.dataset.fields import (
     read_observation,
     require,
 )
-from phase_ppl.dataset.turning import observed_turning
+from phase_ppl.dataset.motion import observed_turning
 from phase_ppl.world.errors import InvalidEventError, shown
 from phase_ppl.world.event import Event, Truth
 from phase_ppl.world.goals import GOALS
-from phase_ppl.world.hypothesis import STRENGTH_LEVELS
+from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS, STRENGTH_LEVELS
 from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS
 from phase_ppl.world.observation import (
     FRAMES_PER_SECOND,
     SHOWN_SECONDS_PER_FRAME,
     Observation,
 )
-from phase_ppl.world.relations import RELATIONS, SCENARIOS
 from phase_ppl.world.scene import LANDMARK_HALF_WIDTH, Scene, finite_array
 
 FORMAT: Final = "phase-test-1"

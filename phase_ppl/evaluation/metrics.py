@@ -56,8 +56,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from phase_ppl.evaluation import agreement, tables
-from phase_ppl.evaluation.bootstrap import Figure, difference, figure, resampled
-from phase_ppl.evaluation.curves import (
+from phase_ppl.evaluation.agreement import (
     PREFIX,
     Curve,
     Path,
@@ -68,6 +67,7 @@ from phase_ppl.evaluation.curves import (
     people_curves,
     put,
 )
+from phase_ppl.evaluation.bootstrap import Figure, difference, figure, resampled
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
 from phase_ppl.evaluation.references import reference_predictions
 from phase_ppl.evaluation.tables import KINDS, Facts, Said

@@ -8,14 +8,14 @@ from typing import Any, Final
 import numpy as np
 
 from phase_ppl.evaluation import tables
+from phase_ppl.evaluation.agreement import accuracy_curves, confusion, count_scenarios, put
 from phase_ppl.evaluation.bootstrap import figure, resampled, weighted_mean
-from phase_ppl.evaluation.curves import accuracy_curves, confusion, count_scenarios, put
 from phase_ppl.evaluation.prediction import GOAL_QUESTIONS, QUESTIONS
 from phase_ppl.evaluation.tables import KINDS, true_answer
 from phase_ppl.evaluation.votes import event_judgments
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event
-from phase_ppl.world.relations import SCENARIOS, scenario
+from phase_ppl.world.hypothesis import SCENARIOS, scenario
 
 _RED, _GREEN = GOAL_QUESTIONS.values()
 _ALL: Final = ""

@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, shown, unknown_name
 from phase_ppl.world.goals import GOALS, goal_index
+from phase_ppl.world.hypothesis import RELATIONS, scenario
 from phase_ppl.world.names import AGENTS
-from phase_ppl.world.relations import RELATIONS, scenario
 
 QUESTIONS: Final[Mapping[str, tuple[str, ...]]] = {
     "goal_red": GOALS,

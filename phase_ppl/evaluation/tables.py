@@ -13,7 +13,7 @@ from phase_ppl.evaluation.votes import Judgments, event_judgments
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
 from phase_ppl.world.event import Event
-from phase_ppl.world.relations import SCENARIOS
+from phase_ppl.world.hypothesis import SCENARIOS
 
 KINDS: Final[Mapping[str, tuple[str, ...]]] = {
     "goal": tuple(GOAL_QUESTIONS.values()),

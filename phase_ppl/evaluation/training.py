@@ -35,8 +35,7 @@ from phase_ppl.models.neural import needs_torch
 from phase_ppl.models.socialgnn import store
 from phase_ppl.models.socialgnn.examples import Examples
 from phase_ppl.models.socialgnn.graphs import frame_graphs
-from phase_ppl.models.socialgnn.settings import TrainingSettings
-from phase_ppl.models.socialgnn.store import Trained
+from phase_ppl.models.socialgnn.store import Trained, TrainingSettings
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidEventError, OutputError, PhasePPLError, shown
 from phase_ppl.world.event import Event
@@ -215,7 +214,7 @@ def _finish(
     progress: bool | None,
 ) -> dict[str, Any]:
     """Put the networks together, score them, write the report and draw the curves."""
-    from phase_ppl.analysis.training_plot import training_curves
+    from phase_ppl.analysis.figures.training import training_curves
 
     variant = settings.variant
     members = [store.load(folder / MEMBERS / f"{seed}.npz").members[0] for seed in seeds]
@@ -261,7 +260,7 @@ def _said(
     progress: bool | None,
 ) -> list[list[Shares]]:
     """Return per event, split after split, what each network says."""
-    from phase_ppl.models.socialgnn.answers import Ensemble
+    from phase_ppl.models.socialgnn.network import Ensemble
 
     networks = [
         Ensemble(Trained(trained.variant, (member,)), settings.threads)

@@ -13,8 +13,8 @@ from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.errors import InvalidEventError, PhasePPLError, shown, unknown_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import GOALS, goal_index
+from phase_ppl.world.hypothesis import RELATIONS
 from phase_ppl.world.names import AGENTS
-from phase_ppl.world.relations import RELATIONS
 
 MAX_VOTES: Final = 10**9 - 1
 """Most votes on one question of one event."""

@@ -19,9 +19,9 @@ from phase_ppl.analysis.measures import accuracy, curve, efficiency, of_truth
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.summary import plain
 from phase_ppl.analysis.weights import WEIGHTINGS
-from phase_ppl.inference.comparison.contenders import Contender, Spec, contenders
-from phase_ppl.inference.comparison.reference import Reference, reference_of
+from phase_ppl.inference.contenders import Contender, Spec, contenders
 from phase_ppl.inference.infer import CHAINS
+from phase_ppl.inference.reference import Reference, reference_of
 from phase_ppl.inference.runs.progress import is_shown
 from phase_ppl.inference.settings import Budget, SimpleSettings, described_budget, whole_number
 from phase_ppl.models.model import Model
@@ -90,7 +90,7 @@ def compare(
         chains: particles M.
         seed: a whole number >= 0.
         reference: what the results are compared with: a posterior of the same event and model,
-            "enumeration" (:mod:`phase_ppl.inference.comparison.enumeration`), with more than 4
+            "enumeration" (:mod:`phase_ppl.inference.reference`), with more than 4
             simulations of each pair of goals as ``("enumeration", {"per_pair": 16})``, or a
             kernel as in ``kernels``, whose options may have a ``budget`` or ``iterations``;
             without, it has ten times the budget. By default enumeration, if ten times the budget

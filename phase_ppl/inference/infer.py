@@ -12,9 +12,8 @@ from numpyro.infer.mcmc import MCMCKernel
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.inference.registry import Factory
-from phase_ppl.inference.runs import pace
-from phase_ppl.inference.runs.archive import SUFFIXES
-from phase_ppl.inference.runs.checkpoint import Checkpoint
+from phase_ppl.inference.runs import length
+from phase_ppl.inference.runs.checkpoint import SUFFIXES, Checkpoint
 from phase_ppl.inference.runs.length import budget_of, check_chains
 from phase_ppl.inference.runs.plan import Plan, complete_model, model_again, no_event
 from phase_ppl.inference.runs.session import Interrupted, Means, carry_out
@@ -27,7 +26,7 @@ from phase_ppl.inference.settings import (
     seconds,
     simulations,
 )
-from phase_ppl.inference.stepwise.enumerate import read_event
+from phase_ppl.inference.stepwise import read_event
 from phase_ppl.models.model import Model
 from phase_ppl.models.stepwise import StepwiseLikelihood
 from phase_ppl.world.checks import whole_number
@@ -140,7 +139,7 @@ def infer(
     The last two carry what was done until then as ``posterior``, as any error does that ends a
     run; None where the initial particles were not complete.
     """
-    began = pace.clock()
+    began = length.clock()
     given = {
         "chains": None if chains == CHAINS else chains,
         "iterations": iterations,
@@ -227,7 +226,7 @@ def resume(
             message says in what; or must be given; or a setting cannot be used.
         OutputError, SimulationError, Interrupted: as in :func:`infer`.
     """
-    began = pace.clock()
+    began = length.clock()
     saved = Checkpoint(path)
     if settings is None:
         if saved.settings is None:

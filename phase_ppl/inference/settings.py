@@ -5,8 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from phase_ppl.inference.proposals.strength.estimates import Estimator
-from phase_ppl.inference.proposals.strength.estimators import DEFAULT_ESTIMATOR, strength_estimator
+from phase_ppl.inference.proposals.strength import DEFAULT_ESTIMATOR, Estimator, strength_estimator
 from phase_ppl.inference.proposals.tables import (
     FORMS,
     SIGNS,
@@ -37,7 +36,7 @@ class SimpleSettings:
         prior_share: weight of the prior in the proposal.
         sign: "intended": goals that are close are proposed; "printed": as the paper's formula.
         strength: what estimates the strengths of the proposal: a name of
-            :data:`~phase_ppl.inference.proposals.strength.estimators.ESTIMATORS`, or an estimator.
+            :data:`~phase_ppl.inference.proposals.strength.ESTIMATORS`, or an estimator.
 
     Raises:
         InvalidSettingError: a value is out of range.

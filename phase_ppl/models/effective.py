@@ -20,8 +20,7 @@ from jax.scipy.special import logsumexp
 from numpy.typing import NDArray
 from numpyro import handlers
 
-from phase_ppl.models.compiling import compiled_quickly
-from phase_ppl.models.density import draw, latent_sites, trace_log_density
+from phase_ppl.models.density import compiled_quickly, draw, latent_sites, trace_log_density
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.goals import N_GOALS, effective_goals

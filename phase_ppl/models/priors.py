@@ -22,13 +22,17 @@ from numpyro.distributions import constraints
 
 from phase_ppl.models import sites
 from phase_ppl.models.density import Program
-from phase_ppl.models.one_of import OneOf
-from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, IMPOSSIBLE, SELF_REFERRING
+from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, IMPOSSIBLE, SELF_REFERRING, OneOf
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, unknown_name
 from phase_ppl.world.goals import N_GOALS, effective_goals
-from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_LEVELS, STRENGTH_RANGE
-from phase_ppl.world.relations import RELATION_TABLE, RELATIONS
+from phase_ppl.world.hypothesis import (
+    ALPHAS,
+    RELATION_TABLE,
+    RELATIONS,
+    STRENGTH_LEVELS,
+    STRENGTH_RANGE,
+)
 
 SOCIAL: Final = 0.1
 """Probability of a social goal under :func:`sparse_social`; 2/3 under :func:`uniform`."""

@@ -12,19 +12,130 @@ Strengths are real numbers, or one of a few (:class:`OneOf`).
 
 from __future__ import annotations
 
-from typing import Final
+from collections.abc import Sequence
+from typing import Any, Final
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import numpyro
 import numpyro.distributions as dist
+from jax import random
+from jax.scipy.special import logsumexp
+from numpyro.distributions import constraints
 
-from phase_ppl.models.one_of import IMPOSSIBLE as IMPOSSIBLE
-from phase_ppl.models.one_of import OneOf as OneOf
 from phase_ppl.world.goals import N_GOALS, is_self_referring
 from phase_ppl.world.hypothesis import STRENGTH_RANGE
 from phase_ppl.world.names import AGENTS
+
+IMPOSSIBLE: Final = -1e30
+"""Logit of what has no mass; finite, so that NumPyro's argument checks let it pass."""
+
+_MASSLESS = -1e15
+"""Values with logits below this are outside the support."""
+
+
+class OneOf(dist.Distribution):
+    """One of finitely many numbers.
+
+    A prior that samples a strength from it makes the bottom-up proposals choose among the same
+    numbers, so that Hastings' correction compares like with like::
+
+        numpyro.sample("strength_red", ppl.sites.OneOf([150.0, 450.0], probs=[0.2, 0.8]))
+
+    Args:
+        values: (k,) the numbers; they may depend on other sites.
+        probs: (k,) their probabilities, normalised here; by default alike.
+        logits: (k,) unnormalised log probabilities instead.
+
+    Raises:
+        ValueError: there are no values, another number of probabilities than of values, or both
+            ``probs`` and ``logits``.
+    """
+
+    arg_constraints = {  # noqa: RUF012  (NumPyro's way to declare them)
+        "values": constraints.real_vector,
+        "logits": constraints.real_vector,
+    }
+    pytree_data_fields = ("values", "logits")
+    has_enumerate_support = True
+
+    def __init__(
+        self,
+        values: jax.Array | Sequence[float],
+        probs: jax.Array | Sequence[float] | None = None,
+        *,
+        logits: jax.Array | Sequence[float] | None = None,
+        validate_args: bool | None = None,
+    ) -> None:
+        self.values = jnp.asarray(values)
+        if self.values.ndim != 1 or len(self.values) == 0:
+            raise ValueError(f"OneOf needs a list of values, not one of shape {self.values.shape}")
+        if probs is not None and logits is not None:
+            raise ValueError("OneOf takes probs or logits, not both")
+        if probs is not None:
+            logits = jnp.log(jnp.asarray(probs, jnp.float32))
+            logits = jnp.where(jnp.isneginf(logits), IMPOSSIBLE, logits)
+        elif logits is None:
+            logits = jnp.zeros(len(self.values))
+        self.logits = jnp.asarray(logits, jnp.float32)
+        if self.logits.shape != self.values.shape:
+            raise ValueError(
+                f"OneOf has {len(self.values)} values but probabilities of shape "
+                f"{self.logits.shape}"
+            )
+        super().__init__((), (), validate_args=validate_args)
+
+    @constraints.dependent_property(is_discrete=True, event_dim=0)
+    def support(self) -> constraints.Constraint:
+        """The values that have mass."""
+        return _OneOf(self.values, self.logits > _MASSLESS)
+
+    def sample(self, key: jax.Array, sample_shape: tuple[int, ...] = ()) -> jax.Array:
+        """Draw values."""
+        return self.values[random.categorical(key, self.logits, shape=sample_shape)]
+
+    def log_prob(self, value: Any) -> jax.Array:
+        """Return the log probability of a value; -inf where it is none of them."""
+        same = jnp.asarray(value)[..., None] == self.values
+        result: jax.Array = logsumexp(
+            jnp.where(same, jax.nn.log_softmax(self.logits), -jnp.inf), axis=-1
+        )
+        return result
+
+    def enumerate_support(self, expand: bool = True) -> jax.Array:
+        """Return (k,) the values."""
+        return self.values
+
+
+class _OneOf(constraints.Constraint[Any]):
+    """Holds for the numbers of a list that are possible."""
+
+    is_discrete = True
+
+    def __init__(self, values: jax.Array, possible: jax.Array) -> None:
+        self.values, self.possible = values, possible
+
+    def __call__(self, x: Any) -> jax.Array:
+        return ((jnp.asarray(x)[..., None] == self.values) & self.possible).any(axis=-1)
+
+    def __repr__(self) -> str:
+        return f"one of {self.values}"
+
+    def feasible_like(self, prototype: Any) -> jax.Array:
+        return jnp.full_like(prototype, self.values[jnp.argmax(self.possible)])
+
+    def tree_flatten(self) -> Any:
+        return (self.values, self.possible), (("values", "possible"), {})
+
+
+# --- the sites of a hypothesis, and default statements to use inside a prior of one's own ---------
+# A prior is a NumPyro program that samples all five sites; it may sample further ones::
+#
+# def helpers_common(): numpyro.sample("alpha", dist.Categorical(probs=jnp.array([.2, .3, .3, .1,
+# .1]))) phase_ppl.sites.goals() phase_ppl.sites.strengths()
+#
+# Strengths are real numbers, or one of a few (:class:`OneOf`).
 
 GOAL_SITES: Final = ("goal_red", "goal_green")
 """Stated goals: indices into ``GOALS``."""

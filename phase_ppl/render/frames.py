@@ -12,13 +12,95 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, ImageFont
 
-from phase_ppl.render.sight import field_of_view
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.geometry import UNIT_TRAPEZOID, is_agent, rotation
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
+from phase_ppl.world.event import Event
+from phase_ppl.world.geometry import UNIT_TRAPEZOID, centre_of_mass, is_agent, rotation
 from phase_ppl.world.names import AGENTS, ENTITIES, ITEMS
+from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene, finite_array
+
+_RAYS: Final = 361
+"""Rays at equal angles; further ones go to both sides of every wall's end and disc's edge."""
+
+_ASIDE: Final = 1e-7
+"""How far beside an edge its two rays pass, rad."""
+
+
+def field_of_view(scene: Scene, poses: FloatArray, agent: int) -> FloatArray:
+    """Return (n, 2) corners of the area that ``agent`` has in view, beyond the arena too.
+
+    Args:
+        scene: walls and sizes.
+        poses: (entity, coord) with coord = x, y [units], angle [rad].
+        agent: 0 red, 1 green.
+    """
+    from phase_ppl.agents.vision import HALF_ANGLE  # with numba: only where it is needed
+
+    radius = scene.radius
+    centres = np.array(
+        [
+            centre_of_mass(p[:2], p[2], r, e)
+            for e, (p, r) in enumerate(zip(poses, radius, strict=True))
+        ]
+    )
+    eye = centres[agent]
+    others = [entity for entity in range(len(ENTITIES)) if entity != agent]
+    discs, sizes = centres[others] - eye, radius[others]
+    walls = scene.walls - eye
+
+    ahead = poses[agent, 2] + np.pi / 2
+    edges = np.concatenate([_directions(walls.reshape(-1, 2)), _disc_edges(discs, sizes)])
+    edges = np.concatenate([edges - _ASIDE, edges + _ASIDE]) - ahead
+    edges = (edges + np.pi) % (2 * np.pi) - np.pi  # -180..180 degrees from the heading
+    turns = np.concatenate([np.linspace(-HALF_ANGLE, HALF_ANGLE, _RAYS), edges])
+    turns = np.sort(turns[np.abs(turns) <= HALF_ANGLE])
+    rays = np.stack([np.cos(ahead + turns), np.sin(ahead + turns)], axis=1)
+
+    x0, x1, _, _ = scene.arena
+    beyond = 4 * (x1 - x0)
+    reach = np.minimum(_to_walls(rays, walls), _to_discs(rays, discs, sizes)).clip(max=beyond)
+    return np.concatenate([eye[None], eye + reach[:, None] * rays])
+
+
+def _directions(points: FloatArray) -> FloatArray:
+    return np.arctan2(points[:, 1], points[:, 0])
+
+
+def _disc_edges(discs: FloatArray, sizes: FloatArray) -> FloatArray:
+    """Return the directions of rays that touch the discs; from inside one, square to its centre."""
+    distance = np.maximum(np.hypot(discs[:, 0], discs[:, 1]), 1e-9)
+    half = np.arcsin(np.minimum(sizes / distance, 1.0))
+    return np.concatenate([_directions(discs) - half, _directions(discs) + half])
+
+
+def _to_walls(rays: FloatArray, walls: FloatArray) -> FloatArray:
+    """Return (rays,) the distance along each ray to the first wall, inf if there is none."""
+    start, along = walls[:, 0], walls[:, 1] - walls[:, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        facing = _cross(rays[:, None], along)
+        distance = _cross(start, along) / facing
+        part = _cross(start, rays[:, None]) / facing
+    met = (distance >= 0) & (part >= 0) & (part <= 1)
+    return np.where(met, distance, np.inf).min(axis=1, initial=np.inf)
+
+
+def _to_discs(rays: FloatArray, discs: FloatArray, sizes: FloatArray) -> FloatArray:
+    """Return (rays,) the distance along each ray to where the first disc ends sight."""
+    along = rays @ discs.T
+    aside = np.abs(_cross(rays[:, None], discs))
+    return np.where((along > 0) & (aside < sizes), along, np.inf).min(axis=1, initial=np.inf)
+
+
+def _cross(first: FloatArray, second: FloatArray) -> FloatArray:
+    return np.asarray(first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0])
+
+
+# --- one frame in the look of the PHASE animations ------------------------------------------------
+# 640 x 480 pixels, 20 per unit, white; landmarks are filled squares, walls black lines 5 pixels
+# wide, items discs, agents trapezoids with two eyes at the short side, their front. y points up.
 
 Colour = tuple[int, int, int]
 Pixels = NDArray[np.uint8]
@@ -258,3 +340,74 @@ def _paste(
     at = [(float(x), float(y)) for x, y in (points - low) * fine - 0.5]
     paint(ImageDraw.Draw(mask), at)
     picture.paste(colour, (int(low[0]), int(low[1])), mask.reduce(fine))
+
+
+# --- frames put beside each other, with words -----------------------------------------------------
+
+PANEL: Final = HEIGHT
+"""Side of a square panel, pixels: the arena and its margin."""
+
+_TEXT_COLOUR: Final = (70, 70, 70)
+
+
+def panel(frame: Image.Image) -> Image.Image:
+    """Return the square middle of a frame, in which the arena lies."""
+    left = (WIDTH - PANEL) // 2
+    return frame.crop((left, 0, left + PANEL, PANEL))
+
+
+def side_by_side(panels: list[Image.Image], below: int = 0) -> Image.Image:
+    """Return a picture of ``panels`` from left to right over ``below`` blank rows."""
+    width, height = panels[0].size
+    picture = Image.new("RGB", (width * len(panels), height + below), BACKGROUND)
+    for index, part in enumerate(panels):
+        picture.paste(part, (index * width, 0))
+    return picture
+
+
+def write_centred(picture: Image.Image, text: str, x: float, y: float, size: float) -> None:
+    """Write ``text`` around the pixel (x, y), ``size`` pixels high."""
+    font = ImageFont.load_default(size)
+    ImageDraw.Draw(picture).text((x, y), text, fill=_TEXT_COLOUR, font=font, anchor="mm")
+
+
+# --- what is drawn: an event, an observation or bare trajectories, and the poses... ---------------
+
+Drawable = Event | Observation | ArrayLike
+"""Anything with trajectories; all but an event need a scene beside them."""
+
+
+def scene_and_trajectory(what: Drawable, scene: Scene | None) -> tuple[Scene, FloatArray]:
+    """Return the scene and the (time, entity, coord) trajectory to draw.
+
+    Args:
+        what: an event, an observation, or an array (time, entity, coord) with coord = x, y, angle.
+        scene: drawn instead of the event's own; needed for anything but an event.
+
+    Raises:
+        InvalidSettingError: no scene.
+        InvalidEventError: not such an array, not finite, or without frames.
+    """
+    if isinstance(what, Event):
+        return scene or what.scene, what.observation.trajectory
+    if scene is None:
+        raise InvalidSettingError("a trajectory alone does not say what to draw: give its scene=")
+    given = what.trajectory if isinstance(what, Observation) else what
+    trajectory = finite_array("trajectory", given, (None, len(ENTITIES), 3))
+    if len(trajectory) == 0:
+        raise InvalidEventError("trajectory has no frames")
+    return scene, trajectory
+
+
+def between_frames(trajectory: FloatArray, frames_per_step: int) -> FloatArray:
+    """Return the poses of every drawn frame, straight lines between the trajectory's frames.
+
+    Angles turn the shorter way round. The result has (T - 1) * frames_per_step + 1 frames.
+    """
+    smooth = np.array(trajectory)
+    smooth[..., 2] = np.unwrap(smooth[..., 2], axis=0)
+    moments = np.arange((len(smooth) - 1) * frames_per_step + 1) / frames_per_step
+    before = np.minimum(moments.astype(int), len(smooth) - 1)
+    after = np.minimum(before + 1, len(smooth) - 1)
+    weight = (moments - before)[:, None, None]
+    return np.asarray((1 - weight) * smooth[before] + weight * smooth[after])

@@ -2,17 +2,31 @@
 
 from __future__ import annotations
 
+import math
 import os
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Final
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageDraw, ImageFont
 
-from phase_ppl.render.frames import Painter
-from phase_ppl.render.panels import panel, side_by_side, write_centred
-from phase_ppl.render.tracks import Drawable, scene_and_trajectory
-from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.render.frames import (
+    BACKGROUND,
+    Colour,
+    Drawable,
+    Painter,
+    panel,
+    scene_and_trajectory,
+    side_by_side,
+    write_centred,
+)
+from phase_ppl.world.checks import whole_number
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
+from phase_ppl.world.event import Event
 from phase_ppl.world.files import atomic_output
+from phase_ppl.world.hypothesis import SCENARIOS
 from phase_ppl.world.observation import FRAMES_PER_SECOND
 from phase_ppl.world.scene import Scene
 
@@ -104,3 +118,162 @@ def draw_strip(
         x, y = (index + 0.5) * _STRIP_PANEL, _STRIP_PANEL + _STRIP_CAPTION / 3
         write_centred(picture, f"{frame / FRAMES_PER_SECOND:.1f} s", x, y, _STRIP_TEXT_SIZE)
     return picture
+
+
+# --- A whole set of events as one picture ---------------------------------------------------------
+
+SCENARIO_COLOURS: Final[dict[str, Colour]] = {
+    "collaborative": (0, 158, 115),
+    "independent": (86, 160, 211),
+    "competing": (230, 159, 0),
+    "opposing": (213, 94, 0),
+}
+"""To be told apart without seeing red and green apart."""
+
+UNKNOWN_COLOUR: Final[Colour] = (170, 170, 170)
+"""Of events without truth."""
+
+THUMBNAIL: Final = 192
+PER_PAGE: Final = 500
+
+_GAP: Final = 10
+_MARGIN: Final = 18
+_LINE: Final = 5
+_CAPTION: Final = 25
+_TEXT_SIZE: Final = 13
+_LEGEND_TEXT_SIZE: Final = (17, 2)
+"""Pixels of the legend's text at least, and per column: a large page is looked at from afar."""
+
+_TEXT_COLOUR: Final[Colour] = (60, 60, 60)
+_FINE: Final = 3
+_PALE: Final = 0.55
+_TRIM: Final = 36
+"""Pixels of a panel's margin around the arena that a thumbnail leaves out, of 40."""
+
+
+def contact_sheet(
+    events: Sequence[Event],
+    path: str | os.PathLike[str],
+    columns: int | None = None,
+    captions: bool = True,
+    *,
+    per_page: int = PER_PAGE,
+    progress: bool | None = None,
+) -> list[Path]:
+    """Write one picture of many events: of each its last frame, the ways there and its start.
+
+    The start is faint. Captions are ids below a line in the colour of the scenario, which a
+    legend above explains. A set larger than a page is spread over several, NAME-1.png, NAME-2.png
+    and so on.
+
+    Args:
+        events: in the order in which they are shown, row by row.
+        path: the file, ending in ".png".
+        columns: events per row; by default as many as make a page about square.
+        captions: whether to write captions and the legend.
+        per_page: events of a page at most; a page of 500 takes some 60 MB while it is drawn.
+        progress: whether to show a progress bar; None: where stderr is a terminal.
+
+    Returns:
+        The files.
+
+    Raises:
+        InvalidEventError: there are no events.
+        InvalidSettingError: ``columns`` or ``per_page`` is no positive number.
+        OutputError: another file ending, or a file cannot be written.
+    """
+    if not events:
+        raise InvalidEventError("there are no events to draw")
+    whole_number("per_page", per_page)
+    if columns is None:
+        columns = math.ceil(math.sqrt(min(len(events), per_page)))
+    columns = min(whole_number("columns", columns), len(events))
+    target = Path(path)
+    pages = [events[start : start + per_page] for start in range(0, len(events), per_page)]
+    paths = [
+        target if len(pages) == 1 else target.with_name(f"{target.stem}-{n}{target.suffix}")
+        for n in range(1, len(pages) + 1)
+    ]
+    from tqdm import tqdm
+
+    disable = None if progress is None else not progress
+    with tqdm(total=len(events), disable=disable, unit="event", desc="contact sheet") as bar:
+        for page, file in zip(pages, paths, strict=True):
+            with atomic_output(file, (".png",)) as part:
+                _page(page, columns, captions, bar.update).save(part, "PNG")
+    return paths
+
+
+def _page(
+    events: Sequence[Event], columns: int, captions: bool, done: Callable[[], object]
+) -> Image.Image:
+    """Return a page; ``done`` is called after each event."""
+    caption = _CAPTION if captions else 0
+    text_size = max(_LEGEND_TEXT_SIZE[0], _LEGEND_TEXT_SIZE[1] * columns)
+    legend = 2 * text_size if captions else 0
+    across, down = THUMBNAIL + _GAP, THUMBNAIL + caption + _GAP
+    size = (
+        2 * _MARGIN - _GAP + columns * across,
+        2 * _MARGIN - _GAP + legend + math.ceil(len(events) / columns) * down,
+    )
+    picture = Image.new("RGB", size, BACKGROUND)
+    if captions:
+        _write_legend(picture, events, text_size)
+    for index, event in enumerate(events):
+        row, column = divmod(index, columns)
+        x, y = _MARGIN + column * across, _MARGIN + legend + row * down
+        picture.paste(thumbnail(event), (x, y))
+        if captions:
+            _write_caption(picture, event, x, y + THUMBNAIL)
+        done()
+    return picture
+
+
+def thumbnail(event: Event, side: int = THUMBNAIL) -> Image.Image:
+    """Return a small square picture of what happened in an event."""
+    track = event.observation.trajectory
+    painter = Painter(event.scene, fine=_FINE, pale=_PALE)
+    drawn = panel(painter.draw(track[-1], trail=track, faint=track[0]))
+    box = (_TRIM, _TRIM, drawn.width - _TRIM, drawn.height - _TRIM)
+    return drawn.resize((side, side), Image.Resampling.LANCZOS, box)
+
+
+def scenario_colour(event: Event) -> Colour:
+    """Return the colour that stands for the event's scenario."""
+    return UNKNOWN_COLOUR if event.truth is None else SCENARIO_COLOURS[event.truth.scenario]
+
+
+def _write_caption(picture: Image.Image, event: Event, x: int, y: int) -> None:
+    """Write below a thumbnail whose lower left corner is (x, y)."""
+    font, draw = ImageFont.load_default(_TEXT_SIZE), ImageDraw.Draw(picture)
+    draw.rectangle((x, y, x + THUMBNAIL - 1, y + _LINE - 1), fill=scenario_colour(event))
+    text = " ".join(event.id.split())
+    if font.getlength(text) > THUMBNAIL:
+        while text and font.getlength(f"{text}...") > THUMBNAIL:
+            text = text[:-1]
+        text += "..."
+    middle = y + (_LINE + _CAPTION) // 2
+    draw.text((x, middle), text, fill=_TEXT_COLOUR, font=font, anchor="lm")
+
+
+def _write_legend(picture: Image.Image, events: Sequence[Event], text_size: int) -> None:
+    """Write how many events there are, and of each scenario how many, as far as there is room."""
+    found = Counter("" if event.truth is None else event.truth.scenario for event in events)
+    entries: list[tuple[Colour | None, str]] = [
+        (None, f"{len(events)} event{'' if len(events) == 1 else 's'}"),
+        *((SCENARIO_COLOURS[name], f"{name} {found[name]}") for name in SCENARIOS if found[name]),
+    ]
+    if found[""]:
+        entries.append((UNKNOWN_COLOUR, f"of unknown truth {found['']}"))
+    font, draw = ImageFont.load_default(text_size), ImageDraw.Draw(picture)
+    chip = round(0.7 * text_size)
+    x, middle = _MARGIN, _MARGIN + text_size // 2
+    for colour, text in entries:
+        start = x if colour is None else x + chip + text_size // 2
+        if start + font.getlength(text) > picture.width:
+            return
+        if colour is not None:
+            top = middle - chip // 2
+            draw.rectangle((x, top, x + chip - 1, top + chip - 1), fill=colour)
+        draw.text((start, middle), text, fill=_TEXT_COLOUR, font=font, anchor="lm")
+        x = start + round(font.getlength(text)) + 2 * text_size

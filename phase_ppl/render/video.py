@@ -2,23 +2,133 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
-from collections.abc import Iterable, Iterator
-from typing import Final
+import re
+import subprocess
+import tempfile
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 from PIL import Image
 
-from phase_ppl.render.encoder import MAX_GIF_FPS, encode_gif, encode_mp4
-from phase_ppl.render.frames import Painter
-from phase_ppl.render.panels import PANEL, panel, side_by_side, write_centred
-from phase_ppl.render.tracks import Drawable, between_frames, scene_and_trajectory
+from phase_ppl.render.frames import (
+    PANEL,
+    Drawable,
+    Painter,
+    between_frames,
+    panel,
+    scene_and_trajectory,
+    side_by_side,
+    write_centred,
+)
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.checks import positive_number, whole_number
-from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.checks import number_of_workers, positive_number, whole_number
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import as_path, atomic_output
+from phase_ppl.world.files import as_path, atomic_output, writable_folder
 from phase_ppl.world.scene import Scene
+
+GIF_COLOURS: Final = 256
+_FREQUENT_COLOURS: Final = 128
+"""Colours of a GIF that are in it for being frequent; the rest for being unlike those."""
+
+MAX_GIF_FPS: Final = 50
+"""Frames of a GIF last whole hundredths of a second, and viewers slow down those that last one."""
+
+
+def encode_mp4(frames: Iterable[Image.Image], path: Path, fps: float) -> None:
+    """Write RGB frames of one even size as H.264 (yuv420p) into ``path``.
+
+    Raises:
+        OSError: there is no ffmpeg, or it failed; the message is its last word.
+    """
+    codec = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "18", "-movflags", "+faststart"]
+    _encode(frames, fps, [*codec, str(path)])
+
+
+def encode_gif(
+    frames: Iterable[Image.Image], path: Path, fps: float, samples: Iterable[Image.Image]
+) -> None:
+    """Write RGB frames of one size as a GIF that repeats for ever into ``path``.
+
+    All frames share one palette, of colours in ``samples``; there is no dithering, which would
+    put noise on plain areas. Of each frame only what changed is stored.
+
+    Raises:
+        OSError: there is no ffmpeg, or it failed; the message is its last word.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        palette = Path(folder) / "palette.png"
+        _palette(samples).save(palette)
+        filters = ["-i", str(palette), "-lavfi", "paletteuse=dither=none:diff_mode=rectangle"]
+        _encode(frames, fps, [*filters, "-loop", "0", str(path)])
+
+
+def _palette(samples: Iterable[Image.Image]) -> Image.Image:
+    """Return up to 256 colours as a picture of 16 x 16 pixels."""
+    counts: Counter[Any] = Counter()
+    for sample in samples:
+        counts.update({c: n for n, c in sample.getcolors(sample.width * sample.height) or ()})
+    colours = np.array([colour for colour, _ in counts.most_common()], float)
+    chosen = colours[:_FREQUENT_COLOURS]
+    # then always the one that is worst represented: edges between shapes that seldom meet
+    missed = np.min([((colours - one) ** 2).sum(axis=1) for one in chosen], axis=0)
+    while len(chosen) < GIF_COLOURS and missed.any():
+        worst = colours[missed.argmax()]
+        chosen = np.concatenate([chosen, worst[None]])
+        missed = np.minimum(missed, ((colours - worst) ** 2).sum(axis=1))
+    filled = chosen[np.arange(GIF_COLOURS) % len(chosen)]
+    return Image.fromarray(filled.reshape(16, -1, 3).astype(np.uint8))
+
+
+def _encode(frames: Iterable[Image.Image], fps: float, result: Sequence[str]) -> None:
+    """Hand frames to ffmpeg with the options ``result``."""
+    process: subprocess.Popen[bytes] | None = None
+    try:
+        for frame in frames:
+            if process is None:
+                process = _start(frame.size, fps, result)
+            assert process.stdin is not None
+            process.stdin.write(frame.tobytes())
+    except BrokenPipeError:
+        pass  # ffmpeg gave up: its exit code and its words tell why
+    except BaseException:
+        if process is not None:
+            process.kill()
+            process.communicate()
+        raise
+    if process is None:
+        raise OSError("there are no frames")
+    _, words = process.communicate()
+    if process.returncode != 0:
+        lines = words.decode(errors="replace").strip().splitlines() or ["without a word"]
+        raise OSError(f"the video encoder failed: {lines[-1]}")
+
+
+def _start(size: tuple[int, int], fps: float, result: Sequence[str]) -> subprocess.Popen[bytes]:
+    import imageio_ffmpeg
+
+    try:
+        program = imageio_ffmpeg.get_ffmpeg_exe()
+    except RuntimeError as error:
+        raise OSError(str(error)) from None
+    rate = str(Fraction(fps).limit_denominator(1001))
+    source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", "{}x{}".format(*size), "-r", rate]
+    return subprocess.Popen(
+        [program, "-v", "error", "-y", *source, "-i", "-", *result],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        start_new_session=True,  # Ctrl-C is for Python, which then ends ffmpeg
+    )
+
+
+# --- animations: an event, or what was observed beside what was predicted, as MP4 or GIF ----------
 
 FRAMES_PER_SECOND: Final = 20
 FRAMES_PER_STEP: Final = 5
@@ -56,7 +166,7 @@ def video(
         fps: frames per second, of a GIF at most 50.
         frames_per_step: drawn frames per frame of the trajectory.
         fields_of_view: whether to show what each agent can see from where it is drawn, by the
-            rule of the simulator (:mod:`phase_ppl.render.sight`).
+            rule of the simulator (:mod:`phase_ppl.render.frames`).
         compare: a second trajectory, drawn beside the first in the same scene, or an event, in
             its own. The shorter of the two stands still at its end.
         captions: what is written above the two.
@@ -115,3 +225,83 @@ def _with_progress(
 
     bar: Iterable[Image.Image] = tqdm(frames, total=total, unit="frame")
     return bar
+
+
+# --- videos of a whole set of events, in parallel -------------------------------------------------
+
+_LONGEST_NAME: Final = 80
+
+
+def videos(
+    events: Sequence[Event],
+    folder: str | os.PathLike[str],
+    *,
+    workers: int | None = None,
+    progress: bool | None = None,
+) -> list[Path]:
+    """Write an MP4 of each event, ID.mp4, in the look of the PHASE videos.
+
+    A video that is there already is not made again, so an interrupted call is taken up by the
+    next one. A video appears only once it is complete.
+
+    Args:
+        events: the set.
+        folder: where the videos are to be; made if need be.
+        workers: processes; default one per usable core.
+        progress: whether to show a progress bar; None: where stderr is a terminal.
+
+    Returns:
+        The files, in the order of the events.
+
+    Raises:
+        InvalidEventError: two events have the same id.
+        InvalidSettingError: ``workers`` is no positive number.
+        OutputError: a file cannot be written.
+    """
+    import loky
+    from tqdm import tqdm
+
+    n_workers = number_of_workers(workers)
+    target = writable_folder(folder)
+    paths = [target / name for name in _names(events)]
+    waiting = [pair for pair in zip(events, paths, strict=True) if not pair[1].is_file()]
+    disable = None if progress is None else not progress
+    done = len(events) - len(waiting)
+    with tqdm(total=len(events), initial=done, disable=disable, unit="video") as bar:
+        if min(n_workers, len(waiting)) < 2:
+            for event, path in waiting:
+                video(event, path)
+                bar.update()
+            return paths
+        with loky.ProcessPoolExecutor(min(n_workers, len(waiting))) as pool:
+            running = [pool.submit(video, event, path) for event, path in waiting]
+            try:
+                for future in loky.as_completed(running):
+                    future.result()
+                    bar.update()
+            except BaseException:
+                for future in running:  # those that have begun are finished
+                    future.cancel()
+                raise
+    return paths
+
+
+def _names(events: Sequence[Event]) -> list[str]:
+    """Return a file name for each event: its id, where it is fit for one.
+
+    Raises:
+        InvalidEventError: two events have the same id.
+    """
+    ids = Counter(event.id for event in events)
+    twice = next((name for name, n in ids.items() if n > 1), None)
+    if twice is not None:
+        raise InvalidEventError(f"two events have the id {shown(twice)}")
+    lower = Counter(name.lower() for name in ids)  # one file to many a file system
+    names = []
+    for name in ids:
+        plain = re.sub(r"[^A-Za-z0-9._-]+", "_", name)[:_LONGEST_NAME]
+        if plain != name or plain.startswith(".") or lower[name.lower()] > 1:
+            code = hashlib.sha256(name.encode("utf-8", "surrogatepass")).hexdigest()[:8]
+            plain = f"{plain.lstrip('.')}-{code}"
+        names.append(f"{plain}.mp4")
+    return names

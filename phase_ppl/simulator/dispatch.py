@@ -11,7 +11,7 @@ from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, 
 from typing import Any, Final
 
 from phase_ppl.simulator.contract import Cancelled, OutOfTime, SimulationResult, too_long
-from phase_ppl.simulator.pool import Pool
+from phase_ppl.simulator.processes import Pool
 from phase_ppl.world.errors import SimulationError
 from phase_ppl.world.hypothesis import Hypothesis
 

@@ -22,8 +22,7 @@ from phase_ppl.simulator.joint import run_briefly
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import positive_number
 from phase_ppl.world.hypothesis import Hypothesis
-from phase_ppl.world.literals import Literal, Predicate
-from phase_ppl.world.names import AGENTS, NOTHING
+from phase_ppl.world.names import AGENTS, NOTHING, Literal, Predicate
 from phase_ppl.world.observation import FRAMES_PER_SECOND
 from phase_ppl.world.rooms import N_ROOMS
 from phase_ppl.world.scene import Scene

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, Future, InvalidStateError
 from types import TracebackType
+from typing import Final
 
 import cloudpickle
 import numpy as np
@@ -20,20 +21,65 @@ from phase_ppl.simulator.contract import (
     Cancelled,
     SimulationResult,
     Simulator,
+    Statistics,
     in_time,
     simulate_one,
     simulate_together,
     too_long,
 )
-from phase_ppl.simulator.costs import Statistics
 from phase_ppl.simulator.dispatch import Dispatch, Request
-from phase_ppl.simulator.failures import failure_error, fresh_seed, n_retries
-from phase_ppl.simulator.pool import BorrowedExecutor, OwnWorkers, Pool, Work
+from phase_ppl.simulator.processes import BorrowedExecutor, OwnWorkers, Pool, Work
 from phase_ppl.world.checks import number_of_workers, positive_number, whole_number
-from phase_ppl.world.errors import InvalidSettingError, shown
+from phase_ppl.world.errors import InvalidSettingError, SimulationError, shown, unknown_name
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
+
+POLICIES: Final = ("reject", "raise", "retry")
+"""A failed simulation is a result without likelihood; ends the run; is run again."""
+
+RETRIES: Final = 3
+"""How often "retry" runs a simulation again unless it is told a number."""
+
+_STREAM: Final = 0xFA11
+"""Keeps fresh seeds apart from other numbers that are drawn from the same seed."""
+
+
+def n_retries(policy: str, retries: int | None) -> int:
+    """Return how often a failed simulation is run again under a policy, one of ``POLICIES``.
+
+    Raises:
+        UnknownNameError: there is no such policy.
+        InvalidSettingError: ``retries`` is no whole number >= 1, or the policy has no use for it.
+    """
+    if policy not in POLICIES:
+        raise unknown_name("on_failure", policy, POLICIES)
+    if policy != "retry":
+        if retries is not None:
+            raise InvalidSettingError(
+                f"retries={shown(retries)} goes with on_failure='retry', not with {policy!r}"
+            )
+        return 0
+    return RETRIES if retries is None else whole_number("retries", retries)
+
+
+def fresh_seed(seed: int, attempt: int) -> int:
+    """Return the seed of the n-th further attempt (n >= 1) at a simulation; below 2**31.
+
+    A function of the two numbers alone, so that whoever simulates, wherever, gets the same.
+    """
+    words = np.random.SeedSequence([int(seed) & 0xFFFFFFFF, attempt, _STREAM]).generate_state(1)
+    return int(words[0]) >> 1
+
+
+def failure_error(result: SimulationResult) -> SimulationError:
+    """Return the error that a failed simulation is where it may not fail."""
+    return SimulationError(
+        f"simulation of [{result.hypothesis}] with seed {result.seed} failed: {result.failure}"
+    )
+
+
+# --- running many simulations: on worker processes, stopped early, counted, never lost ------------
 
 
 class Runner:

@@ -9,9 +9,8 @@ from typing import Any
 from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import unknown_name
 from phase_ppl.world.goals import GOALS, goal_index
-from phase_ppl.world.hypothesis import checked_strength
+from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS, checked_strength, relation, scenario
 from phase_ppl.world.observation import Observation
-from phase_ppl.world.relations import RELATIONS, SCENARIOS, relation, scenario
 from phase_ppl.world.scene import Scene, check_inside
 
 

@@ -10,8 +10,7 @@ from __future__ import annotations
 from typing import Final
 
 from phase_ppl.world.errors import unknown_name
-from phase_ppl.world.literals import Literal, Predicate
-from phase_ppl.world.names import AGENTS, ENTITIES, GREEN, LANDMARKS, RED
+from phase_ppl.world.names import AGENTS, ENTITIES, GREEN, LANDMARKS, RED, Literal, Predicate
 
 _ALPHABETICAL = ("blue item", "green agent", "pink item", "red agent")
 

@@ -8,19 +8,19 @@ import pkgutil
 import warnings
 
 
-def load_registered(what: str, package: str, entry_points: str) -> None:
+def load_registered(what: str, package: str | None, entry_points: str) -> None:
     """Import every module of a package of ours, then the entry points of other packages.
 
     Somebody else's that cannot be loaded is left out with a warning.
 
     Args:
         what: is registered, for the warning.
-        package: of ours, by its full name.
+        package: of ours, by its full name; None where ours are known already.
         entry_points: their group.
     """
-    ours = importlib.import_module(package)
-    for module in pkgutil.iter_modules(ours.__path__):
-        importlib.import_module(f"{package}.{module.name}")
+    if package is not None:
+        for module in pkgutil.iter_modules(importlib.import_module(package).__path__):
+            importlib.import_module(f"{package}.{module.name}")
     for entry in importlib.metadata.entry_points(group=entry_points):
         try:
             entry.load()

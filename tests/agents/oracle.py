@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from phase_ppl.agents import rewards
+from phase_ppl.agents import pomcp
 from phase_ppl.agents.agent import Agent
 from phase_ppl.agents.choice import Root
 from phase_ppl.agents.config import PlannerConfig
@@ -22,7 +22,7 @@ from phase_ppl.physics.actions import NO_ACTION
 from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.world.arrays import IntArray
 from phase_ppl.world.errors import InvalidSettingError
-from phase_ppl.world.literals import Literal
+from phase_ppl.world.names import Literal
 from phase_ppl.world.state import State
 
 
@@ -66,7 +66,7 @@ class SlowSearch:
 
     def run(self, particles: list[State], agent: int, subgoal: Literal, actions: IntArray) -> Node:
         """Return the root after ``n_simulations`` from particles drawn uniformly."""
-        code = rewards.subgoal_code(subgoal)
+        code = pomcp.subgoal_code(subgoal)
         root = Node([None] * len(actions))
         for _ in range(self.search.n_simulations):
             self.world.restore(particles[int(self.generator.integers(len(particles)))])
@@ -114,7 +114,7 @@ class SlowSearch:
         """Move the imagined world on and return the reward of the agent's action."""
         self.world.advance((own, other) if agent == 0 else (other, own))
         bodies, held, _ = compiled.from_state(self.world.state, self.mind.scene.radius)
-        return rewards.reward(bodies, held, code, own, self.mind.params, self.mind.ground)
+        return pomcp.reward(bodies, held, code, own, self.mind.params, self.mind.ground)
 
 
 class OracleAgent(Agent):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import pytest
 
-from phase_ppl.world.literals import STOP, Literal, Predicate
+from phase_ppl.world.names import STOP, Literal, Predicate
 from tests.agents.scenes import FULL_WALL_UP, HALF_WALL_LEFT
 from tests.agents.test_subgoals import (
     BLUE,

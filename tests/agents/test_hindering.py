@@ -6,7 +6,7 @@ Goals about touching an item are not among the 36, and neither is hindering in t
 from __future__ import annotations
 
 from phase_ppl.agents.subgoals import SubgoalPlanner
-from phase_ppl.world.literals import STOP, Literal, Predicate
+from phase_ppl.world.names import STOP, Literal, Predicate
 from phase_ppl.world.rooms import N_ROOMS
 from tests.agents.scenes import FULL_WALL_UP, HALF_WALL_LEFT, NARROW_WALL_DOWN
 from tests.agents.test_subgoals import (

@@ -16,7 +16,7 @@ from phase_ppl.physics.actions import N_ACTIONS, NO_ACTION
 from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.goals import goal_index
-from phase_ppl.world.literals import Literal
+from phase_ppl.world.names import Literal
 from phase_ppl.world.scene import Scene
 from phase_ppl.world.state import State
 from tests.agents.oracle import OracleAgent

@@ -8,16 +8,16 @@ import math
 import numpy as np
 import pytest
 
-from phase_ppl.agents import rewards
+from phase_ppl.agents import pomcp
 from phase_ppl.agents.agent import Agent
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.mind import Mind
-from phase_ppl.agents.rng import below, make_rng, uniform
+from phase_ppl.agents.pomcp import below, make_rng, uniform
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import Action
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from phase_ppl.world.goals import goal_index
-from phase_ppl.world.literals import STOP, Literal, Predicate
+from phase_ppl.world.names import STOP, Literal, Predicate
 from phase_ppl.world.scene import Scene
 from phase_ppl.world.state import State
 from tests.agents.scenes import scene
@@ -116,23 +116,23 @@ def test_navigation_uses_five_actions_and_carrying_more() -> None:
         Literal(Predicate.ON, 1, 1, positive=False): 12,
     }
     for subgoal, expected in count.items():
-        assert len(rewards.actions_for(subgoal, 0, -1)) == expected
-    assert len(rewards.actions_for(Literal(Predicate.CLOSE, 2, 1), 0, 2)) == 12
+        assert len(pomcp.actions_for(subgoal, 0, -1)) == expected
+    assert len(pomcp.actions_for(Literal(Predicate.CLOSE, 2, 1), 0, 2)) == 12
 
 
 def test_an_agent_that_is_kept_from_its_landmark_also_moves_sideways() -> None:
     own = Literal(Predicate.ON, 0, 1)
-    assert len(rewards.actions_for(own, 0, -1, contested=True)) == 12
-    assert len(rewards.actions_for(Literal(Predicate.CLOSE, 0, 1), 0, -1, contested=True)) == 5
+    assert len(pomcp.actions_for(own, 0, -1, contested=True)) == 12
+    assert len(pomcp.actions_for(Literal(Predicate.CLOSE, 0, 1), 0, -1, contested=True)) == 5
 
 
 def test_reward_falls_with_path_distance_and_sideways_steps_cost() -> None:
     agent = agent_in(scene(red=(23.5, 14.0, math.pi)))
     bodies, held, _ = compiled.from_state(State.at_start(agent.mind.scene), [0.8] * 4)
-    code = rewards.subgoal_code(Literal(Predicate.ON, 0, 2))
+    code = pomcp.subgoal_code(Literal(Predicate.ON, 0, 2))
     mind = agent.mind
-    ahead = rewards.reward(bodies, held, code, int(Action.UP), mind.params, mind.ground)
-    sideways = rewards.reward(bodies, held, code, int(Action.LEFT), mind.params, mind.ground)
+    ahead = pomcp.reward(bodies, held, code, int(Action.UP), mind.params, mind.ground)
+    sideways = pomcp.reward(bodies, held, code, int(Action.LEFT), mind.params, mind.ground)
     assert ahead == pytest.approx(-9.5 / math.hypot(20, 20), abs=1e-6)
     assert ahead - sideways == pytest.approx(0.02)
 

@@ -12,7 +12,7 @@ from phase_ppl.agents.operators import Abilities
 from phase_ppl.agents.subgoals import SubgoalPlanner, subgoal_planner
 from phase_ppl.agents.symbols import SymbolicState
 from phase_ppl.world.goals import N_GOALS, goal_index, goal_literal, is_self_referring
-from phase_ppl.world.literals import STOP, Literal, Predicate
+from phase_ppl.world.names import STOP, Literal, Predicate
 from tests.agents.scenes import (
     FULL_WALL_UP,
     HALF_WALL_LEFT,

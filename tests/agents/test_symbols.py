@@ -8,14 +8,14 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from phase_ppl.agents import rewards, symbols
+from phase_ppl.agents import pomcp, symbols
 from phase_ppl.agents.choice import best_subgoal
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.mind import Mind
 from phase_ppl.agents.symbols import SymbolicState
 from phase_ppl.physics import compiled
 from phase_ppl.world.goals import goal_index, goal_literal
-from phase_ppl.world.literals import STOP, Literal, Predicate
+from phase_ppl.world.names import STOP, Literal, Predicate
 from phase_ppl.world.scene import Scene
 from phase_ppl.world.state import State
 from tests.agents.scenes import FULL_WALL_UP, NARROW_WALL_DOWN, scene
@@ -37,7 +37,7 @@ def described(
     holds[:] = held
     facts, costs = np.zeros((1, symbols.N_FACTS), np.int8), np.zeros(1)
     goals = goal_literal(goal_index(goal), RED), goal_literal(goal_index(other), GREEN)
-    own, theirs = (rewards.subgoal_code(literal) for literal in goals)
+    own, theirs = (pomcp.subgoal_code(literal) for literal in goals)
     symbols.describe(
         bodies[None], holds[None], RED, own, theirs, mind.params, mind.ground, facts, costs
     )

@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.analysis import convergence
+from phase_ppl.analysis import diagnostics
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", FutureWarning)  # ArviZ announces its version 1
@@ -49,41 +49,41 @@ def test_long_chains_have_the_numbers_of_arviz(
     values = chains(kind, *shape)
     dataset = xr.Dataset({"x": (("chain", "draw"), values)})
     theirs = float(MEASURES[name](dataset)["x"])
-    assert getattr(convergence, name)(values) == pytest.approx(theirs, rel=1e-6)
+    assert getattr(diagnostics, name)(values) == pytest.approx(theirs, rel=1e-6)
 
 
 @pytest.mark.parametrize("name", ["r_hat", "split_r_hat"])
 def test_r_hat_of_short_chains_is_that_of_arviz(name: str) -> None:
     values = chains("apart", 15, 6)
     theirs = float(MEASURES[name](xr.Dataset({"x": (("chain", "draw"), values)}))["x"])
-    assert getattr(convergence, name)(values) == pytest.approx(theirs)
+    assert getattr(diagnostics, name)(values) == pytest.approx(theirs)
 
 
 def test_short_chains_that_never_move_are_worth_as_many_draws_as_there_are_chains() -> None:
     stuck = np.repeat(np.random.default_rng(0).normal(size=(15, 1)), 6, axis=1)
     # the usual estimate would be 176, more than all 90 draws
-    assert convergence.ess_mean(stuck) == pytest.approx(15, rel=0.1)
-    assert convergence.mcse_mean(stuck) == pytest.approx(stuck[:, 0].std(ddof=1) / np.sqrt(15))
-    assert convergence.split_r_hat(stuck) == np.inf
+    assert diagnostics.ess_mean(stuck) == pytest.approx(15, rel=0.1)
+    assert diagnostics.mcse_mean(stuck) == pytest.approx(stuck[:, 0].std(ddof=1) / np.sqrt(15))
+    assert diagnostics.split_r_hat(stuck) == np.inf
 
 
 def test_short_chains_worked_out_by_hand() -> None:
     values = np.array([[0, 0, 0, 1], [1, 1, 1, 1], [0, 0, 1, 1], [1, 0, 0, 0]], float)
     error = np.std([0.25, 1, 0.5, 0.25], ddof=1) / 2
-    assert convergence.mcse_mean(values) == pytest.approx(error)
-    assert convergence.ess_mean(values) == pytest.approx(values.var(ddof=1) / error**2)
+    assert diagnostics.mcse_mean(values) == pytest.approx(error)
+    assert diagnostics.ess_mean(values) == pytest.approx(values.var(ddof=1) / error**2)
 
 
 def test_short_independent_draws_are_worth_about_all_of_them() -> None:
     rng = np.random.default_rng(1)
-    sizes = [convergence.ess_mean(rng.normal(size=(15, 6))) for _ in range(200)]
+    sizes = [diagnostics.ess_mean(rng.normal(size=(15, 6))) for _ in range(200)]
     assert np.median(sizes) == pytest.approx(90, rel=0.15)
     assert max(sizes) <= 90 * np.log10(90) + 1e-9
 
 
 @pytest.mark.parametrize("name", MEASURES)
 def test_what_does_not_exist_is_not_a_number(name: str) -> None:
-    measure = getattr(convergence, name)
+    measure = getattr(diagnostics, name)
     values = chains("independent", 5, 12)
     assert np.isnan(measure(values[:, :3]))
     assert np.isnan(measure(np.ones((5, 12))))
@@ -93,7 +93,7 @@ def test_what_does_not_exist_is_not_a_number(name: str) -> None:
 
 def test_few_short_chains_have_an_r_hat_but_no_effective_size() -> None:
     values = chains("independent", 3, 9)
-    assert np.isfinite(convergence.r_hat(values))
-    assert np.isnan(convergence.ess_bulk(values))
-    assert np.isnan(convergence.mcse_mean(values))
-    assert np.isfinite(convergence.ess_bulk(chains("independent", 1, 10)))
+    assert np.isfinite(diagnostics.r_hat(values))
+    assert np.isnan(diagnostics.ess_bulk(values))
+    assert np.isnan(diagnostics.mcse_mean(values))
+    assert np.isfinite(diagnostics.ess_bulk(chains("independent", 1, 10)))

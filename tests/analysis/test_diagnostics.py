@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 
 from phase_ppl.analysis import Posterior
-from phase_ppl.analysis.convergence import ess_bulk, mcse_mean, r_hat, split_r_hat
+from phase_ppl.analysis.diagnostics import ess_bulk, mcse_mean, r_hat, split_r_hat
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import Hypothesis
 

@@ -12,8 +12,7 @@ from phase_ppl.analysis import Posterior
 from phase_ppl.analysis.quantities import GOAL_PARTS, part_codes
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from phase_ppl.world.goals import GOALS
-from phase_ppl.world.hypothesis import ALPHAS
-from phase_ppl.world.relations import RELATIONS, SCENARIOS
+from phase_ppl.world.hypothesis import ALPHAS, RELATIONS, SCENARIOS
 
 from .factory import (
     AWAY_FROM_RED,

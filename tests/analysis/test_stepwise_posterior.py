@@ -12,8 +12,7 @@ import phase_ppl as ppl
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, QueryError
 from phase_ppl.world.goals import GOALS, N_GOALS, effective_goals
-from phase_ppl.world.hypothesis import ALPHAS
-from phase_ppl.world.relations import relation
+from phase_ppl.world.hypothesis import ALPHAS, relation
 from tests.analysis.readings import BLUE_NOT_TO_RED, BLUE_TO_RED, LEVELS, reading
 
 FOUND = reading()

@@ -10,7 +10,7 @@ import pytest
 from phase_ppl.analysis import Posterior
 from phase_ppl.analysis.summary import plain
 from phase_ppl.world.goals import GOALS
-from phase_ppl.world.relations import RELATIONS, SCENARIOS
+from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS
 
 from .factory import BLUE_TO_RED, Simulation, hypothesis, make_tree, random_tree
 

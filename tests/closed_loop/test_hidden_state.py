@@ -12,8 +12,13 @@ import pytest
 from numpy.typing import NDArray
 
 import phase_ppl as ppl
-from phase_ppl.closed_loop.hidden_state import HiddenState, Tracking
-from phase_ppl.closed_loop.noise import UNSEEN, NoiseEstimate, filter_gains
+from phase_ppl.closed_loop.hidden_state import (
+    UNSEEN,
+    HiddenState,
+    NoiseEstimate,
+    Tracking,
+    filter_gains,
+)
 from phase_ppl.physics.actions import ACTION_NAMES, Action
 from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.world.errors import InvalidSettingError

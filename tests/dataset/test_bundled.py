@@ -7,15 +7,15 @@ from pathlib import Path
 import pytest
 
 from phase_ppl.dataset import (
-    bundled,
     bundled_events,
+    load,
     load_bundled,
     load_event,
     load_events,
     save_event,
 )
 from phase_ppl.world.errors import InvalidEventError, UnknownNameError
-from phase_ppl.world.relations import scenario
+from phase_ppl.world.hypothesis import scenario
 from tests.world.examples import make_event
 
 
@@ -26,7 +26,7 @@ def two_bundled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("meet", "chase"):
         save_event(make_event(id=name), folder / f"{name}.json")
     (folder / "README.md").write_text("not an event")
-    monkeypatch.setattr(bundled, "_folder", lambda: folder)
+    monkeypatch.setattr(load, "_folder", lambda: folder)
     (tmp_path / "work").mkdir()
     monkeypatch.chdir(tmp_path / "work")
 
@@ -76,7 +76,7 @@ def test_an_unknown_name_is_answered_with_the_bundled_ones() -> None:
 def test_without_bundled_events_there_are_none(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(bundled, "_folder", lambda: tmp_path / "nowhere")
+    monkeypatch.setattr(load, "_folder", lambda: tmp_path / "nowhere")
     assert bundled_events() == []
     with pytest.raises(InvalidEventError, match=r"no such file$"):
         load_event("chase")

@@ -14,9 +14,8 @@ import pytest
 
 from phase_ppl.dataset import bundled_events, export_events, load_bundled, load_events
 from phase_ppl.dataset.authors.videos import video
-from phase_ppl.dataset.generation.copies import recoloured
-from phase_ppl.dataset.generation.recording import Recording
-from phase_ppl.dataset.generation.tables import LAYOUTS, walls_of
+from phase_ppl.dataset.generation.copies import Recording, recoloured
+from phase_ppl.dataset.generation.situation import LAYOUTS, walls_of
 from phase_ppl.world.errors import InvalidEventError, OutputError, UnknownNameError
 from phase_ppl.world.event import Event, Truth
 from phase_ppl.world.goals import GOALS

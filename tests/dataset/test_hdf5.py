@@ -28,7 +28,7 @@ from pathlib import Path
 import numpy as np
 import phase_ppl as ppl
 from phase_ppl.analysis import Posterior
-from phase_ppl.inference.runs.archive import write_archive
+from phase_ppl.inference.runs.checkpoint import write_archive
 from phase_ppl.world.errors import OutputError
 from tests.analysis.factory import random_tree
 

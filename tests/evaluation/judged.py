@@ -7,8 +7,8 @@ from typing import Any
 
 from phase_ppl.evaluation.prediction import Prediction, probabilities_of
 from phase_ppl.world.event import Event, Truth
+from phase_ppl.world.hypothesis import RELATIONS
 from phase_ppl.world.observation import Observation
-from phase_ppl.world.relations import RELATIONS
 from tests.world.examples import make_scene, make_trajectory
 
 BLUE_TO_RED = "Get blue item to red lm"

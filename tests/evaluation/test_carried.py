@@ -7,7 +7,7 @@ import dataclasses
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.evaluation.carried import carried_evaluation
+from phase_ppl.evaluation.evaluation import carried_evaluation
 from phase_ppl.world.errors import UnknownNameError
 from tests.evaluation.toys import GREEN_TO_RED, RED_TO_RED, right, several
 from tests.world.examples import DEV, needs_dev

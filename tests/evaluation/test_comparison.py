@@ -13,7 +13,7 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.evaluation import figures
-from phase_ppl.evaluation.comparison.printed import WIDTH
+from phase_ppl.evaluation.comparison.comparison import WIDTH
 from phase_ppl.evaluation.comparison.results import ComparedResults
 from phase_ppl.evaluation.comparison.statistics import holm
 from phase_ppl.evaluation.figures import COMPARED, NothingToDrawError, draw_comparison

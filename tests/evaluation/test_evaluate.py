@@ -13,7 +13,7 @@ import xarray as xr
 
 import phase_ppl as ppl
 from phase_ppl.evaluation import registry
-from phase_ppl.evaluation.progress import Progress
+from phase_ppl.evaluation.evaluate import Progress
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,

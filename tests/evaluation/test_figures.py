@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 import phase_ppl as ppl
 from phase_ppl.evaluation import figures
 from phase_ppl.evaluation.figures import DRAWN, NothingToDrawError, draw_figures
-from phase_ppl.evaluation.figures.results import FolderResults
+from phase_ppl.evaluation.figures.sheet import FolderResults
 from phase_ppl.evaluation.folder import ResultsFolder
 from phase_ppl.evaluation.metrics import evaluate_predictions
 from phase_ppl.world.errors import InvalidEventError, OutputError

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.evaluation.models.last_frame import last_frame
+from phase_ppl.evaluation.models.baselines import last_frame
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import LANDMARK_CENTRES
 from tests.evaluation.toys import START, still

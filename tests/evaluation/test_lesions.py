@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.cli.several import options_of
+from phase_ppl.cli.evaluate import options_of
 from phase_ppl.evaluation.registry import ready
 from phase_ppl.models import priors
 from phase_ppl.simulator.joint import DynamicsNoise, JointSimulator

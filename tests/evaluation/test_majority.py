@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.evaluation.models.majority import goal_shares
+from phase_ppl.evaluation.models.baselines import goal_shares
 from phase_ppl.world.goals import GOALS, is_self_referring
 from tests.evaluation.toys import several
 

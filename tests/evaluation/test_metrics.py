@@ -13,7 +13,7 @@ from phase_ppl.evaluation.metrics import evaluate_predictions, paired_difference
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.goals import GOALS
-from phase_ppl.world.relations import SCENARIOS
+from phase_ppl.world.hypothesis import SCENARIOS
 from tests.evaluation.judged import (
     BLUE_TO_GREEN,
     BLUE_TO_RED,

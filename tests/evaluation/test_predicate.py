@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.cli.several import options_of
+from phase_ppl.cli.evaluate import options_of
 from phase_ppl.evaluation.prediction import QUESTIONS
 from phase_ppl.evaluation.registry import ready
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from phase_ppl.world.goals import N_GOALS, is_self_referring
-from phase_ppl.world.relations import RELATIONS
+from phase_ppl.world.hypothesis import RELATIONS
 from tests.evaluation.toys import still
 from tests.world.examples import DEV, needs_dev
 

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.evaluation.work import COMPILED_OF
+from phase_ppl.evaluation.evaluate import COMPILED_OF
 from phase_ppl.world.errors import InvalidSettingError
 from tests.evaluation.toys import Counted, FailsAt, guesses, right, several, still
 
@@ -64,7 +64,7 @@ def test_truth_judgments_ids_and_predictions_never_reach_a_worker() -> None:
         found = [
             repr(type(thing))
             for thing in things
-            if type(thing).__module__ in ("phase_ppl.world.event", "phase_ppl.evaluation.work")
+            if type(thing).__module__ in ("phase_ppl.world.event", "phase_ppl.evaluation.evaluate")
             and type(thing).__name__ in ("Event", "Truth", "Job")
         ]
         for thing in things:

@@ -11,7 +11,7 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.cli import main
-from phase_ppl.cli.several import models_of, options_of
+from phase_ppl.cli.evaluate import models_of, options_of
 from phase_ppl.evaluation import registry
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from tests.evaluation.toys import right, several, still, wrong

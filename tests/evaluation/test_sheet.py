@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from phase_ppl.analysis.style import SMALL
-from phase_ppl.evaluation.sheet import fitting, in_lines
+from phase_ppl.analysis.figures.style import SMALL
+from phase_ppl.evaluation.figures.sheet import fitting, in_lines
 
 
 @pytest.mark.parametrize(

@@ -19,11 +19,10 @@ from phase_ppl.evaluation.models.socialgnn import socialgnn
 from phase_ppl.evaluation.prediction import GOAL_QUESTIONS
 from phase_ppl.evaluation.registry import ready
 from phase_ppl.models.socialgnn.graphs import VARIANTS
-from phase_ppl.models.socialgnn.settings import TrainingSettings
-from phase_ppl.models.socialgnn.store import load, shipped
+from phase_ppl.models.socialgnn.store import TrainingSettings, load, shipped
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, OutputError
 from phase_ppl.world.goals import GOALS
-from phase_ppl.world.relations import RELATIONS
+from phase_ppl.world.hypothesis import RELATIONS
 from tests.models.walks import eight, make_set, needs_torch, walk
 
 QUICK = TrainingSettings(epochs=3)
@@ -91,8 +90,8 @@ def test_what_is_true_of_the_bundled_events_gets_more_than_its_share() -> None:
 
 @needs_torch
 def test_who_is_red_hardly_matters_to_the_relation() -> None:
-    from phase_ppl.models.socialgnn.answers import Ensemble
     from phase_ppl.models.socialgnn.examples import LOOKS, Examples
+    from phase_ppl.models.socialgnn.network import Ensemble
 
     # learned, not built in: so only on average
     swapped = next(n for n, look in enumerate(LOOKS) if look == ("none", True, False))

@@ -23,9 +23,13 @@ from jax import random
 
 import phase_ppl as ppl
 from phase_ppl.inference.runs import session
-from phase_ppl.inference.runs.archive import read_archive, write_archive
-from phase_ppl.inference.runs.checkpoint import Checkpoint
-from phase_ppl.inference.runs.packing import packed_leaf, unpacked_leaf
+from phase_ppl.inference.runs.checkpoint import (
+    Checkpoint,
+    packed_leaf,
+    read_archive,
+    unpacked_leaf,
+    write_archive,
+)
 from phase_ppl.world import identity
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, OutputError
 from tests.inference.runs import EVENT, MODEL, OPTIONS, assert_same_draws, infer, stops_at
@@ -218,7 +222,7 @@ def test_what_is_another_run_is_refused_and_the_file_left_alone(
 
 
 def test_a_kernel_of_ones_own_must_be_given_again(tmp_path: Path) -> None:
-    from phase_ppl.inference.kernels.prior_mh import PriorMH
+    from phase_ppl.inference.kernels.generic_mh import PriorMH
 
     path = tmp_path / "run.ckpt"
     infer(kernel=PriorMH(), iterations=1, checkpoint=path)

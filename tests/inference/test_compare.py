@@ -14,24 +14,21 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.analysis.measures import distances
-from phase_ppl.inference.comparison import contenders as contenders_module
-from phase_ppl.inference.comparison.contenders import contenders
-from phase_ppl.inference.comparison.enumeration import (
-    enumerate_goals,
-    of_masses,
-    plan_enumeration,
-)
-from phase_ppl.inference.comparison.reference import (
+from phase_ppl.inference import contenders as contenders_module
+from phase_ppl.inference.contenders import contenders
+from phase_ppl.inference.reference import (
     Reference,
+    enumerate_goals,
     error_of,
+    of_masses,
     of_pairs,
+    plan_enumeration,
     reference_of,
 )
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.sites import SELF_REFERRING
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
-from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
-from phase_ppl.world.relations import RELATION_TABLE, RELATIONS
+from phase_ppl.world.hypothesis import ALPHAS, RELATION_TABLE, RELATIONS, Hypothesis
 from phase_ppl.world.scene import Scene
 from tests.inference.toy import (
     ALPHA_CODES,
@@ -253,7 +250,7 @@ def test_interrupt_before_a_run_is_finished_keeps_nothing(
 
 def even_only(program: Any) -> Any:
     """A kernel that stumbles over an odd number of chains."""
-    from phase_ppl.inference.kernels.prior_mh import PriorMH
+    from phase_ppl.inference.kernels.generic_mh import PriorMH
 
     class EvenOnly(PriorMH):
         def init(self, rng_key: Any, *args: Any, **options: Any) -> Any:

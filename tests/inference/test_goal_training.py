@@ -13,7 +13,7 @@ from phase_ppl.inference.proposals.goal_training import Examples, draw_goals, le
 from phase_ppl.inference.proposals.tables import WEIGHTS_FILE
 from phase_ppl.models.sites import SELF_REFERRING
 from phase_ppl.world.goals import N_GOALS
-from phase_ppl.world.relations import scenario
+from phase_ppl.world.hypothesis import scenario
 
 
 def telling_examples(n: int) -> Examples:

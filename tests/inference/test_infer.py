@@ -16,7 +16,7 @@ import xarray as xr
 
 import phase_ppl as ppl
 from phase_ppl.analysis.tree import simulation_of_draw
-from phase_ppl.inference.kernels.prior_mh import PriorMH
+from phase_ppl.inference.kernels.generic_mh import PriorMH
 from phase_ppl.inference.runs import chains, session
 from phase_ppl.simulator.contract import Cancelled, SimulationResult
 from phase_ppl.simulator.runner import Runner

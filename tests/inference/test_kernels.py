@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from numpyro.infer import MCMC
 
 from phase_ppl.inference.kernels.enumerated_gibbs import SIMS_PER_STEP, EnumeratedGibbs
+from phase_ppl.inference.kernels.generic_mh import MixtureMH, PriorMH, RandomWalkMH
 from phase_ppl.inference.kernels.local_mh import (
     EXACT_RULES,
     RULES,
@@ -24,10 +25,7 @@ from phase_ppl.inference.kernels.local_mh import (
     log_before,
     log_window_choice,
 )
-from phase_ppl.inference.kernels.mixture import MixtureMH
-from phase_ppl.inference.kernels.prior_mh import PriorMH
-from phase_ppl.inference.kernels.random_walk_mh import RandomWalkMH
-from phase_ppl.inference.sampling.metropolis import log_ratio
+from phase_ppl.inference.kernels.metropolis import log_ratio
 from phase_ppl.models import priors
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError

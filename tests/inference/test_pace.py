@@ -13,10 +13,9 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.inference.registry import kernel_info
-from phase_ppl.inference.runs import pace, session
+from phase_ppl.inference.runs import length, session
 from phase_ppl.inference.runs.checkpoint import Checkpoint
-from phase_ppl.inference.runs.length import Length
-from phase_ppl.inference.runs.pace import IDLE, Account, Pace, Tally
+from phase_ppl.inference.runs.length import IDLE, Account, Length, Pace, Tally
 from phase_ppl.models.bridge import Record
 from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.errors import InvalidSettingError
@@ -53,14 +52,14 @@ class Clock:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     fake = Clock()
-    monkeypatch.setattr(pace, "clock", fake)
+    monkeypatch.setattr(length, "clock", fake)
     return fake
 
 
-def take(pace: Pace, clock: Clock, seconds: float, *, initial: bool = False) -> None:
-    pace.begin()
+def take(length: Pace, clock: Clock, seconds: float, *, initial: bool = False) -> None:
+    length.begin()
     clock.now += seconds
-    pace.end(initial=initial)
+    length.end(initial=initial)
 
 
 def test_a_number_of_iterations_is_kept_whatever_the_time(clock: Clock) -> None:

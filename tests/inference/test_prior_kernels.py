@@ -18,14 +18,12 @@ import phase_ppl as ppl
 from phase_ppl.inference.kernels.local_mh import LocalMH
 from phase_ppl.inference.proposals.guide import bottom_up_guide
 from phase_ppl.inference.proposals.tables import BottomUpTables, window_count
-from phase_ppl.models.compiling import compiled_quickly
-from phase_ppl.models.density import log_density
+from phase_ppl.models.density import compiled_quickly, log_density
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.model import Model
 from phase_ppl.simulator.contract import SimulationResult
 from phase_ppl.world.goals import N_GOALS, effective_goals
-from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_LEVELS, Hypothesis
-from phase_ppl.world.relations import RELATION_TABLE
+from phase_ppl.world.hypothesis import ALPHAS, RELATION_TABLE, STRENGTH_LEVELS, Hypothesis
 from tests.inference.toy import (
     N_FRAMES,
     SETTINGS,

@@ -15,7 +15,7 @@ from jax import random
 from numpyro.infer.util import log_density as numpyro_log_density
 
 from phase_ppl.inference.proposals.guide import Mixture, bottom_up_guide
-from phase_ppl.inference.proposals.strength.estimates import StrengthEstimates
+from phase_ppl.inference.proposals.strength import StrengthEstimates
 from phase_ppl.inference.proposals.tables import (
     BottomUpTables,
     Form,
@@ -24,8 +24,7 @@ from phase_ppl.inference.proposals.tables import (
     window_length,
 )
 from phase_ppl.models import priors, sites
-from phase_ppl.models.compiling import compiled_quickly
-from phase_ppl.models.density import draw, log_density
+from phase_ppl.models.density import compiled_quickly, draw, log_density
 from phase_ppl.models.model import Model
 from phase_ppl.world.goals import GOALS, goal_index
 from phase_ppl.world.observation import Observation

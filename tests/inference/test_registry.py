@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from phase_ppl.inference import registry
+from phase_ppl.inference.kernels.generic_mh import PriorMH
 from phase_ppl.inference.kernels.local_mh import LocalMH
-from phase_ppl.inference.kernels.prior_mh import PriorMH
 from phase_ppl.inference.registry import (
     available_kernels,
     described,

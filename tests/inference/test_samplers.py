@@ -15,12 +15,11 @@ import pytest
 from jax import random
 
 import phase_ppl as ppl
-from phase_ppl.inference.kernels.aies import Ensemble
 from phase_ppl.inference.kernels.enumeration import Enumeration
 from phase_ppl.inference.kernels.gibbs import GibbsKernel
 from phase_ppl.inference.kernels.importance import Importance
-from phase_ppl.inference.kernels.sa import SampleAdaptive
 from phase_ppl.inference.kernels.smc import SMC
+from phase_ppl.inference.kernels.wrapped import Ensemble, SampleAdaptive
 from phase_ppl.inference.registry import kernel_info
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.model import Model

@@ -6,11 +6,7 @@ import numpy as np
 import pytest
 
 from phase_ppl.dataset.load import load_events
-from phase_ppl.inference.proposals.strength.analytic import (
-    VALIDATION_SD,
-    driving_hits,
-    estimated_strength,
-)
+from phase_ppl.inference.proposals.strength import VALIDATION_SD, driving_hits, estimated_strength
 from phase_ppl.physics.actions import Action
 from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS

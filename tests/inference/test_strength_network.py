@@ -6,21 +6,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from phase_ppl.dataset.bundled import bundled_events, load_bundled
-from phase_ppl.inference.proposals.strength.estimates import StrengthEstimates, quality
-from phase_ppl.inference.proposals.strength.estimators import (
+from phase_ppl.dataset.load import bundled_events, load_bundled
+from phase_ppl.inference.proposals.strength import (
     ESTIMATORS,
+    SHAPES,
+    StrengthEstimates,
+    StrengthNetwork,
     estimated_strengths,
     estimator_name,
+    quality,
+    shipped_network,
 )
-from phase_ppl.inference.proposals.strength.examples import blurred
-from phase_ppl.inference.proposals.strength.features import (
+from phase_ppl.inference.proposals.strength_features import (
     N_FEATURES,
     observed_jitter,
     window_features,
 )
-from phase_ppl.inference.proposals.strength.network import SHAPES, StrengthNetwork, shipped_network
-from phase_ppl.inference.proposals.strength.scenes import simulate_events
+from phase_ppl.inference.proposals.strength_training import blurred, simulate_events
 from phase_ppl.inference.proposals.tables import bottom_up_tables
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.physics.actions import Action

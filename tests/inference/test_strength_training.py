@@ -9,27 +9,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from phase_ppl.dataset.generation.tables import LAYOUTS, SIZES
-from phase_ppl.inference.proposals.strength.examples import (
+from phase_ppl.dataset.generation.situation import LAYOUTS, SIZES
+from phase_ppl.inference.proposals.strength import SHAPES, StrengthNetwork
+from phase_ppl.inference.proposals.strength_features import N_FEATURES
+from phase_ppl.inference.proposals.strength_training import (
     VALIDATION_JITTER,
     VALIDATION_LENGTHS,
-    training_examples,
-    validation_examples,
-)
-from phase_ppl.inference.proposals.strength.features import N_FEATURES
-from phase_ppl.inference.proposals.strength.network import SHAPES, StrengthNetwork
-from phase_ppl.inference.proposals.strength.scenes import (
     Simulated,
+    TrainingSettings,
     cached_events,
     draw_hypothesis,
     draw_scene,
-    simulate_events,
-)
-from phase_ppl.inference.proposals.strength.training import (
-    TrainingSettings,
     main,
     needs_torch,
+    simulate_events,
     train,
+    training_examples,
+    validation_examples,
 )
 from phase_ppl.world.errors import InvalidSettingError
 
@@ -134,7 +130,7 @@ def test_command_writes_weights_that_load_and_a_report(tmp_path: Path) -> None:
     )
     options = ["--events-file", str(tmp_path / "events.npz"), "--epochs", "1", "--rounds", "1"]
     main([str(tmp_path / "out"), "--events", "20", "--frames", "16", *options])
-    StrengthNetwork.load(tmp_path / "out" / "weights.npz")
-    report = json.loads((tmp_path / "out" / "weights.json").read_text())
+    StrengthNetwork.load(tmp_path / "out" / "strength_weights.npz")
+    report = json.loads((tmp_path / "out" / "strength_weights.json").read_text())
     assert report["settings"]["events"] == 20
     assert set(SHAPES)

@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 from jax import lax, random
 
+from phase_ppl.inference.kernels.particle import ParticleKernel
 from phase_ppl.inference.registry import available_kernels, kernel_info
-from phase_ppl.inference.sampling.particle import ParticleKernel
 from phase_ppl.models.bridge import SimulatorBridge
-from phase_ppl.models.compiling import compiled_quickly
+from phase_ppl.models.density import compiled_quickly
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import EventProgram
 from phase_ppl.world.errors import InvalidSettingError

@@ -20,7 +20,7 @@ from phase_ppl.inference.proposals.tables import BottomUpTables, window_count
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models import sites
 from phase_ppl.models.bridge import SimulatorBridge
-from phase_ppl.models.compiling import compiled_quickly
+from phase_ppl.models.density import compiled_quickly
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import EventProgram
@@ -29,7 +29,7 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event, Truth
 from phase_ppl.world.goals import GOALS, N_GOALS, goal_literal
 from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_RANGE, Hypothesis
-from phase_ppl.world.literals import Predicate
+from phase_ppl.world.names import Predicate
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from numpyro import handlers
 
 from phase_ppl.models import priors, sites
-from phase_ppl.models.checks import checked_sites
+from phase_ppl.models.model import checked_sites
 from phase_ppl.world.errors import InvalidSettingError
 
 Statement = Callable[[str], Any]

@@ -7,22 +7,22 @@ from collections.abc import Iterator
 import jax.numpy as jnp
 import pytest
 
-from phase_ppl.models import compiling
+from phase_ppl.models import density
 
 
 @pytest.fixture(autouse=True)
 def _asked_anew() -> Iterator[None]:
-    compiling._known_options.cache_clear()
+    density._known_options.cache_clear()
     yield
-    compiling._known_options.cache_clear()
+    density._known_options.cache_clear()
 
 
 def test_options_that_this_version_does_not_know_are_left_out(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    known = dict(compiling._WANTED)
-    monkeypatch.setattr(compiling, "_WANTED", {"xla_no_such_option": True, **known})
-    assert compiling.compiled_quickly(lambda x: 2 * x)(jnp.float32(3.0)) == 6.0
-    assert "xla_no_such_option" not in compiling._known_options()
-    assert compiling._known_options()
-    assert compiling._known_options().items() <= known.items()
+    known = dict(density._WANTED)
+    monkeypatch.setattr(density, "_WANTED", {"xla_no_such_option": True, **known})
+    assert density.compiled_quickly(lambda x: 2 * x)(jnp.float32(3.0)) == 6.0
+    assert "xla_no_such_option" not in density._known_options()
+    assert density._known_options()
+    assert density._known_options().items() <= known.items()

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from jax import random
 
-from phase_ppl.models.one_of import OneOf
+from phase_ppl.models.sites import OneOf
 
 VALUES, PROBS = [150.0, 300.0, 620.5], [0.2, 0.5, 0.3]
 

@@ -13,14 +13,18 @@ import pytest
 from jax import random
 
 from phase_ppl.models import priors, sites
-from phase_ppl.models.compiling import compiled_quickly
-from phase_ppl.models.density import draw, log_density
+from phase_ppl.models.density import compiled_quickly, draw, log_density
 from phase_ppl.models.effective import log_prior_of_effective
 from phase_ppl.models.model import Model
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from phase_ppl.world.goals import N_GOALS, effective_goals
-from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_LEVELS, STRENGTH_RANGE
-from phase_ppl.world.relations import RELATION_TABLE, RELATIONS
+from phase_ppl.world.hypothesis import (
+    ALPHAS,
+    RELATION_TABLE,
+    RELATIONS,
+    STRENGTH_LEVELS,
+    STRENGTH_RANGE,
+)
 
 CODES = np.array(list(itertools.product(range(N_GOALS), range(N_GOALS), range(len(ALPHAS)))))
 EFFECTIVE = np.array([effective_goals(r, g, ALPHAS[a]) for r, g, a in CODES])

@@ -24,14 +24,12 @@ from phase_ppl.models.socialgnn.graphs import (
     contacts,
     frame_graphs,
 )
-from phase_ppl.models.socialgnn.settings import TrainingSettings
-from phase_ppl.models.socialgnn.sizes import shapes
-from phase_ppl.models.socialgnn.store import Trained
+from phase_ppl.models.socialgnn.store import Trained, TrainingSettings, shapes
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from phase_ppl.world.geometry import touches
 from phase_ppl.world.goals import GOALS
+from phase_ppl.world.hypothesis import RELATIONS
 from phase_ppl.world.observation import Observation
-from phase_ppl.world.relations import RELATIONS
 from tests.models.walks import START, eight, needs_torch, walk
 
 SETTINGS = TrainingSettings(epochs=60, looks=False, dropout=0.0, learning_rate=0.02)
@@ -209,7 +207,7 @@ def test_the_arrays_of_a_network_are_those_that_files_hold(variant: Variant) -> 
 @needs_torch
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_it_learns_eight_events_by_heart(variant: Variant) -> None:
-    from phase_ppl.models.socialgnn.answers import Ensemble
+    from phase_ppl.models.socialgnn.network import Ensemble
     from phase_ppl.models.socialgnn.training import fit
 
     events = eight()
@@ -307,7 +305,7 @@ def random_member(variant: Variant, seed: int = 0) -> dict[str, NDArray[np.float
 
 
 def answers(trained: Trained, n_frames: int = 6) -> dict[str, NDArray[np.float64]]:
-    from phase_ppl.models.socialgnn.answers import Ensemble
+    from phase_ppl.models.socialgnn.network import Ensemble
 
     event = walk(2, 0, n_frames, with_item=True)
     return Ensemble(trained)(event.scene, event.observation)
@@ -333,8 +331,8 @@ def test_events_of_any_length_are_answered(n_frames: int) -> None:
 def test_an_event_alone_gets_the_answer_that_it_gets_among_longer_ones() -> None:
     import torch
 
-    from phase_ppl.models.socialgnn.answers import Ensemble
     from phase_ppl.models.socialgnn.graphs import batch
+    from phase_ppl.models.socialgnn.network import Ensemble
 
     ensemble = Ensemble(Trained("extended", (random_member("extended"),)))
     events = [walk(2, 0, 3), walk(1, 0, 40, with_item=True), walk(0, 3, 2)]
@@ -350,7 +348,7 @@ def test_an_event_alone_gets_the_answer_that_it_gets_among_longer_ones() -> None
 
 @needs_torch
 def test_nobody_near_and_nobody_touching_is_answered_too() -> None:
-    from phase_ppl.models.socialgnn.answers import Ensemble
+    from phase_ppl.models.socialgnn.network import Ensemble
     from phase_ppl.world.scene import Scene
 
     start = START.copy()

@@ -14,7 +14,7 @@ from phase_ppl.agents import vision
 from phase_ppl.agents.ground import make_ground
 from phase_ppl.physics import compiled
 from phase_ppl.render import draw_frame, image, strip, video
-from phase_ppl.render.sight import field_of_view
+from phase_ppl.render.frames import field_of_view
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.geometry import centre_of_mass
 from phase_ppl.world.scene import Scene

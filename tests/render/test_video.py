@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from phase_ppl.render import image, strip, video
-from phase_ppl.render.frames import Painter
-from phase_ppl.render.tracks import between_frames
+from phase_ppl.render.frames import Painter, between_frames
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, OutputError
 from phase_ppl.world.event import Event
 from phase_ppl.world.observation import Observation

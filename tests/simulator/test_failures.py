@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phase_ppl.simulator.failures import fresh_seed
-from phase_ppl.simulator.runner import Runner
+from phase_ppl.simulator.runner import Runner, fresh_seed
 from phase_ppl.world.errors import InvalidSettingError, SimulationError, UnknownNameError
 from tests.simulator import toys
 from tests.simulator.toys import AT_REST, GO, HELP, N_FRAMES, SCENE, WEAK

@@ -13,7 +13,7 @@ from phase_ppl.physics.actions import Action
 from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.geometry import is_on
-from phase_ppl.world.literals import STOP
+from phase_ppl.world.names import STOP
 from tests.agents.scenes import FULL_WALL_UP, HALF_WALL_LEFT, scene
 
 QUICK = ppl.PlannerConfig(simulations=150)

@@ -14,7 +14,7 @@ import pytest
 
 from phase_ppl.simulator import dispatch
 from phase_ppl.simulator.contract import Cancelled, SimulationResult
-from phase_ppl.simulator.pool import OwnWorkers
+from phase_ppl.simulator.processes import OwnWorkers
 from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.errors import InvalidSettingError, SimulationError
 from phase_ppl.world.observation import Observation

@@ -21,8 +21,7 @@ from phase_ppl.world.goals import (
     neighbouring_goals,
 )
 from phase_ppl.world.hypothesis import ALPHAS
-from phase_ppl.world.literals import STOP, Literal, Predicate
-from phase_ppl.world.names import AGENTS, GREEN, RED
+from phase_ppl.world.names import AGENTS, GREEN, RED, STOP, Literal, Predicate
 from tests.world.examples import DEV, needs_dev
 
 PAPER = """

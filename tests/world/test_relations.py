@@ -10,7 +10,7 @@ import pytest
 
 from phase_ppl.dataset import load_events
 from phase_ppl.world.goals import GOALS
-from phase_ppl.world.relations import (
+from phase_ppl.world.hypothesis import (
     RELATION_TABLE,
     RELATIONS,
     SCENARIO_TABLE,

@@ -17,8 +17,7 @@ from phase_ppl.world.errors import InvalidEventError, shown
 from phase_ppl.world.event import Truth
 from phase_ppl.world.goals import GOALS, goal_index, goal_literal, literal_goal
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS
-from phase_ppl.world.literals import Literal, Predicate
-from phase_ppl.world.names import AGENTS, BLUE_ITEM, LANDMARKS
+from phase_ppl.world.names import AGENTS, BLUE_ITEM, LANDMARKS, Literal, Predicate
 
 Goal = tuple[str, int, int, int]
 """Type "LMO" (item, landmark), "LMA" (agent, landmark) or "TE" (agent, agent); entity; target;

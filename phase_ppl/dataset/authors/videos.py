@@ -56,18 +56,18 @@ from phase_ppl.dataset.authors.names import (
     place_in_id,
 )
 from phase_ppl.dataset.authors.pickles import read_pickle
-from phase_ppl.dataset.fields import Entries, event_id, require
+from phase_ppl.dataset.events_json import Entries, event_id, require
 from phase_ppl.dataset.generation.copies import REFLECTIONS
-from phase_ppl.dataset.generation.tables import LAYOUTS
+from phase_ppl.dataset.generation.situation import LAYOUTS
+from phase_ppl.dataset.motion import full_turn, observed_turning
 from phase_ppl.dataset.phase_test import check_start
-from phase_ppl.dataset.turning import full_turn, observed_turning
 from phase_ppl.physics.constants import SUBSTEPS
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, shown, unknown_name
 from phase_ppl.world.event import Event
+from phase_ppl.world.hypothesis import RELATIONS
 from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS
 from phase_ppl.world.observation import FRAMES_PER_SECOND, Observation
-from phase_ppl.world.relations import RELATIONS
 from phase_ppl.world.rooms import RAY_DIRECTIONS
 from phase_ppl.world.scene import ARENA, LANDMARK_HALF_WIDTH, Scene, finite_array
 

@@ -13,9 +13,16 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from phase_ppl.dataset.generation.registry import Family
-from phase_ppl.dataset.generation.situation import NUMBER, CannotDraw, Draw, Situation
-from phase_ppl.dataset.generation.tables import LAYOUTS_OF_A_KIND, SIZES, SPOTS
+from phase_ppl.dataset.generation.families import Family
+from phase_ppl.dataset.generation.situation import (
+    LAYOUTS_OF_A_KIND,
+    NUMBER,
+    SIZES,
+    SPOTS,
+    CannotDraw,
+    Draw,
+    Situation,
+)
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS
 

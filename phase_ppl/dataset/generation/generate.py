@@ -3,21 +3,269 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
+import hashlib
+import json
 import os
 import time
+from collections import Counter
 from collections.abc import Mapping
-from typing import Any, Final
+from pathlib import Path
+from typing import Any, Final, NamedTuple
 
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.dataset.generation.making import Made, make
+from phase_ppl.dataset.documents import read_json
+from phase_ppl.dataset.events_json import event_from_record, event_record
+from phase_ppl.dataset.events_netcdf import checksum
+from phase_ppl.dataset.generation.making import Made, event_of, make, name_of
 from phase_ppl.dataset.generation.plan import PHASE500, Plan, Slot, scaled
-from phase_ppl.dataset.generation.store import GeneratedEvents
-from phase_ppl.dataset.generation.workshop import Workshop
+from phase_ppl.dataset.generation.store import (
+    EVENTS,
+    MANIFEST,
+    MANIFEST_SCHEMA,
+    PLAN,
+    REJECTED,
+    GeneratedEvents,
+)
+from phase_ppl.dataset.load import save_events
 from phase_ppl.simulator.jobs import Failure, results
 from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.checks import number_of_workers
-from phase_ppl.world.errors import SimulationError
-from phase_ppl.world.files import locked, writable_folder
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    OutputError,
+    PhasePPLError,
+    SimulationError,
+    shown,
+)
+from phase_ppl.world.event import Event
+from phase_ppl.world.files import locked, writable_folder, write_json
+from phase_ppl.world.identity import differences, versions_so_far
+
+PLAN_SCHEMA: Final = "phase-ppl-plan-1"
+PARTS: Final = "parts"
+
+
+class Part(NamedTuple):
+    """What became of a slot, as it is kept until all are done.
+
+    Attributes:
+        events: the event and its copies; none where it was given up.
+        entries: per event what the manifest will say about it.
+        refused: what was simulated and not kept, with the reason; as an event too if wanted.
+    """
+
+    events: list[Event]
+    entries: list[dict[str, Any]]
+    refused: list[tuple[dict[str, Any], Event | None]]
+
+
+class Workshop:
+    """The folder of a data set that is being made.
+
+    Args:
+        path: of the folder.
+        plan: what is to be made.
+        keep_rejected: whether rejected draws are kept.
+        resume: whether to go on with what is there.
+        other_versions: whether also by other versions of this package and what it builds on.
+
+    Attributes:
+        damaged: names of events whose part was there and cannot be used: they are missing again.
+
+    Raises:
+        OutputError: the folder cannot be written, holds a data set already, or one of another
+            plan.
+        InvalidSettingError: what is missing would be made by other versions.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        plan: Plan,
+        *,
+        keep_rejected: bool,
+        resume: bool,
+        other_versions: bool = False,
+    ) -> None:
+        self.path, self.plan = Path(path), plan
+        record = {"schema": PLAN_SCHEMA, "keep_rejected": keep_rejected, **plan.to_dict()}
+        target = self.path / PLAN
+        made_by: list[dict[str, Any]] = []
+        if target.exists():
+            if not resume:
+                raise OutputError(
+                    f"{self.path} holds a data set already; resume it, or name another"
+                )
+            # sets were begun before there were re-planned copies, and before versions were kept
+            stored = {"replans": 0, **read_json(target)}
+            made_by = stored.pop("versions", None) or [{}]
+            apart = differences(stored, record)
+            if apart:
+                raise OutputError(
+                    f"{self.path} holds a data set of another plan: {'; '.join(apart)}"
+                )
+        writable_folder(self.path / PARTS)
+        self._keep_rejected = keep_rejected
+        self.damaged: list[str] = []
+        self._missing = {} if self._is_finished() else self._look_for_missing()
+        self._made_by = made_by
+        if self._missing:
+            self._made_by = versions_so_far(made_by, self.path, other_versions)
+            write_json(target, {**record, "versions": self._made_by})
+
+    def _is_finished(self) -> bool:
+        return (self.path / MANIFEST).is_file()
+
+    def _look_for_missing(self) -> dict[int, Slot]:
+        missing = {}
+        for slot in self.plan.slots():
+            if self.part(slot).is_file():
+                try:
+                    self._read(slot)
+                    continue
+                except InvalidEventError:
+                    self.damaged.append(name_of(slot))
+            missing[slot.number] = slot
+        return missing
+
+    def part(self, slot: Slot) -> Path:
+        """Return the file of a slot."""
+        return self.path / PARTS / f"{slot.number:05d}.json"
+
+    def missing(self) -> list[Slot]:
+        """Return the slots that are not finished."""
+        return list(self._missing.values())
+
+    def add(self, made: Made) -> None:
+        """Keep what became of a slot."""
+        rejected: list[dict[str, Any]] = []
+        for draw in made.rejected:
+            record: dict[str, Any] = {
+                "id": draw.id,
+                "reason": draw.reason,
+                "replanned": draw.change is not None,
+                "measures": draw.found,
+            }
+            if self._keep_rejected:
+                record["event"] = event_record(event_of(draw.recording, draw.id))
+            rejected.append(record)
+        content = {
+            "name": made.name,
+            "cell": made.slot.cell,
+            "events": [event_record(event) for event in made.events],
+            "entries": made.entries,
+            "rejected": rejected,
+        }
+        write_json(self.part(made.slot), {"sha256": _digest(content), **content})
+        del self._missing[made.slot.number]
+
+    def _read(self, slot: Slot) -> Part:
+        """Return what is kept of a slot.
+
+        Raises:
+            InvalidEventError: it is damaged.
+        """
+        source = self.part(slot)
+        content = read_json(source)
+        digest = content.pop("sha256", None)  # parts had none once
+        try:
+            if digest not in (None, _digest(content)):
+                raise InvalidEventError("its content is not what sha256 says")
+            if content["name"] != name_of(slot):
+                raise InvalidEventError(f"it holds {shown(content['name'])}")
+            events = [event_from_record(record) for record in content["events"]]
+            entries, refused = list(content["entries"]), []
+            for draw in content["rejected"]:
+                event = event_from_record(draw["event"]) if "event" in draw else None
+                known = {"replanned": False, "measures": None, **draw}
+                refused.append(
+                    ({key: known[key] for key in ("reason", "replanned", "measures")}, event)
+                )
+            if [event.id for event in events] != [entry["id"] for entry in entries]:
+                raise InvalidEventError("its events and entries are not the same")
+            return Part(events, entries, refused)
+        except (KeyError, TypeError, PhasePPLError) as error:
+            raise InvalidEventError(
+                f"{source}: is damaged ({error}); resume makes it anew"
+            ) from None
+
+    def finish(self, cost: Mapping[str, Any]) -> GeneratedEvents:
+        """Put the parts together and return the data set."""
+        if not self._is_finished():
+            self._assemble(cost)
+        for slot in self.plan.slots():
+            self.part(slot).unlink(missing_ok=True)
+        for half in (self.path / PARTS).glob(".part-*"):  # of a process that was killed
+            half.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # what else is there is not ours
+            (self.path / PARTS).rmdir()
+        return GeneratedEvents(self.path)
+
+    def _assemble(self, cost: Mapping[str, Any]) -> None:
+        events: list[Event] = []
+        entries: list[dict[str, Any]] = []
+        refused: list[Event] = []
+        told: list[dict[str, Any]] = []
+        draws = {cell: _Tally() for cell in self.plan.cells}
+        replans = {cell: _Tally() for cell in self.plan.cells}
+        given_up = []
+        for slot in self.plan.slots():
+            part = self._read(slot)
+            events += part.events
+            entries += part.entries
+            draws[slot.cell].kept += bool(part.events)
+            replans[slot.cell].kept += sum(bool(entry.get("replanned")) for entry in part.entries)
+            given_up += [] if part.events else [name_of(slot)]
+            for draw, event in part.refused:
+                (replans if draw["replanned"] else draws)[slot.cell].reasons[draw["reason"]] += 1
+                if event is not None:
+                    refused.append(event)
+                    told.append({"id": event.id, "cell": slot.cell, **draw})
+        if not events:
+            raise OutputError(f"{self.path}: no draw of any kind was kept")
+        for event, entry in zip(events, entries, strict=True):
+            entry["checksum"] = checksum(event)
+        save_events(events, self.path / EVENTS)
+        if refused:
+            save_events(refused, self.path / f"{REJECTED}.nc")
+            write_json(self.path / f"{REJECTED}.json", {"rejected": told})
+        write_json(
+            self.path / MANIFEST,
+            {
+                "schema": MANIFEST_SCHEMA,
+                "plan": self.plan.to_dict(),
+                "versions": self._made_by[-1],
+                "earlier_versions": self._made_by[:-1],
+                "kept": {cell: tally.kept for cell, tally in draws.items()},
+                "rejected": {cell: dict(tally.reasons) for cell, tally in draws.items()},
+                "replans": {
+                    cell: {"kept": tally.kept, "rejected": dict(tally.reasons)}
+                    for cell, tally in replans.items()
+                    if self.plan.replans
+                },
+                "given_up": given_up,
+                "made_anew": self.damaged,
+                "cost": dict(cost),
+                "entries": entries,
+            },
+        )
+
+
+@dataclasses.dataclass
+class _Tally:
+    """How many simulations of a kind were kept, and why others were not."""
+
+    kept: int = 0
+    reasons: Counter[str] = dataclasses.field(default_factory=Counter)
+
+
+def _digest(content: Mapping[str, Any]) -> str:
+    text = json.dumps(content, sort_keys=True, allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+# --- one call that makes a data set ---------------------------------------------------------------
 
 PRESETS: Final[Mapping[str, Mapping[str, int]]] = {"phase500": PHASE500}
 """Name -> cells: the paper's set."""

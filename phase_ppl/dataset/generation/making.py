@@ -2,23 +2,161 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from phase_ppl.dataset.generation.changes import Change, changed, described
-from phase_ppl.dataset.generation.copies import recoloured, reflected
-from phase_ppl.dataset.generation.filters import reason_against
-from phase_ppl.dataset.generation.measures import measures
+from phase_ppl.dataset.generation.copies import Recording, recoloured, record, reflected
+from phase_ppl.dataset.generation.families import Family, family_and_variant
 from phase_ppl.dataset.generation.plan import REFLECTION_SHARES, UNCHANGED, Look, Plan, Slot
-from phase_ppl.dataset.generation.recording import Recording, record
-from phase_ppl.dataset.generation.registry import Family, family_and_variant
 from phase_ppl.dataset.generation.situation import Situation
+from phase_ppl.physics.actions import DIRECTIONS
 from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event, Truth
-from phase_ppl.world.goals import GOALS
+from phase_ppl.world.geometry import is_on, touches
+from phase_ppl.world.goals import GOALS, goal_literal
+from phase_ppl.world.hypothesis import Hypothesis
+from phase_ppl.world.names import AGENTS, BLUE_ITEM, ENTITIES, ITEMS, Literal, Predicate
 from phase_ppl.world.observation import Observation
+
+NEAR: Final = 1.5
+"""Agents this near, in units of the sum of their sizes, are said to have met."""
+
+MAX_STUCK: Final = 36
+"""Frames (3 s simulated) for which an agent may push without any effect."""
+
+Measures = Mapping[str, Any]
+
+
+def reason_against(scenario: str, hypothesis: Hypothesis, found: Measures) -> str | None:
+    """Return why a recording does not show its scenario; None where it does.
+
+    Args:
+        scenario: what it was drawn to show.
+        hypothesis: under which it was simulated.
+        found: its :func:`~phase_ppl.dataset.generation.making.measures`.
+    """
+    positive = [
+        goal_literal(goal, agent).positive for agent, goal in enumerate(hypothesis.effective_goals)
+    ]
+    if any(start and wanted for start, wanted in zip(found["at_start"], positive, strict=True)):
+        return "a goal is true at the start"
+    if max(found["stuck"]) > MAX_STUCK:
+        return "an agent is stuck"
+    return _SHOWS[scenario](hypothesis, found)
+
+
+def _achieved(hypothesis: Hypothesis, found: Measures) -> str | None:
+    return None if all(found["at_end"]) else "a goal is not reached"
+
+
+def _together(hypothesis: Hypothesis, found: Measures) -> str | None:
+    if not _both_touch(hypothesis, found):
+        return "not both touch the item"
+    return _achieved(hypothesis, found)
+
+
+def _met(hypothesis: Hypothesis, found: Measures) -> str | None:
+    return None if found["closest"] < NEAR else "the agents never come near each other"
+
+
+def _rivals(hypothesis: Hypothesis, found: Measures) -> str | None:
+    return None if _both_touch(hypothesis, found) else "not both touch the item"
+
+
+def _both_touch(hypothesis: Hypothesis, found: Measures) -> bool:
+    """Whether each agent touches the item that its goal is about, if it is about one."""
+    wanted = [
+        goal_literal(goal, agent).subject for agent, goal in enumerate(hypothesis.effective_goals)
+    ]
+    return all(
+        item < len(AGENTS) or ENTITIES[item] in items
+        for item, items in zip(wanted, found["touched"], strict=True)
+    )
+
+
+_SHOWS: Final[Mapping[str, Callable[[Hypothesis, Measures], str | None]]] = {
+    "collaborative": _together,
+    "independent": _achieved,
+    "opposing": _met,
+    "competing": _rivals,
+}
+
+
+# --- what can be seen in a recording: the facts that decide whether it is kept --------------------
+
+STILL: Final = 0.02
+"""Units per frame that an agent must move by for its push to count as having an effect."""
+
+PUSHES: Final = tuple(int(action) for action in np.flatnonzero(DIRECTIONS.any(axis=1)))
+"""Actions that push."""
+
+
+def measures(recording: Recording) -> dict[str, Any]:
+    """Return facts about a recording, as plain numbers and lists.
+
+    Keys; those in brackets are lists over agents, red first:
+
+    * ``frames``.
+    * ``at_start``, ``ever``, ``at_end`` [agent]: whether its effective goal is true then.
+    * ``closest``: least distance between the agents, in units of the sum of their sizes.
+    * ``met``: frames in which the agents touch.
+    * ``touched`` [agent]: items that it touched.
+    * ``held`` [agent]: share of frames in which it holds something.
+    * ``moved`` [entity]: length of its way, units.
+    * ``stuck`` [agent]: longest run of frames in which it pushes and nothing moves.
+    """
+    track, scene = recording.trajectory, recording.scene
+    goals = recording.hypothesis.effective_goals
+    literals = [goal_literal(goal, agent) for agent, goal in enumerate(goals)]
+    truth = np.array([[_is_true(lit, frame, recording) for lit in literals] for frame in track])
+    apart = np.linalg.norm(track[:, 0, :2] - track[:, 1, :2], axis=1) / scene.radius[:2].sum()
+    items = range(BLUE_ITEM, BLUE_ITEM + len(ITEMS))
+    touched = [
+        [ENTITIES[item] for item in items
+         if any(touches(agent, item, frame, scene.radius) for frame in track)]
+        for agent in range(len(AGENTS))
+    ]  # fmt: skip
+    steps = np.linalg.norm(np.diff(track[..., :2], axis=0), axis=2)
+    return {
+        "frames": len(track),
+        "at_start": truth[0].tolist(),
+        "ever": truth.any(axis=0).tolist(),
+        "at_end": truth[-1].tolist(),
+        "closest": float(apart.min()),
+        "met": sum(touches(0, 1, frame, scene.radius) for frame in track),
+        "touched": touched,
+        "held": (recording.held >= 0).mean(axis=0).tolist(),
+        "moved": steps.sum(axis=0).tolist(),
+        "stuck": [
+            longest_run(np.isin(recording.actions[1:, agent], PUSHES) & (steps[:, agent] < STILL))
+            for agent in range(len(AGENTS))
+        ],
+    }
+
+
+def _is_true(literal: Literal, frame: NDArray[np.float64], recording: Recording) -> bool:
+    scene = recording.scene
+    if literal.predicate is Predicate.TOUCH:
+        holds = touches(literal.subject, literal.target, frame, scene.radius)
+    else:
+        centre = scene.landmark_centres[literal.target]
+        holds = is_on(frame[literal.subject, :2], centre, scene.landmark_half_width)
+    return holds is literal.positive
+
+
+def longest_run(flags: NDArray[np.bool_]) -> int:
+    """Return the length of the longest run of true values."""
+    padded = np.concatenate([[False], flags, [False]]).astype(np.int8)
+    edges = np.flatnonzero(np.diff(padded))
+    return int((edges[1::2] - edges[::2]).max(initial=0))
+
+
+# --- making one event of a plan, with its copies --------------------------------------------------
 
 REPLAN_TRIES: Final = 3
 """Simulations of a changed situation after which it is given up."""

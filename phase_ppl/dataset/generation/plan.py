@@ -17,7 +17,7 @@ import numpy as np
 
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.dataset.generation.changes import MOST_CHANGES
-from phase_ppl.dataset.generation.registry import family_and_variant
+from phase_ppl.dataset.generation.families import family_and_variant
 from phase_ppl.world.checks import check_memory, instance_of, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.scene import TURNINGS, Turning

@@ -7,7 +7,7 @@ import functools
 from collections.abc import Sequence
 
 from phase_ppl.evaluation.comparison.comparison import ModelComparison
-from phase_ppl.evaluation.figures.results import Results
+from phase_ppl.evaluation.figures.sheet import Results
 from phase_ppl.evaluation.observers import (
     LABELS,
     PEOPLE,

@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from phase_ppl.evaluation import tables
+from phase_ppl.evaluation.agreement import events_with
 from phase_ppl.evaluation.bootstrap import (
     LEVEL,
     Figure,
@@ -23,12 +24,11 @@ from phase_ppl.evaluation.bootstrap import (
     weighted_mean,
 )
 from phase_ppl.evaluation.comparison.contenders import Contender
-from phase_ppl.evaluation.curves import events_with
 from phase_ppl.evaluation.metrics import Paired
 from phase_ppl.evaluation.tables import KINDS
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event
-from phase_ppl.world.relations import SCENARIOS
+from phase_ppl.world.hypothesis import SCENARIOS
 
 Row = dict[str, Any]
 

@@ -15,14 +15,14 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
-from phase_ppl.analysis.style import written
+from phase_ppl.analysis.figures.style import written
 from phase_ppl.evaluation.figures import accuracies as _accuracies
 from phase_ppl.evaluation.figures import agreement as _agreement
 from phase_ppl.evaluation.figures import costs as _costs
 from phase_ppl.evaluation.figures import matrices as _matrices
 from phase_ppl.evaluation.figures import pairs as _pairs
-from phase_ppl.evaluation.figures import strips as _strips
-from phase_ppl.evaluation.figures.results import FolderResults, NothingToDrawError, Results
+from phase_ppl.evaluation.figures import sheet as _strips
+from phase_ppl.evaluation.figures.sheet import FolderResults, NothingToDrawError, Results
 from phase_ppl.evaluation.folder import COMPARISON, ResultsFolder
 from phase_ppl.world.files import writable_folder
 

@@ -5,11 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
-from phase_ppl.analysis.style import INK, NORMAL, SMALL, bare
-from phase_ppl.evaluation.figures.results import NothingToDrawError, Results
+from phase_ppl.analysis.figures.style import INK, NORMAL, SMALL, bare
+from phase_ppl.evaluation.figures.sheet import (
+    GREY,
+    NothingToDrawError,
+    Results,
+    Sheet,
+    fitting,
+    in_words,
+    label_column,
+    tint,
+)
 from phase_ppl.evaluation.observers import Observer
-from phase_ppl.evaluation.sheet import GREY, Sheet, fitting, in_words, label_column, tint
-from phase_ppl.world.relations import SCENARIOS
+from phase_ppl.world.hypothesis import SCENARIOS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,17 +7,20 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from phase_ppl.analysis.style import INK, NORMAL, SMALL, bare
+from phase_ppl.analysis.figures.style import INK, NORMAL, SMALL, bare
 from phase_ppl.evaluation.figures.accuracies import bar, finish
-from phase_ppl.evaluation.figures.results import (
+from phase_ppl.evaluation.figures.sheet import (
+    GREY,
     SCENARIO_COLOURS,
     NothingToDrawError,
     Results,
+    Sheet,
+    fitting,
+    label_column,
 )
 from phase_ppl.evaluation.observers import Observer
-from phase_ppl.evaluation.sheet import GREY, Sheet, fitting, label_column
 from phase_ppl.evaluation.tables import KINDS
-from phase_ppl.world.relations import SCENARIOS
+from phase_ppl.world.hypothesis import SCENARIOS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -6,11 +6,17 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
-from phase_ppl.analysis.style import INK, NORMAL, SMALL, bare
+from phase_ppl.analysis.figures.style import INK, NORMAL, SMALL, bare
 from phase_ppl.evaluation.figures.accuracies import TITLES, measure
-from phase_ppl.evaluation.figures.results import NothingToDrawError, Results
+from phase_ppl.evaluation.figures.sheet import (
+    GREY,
+    NothingToDrawError,
+    Results,
+    Sheet,
+    fitting,
+    label_column,
+)
 from phase_ppl.evaluation.observers import Observer
-from phase_ppl.evaluation.sheet import GREY, Sheet, fitting, label_column
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

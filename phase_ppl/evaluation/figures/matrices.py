@@ -7,12 +7,19 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from phase_ppl.analysis.style import INK, NORMAL, SMALL
-from phase_ppl.evaluation.figures.results import NothingToDrawError, Results
+from phase_ppl.analysis.figures.style import INK, NORMAL, SMALL
+from phase_ppl.evaluation.figures.sheet import (
+    GREY,
+    NothingToDrawError,
+    Results,
+    Sheet,
+    fitting,
+    in_lines,
+    in_words,
+)
 from phase_ppl.evaluation.observers import Observer
-from phase_ppl.evaluation.sheet import GREY, Sheet, fitting, in_lines, in_words
 from phase_ppl.world.arrays import IntArray
-from phase_ppl.world.relations import SCENARIOS
+from phase_ppl.world.hypothesis import SCENARIOS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -5,12 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
-from phase_ppl.analysis.style import INK, NORMAL, SMALL, bare
+from phase_ppl.analysis.figures.style import INK, NORMAL, SMALL, bare
 from phase_ppl.evaluation.comparison.statistics import ALPHA
 from phase_ppl.evaluation.figures.accuracies import TITLES
-from phase_ppl.evaluation.figures.results import NothingToDrawError
-from phase_ppl.evaluation.sheet import GREY, Sheet, fitting, in_words, label_column, tint
-from phase_ppl.world.relations import SCENARIOS
+from phase_ppl.evaluation.figures.sheet import (
+    GREY,
+    NothingToDrawError,
+    Sheet,
+    fitting,
+    in_words,
+    label_column,
+    tint,
+)
+from phase_ppl.world.hypothesis import SCENARIOS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

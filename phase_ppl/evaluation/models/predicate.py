@@ -16,8 +16,7 @@ from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 
 if TYPE_CHECKING:
-    from phase_ppl.models.predicate.forward import Rationality
-    from phase_ppl.models.predicate.symbols import Thresholds
+    from phase_ppl.models.predicate import Rationality, Thresholds
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -38,9 +37,7 @@ class PredicateInversePlanning:
 
     def __call__(self, scene: Scene, observation: Observation, seed: int) -> Prediction:
         """Return the marginals of both effective goals and of the relation; nothing is random."""
-        from phase_ppl.models.predicate.forward import ForwardModel
-        from phase_ppl.models.predicate.posterior import posterior
-        from phase_ppl.models.predicate.symbols import symbolic_trajectory
+        from phase_ppl.models.predicate import ForwardModel, posterior, symbolic_trajectory
 
         trajectory = symbolic_trajectory(scene, observation, self.thresholds)
         likelihood = ForwardModel(scene, self.rationality).log_likelihood(trajectory)
@@ -65,8 +62,7 @@ class PredicateInversePlanning:
 
 def more_options(given: Mapping[str, Any]) -> list[str]:
     """Return the options beside the prior: thresholds and rationality, whatever is given."""
-    from phase_ppl.models.predicate.forward import Rationality
-    from phase_ppl.models.predicate.symbols import Thresholds
+    from phase_ppl.models.predicate import Rationality, Thresholds
 
     return [field.name for kind in (Thresholds, Rationality) for field in dataclasses.fields(kind)]
 
@@ -78,15 +74,13 @@ def predicate(*, prior: str = "uniform", **options: Any) -> PredicateInversePlan
     Args:
         prior: name of a prior over hypotheses, as SIMPLE takes it; or "independent", under which
             all pairs of effective goals are alike.
-        **options: fields of :class:`~phase_ppl.models.predicate.symbols.Thresholds` and of
-            :class:`~phase_ppl.models.predicate.forward.Rationality`.
+        **options: fields of :class:`~phase_ppl.models.predicate.Thresholds` and of
+            :class:`~phase_ppl.models.predicate.Rationality`.
 
     Raises:
         InvalidSettingError, UnknownNameError: one of them cannot be used.
     """
-    from phase_ppl.models.predicate.forward import Rationality
-    from phase_ppl.models.predicate.posterior import log_prior_of_pairs
-    from phase_ppl.models.predicate.symbols import Thresholds
+    from phase_ppl.models.predicate import Rationality, Thresholds, log_prior_of_pairs
 
     known = more_options(options)
     for name in options:

@@ -15,7 +15,7 @@ from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 
 if TYPE_CHECKING:
-    from phase_ppl.models.socialgnn.answers import Ensemble
+    from phase_ppl.models.socialgnn.network import Ensemble
     from phase_ppl.models.socialgnn.store import Trained
 
 
@@ -37,7 +37,7 @@ class SocialGNNModel:
 
     @functools.cached_property
     def _ensemble(self) -> Ensemble:
-        from phase_ppl.models.socialgnn.answers import Ensemble
+        from phase_ppl.models.socialgnn.network import Ensemble
 
         return Ensemble(self.trained, self.n_threads)
 

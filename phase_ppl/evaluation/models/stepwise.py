@@ -28,7 +28,7 @@ class Stepwise:
 
     def __call__(self, scene: Scene, observation: Observation, seed: int) -> Answer:
         """Return the marginals of both effective goals and of the relation."""
-        from phase_ppl.inference.stepwise.enumerate import read_event
+        from phase_ppl.inference.stepwise import read_event
         from phase_ppl.world.event import Event
 
         event = Event(scene, observation)
@@ -42,7 +42,7 @@ class Stepwise:
 
     def warm_up(self) -> None:
         """Compile what reading needs, for all processes."""
-        from phase_ppl.closed_loop.warm_up import warm_up
+        from phase_ppl.closed_loop.reader import warm_up
 
         warm_up()
 

@@ -15,11 +15,11 @@ from phase_ppl.analysis.hypotheses import HDI_PROBABILITY
 from phase_ppl.analysis.load import load_posterior
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+from phase_ppl.evaluation.agreement import at
 from phase_ppl.evaluation.comparison.comparison import ModelComparison
 from phase_ppl.evaluation.comparison.results import ComparedResults
-from phase_ppl.evaluation.curves import at
 from phase_ppl.evaluation.figures import COMPARED, DRAWN, TITLES
-from phase_ppl.evaluation.figures.results import FolderResults, NothingToDrawError
+from phase_ppl.evaluation.figures.sheet import FolderResults, NothingToDrawError
 from phase_ppl.evaluation.folder import POSTERIOR, ResultsFolder
 from phase_ppl.evaluation.observers import MODEL_COLOUR, Observer, label_of, observers
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
@@ -41,8 +41,8 @@ from phase_ppl.render.video import video
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, unknown_name
 from phase_ppl.world.event import Event
+from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS
 from phase_ppl.world.names import AGENTS
-from phase_ppl.world.relations import RELATIONS, SCENARIOS
 from phase_ppl.world.scene import Scene
 
 if TYPE_CHECKING:

@@ -21,10 +21,10 @@ from phase_ppl.render.video import FRAMES_PER_SECOND, FRAMES_PER_STEP, video
 from phase_ppl.world.errors import AnswerError
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import GOALS, N_GOALS
+from phase_ppl.world.hypothesis import RELATIONS
 from phase_ppl.world.identity import event_digest
 from phase_ppl.world.names import AGENTS, ITEMS, LANDMARKS
 from phase_ppl.world.observation import Observation
-from phase_ppl.world.relations import RELATIONS
 from phase_ppl.world.scene import Scene
 
 _EXCERPT: Final = 200

@@ -26,9 +26,8 @@ import numpy as np
 from jax import random
 from numpyro.util import is_prng_key
 
+from phase_ppl.inference.kernels.metropolis import MetropolisKernel, MHState, Move, moved_site
 from phase_ppl.inference.registry import register_kernel
-from phase_ppl.inference.sampling.metropolis import MetropolisKernel, MHState, Move
-from phase_ppl.inference.sampling.site_moves import moved_site
 from phase_ppl.models.density import NO_DENSITY
 from phase_ppl.models.program import EventProgram
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, SELF_REFERRING

@@ -16,10 +16,9 @@ from numpyro import handlers
 from numpyro.infer.gibbs import DiscreteGibbs, Gibbs, discrete_latent_sites
 from numpyro.infer.mcmc import MCMCKernel
 
+from phase_ppl.inference.kernels.particle import ParticleKernel, chosen, log_uniform
+from phase_ppl.inference.kernels.wrapped import WrappedState, seed_of, settled
 from phase_ppl.inference.registry import register_kernel
-from phase_ppl.inference.sampling.particle import ParticleKernel, chosen, log_uniform
-from phase_ppl.inference.sampling.uniform import seed_of
-from phase_ppl.inference.sampling.wrapped import WrappedState, settled
 from phase_ppl.models.density import draw, trace_log_density
 from phase_ppl.models.program import EventProgram
 from phase_ppl.world.checks import positive_number

@@ -10,9 +10,9 @@ import numpy as np
 from jax import random
 from jax.scipy.special import logsumexp
 
+from phase_ppl.inference.kernels.particle import ParticleKernel, chosen
 from phase_ppl.inference.proposals.tables import window_count
 from phase_ppl.inference.registry import register_kernel
-from phase_ppl.inference.sampling.particle import ParticleKernel, chosen
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.density import Program, Sites, log_density
 from phase_ppl.models.program import EventProgram

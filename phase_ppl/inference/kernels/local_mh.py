@@ -35,9 +35,9 @@ import numpy as np
 from jax import random
 from jax.scipy.special import logsumexp
 
+from phase_ppl.inference.kernels.metropolis import MetropolisKernel, MHState, Move
 from phase_ppl.inference.proposals.tables import window_count, window_length
 from phase_ppl.inference.registry import Validity, register_kernel
-from phase_ppl.inference.sampling.metropolis import MetropolisKernel, MHState, Move
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.density import Program, Sites, log_density
 from phase_ppl.models.program import EventProgram

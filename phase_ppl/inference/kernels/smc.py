@@ -1,4 +1,4 @@
-r"""Sequential Monte Carlo: a population that is cooled from the proposal to the posterior.
+"""Sequential Monte Carlo: a population that is cooled from the proposal to the posterior.
 
 The particles of a run are one population. They start as draws from what the whole observation
 shows, with weights P / Q, and pass through the laws P(h) p(w) L(e)^t of hypothesis h and simulator
@@ -15,26 +15,130 @@ L^(1 - t) that is left. The draws are the last population only.
 
 from __future__ import annotations
 
+import copy
 from typing import Any, Final, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import random
+from jax import lax, random
 from jax.scipy.special import logsumexp
 from numpyro.util import is_prng_key
 
+from phase_ppl.inference.kernels.generic_mh import PriorMH
 from phase_ppl.inference.kernels.local_mh import LocalMH
-from phase_ppl.inference.kernels.prior_mh import PriorMH
+from phase_ppl.inference.kernels.particle import ParticleKernel
 from phase_ppl.inference.proposals.tables import window_count
 from phase_ppl.inference.registry import register_kernel
-from phase_ppl.inference.sampling.particle import ParticleKernel
-from phase_ppl.inference.sampling.tempering import next_temperature, powered, systematic, tempered
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.density import Program, log_density
+from phase_ppl.models.likelihood import Likelihood
 from phase_ppl.models.program import EventProgram
 from phase_ppl.world.checks import number_or_nan
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
+
+_BISECTIONS = 40
+
+
+class Tempered:
+    """The likelihood L^temperature; not a density any more.
+
+    Args:
+        likelihood: L.
+        temperature: in [0, 1]; may be known only inside compiled code.
+    """
+
+    def __init__(self, likelihood: Likelihood, temperature: jax.Array) -> None:
+        self._likelihood, self._temperature = likelihood, temperature
+
+    def log_prob(self, errors: Any) -> Any:
+        """Return the temperature times the log density of each frame; -inf without one."""
+        log_prob = self._likelihood.log_prob(errors)
+        # 0 times -inf is no number; what failed stays impossible at any temperature
+        return jnp.where(jnp.isfinite(log_prob), self._temperature * log_prob, -jnp.inf)
+
+    def max_total_error(self, log_floor: Any, n_frames: int) -> Any:
+        """Return the summed error with which L^temperature reaches the floor."""
+        warm = jnp.maximum(self._temperature, jnp.finfo(jnp.float32).tiny)
+        highest = self._likelihood.max_total_error(log_floor / warm, n_frames)
+        return jnp.where(self._temperature > 0, highest, jnp.inf)
+
+
+def tempered(program: EventProgram, temperature: jax.Array) -> EventProgram:
+    """Return the program with its likelihood raised to ``temperature``."""
+    model = copy.copy(program.model)
+    # not dataclasses.replace: a model checks its prior anew, which compiled code cannot
+    object.__setattr__(model, "likelihood", Tempered(program.model.likelihood, temperature))
+    return EventProgram(model, program.bridge, program.n_frames, program.salt)
+
+
+def effective_share(log_weights: jax.Array) -> jax.Array:
+    """Return 1 / (n * sum of squared normalised weights), in (0, 1]; 0 without any weight."""
+    log_share = 2 * logsumexp(log_weights) - logsumexp(2 * log_weights)
+    return jnp.where(jnp.isfinite(log_share), jnp.exp(log_share), 0.0) / len(log_weights)
+
+
+def next_temperature(
+    log_weights: jax.Array, log_likelihood: jax.Array, temperature: jax.Array, target: float
+) -> jax.Array:
+    """Return the highest temperature that the population can be reweighted to.
+
+    By bisection on the conditional effective sample size (Zhou, Johansen, Aston 2016): the share
+    of particles that the increments of weight leave effective, given the weights so far.
+
+    Args:
+        log_weights: (n,) at the current temperature.
+        log_likelihood: (n,) up to a constant.
+        temperature: the current one, in [0, 1].
+        target: share of particles that shall stay effective, in (0, 1).
+    """
+    share = log_weights - logsumexp(log_weights)
+
+    def stays(candidate: jax.Array) -> jax.Array:
+        increment = powered(log_likelihood, candidate - temperature)
+        log_kept = 2 * logsumexp(share + increment) - logsumexp(share + 2 * increment)
+        return jnp.where(jnp.isfinite(log_kept), jnp.exp(log_kept), 0.0) >= target
+
+    def halve(_: int, bounds: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+        low, high = bounds
+        middle = (low + high) / 2
+        enough = stays(middle)
+        return jnp.where(enough, middle, low), jnp.where(enough, high, middle)
+
+    low, _ = lax.fori_loop(0, _BISECTIONS, halve, (temperature, jnp.ones_like(temperature)))
+    return jnp.where(stays(jnp.ones_like(temperature)), 1.0, low)
+
+
+def powered(log_likelihood: jax.Array, power: jax.Array) -> jax.Array:
+    """Return log L^power; -inf for what is impossible, whatever the power."""
+    return jnp.where(jnp.isfinite(log_likelihood), power * log_likelihood, -jnp.inf)
+
+
+def systematic(key: jax.Array, log_weights: jax.Array) -> jax.Array:
+    """Return (n,) which particle each place of a systematic resampling gets.
+
+    With equal weights every particle keeps its place.
+    """
+    n = len(log_weights)
+    shares = jnp.cumsum(jnp.exp(log_weights - logsumexp(log_weights)))
+    pointers = (jnp.arange(n) + random.uniform(key)) / n
+    places = jnp.searchsorted(shares / shares[-1], pointers)
+    equal = log_weights.max() == log_weights.min()
+    return jnp.where(equal, jnp.arange(n), jnp.clip(places, 0, n - 1))
+
+
+# --- sequential Monte Carlo: a population that is cooled from the proposal to the... --------------
+# The particles of a run are one population. They start as draws from what the whole observation
+# shows, with weights P / Q, and pass through the laws P(h) p(w) L(e)^t of hypothesis h and
+# simulator seed w, from t = 0 to the posterior at t = 1 (Del Moral, Doucet, Jasra 2006). Each
+# iteration
+#
+# 1. raises t as far as the stored errors allow: no simulation is needed to reweight; 2.
+# resamples, systematically; 3. moves every particle once by Metropolis-Hastings at that t: one
+# simulation each, which is stopped early as in the kernel that makes the move.
+#
+# From t = 1 on, iterations are moves only. A run that ends before has draws that carry the weight
+# L^(1 - t) that is left. The draws are the last population only.
 
 Move = Literal["local_mh", "prior_mh"]
 

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.goals import N_GOALS, goal_literal
-from phase_ppl.world.literals import Predicate
-from phase_ppl.world.names import AGENTS
+from phase_ppl.world.names import AGENTS, Predicate
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 

@@ -3,7 +3,7 @@
     python -m phase_ppl.inference.proposals.goal_training FOLDER
 
 Simulates events in scenes like those of PHASE and maximises the log probability that the joint
-proposal of :mod:`~phase_ppl.inference.proposals.social` gives to their true effective goals: for
+proposal of :mod:`~phase_ppl.inference.proposals.tables` gives to their true effective goals: for
 whole events, and for the mean over windows of the paper's length. Writes FOLDER/goal_weights.npz
 and the report FOLDER/goal_weights.json.
 """
@@ -29,13 +29,12 @@ from tqdm import tqdm
 
 from phase_ppl.dataset.generation.situation import agent_to, approach, item_to
 from phase_ppl.inference.proposals.goal_features import FEATURES, GOAL_PARTS, KINDS, goal_features
-from phase_ppl.inference.proposals.strength.scenes import draw_scene
+from phase_ppl.inference.proposals.strength_training import draw_scene
 from phase_ppl.inference.proposals.tables import WEIGHTS_FILE, window_length
 from phase_ppl.models import priors
 from phase_ppl.models.effective import log_prior_of_effective
 from phase_ppl.models.sites import IMPOSSIBLE
-from phase_ppl.simulator.joint import JointSimulator
-from phase_ppl.simulator.simulate import simulate
+from phase_ppl.simulator.joint import JointSimulator, simulate
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.goals import N_GOALS, goal_literal, opposed_goal
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS, Hypothesis

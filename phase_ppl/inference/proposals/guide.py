@@ -27,8 +27,7 @@ from numpyro.primitives import Messenger
 
 from phase_ppl.inference.proposals.tables import BottomUpTables
 from phase_ppl.models.density import Program, draw, log_density
-from phase_ppl.models.one_of import OneOf
-from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, IMPOSSIBLE, STRENGTH_SITES
+from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, IMPOSSIBLE, STRENGTH_SITES, OneOf
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_RANGE
 

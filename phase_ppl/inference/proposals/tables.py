@@ -4,7 +4,7 @@ Computed once per event, in NumPy, in one of two forms.
 
 "learned". Goals are scored by :mod:`~phase_ppl.inference.proposals.goal_features`, which also see
 what the agent itself did, and proposed together with alpha
-(:mod:`~phase_ppl.inference.proposals.social`). The weights of the features were learned from
+(:mod:`~phase_ppl.inference.proposals.tables`). The weights of the features were learned from
 simulated events. Strengths are estimated from the whole observation.
 
 "paper". A goal is proposed for a window from t1 to t2 in proportion to
@@ -26,18 +26,77 @@ from typing import Final, Literal, NamedTuple
 
 import jax
 import numpy as np
+from numpy.typing import NDArray
 
 from phase_ppl.inference.proposals.goal_features import GOAL_PARTS, goal_features
-from phase_ppl.inference.proposals.social import joint_logits
-from phase_ppl.inference.proposals.strength.estimates import Estimator
-from phase_ppl.inference.proposals.strength.estimators import DEFAULT_ESTIMATOR, estimated_strengths
+from phase_ppl.inference.proposals.strength import DEFAULT_ESTIMATOR, Estimator, estimated_strengths
 from phase_ppl.models.sites import IMPOSSIBLE, SELF_REFERRING
 from phase_ppl.world.arrays import FloatArray, IntArray
-from phase_ppl.world.goals import N_GOALS, goal_literal
-from phase_ppl.world.literals import Predicate
-from phase_ppl.world.names import AGENTS
+from phase_ppl.world.goals import N_GOALS, effective_goals, goal_literal
+from phase_ppl.world.hypothesis import ALPHAS
+from phase_ppl.world.names import AGENTS, Predicate
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
+
+
+class JointLogits(NamedTuple):
+    """Unnormalised log probabilities of stated goals and alpha.
+
+    Attributes:
+        goal: (..., alpha, agent, goal) of the stated goals, given alpha.
+        alpha: (..., alpha) beside the prior's.
+    """
+
+    goal: FloatArray
+    alpha: FloatArray
+
+
+def joint_logits(scores: FloatArray) -> JointLogits:
+    """Return the tables that scores (..., agent, goal) of effective goals make."""
+    goal = np.where(SELF_REFERRING, IMPOSSIBLE, 0.0)
+    goal = np.broadcast_to(goal, (*scores.shape[:-2], len(ALPHAS), *goal.shape)).copy()
+    for index in range(len(ALPHAS)):
+        for agent in range(len(AGENTS)):
+            for actor, acted_on in enumerate(_FOLLOWED[index]):
+                if _SOURCE[index][actor] == agent:
+                    goal[..., index, agent, :] += scores[..., actor, :][..., acted_on]
+    goal = np.where(SELF_REFERRING, IMPOSSIBLE, goal)
+    evidence = np.logaddexp.reduce(goal, axis=-1).sum(axis=-1)
+    return JointLogits(goal, evidence - evidence.max(axis=-1, keepdims=True))
+
+
+def _source(alpha: tuple[int, int]) -> tuple[int, ...]:
+    """Return, per agent, whose stated goal it acts on."""
+    return tuple(agent if alpha[agent] == 0 else 1 - agent for agent in range(len(AGENTS)))
+
+
+def _followed(alpha: tuple[int, int]) -> tuple[NDArray[np.int64], ...]:
+    """Return, per agent, its effective goal for every stated goal of the one it acts on."""
+    pairs = np.array([effective_goals(goal, goal, alpha) for goal in range(N_GOALS)])
+    return tuple(pairs[:, agent] for agent in range(len(AGENTS)))
+
+
+_SOURCE: Final = [_source(alpha) for alpha in ALPHAS]
+_FOLLOWED: Final = [_followed(alpha) for alpha in ALPHAS]
+
+
+# --- what a window of the observation says about goals and strengths (paper, Appendix 4B) ---------
+# Computed once per event, in NumPy, in one of two forms.
+#
+# "learned". Goals are scored by :mod:`~phase_ppl.inference.proposals.goal_features`, which also
+# see what the agent itself did, and proposed together with alpha
+# (:mod:`~phase_ppl.inference.proposals.tables`). The weights of the features were learned from
+# simulated events. Strengths are estimated from the whole observation.
+#
+# "paper". A goal is proposed for a window from t1 to t2 in proportion to exp(-gamma (2 d(t2) -
+# d(t1)) / 28.28): it is likely if it is nearly achieved at the end (d(t2) small) or has come
+# closer (d(t1) - d(t2) large); alpha comes from the prior. The paper prints the opposite sign,
+# which its text contradicts; ``sign="printed"`` keeps it.
+#
+# d is the distance of the goal's own entity: of the item for a goal about an item, of the named
+# agent for a goal about an agent at a landmark, between the agents for "get to". For a goal to be
+# *away* it is the distance to the set of places that are away: max(0, R - distance), with R the
+# diagonal of the arena. A smaller R leaves many goals at distance 0 that nobody works for.
 
 Sign = Literal["intended", "printed"]
 Form = Literal["learned", "paper"]

@@ -20,7 +20,7 @@ from phase_ppl.inference.proposals.tables import BottomUpTables
 from phase_ppl.inference.registry import KernelInfo
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.bridge import SimulatorBridge
-from phase_ppl.models.compiling import compiled_quickly
+from phase_ppl.models.density import compiled_quickly
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import EventProgram
 from phase_ppl.world.errors import InvalidSettingError, SimulationError

@@ -11,22 +11,22 @@ import platform
 import time
 import warnings
 import weakref
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.inference.proposals.strength.estimators import estimator_name
+from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+from phase_ppl.inference.proposals.strength import estimator_name
 from phase_ppl.inference.runs.chains import Chains, EventData, Recipe
 from phase_ppl.inference.runs.checkpoint import Checkpoint, Progressed, Spent, write_checkpoint
 from phase_ppl.inference.runs.draws import Drawn, build_tree
-from phase_ppl.inference.runs.length import budget_of, run_length
-from phase_ppl.inference.runs.pace import Account, Pace
+from phase_ppl.inference.runs.length import Account, Pace, budget_of, run_length
 from phase_ppl.inference.runs.plan import Plan, fields_of
 from phase_ppl.inference.runs.progress import Progress
-from phase_ppl.inference.runs.reading import reading_runner
 from phase_ppl.inference.settings import (
     Budget,
     FrameBudget,
@@ -34,14 +34,81 @@ from phase_ppl.inference.settings import (
     TimeBudget,
     described_budget,
 )
+from phase_ppl.inference.stepwise import read_event
 from phase_ppl.models.bridge import SimulatorBridge
 from phase_ppl.models.program import event_salt
-from phase_ppl.models.stepwise import StepwiseLikelihood
-from phase_ppl.simulator.contract import Cancelled, OutOfTime, SimulationResult
-from phase_ppl.simulator.costs import Statistics
+from phase_ppl.models.stepwise import StepwiseLikelihood, level_of
+from phase_ppl.simulator.contract import Cancelled, OutOfTime, SimulationResult, Statistics
+from phase_ppl.simulator.dispatch import Request
 from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.checks import check_memory
 from phase_ppl.world.errors import InvalidSettingError, OutputError
+from phase_ppl.world.hypothesis import Hypothesis
+from phase_ppl.world.scene import Scene
+
+
+class ReadingRunner(Runner):
+    """Answers requests for simulations from a reading of the video, which is made once.
+
+    The error of a frame is by how many nats, times the likelihood's weight, the best pair of
+    goals explains it better; that of the first frame tells the same of the strengths, each of
+    which counts as the nearest that was followed, as in the prior of the table of all hypotheses.
+    The "trajectory" is the observed one, on which
+    every frame is conditioned. Nothing is random, so seeds make no difference.
+
+    Args:
+        plan: what is sampled.
+        post: what was read.
+    """
+
+    def __init__(self, plan: Plan, post: StepwisePosterior) -> None:
+        super().__init__(_never, plan.event.scene, plan.event.observation, workers=1)
+        found = post.dataset
+        likelihood = found["log_likelihood"].values
+        worst = likelihood.max(axis=(1, 2), keepdims=True) - likelihood
+        self._errors = float(found.attrs["weight"]) * worst
+        self._levels = found["strength_red"].values
+        with np.errstate(divide="ignore"):
+            strengths = np.log(found["strengths"].values[-1])
+        self._strength_errors = strengths.max() - strengths
+        self._trajectory = np.array(plan.event.observation.trajectory)
+
+    def _run_here(self, request: Request) -> SimulationResult:
+        self._check_cancelled()
+        hypothesis, seed, _ = request
+        red, green = hypothesis.effective_goals
+        errors = self._errors[:, red, green].copy()
+        place = [level_of(newtons, self._levels) for newtons in hypothesis.strengths]
+        errors[0] += self._strength_errors[place[0], place[1]]
+        if not np.isfinite(errors).all():
+            reason = "impossible given what was seen"
+            return self._count(SimulationResult.failed(hypothesis, seed, len(errors), reason))
+        return self._count(
+            SimulationResult(hypothesis, seed, self._trajectory, errors, len(errors), True)
+        )
+
+
+def reading_runner(
+    plan: Plan, threads: int | None, executor: Executor | None, progress: bool | None
+) -> ReadingRunner:
+    """Read the event of a plan, and return a runner that answers from it.
+
+    Raises:
+        InvalidSettingError: an executor is given, in which there is nothing to simulate.
+    """
+    if executor is not None:
+        raise InvalidSettingError("a stepwise likelihood simulates nothing: it takes no executor")
+    post = read_event(plan.event, plan.model, seed=plan.seed, threads=threads, progress=progress)
+    return ReadingRunner(plan, post)
+
+
+def _never(
+    scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator
+) -> Iterator[NDArray[np.float64]]:
+    raise AssertionError("requests are answered from the reading")
+
+
+# --- one call that begins a run, or goes on with one, and ends it with a posterior ----------------
 
 _RECORD_BYTES: Final = 3000
 _FRAME_BYTES: Final = 104
@@ -84,7 +151,7 @@ class Means:
         progress: whether to show a bar.
         path: of the checkpoint; None: none is written.
         versions: of which the run was made so far, the present ones last.
-        began: when the call began, by :func:`phase_ppl.inference.runs.pace.clock`.
+        began: when the call began, by :func:`phase_ppl.inference.runs.length.clock`.
         burn_in: draws at the beginning of each chain that do not count; None: by default.
     """
 

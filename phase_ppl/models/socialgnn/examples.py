@@ -8,18 +8,16 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from phase_ppl.dataset.generation.copies import recoloured, reflected
+from phase_ppl.dataset.generation.copies import Recording, recoloured, reflected
 from phase_ppl.dataset.generation.plan import REFLECTION_SHARES, UNCHANGED, Look
-from phase_ppl.dataset.generation.recording import Recording
 from phase_ppl.models.socialgnn.graphs import Graphs, Variant, contacts, frame_graphs
 from phase_ppl.physics.actions import NO_ACTION
 from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import goal_index
-from phase_ppl.world.hypothesis import Hypothesis
+from phase_ppl.world.hypothesis import RELATIONS, Hypothesis
 from phase_ppl.world.names import AGENTS, BLUE_ITEM, NOTHING
 from phase_ppl.world.observation import Observation
-from phase_ppl.world.relations import RELATIONS
 
 LOOKS: Final = tuple(
     Look(*look) for look in itertools.product(REFLECTION_SHARES, (False, True), (False, True))

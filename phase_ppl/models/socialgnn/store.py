@@ -7,9 +7,11 @@ being 0, 1, ... The JSON file beside it says how they were made.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import hashlib
 import io
+import math
 import os
 import zipfile
 from collections.abc import Mapping, Sequence
@@ -20,10 +22,120 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.models.socialgnn.graphs import VARIANTS, Variant
-from phase_ppl.models.socialgnn.sizes import shapes
+from phase_ppl.models.socialgnn.graphs import (
+    FEATURES,
+    VARIANTS,
+    Variant,
+    checked_variant,
+    n_context,
+    n_nodes,
+)
+from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.files import atomic_output
+from phase_ppl.world.goals import N_GOALS
+from phase_ppl.world.hypothesis import RELATIONS
+
+EDGE: Final = 32
+"""Units of an updated edge."""
+
+NODE: Final = 16
+"""Units of an updated node."""
+
+STATE: Final = 64
+"""Units of the LSTM's state."""
+
+HEADS: Final[Mapping[str, Mapping[str, int]]] = {
+    "extended": {"relation": len(RELATIONS), "goal_red": N_GOALS, "goal_green": N_GOALS},
+    "original": {"relation": len(RELATIONS)},
+}
+"""Variant -> head -> its answers."""
+
+
+def shapes(variant: Variant) -> dict[str, tuple[int, ...]]:
+    """Return the arrays of a trained network, as PyTorch calls them, with their shapes."""
+    nodes = n_nodes(variant)
+    features = len(FEATURES) + nodes
+    layers = {
+        "edge": (EDGE, 2 * features + 4 + n_context(variant)),
+        "node": (NODE, features + EDGE),
+        **{f"heads.{name}": (n, STATE) for name, n in HEADS[variant].items()},
+    }
+    found: dict[str, tuple[int, ...]] = {}
+    for name, shape in layers.items():
+        found |= {f"{name}.weight": shape, f"{name}.bias": shape[:1]}
+    return found | {
+        "lstm.weight_ih_l0": (4 * STATE, nodes * NODE),
+        "lstm.weight_hh_l0": (4 * STATE, STATE),
+        "lstm.bias_ih_l0": (4 * STATE,),
+        "lstm.bias_hh_l0": (4 * STATE,),
+    }
+
+
+# --- how a network is trained ---------------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainingSettings:
+    """How one network is trained; the paper gives the loss, the numbers are this package's.
+
+    Attributes:
+        variant: "extended" (relation and goals) or "original" (relation only).
+        epochs: passes over the training events, at most.
+        patience: epochs without a smaller loss on the validation events after which it ends; the
+            network of the smallest one counts.
+        batch: events per step.
+        learning_rate: of Adam at the start; halved after a third of the patience without progress.
+        decay: lambda, weight of the squared norm of all weights in the loss.
+        dropout: share of units left out in each step.
+        balanced: whether relations that are rare among the training events weigh more. The loss of
+            a batch is their weighted mean, so that in batches of one event this changes nothing.
+        looks: whether an event is reflected and recoloured anew in each epoch.
+        threads: of PyTorch; the result depends on it.
+
+    Raises:
+        InvalidSettingError, UnknownNameError: a value that is not allowed.
+    """
+
+    variant: Variant = "extended"
+    epochs: int = 250
+    patience: int = 40
+    batch: int = 16
+    learning_rate: float = 3e-3
+    decay: float = 3e-5
+    dropout: float = 0.2
+    balanced: bool = True
+    looks: bool = True
+    threads: int = 1
+
+    def __post_init__(self) -> None:
+        checked_variant(self.variant)
+        for name in ("epochs", "patience", "batch", "threads"):
+            whole_number(name, getattr(self, name))
+        for name in ("balanced", "looks"):
+            if not isinstance(getattr(self, name), bool):
+                raise InvalidSettingError(
+                    f"{name}={shown(getattr(self, name))}, expected True or False"
+                )
+        for name, low, high in (
+            ("learning_rate", 1e-7, 1.0), ("decay", 0.0, 1.0), ("dropout", 0.0, 0.9),
+        ):  # fmt: skip
+            value = getattr(self, name)
+            number = isinstance(value, int | float) and not isinstance(value, bool)
+            if not (number and math.isfinite(value) and low <= value <= high):
+                raise InvalidSettingError(
+                    f"{name}={shown(value)}, expected a number from {low:g} to {high:g}"
+                )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain data."""
+        return dataclasses.asdict(self)
+
+
+# --- trained networks in files: plain arrays in half precision, no code ---------------------------
+# A file ``extended.npz`` or ``original.npz`` holds one or more *members*, networks of the same
+# variant that were trained from different seeds; their arrays are called ``MEMBER/NAME``, MEMBER
+# being 0, 1, ... The JSON file beside it says how they were made.
 
 Arrays = Mapping[str, NDArray[np.float16]]
 

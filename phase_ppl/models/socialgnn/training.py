@@ -15,10 +15,9 @@ from phase_ppl.models.neural import threads
 from phase_ppl.models.socialgnn.examples import AS_IT_IS, LOOKS, Example, Examples
 from phase_ppl.models.socialgnn.graphs import batch
 from phase_ppl.models.socialgnn.network import Outputs, SocialGNN
-from phase_ppl.models.socialgnn.settings import TrainingSettings
-from phase_ppl.models.socialgnn.store import halved
+from phase_ppl.models.socialgnn.store import TrainingSettings, halved
 from phase_ppl.world.errors import InvalidSettingError
-from phase_ppl.world.relations import RELATIONS
+from phase_ppl.world.hypothesis import RELATIONS
 
 Curves = dict[str, list[float]]
 

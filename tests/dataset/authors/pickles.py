@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from phase_ppl.dataset.generation.copies import reflected
-from phase_ppl.dataset.generation.recording import Recording
-from phase_ppl.dataset.generation.tables import walls_of
+from phase_ppl.dataset.generation.copies import Recording, reflected
+from phase_ppl.dataset.generation.situation import walls_of
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.scene import LANDMARK_CENTRES, Scene

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from phase_ppl.dataset import load_events
 from phase_ppl.dataset.authors.videos import repaired
-from phase_ppl.dataset.turning import full_turn
+from phase_ppl.dataset.motion import full_turn
 from phase_ppl.world.arrays import FloatArray
 from tests.dataset.authors.pickles import wrapped
 from tests.world.examples import DEV, needs_dev

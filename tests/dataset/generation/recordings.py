@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.dataset.generation.recording import Recording
-from phase_ppl.dataset.generation.tables import walls_of
+from phase_ppl.dataset.generation.copies import Recording
+from phase_ppl.dataset.generation.situation import walls_of
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.names import NOTHING
 from phase_ppl.world.scene import Scene

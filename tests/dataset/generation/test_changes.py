@@ -5,11 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phase_ppl.dataset.generation import registry
+from phase_ppl.dataset.generation import families
 from phase_ppl.dataset.generation.changes import MOST_CHANGES, Change, changed
-from phase_ppl.dataset.generation.registry import family_and_variant, register_family
-from phase_ppl.dataset.generation.situation import Draw, Situation, overlaps
-from phase_ppl.dataset.generation.tables import LAYOUTS_OF_A_KIND, SIZES, walls_of
+from phase_ppl.dataset.generation.families import family_and_variant, register_family
+from phase_ppl.dataset.generation.situation import (
+    LAYOUTS_OF_A_KIND,
+    SIZES,
+    Draw,
+    Situation,
+    overlaps,
+    walls_of,
+)
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS
 from tests.dataset.generation.test_situations import CELLS, FREE, rooms_of, situations
 
@@ -81,8 +87,8 @@ def test_ids_are_moved_only_where_the_rules_of_the_family_hold() -> None:
 
 
 def test_places_have_to_be_in_the_rooms_of_the_family(monkeypatch: pytest.MonkeyPatch) -> None:
-    available = registry.available_families()
-    monkeypatch.setattr(registry, "_FAMILIES", dict(registry._FAMILIES))
+    available = families.available_families()
+    monkeypatch.setattr(families, "_FAMILIES", dict(families._FAMILIES))
     assert "elsewhere" not in available
     goal = "Get red agent to blue lm"
 

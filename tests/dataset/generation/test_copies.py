@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phase_ppl.dataset.generation.copies import REFLECTIONS, recoloured, reflected
-from phase_ppl.dataset.generation.measures import measures
-from phase_ppl.dataset.generation.recording import Recording
+from phase_ppl.dataset.generation.copies import REFLECTIONS, Recording, recoloured, reflected
+from phase_ppl.dataset.generation.making import measures
 from phase_ppl.world.geometry import heading
 from phase_ppl.world.goals import GOALS
 from tests.dataset.generation.recordings import recording

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phase_ppl.dataset.generation.filters import MAX_STUCK, reason_against
-from phase_ppl.dataset.generation.measures import longest_run, measures
-from phase_ppl.dataset.generation.recording import AFTER_MOTION, SHORTEST, Recording, after_motion
+from phase_ppl.dataset.generation.copies import AFTER_MOTION, SHORTEST, Recording, after_motion
+from phase_ppl.dataset.generation.making import MAX_STUCK, longest_run, measures, reason_against
 from tests.dataset.generation.recordings import START, recording
 
 

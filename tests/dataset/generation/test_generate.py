@@ -17,9 +17,9 @@ from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.cli import main
 from phase_ppl.dataset.generation import generate as module
 from phase_ppl.dataset.generation import making
+from phase_ppl.dataset.generation.families import family_and_variant
 from phase_ppl.dataset.generation.generate import GenerationInterrupted, generate
 from phase_ppl.dataset.generation.plan import PHASE500, SPLITS, Plan, apportioned, scaled
-from phase_ppl.dataset.generation.registry import family_and_variant
 from phase_ppl.dataset.generation.store import GeneratedEvents, verify
 from phase_ppl.world.errors import (
     InvalidEventError,
@@ -31,7 +31,7 @@ from phase_ppl.world.errors import (
 from phase_ppl.world.files import locked
 from phase_ppl.world.goals import goal_literal
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS
-from phase_ppl.world.literals import Predicate
+from phase_ppl.world.names import Predicate
 
 QUICK: dict[str, Any] = {
     "planner": PlannerConfig(particles=5, simulations=2, rollout_length=1),

@@ -5,18 +5,23 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phase_ppl.dataset.generation import registry
-from phase_ppl.dataset.generation.registry import (
+from phase_ppl.dataset.generation import families
+from phase_ppl.dataset.generation.families import (
     available_families,
     family_and_variant,
     register_family,
 )
-from phase_ppl.dataset.generation.situation import CannotDraw, Draw, Situation, overlaps
-from phase_ppl.dataset.generation.tables import LAYOUTS, SIZES
+from phase_ppl.dataset.generation.situation import (
+    LAYOUTS,
+    SIZES,
+    CannotDraw,
+    Draw,
+    Situation,
+    overlaps,
+)
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from phase_ppl.world.goals import goal_literal
-from phase_ppl.world.literals import Predicate
-from phase_ppl.world.names import BLUE_ITEM
+from phase_ppl.world.names import BLUE_ITEM, Predicate
 from phase_ppl.world.rooms import Rooms
 
 CELLS = [
@@ -134,7 +139,7 @@ def test_unknown_families_and_variants_are_refused_with_what_there_is() -> None:
 
 def test_a_family_of_ones_own(monkeypatch: pytest.MonkeyPatch) -> None:
     available_families()
-    monkeypatch.setattr(registry, "_FAMILIES", dict(registry._FAMILIES))
+    monkeypatch.setattr(families, "_FAMILIES", dict(families._FAMILIES))
 
     @register_family("side_by_side", scenario="collaborative", layouts=[0])
     def side_by_side(draw: Draw) -> Situation:
@@ -150,7 +155,7 @@ def test_a_family_of_ones_own(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_family_that_breaks_its_promise_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     available_families()
-    monkeypatch.setattr(registry, "_FAMILIES", dict(registry._FAMILIES))
+    monkeypatch.setattr(families, "_FAMILIES", dict(families._FAMILIES))
 
     @register_family("wrong", scenario="opposing", layouts=[0])
     def wrong(draw: Draw) -> Situation:

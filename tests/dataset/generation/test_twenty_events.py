@@ -10,7 +10,7 @@ from phase_ppl.cli import main
 from phase_ppl.dataset.generation.plan import PHASE500, scaled
 from phase_ppl.world.geometry import is_on
 from phase_ppl.world.goals import goal_literal
-from phase_ppl.world.literals import Predicate
+from phase_ppl.world.names import Predicate
 
 
 def test_twenty_events_show_what_they_should(tmp_path: Path) -> None:

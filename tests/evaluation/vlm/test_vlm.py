@@ -20,10 +20,9 @@ from PIL import Image
 import phase_ppl as ppl
 from phase_ppl.cli import main
 from phase_ppl.evaluation import registry
-from phase_ppl.evaluation.models.vlm import vlm
+from phase_ppl.evaluation.models import vlm as vlm_model
+from phase_ppl.evaluation.models.vlm import ANSWER, vlm
 from phase_ppl.evaluation.prediction import Prediction
-from phase_ppl.evaluation.vlm import model as vlm_model
-from phase_ppl.evaluation.vlm.model import ANSWER
 from phase_ppl.evaluation.vlm.request import NoReply, Reply, Request
 from phase_ppl.world.errors import (
     AnswerError,

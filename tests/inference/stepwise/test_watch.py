@@ -13,7 +13,7 @@ import pytest
 import phase_ppl as ppl
 from phase_ppl.cli import main
 from phase_ppl.closed_loop.reader import Reader
-from phase_ppl.inference.stepwise import enumerate as enumerate_
+from phase_ppl.inference import stepwise as enumerate_
 from phase_ppl.models import priors
 from phase_ppl.models.stepwise import level_of, prior_table
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError

@@ -8,15 +8,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phase_ppl.models.predicate.forward import ForwardModel, Rationality, own_changes
-from phase_ppl.models.predicate.planning import CostToGo, without_physics
-from phase_ppl.models.predicate.posterior import INDEPENDENT, log_prior_of_pairs, posterior
-from phase_ppl.models.predicate.symbols import SymbolicState
+from phase_ppl.models.predicate import (
+    INDEPENDENT,
+    CostToGo,
+    ForwardModel,
+    Rationality,
+    SymbolicState,
+    log_prior_of_pairs,
+    own_changes,
+    posterior,
+    without_physics,
+)
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from phase_ppl.world.goals import goal_index, goal_literal
-from phase_ppl.world.literals import STOP, Literal, Predicate
-from phase_ppl.world.names import NOTHING
-from phase_ppl.world.relations import RELATION_TABLE, RELATIONS
+from phase_ppl.world.hypothesis import RELATION_TABLE, RELATIONS
+from phase_ppl.world.names import NOTHING, STOP, Literal, Predicate
 from tests.agents.scenes import FULL_WALL_UP, NARROW_WALL_DOWN, scene
 
 BLUE, GREEN, RED, YELLOW = range(4)

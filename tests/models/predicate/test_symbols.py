@@ -11,7 +11,7 @@ import pytest
 from phase_ppl.agents.agent import Mind
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.symbols import N_FACTS, describe
-from phase_ppl.models.predicate.symbols import FACTOR, Thresholds, symbolic_trajectory
+from phase_ppl.models.predicate import FACTOR, Thresholds, symbolic_trajectory
 from phase_ppl.physics import compiled
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.geometry import GRAB_REACH

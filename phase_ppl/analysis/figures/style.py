@@ -1,0 +1,114 @@
+"""What the figures have in common."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from phase_ppl.world.files import atomic_output
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+FORMATS: Final = (".png", ".pdf", ".svg")
+"""File name endings a figure can be written with."""
+
+INK: Final = "#222222"
+
+SMALL: Final = 7.5
+NORMAL: Final = 8.5
+"""Font sizes, points."""
+
+
+COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#9a4c8f", "#8a6d00", "#56a0d3", "#444444")
+"""Colours of lines, to be told apart without seeing red and green apart."""
+
+MANY_COLOURS: Final = (
+    *("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#d55e00", "#56b4e9"),
+    *("#7a5195", "#8a6d00", "#444444", "#b5bd00", "#a50f15", "#7fcdbb"),
+)
+"""Colours of areas that stand for categories."""
+
+OTHER: Final = "#d0d0d0"
+"""Colour of what has none of its own."""
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """Return an empty white figure, inches, that belongs to no global state."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), facecolor="white")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def written(figure: Figure, path: str | os.PathLike[str] | None) -> Figure:
+    """Return the figure, written to ``path`` as well if there is one.
+
+    Raises:
+        OutputError: it cannot be written there, or the ending is none of :data:`FORMATS`.
+    """
+    if path is not None:
+        with atomic_output(path, FORMATS) as part:
+            figure.savefig(part, dpi=200)
+    return figure
+
+
+def bare(axes: Axes, *more: str) -> None:
+    """Leave the left and lower axis only, or fewer, in thin lines."""
+    for side in ("top", "right", *more):
+        axes.spines[side].set_visible(False)
+    for side in ("left", "bottom"):
+        axes.spines[side].set_linewidth(0.7)
+        axes.spines[side].set_color(INK)
+    axes.tick_params(labelsize=SMALL + 0.5, width=0.7, length=3, colors=INK)
+
+
+def direct_labels(
+    axes: Axes,
+    ends: Sequence[tuple[float, float, str, str]],
+    *,
+    gap: float = 0.065,
+) -> None:
+    """Write each line's name beside its end, moved apart where they would touch.
+
+    Args:
+        axes: with final limits.
+        ends: x and y of the end, name, colour.
+        gap: least distance of two names, as a share of the axis.
+    """
+    low, high = axes.get_ylim()
+    wanted = np.array([(end[1] - low) / (high - low) for end in ends])
+    order = np.argsort(wanted)
+    places = wanted[order].copy()
+    for _ in range(200):
+        gaps = np.diff(places)
+        for i in np.flatnonzero(gaps < gap - 1e-9):
+            push = (gap - gaps[i]) / 2
+            places[i] -= push
+            places[i + 1] += push
+        lift = max(0.0, 0.02 - places[0])
+        places[0] += lift
+    for place, i in zip(places, order, strict=True):
+        _, _, name, colour = ends[i]
+        axes.annotate(
+            name,
+            (1.0, wanted[i]),
+            xycoords="axes fraction",
+            xytext=(1.035, place),
+            textcoords="axes fraction",
+            va="center",
+            fontsize=NORMAL,
+            color=colour,
+            annotation_clip=False,
+            arrowprops={
+                **{"arrowstyle": "-", "color": colour, "lw": 0.7},
+                **{"shrinkA": 0, "shrinkB": 0, "relpos": (0, 0.5)},
+            },
+        )

@@ -1,0 +1,375 @@
+"""Families of events by name: the original eight, and other people's.
+
+A family of one's own is a function that draws a situation::
+
+    @register_family("two_on_one", scenario="collaborative")
+    def two_on_one(draw: Draw) -> Situation:
+        ...
+
+Families with variants take the variant's name as second argument.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import inspect
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from phase_ppl.dataset.generation.situation import (
+    LAYOUTS,
+    NARROW,
+    SIZES,
+    SPOTS,
+    CannotDraw,
+    Draw,
+    Situation,
+    agent_to,
+    approach,
+    item_to,
+)
+from phase_ppl.world.errors import InvalidSettingError, unknown_name
+from phase_ppl.world.hypothesis import RELATION_OF_SCENARIO, SCENARIOS, scenario
+from phase_ppl.world.names import AGENTS, BLUE_ITEM, GREEN, PINK_ITEM, RED
+from phase_ppl.world.plugins import load_registered
+from phase_ppl.world.rooms import ROOMS_OF_RAY
+from phase_ppl.world.scene import Turning
+
+ENTRY_POINTS: Final = "phase_ppl.families"
+
+_TRIES: Final = 200
+"""Draws that a layout may refuse before the family is said to be impossible."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Family:
+    """A family of events.
+
+    Attributes:
+        name: as users call it.
+        function: ``function(draw)`` or, with variants, ``function(draw, variant)``.
+        scenario: what its events show; the relation follows from it.
+        layouts: numbers of the layouts it can be drawn in.
+        variants: names of its variants; empty where there are none.
+        summary: first line of the function's documentation.
+    """
+
+    name: str
+    function: Callable[..., Situation]
+    scenario: str
+    layouts: tuple[int, ...]
+    variants: tuple[str, ...]
+    summary: str
+
+    @property
+    def relation(self) -> str:
+        """What its events show."""
+        return RELATION_OF_SCENARIO[self.scenario]
+
+    def draw(
+        self, rng: np.random.Generator, variant: str | None = None, turning: Turning = "both"
+    ) -> Situation:
+        """Return a situation in one of the layouts.
+
+        Raises:
+            InvalidSettingError: no layout allows it, or it is of another scenario than promised.
+        """
+        for _ in range(_TRIES):
+            draw = Draw(rng, self.layouts[int(rng.integers(len(self.layouts)))], turning)
+            try:
+                return self.drawn_with(draw, variant)
+            except CannotDraw:
+                continue
+        raise InvalidSettingError(
+            f"family {self.name!r} found no situation in {_TRIES} draws from layouts "
+            f"{list(self.layouts)}"
+        )
+
+    def drawn_with(self, draw: Draw, variant: str | None = None) -> Situation:
+        """Return the situation of one draw.
+
+        Raises:
+            CannotDraw: the draw does not allow it.
+            InvalidSettingError: it is of another scenario than promised.
+        """
+        drawn = self.function(draw) if variant is None else self.function(draw, variant)
+        shown = scenario(*drawn.hypothesis.effective_goals)
+        if shown != self.scenario:
+            raise InvalidSettingError(
+                f"family {self.name!r} drew {drawn.hypothesis}, which is {shown}, "
+                f"not {self.scenario}"
+            )
+        return drawn
+
+
+_FAMILIES: Final[dict[str, Family]] = {}
+
+
+def register_family(
+    name: str,
+    *,
+    scenario: str,
+    layouts: Sequence[int] = tuple(LAYOUTS),
+    variants: Sequence[str] = (),
+) -> Callable[[Callable[..., Situation]], Callable[..., Situation]]:
+    """Return a decorator that makes a family known under ``name``.
+
+    Arguments as the attributes of :class:`Family`.
+
+    Raises:
+        UnknownNameError: an unknown scenario or layout.
+        InvalidSettingError: the name is taken by another function, or holds a colon.
+    """
+    if scenario not in SCENARIOS:
+        raise unknown_name("scenario", scenario, SCENARIOS)
+    for layout in layouts:
+        if layout not in LAYOUTS:
+            raise unknown_name("layout", layout, map(str, LAYOUTS))
+    if not layouts or ":" in name:
+        raise InvalidSettingError(f"family {name!r}: expected layouts, and a name without ':'")
+
+    def register(function: Callable[..., Situation]) -> Callable[..., Situation]:
+        known = _FAMILIES.get(name)
+        if known is not None and _origin(known.function) != _origin(function):
+            raise InvalidSettingError(f"a family named {name!r} exists: {_origin(known.function)}")
+        summary = (inspect.getdoc(function) or "").split("\n")[0]
+        _FAMILIES[name] = Family(name, function, scenario, tuple(layouts), tuple(variants), summary)
+        return function
+
+    return register
+
+
+def _origin(function: Any) -> str:
+    return f"{function.__module__}.{getattr(function, '__qualname__', function)}"
+
+
+@functools.cache
+def _load_all() -> None:
+    load_registered("family", None, ENTRY_POINTS)
+
+
+def available_families() -> list[str]:
+    """Return the names of all families, sorted."""
+    _load_all()
+    return sorted(_FAMILIES)
+
+
+def family_and_variant(cell: str) -> tuple[Family, str | None]:
+    """Return what "FAMILY" or "FAMILY:VARIANT" names.
+
+    Raises:
+        UnknownNameError: there is no such family or variant; the message names close matches.
+    """
+    name, colon, variant = cell.partition(":")
+    if name not in available_families():
+        raise unknown_name("family", name, available_families())
+    family = _FAMILIES[name]
+    if not family.variants and not colon:
+        return family, None
+    if variant not in family.variants:
+        allowed = [f"{name}:{known}" for known in family.variants] or [name]
+        raise unknown_name("variant", cell, allowed)
+    return family, variant
+
+
+# --- one agent wants to get to the other, which wants to get away ---------------------------------
+
+
+@register_family("chasing", scenario="opposing")
+def chasing(draw: Draw) -> Situation:
+    """One agent chases the other."""
+    chaser = draw.room()
+    chased = draw.room(but=[chaser])
+    return draw.situation(
+        (approach(RED), approach(GREEN)),
+        (0, -1),
+        (chaser, chased, draw.room(), draw.room()),
+        (
+            draw.size((chaser, chased)),
+            draw.size((chaser, chased)),
+            draw.any_size(),
+            draw.any_size(),
+        ),
+        (draw.strength(1, 2, 3), draw.strength(1, 2, 3)),
+    )
+
+
+# --- two agents carry one item --------------------------------------------------------------------
+
+
+@register_family("collab", scenario="collaborative")
+def collab(draw: Draw) -> Situation:
+    """Both want the same item at a landmark and fetch it from the same or from two sides."""
+    item = draw.room()
+    landmark = draw.room(but=[item])
+    first = draw.room(but=[item])
+    chain = draw.chain
+    place = chain.index(item)
+    sides = chain[:place], chain[place + 1 :]
+    across = sides[0] if first in sides[1] else sides[1]
+    second = draw.one_of([first, draw.one_of(across)] if across else [first])
+    force = draw.strength()
+    return draw.situation(
+        (item_to(BLUE_ITEM, landmark),) * 2,
+        (0, 0),
+        (first, second, item, draw.room()),
+        (
+            draw.size((first, item), (item, landmark)),
+            draw.size((second, item), (item, landmark)),
+            draw.size((item, landmark)),
+            draw.any_size(),
+        ),
+        (force, force),
+    )
+
+
+# --- two agents want one item at different landmarks ----------------------------------------------
+
+
+@register_family("compete", scenario="competing")
+def compete(draw: Draw) -> Situation:
+    """Both want the same item, at landmarks of their own."""
+    item = draw.room()
+    red = draw.room(but=[item])
+    green = draw.room(but=[item, red])
+    rooms = draw.room(), draw.room()
+    return draw.situation(
+        (item_to(BLUE_ITEM, red), item_to(BLUE_ITEM, green)),
+        (0, 0),
+        (*rooms, item, draw.room()),
+        (
+            draw.size((rooms[0], item), (item, red)),
+            draw.size((rooms[1], item), (item, green)),
+            draw.size((item, red), (item, green)),
+            draw.any_size(),
+        ),
+        (draw.strength(1, 2, 3), draw.strength(1, 2, 3)),
+    )
+
+
+# --- an agent is too large for the door to its item; the other brings it --------------------------
+
+NARROW_LAYOUTS = tuple(n for n, lengths in LAYOUTS.items() if 10 - NARROW in lengths)
+
+
+@register_family("help_blocked", scenario="collaborative", layouts=NARROW_LAYOUTS)
+def help_blocked(draw: Draw) -> Situation:
+    """A large agent cannot get to its item through a narrow door; a small one helps it."""
+    sides = draw.sides_of(draw.narrow_door())
+    near = draw.one_of((0, 1))
+    helpee = draw.one_of(sides[near])
+    landmark = draw.one_of(sides[near])
+    item = draw.one_of(sides[1 - near])
+    return draw.situation(
+        # what the helper would want for itself does not matter: it acts on the other's goal
+        (item_to(BLUE_ITEM, landmark),) * 2,
+        (1, 0),
+        (draw.room(), helpee, item, draw.room()),
+        (SIZES[0], draw.any_size(but=SIZES[:1]), SIZES[0], draw.any_size()),
+        (draw.strength(1, 2, 3), draw.strength(1, 2, 3)),
+    )
+
+
+# --- an item is too heavy for one agent; the other comes to help ----------------------------------
+
+
+@register_family("help_lift", scenario="collaborative")
+def help_lift(draw: Draw) -> Situation:
+    """A weak agent is with the item, a stronger one comes; both want the item at a landmark."""
+    item = draw.room()
+    landmark = draw.room(but=[item])
+    helper = draw.room(but=[item])
+    return draw.situation(
+        (item_to(BLUE_ITEM, landmark),) * 2,
+        (0, 0),
+        (helper, item, item, draw.room()),
+        (
+            draw.size((helper, item), (item, landmark)),
+            SIZES[0],
+            draw.size((item, landmark)),
+            draw.any_size(),
+        ),
+        (draw.strength(1, 2, 3), draw.strength(0)),
+    )
+
+
+# --- an item blocks an agent's door; the other moves it away --------------------------------------
+
+
+@register_family("help_move", scenario="collaborative", layouts=NARROW_LAYOUTS)
+def help_move(draw: Draw) -> Situation:
+    """A large item stands before the door to an agent's landmark; a strong agent helps it."""
+    door = draw.narrow_door()
+    sides = draw.sides_of(door)
+    near = draw.one_of((0, 1))
+    beyond = sides[1 - near]
+    before_door = draw.one_of(room for room in ROOMS_OF_RAY[door] if room in beyond)
+    away = [np.linalg.norm(draw.rooms.door_position[door] - spot) for spot in SPOTS[before_door]]
+    goal = agent_to(GREEN, draw.one_of(beyond))
+    return draw.situation(
+        (goal, goal),
+        (1, 0),
+        (draw.one_of(beyond), draw.one_of(sides[near]), before_door, draw.room()),
+        (draw.any_size(), SIZES[0], SIZES[2], draw.any_size()),
+        (draw.strength(3), draw.strength(0, 1)),
+        at={BLUE_ITEM: SPOTS[before_door][int(np.argmin(away))]},
+    )
+
+
+# --- an agent keeps the other from its goal -------------------------------------------------------
+
+
+@register_family("hinder", scenario="opposing", variants=("LMA", "LMO"))
+def hinder(draw: Draw, variant: str) -> Situation:
+    """One wants itself (LMA) or an item (LMO) at a landmark, the other wants it not to be there.
+
+    The original family also has agents that are to touch an item; the 36 goals have none.
+    """
+    hinderer, hindered, item = draw.room(), draw.room(), draw.room()
+    mover = hindered if variant == "LMA" else item
+    landmark = draw.room(but=[mover])
+    goal = agent_to(GREEN, landmark) if variant == "LMA" else item_to(BLUE_ITEM, landmark)
+    ways = [(mover, landmark)] + [(hindered, mover)] * (variant == "LMO")
+    return draw.situation(
+        (goal, goal),
+        (-1, 0),
+        (hinderer, hindered, item, draw.room()),
+        (
+            draw.size((hinderer, mover), (mover, landmark)),
+            draw.size(*ways),
+            draw.size((item, landmark)) if variant == "LMO" else draw.any_size(),
+            draw.any_size(),
+        ),
+        (draw.strength(1, 2, 3), draw.strength(1, 2, 3)),
+    )
+
+
+# --- each agent minds its own business ------------------------------------------------------------
+
+
+@register_family("independent", scenario="independent", variants=("LMO+LMO", "LMO+LMA", "LMA+LMA"))
+def independent(draw: Draw, variant: str) -> Situation:
+    """Each agent takes an item of its own (LMO), or itself (LMA), to a landmark."""
+    agents = [draw.room() for _ in AGENTS]
+    items = [draw.room(), draw.room()]
+    goals, sizes, item_sizes = [], [], [draw.any_size(), draw.any_size()]
+    for agent, kind in enumerate(variant.split("+")):
+        moved = items[agent] if kind == "LMO" else agents[agent]
+        landmark = draw.room(but=[moved])
+        if kind == "LMO":
+            goals.append(item_to((BLUE_ITEM, PINK_ITEM)[agent], landmark))
+            sizes.append(draw.size((agents[agent], moved), (moved, landmark)))
+            item_sizes[agent] = draw.size((moved, landmark))
+        else:
+            goals.append(agent_to(agent, landmark))
+            sizes.append(draw.size((moved, landmark)))
+    return draw.situation(
+        (goals[0], goals[1]),
+        (0, 0),
+        (*agents, *items),
+        (*sizes, *item_sizes),
+        (draw.strength(), draw.strength()),
+    )

@@ -1,1 +1,0 @@
-"""The eight families of PHASE, a file each."""

@@ -1,0 +1,89 @@
+"""A baseline that looks at the last frame only."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phase_ppl.dataset.counts import PHASE, goal_type
+from phase_ppl.evaluation.answer import Predict
+from phase_ppl.evaluation.prediction import Prediction
+from phase_ppl.evaluation.registry import register_model
+from phase_ppl.world.goals import N_GOALS, is_self_referring
+from phase_ppl.world.hypothesis import RELATIONS, relation
+from phase_ppl.world.names import AGENTS, ENTITIES, ITEMS, LANDMARKS
+from phase_ppl.world.observation import Observation
+from phase_ppl.world.scene import Scene
+
+
+# a prediction takes less than a process does to start
+@register_model("last_frame", parallel=False)
+def last_frame() -> Predict:
+    """Each agent wants what is nearest to a landmark at the end: itself or an item that moved.
+
+    Of its own body and the items that moved, the one nearest to a landmark's centre in the last
+    frame is to be there; ties go to the own body, then to the blue item, and to landmarks in
+    their order. An item moved if it ends farther than its own radius from where it began. The
+    relation follows from the two goals. There are no probabilities: it only names its answers.
+    """
+    return _predict
+
+
+def _predict(scene: Scene, observation: Observation, seed: int) -> Prediction:
+    start, end = observation.positions[0], observation.positions[-1]
+    moved = np.linalg.norm(end - start, axis=1) > scene.radius
+    distance = np.linalg.norm(end[:, None] - scene.landmark_centres, axis=2)
+    goals = []
+    for agent in range(len(AGENTS)):
+        own = [agent, *(item for item in map(ENTITIES.index, ITEMS) if moved[item])]
+        which, landmark = np.unravel_index(distance[own].argmin(), (len(own), len(LANDMARKS)))
+        goals.append(f"Get {ENTITIES[own[which]]} to {LANDMARKS[landmark]}")
+    red, green = goals
+    return Prediction(
+        "", answers={"goal_red": red, "goal_green": green, "relation": relation(red, green)}
+    )
+
+
+# --- A baseline that does not look at all: it answers what is most frequent in PHASE --------------
+
+
+# a prediction takes less than a process does to start
+@register_model("majority", parallel=False)
+def majority() -> Predict:
+    """The most frequent relation and goals of PHASE, whatever there is to see.
+
+    Shares are those of the 500 original events (:mod:`phase_ppl.dataset.counts`), from
+    the paper and the names of the recordings, whatever events are asked about; PHASE's 100 test
+    videos are among the 500. For goals
+    they are known by type (item or agent, landmark or agent, to or away from); the goals of one
+    type are alike. So eight are the most frequent, and the first of them in label order is the
+    answer.
+    """
+    goals = [goal_shares(agent) for agent in range(len(AGENTS))]
+    shares = PHASE["tables"]["relation"]["shares"]
+    relations = np.array([shares[relation] for relation in RELATIONS])
+    prediction = Prediction(
+        "", {"goal_red": goals[0], "goal_green": goals[1], "relation": relations}
+    )
+    return _Constant(prediction)
+
+
+class _Constant:
+    """A model that has one answer."""
+
+    def __init__(self, prediction: Prediction) -> None:
+        self._prediction = prediction
+
+    def __call__(self, scene: Scene, observation: Observation, seed: int) -> Prediction:
+        return self._prediction
+
+
+def goal_shares(agent: int) -> NDArray[np.float64]:
+    """Return (36,) how frequent each effective goal of an agent is in PHASE, sum 1.
+
+    Args:
+        agent: 0 red, 1 green.
+    """
+    shares = PHASE["tables"]["goal_type"]["shares"]
+    types = [None if is_self_referring(goal, agent) else goal_type(goal) for goal in range(N_GOALS)]
+    return np.array([0.0 if name is None else shares[name] / types.count(name) for name in types])

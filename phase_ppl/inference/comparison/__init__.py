@@ -1,1 +1,0 @@
-"""What comparing kernels needs: the contenders and a reference to hold them against."""

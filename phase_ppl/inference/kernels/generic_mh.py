@@ -1,0 +1,250 @@
+"""Metropolis-Hastings with proposals from the prior."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from typing import Any, Final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import random
+from numpy.typing import NDArray
+
+from phase_ppl.inference.kernels.local_mh import LocalMH
+from phase_ppl.inference.kernels.metropolis import MHState, ProposalKernel, SiteMove, moved_site
+from phase_ppl.inference.kernels.particle import chosen
+from phase_ppl.inference.proposals.guide import NEVER
+from phase_ppl.inference.registry import register_kernel
+from phase_ppl.inference.settings import SimpleSettings, probability
+from phase_ppl.models.density import Program
+from phase_ppl.models.program import EventProgram
+from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, SELF_REFERRING, STRENGTH_SITES
+from phase_ppl.world.checks import positive_number
+from phase_ppl.world.goals import N_GOALS, neighbouring_goals
+from phase_ppl.world.hypothesis import ALPHAS
+
+
+class PriorMH(ProposalKernel):
+    """Independence sampler: each proposal is a fresh draw from the prior.
+
+    Prior and proposal cancel, so that the acceptance ratio is that of the likelihoods.
+    """
+
+    proposes_from_prior = True
+
+    def propose(self, key: jax.Array, state: MHState) -> tuple[dict[str, jax.Array], jax.Array]:
+        """Return a hypothesis from the prior."""
+        sites = self.model.draw_prior(key)
+        return sites, state.log_prior - self.model.log_prior(sites)
+
+
+@register_kernel("prior_mh", validity="exact")
+def prior_mh(program: EventProgram, *, early_reject: bool = True) -> PriorMH:
+    """Metropolis-Hastings with proposals from the prior."""
+    return PriorMH(program, early_reject=early_reject)
+
+
+# --- metropolis-Hastings that proposes one site at a time from the prior --------------------------
+
+
+class SingleSiteMH(ProposalKernel):
+    """Draws a random site from its prior given the sites above it; all others stay.
+
+    A site of a user's own moves like any other, in whatever hierarchy it stands.
+    """
+
+    def propose(self, key: jax.Array, state: MHState) -> tuple[dict[str, jax.Array], jax.Array]:
+        """Return the hypothesis with one site drawn anew."""
+        model = self.model.model
+        return moved_site(model.prior, key, state.z, tuple(model.sites))
+
+
+@register_kernel("single_site_mh", validity="exact")
+def single_site_mh(program: EventProgram, *, early_reject: bool = True) -> SingleSiteMH:
+    """Metropolis-Hastings that proposes one site at a time from the prior."""
+    return SingleSiteMH(program, early_reject=early_reject)
+
+
+# --- metropolis-Hastings with small steps: to a similar goal, another relation,... ----------------
+
+LEAP: Final = 0.2
+"""Share of goal proposals that come from the prior, so that goals which it leaves without
+neighbours are reached too."""
+
+SCALE: Final = 60.0
+"""Standard deviation of a step of a strength, newtons."""
+
+
+class RandomWalkMH(ProposalKernel):
+    """Moves a random site by a small step; all others stay.
+
+    * a goal: to one of those neighbours (:func:`phase_ppl.world.goals.neighbouring_goals`) that
+      have prior mass; with probability :data:`LEAP`, or where there is none, to a goal from its
+      prior given the sites above it;
+    * alpha: to any other;
+    * a strength: by a normal step, reflected at the ends of its support; one that the prior makes
+      one of a few values, drawn from it given the sites above;
+    * a site of a user's own: drawn from its prior given the sites above it.
+
+    Args:
+        program: the model of an event.
+        scale: standard deviation of a strength's step, newtons.
+        early_reject: stop a simulation once it cannot be accepted any more.
+
+    Raises:
+        InvalidSettingError: ``scale`` is no positive number.
+    """
+
+    def __init__(
+        self,
+        program: EventProgram | None = None,
+        *,
+        scale: float = SCALE,
+        early_reject: bool = True,
+    ) -> None:
+        super().__init__(program, early_reject=early_reject)
+        self._scale = positive_number("scale", scale)
+
+    def propose(self, key: jax.Array, state: MHState) -> tuple[dict[str, jax.Array], jax.Array]:
+        """Return the hypothesis with one site moved."""
+        model = self.model.model
+        moves: dict[str, SiteMove] = {ALPHA_SITE: _another_alpha}
+        for holder, name in enumerate(GOAL_SITES):
+            moves[name] = functools.partial(_nearby_goal, holder)
+        for name in STRENGTH_SITES:
+            moves[name] = functools.partial(_reflected_step, self._scale)
+        return moved_site(model.prior, key, state.z, tuple(model.sites), moves)
+
+
+def _nearby_goal(
+    holder: int, key: jax.Array, site: Mapping[str, Any]
+) -> tuple[jax.Array, jax.Array]:
+    goals = jnp.arange(N_GOALS)
+    log_prior = jnp.where(site["fn"].support(goals), site["fn"].log_prob(goals), -jnp.inf)
+    prior = jnp.exp(log_prior)
+    neighbours = jnp.asarray(_neighbours()[holder]) & (log_prior > NEVER)
+
+    def log_q(goal: jax.Array) -> jax.Array:
+        """Return (goal,) log probabilities of what is proposed from a goal."""
+        near = neighbours[goal]
+        leap = jnp.where(near.any(), LEAP, 1.0)
+        return jnp.log((1 - leap) * near / jnp.maximum(near.sum(), 1) + leap * prior)
+
+    old = site["value"]
+    there = log_q(old)
+    new = random.categorical(key, there)
+    return new, log_q(new)[old] - there[new]
+
+
+@functools.cache
+def _neighbours() -> NDArray[np.bool_]:
+    """Return (holder, goal, goal) which possible goals are each other's neighbours."""
+    near = [np.isin(np.arange(N_GOALS), neighbouring_goals(goal)) for goal in range(N_GOALS)]
+    return np.array(near)[None] & ~SELF_REFERRING[:, None, :]
+
+
+def _another_alpha(key: jax.Array, site: Mapping[str, Any]) -> tuple[jax.Array, float]:
+    further = random.randint(key, (), 1, len(ALPHAS))
+    return (site["value"] + further) % len(ALPHAS), 0.0
+
+
+def _reflected_step(
+    scale: float, key: jax.Array, site: Mapping[str, Any]
+) -> tuple[jax.Array, jax.Array | float]:
+    law = site["fn"]
+    if law.support.is_discrete:
+        new = law.sample(key)
+        return new, law.log_prob(site["value"]) - law.log_prob(new)
+    # symmetric: the support depends on the sites above only, which stay
+    support = law.support
+    low, high = (getattr(support, f"{end}_bound", None) for end in ("lower", "upper"))
+    new = site["value"] + scale * random.normal(key)
+    if low is not None and high is not None:
+        width = high - low
+        beyond = jnp.abs((new - low) % (2 * width) - width)
+        new = jnp.clip(high - beyond, low, high)
+    elif low is not None:
+        new = low + jnp.abs(new - low)
+    elif high is not None:
+        new = high - jnp.abs(high - new)
+    return new, 0.0
+
+
+@register_kernel("random_walk_mh", validity="exact")
+def random_walk_mh(
+    program: EventProgram, *, scale: float = SCALE, early_reject: bool = True
+) -> RandomWalkMH:
+    """Metropolis-Hastings with small steps: to a similar goal, another relation, a strength."""
+    return RandomWalkMH(program, scale=scale, early_reject=early_reject)
+
+
+# --- metropolis-Hastings that mixes SIMPLE's local moves with moves of single sites ---------------
+# Local moves find where the observation points; single sites move about there. The kind of a move
+# is drawn beforehand and independently of the state, so that each kind is accepted by its own
+# ratio and the mixture leaves invariant what both leave invariant.
+
+LOCAL_SHARE: Final = 0.5
+
+
+class MixtureMH(LocalMH):
+    """Makes a local move (:class:`LocalMH`, exact rule), or draws one site from its prior.
+
+    Args:
+        program: the model of an event.
+        guide: see :class:`LocalMH`.
+        settings: see :class:`LocalMH`.
+        local_share: probability of a local move.
+        early_reject: stop a simulation once it cannot be accepted any more.
+
+    Raises:
+        InvalidSettingError: ``local_share`` is no number in [0, 1].
+    """
+
+    def __init__(
+        self,
+        program: EventProgram | None = None,
+        guide: Program | None = None,
+        settings: SimpleSettings | None = None,
+        *,
+        local_share: float = LOCAL_SHARE,
+        early_reject: bool = True,
+    ) -> None:
+        super().__init__(program, guide, settings, early_reject=early_reject)
+        self._local_share = probability("local_share", local_share)
+
+    def step_one(self, state: MHState) -> MHState:
+        """Make one of the two moves."""
+        key, key_kind, *keys, key_seed, key_accept = random.split(state.rng_key, 7)
+        key_window, key_local, key_site = keys
+        model = self.model.model
+        local = random.bernoulli(key_kind, self._local_share)
+        # both are proposed, which costs nothing, and one of them is simulated
+        window, sites = self.propose_locally(key_window, key_local, state)
+        one_moved, log_hastings = moved_site(model.prior, key_site, state.z, tuple(model.sites))
+        sites = chosen(local, sites, one_moved)
+        move = self.local_move(window, sites, state)
+        after = move.log_after
+        known = self.log_known(move.log_prior, log_hastings, state)
+        move = move._replace(
+            log_known=jnp.where(local, move.log_known, known),
+            log_after=lambda step_error: jnp.where(local, after(step_error), 0.0),
+            log_bound=jnp.where(local, move.log_bound, 0.0),
+            window=jnp.where(local, window, -1),
+            log_proposal=jnp.where(local, move.log_proposal, jnp.nan),
+        )
+        return self.settle(move, state, key, key_seed, key_accept)
+
+
+@register_kernel("mixture", validity="exact", needs=("guide", "settings"))
+def mixture(
+    program: EventProgram,
+    *,
+    guide: Program,
+    settings: SimpleSettings,
+    local_share: float = LOCAL_SHARE,
+    early_reject: bool = True,
+) -> MixtureMH:
+    """Metropolis-Hastings that mixes SIMPLE's local moves with moves of single sites."""
+    return MixtureMH(program, guide, settings, local_share=local_share, early_reject=early_reject)

@@ -1,0 +1,307 @@
+"""What the kernels of the Metropolis-Hastings family share: one simulation per step.
+
+The target is P(h) p(w) L(e(h, w)) over hypothesis h and simulator seed w, where e are the errors
+of the simulation. A kernel proposes h' with a fresh seed w' and accepts if
+
+    log u < log P(h') - log P(h) + log L(e') - log L(e) + log q(h | h') - log q(h' | h)
+
+The seed and the errors belong to the state (pseudo-marginal): the current hypothesis is never
+simulated again, and the stationary law of h is the posterior under the likelihood's mean over
+seeds.
+
+Early rejection. log u is drawn first, so that there is a summed error beyond which the proposal
+cannot be accepted; the runner stops there. Decisions are the same with and without.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, ClassVar, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import random
+from numpyro import handlers
+
+from phase_ppl.inference.kernels.particle import ParticleKernel, chosen, log_uniform
+from phase_ppl.inference.registry import Validity
+from phase_ppl.inference.settings import SimpleSettings
+from phase_ppl.models.density import NO_DENSITY, Program, Sites
+from phase_ppl.models.program import EventProgram
+
+
+class MHState(NamedTuple):
+    """State of one particle.
+
+    Attributes:
+        i: iterations so far.
+        z: site -> value, the current hypothesis with any further sites.
+        sim_seed: seed of its simulation.
+        log_prior: its log prior density.
+        memo: what else the kernel knows of it, see :meth:`MetropolisKernel.memo`.
+        step_error: (time,) errors of its simulation, units; never simulated again.
+        log_joint: log prior + log likelihood, in single precision.
+        window: the window of the last proposal, by its first frame; -1 where it had none.
+        accepted: whether the last proposal was accepted.
+        n_accepted: how many were.
+        rng_key: of the chain.
+    """
+
+    i: jax.Array
+    z: dict[str, jax.Array]
+    sim_seed: jax.Array
+    log_prior: jax.Array
+    memo: dict[str, jax.Array]
+    step_error: jax.Array
+    log_joint: jax.Array
+    window: jax.Array
+    accepted: jax.Array
+    n_accepted: jax.Array
+    rng_key: jax.Array
+
+
+class Move(NamedTuple):
+    """A proposed hypothesis, and what is known of its acceptance before it is simulated.
+
+    Attributes:
+        sites: the hypothesis.
+        log_prior: its log prior density.
+        memo: of the hypothesis, see :meth:`MetropolisKernel.memo`.
+        log_known: the log ratio as far as it is known: all but the likelihoods and ``log_after``.
+        log_after: errors (time,) of the proposal's simulation -> the rest of the log ratio, for
+            moves that are reversed with a probability that depends on them.
+        log_bound: the most that ``log_after`` can be.
+        window: see :class:`MHState`.
+        log_proposal: log density of the draw that made the hypothesis, given the state; NaN
+            where it has none, as of a move of a single site.
+    """
+
+    sites: dict[str, jax.Array]
+    log_prior: jax.Array
+    memo: dict[str, jax.Array]
+    log_known: jax.Array
+    log_after: Callable[[jax.Array], jax.Array | float] = lambda step_error: 0.0
+    log_bound: jax.Array | float = 0.0
+    window: jax.Array | int = -1
+    log_proposal: jax.Array | float = np.nan
+
+
+def log_ratio(
+    log_known: jax.Array,
+    current: jax.Array,
+    proposed: jax.Array,
+    log_after: jax.Array | float = 0.0,
+) -> jax.Array:
+    """Return the log of the acceptance ratio.
+
+    Args:
+        log_known: see :class:`Move`.
+        current: (time,) log likelihoods of the frames, of the current hypothesis.
+        proposed: (time,) the same of the proposed one.
+        log_after: see :class:`Move`.
+    """
+    # frame by frame, so that the large constant of the likelihood cancels without rounding
+    return log_known + (proposed - current).sum() + log_after
+
+
+class MetropolisKernel(ParticleKernel[MHState]):
+    """Base of the family: a subclass says how it moves, by :meth:`settle`; or see below.
+
+    Args:
+        program: the model of an event; None until ``bound_to`` is called.
+        guide: proposal program, for kernels that need one.
+        settings: of SIMPLE, for kernels that need them.
+        early_reject: stop a simulation once it cannot be accepted any more; the chain is the
+            same with and without.
+    """
+
+    def __init__(
+        self,
+        program: EventProgram | None = None,
+        guide: Program | None = None,
+        settings: SimpleSettings | None = None,
+        *,
+        early_reject: bool = True,
+    ) -> None:
+        super().__init__(program, guide, settings)
+        self._early_reject = early_reject
+
+    @property
+    def validity(self) -> Validity:
+        """Whether the stationary law is the posterior."""
+        return "exact"
+
+    def memo(self, sites: dict[str, jax.Array]) -> dict[str, jax.Array]:
+        """Return what a kernel wants to know of a hypothesis again later; by default nothing."""
+        return {}
+
+    def propose_initial(self, key: jax.Array) -> dict[str, jax.Array]:
+        """Return a hypothesis from the prior."""
+        return self.model.draw_prior(key)
+
+    def log_initial_proposal(self, sites: Sites, log_prior: jax.Array) -> jax.Array | float:
+        """Return the log density of :meth:`propose_initial`; NaN where it is not known."""
+        return log_prior
+
+    def start_one(
+        self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]
+    ) -> MHState:
+        """Simulate the initial hypothesis."""
+        program = self.model
+        seed = program.simulator_seed(key_start, sites)
+        log_prior = program.log_prior(sites)
+        log_proposal = self.log_initial_proposal(sites, log_prior)
+        step_error = program.simulate(sites, log_prior, seed, np.inf, log_proposal)
+        none = jnp.zeros((), jnp.int32)
+        return MHState(
+            i=none,
+            z=sites,
+            sim_seed=seed,
+            log_prior=log_prior,
+            memo=self.memo(sites),
+            step_error=step_error,
+            log_joint=log_prior + program.log_likelihood(step_error).sum(),
+            window=none - 1,
+            accepted=jnp.array(False),
+            n_accepted=none,
+            rng_key=key,
+        )
+
+    def log_known(
+        self, log_prior: jax.Array, log_hastings: jax.Array | float, state: MHState
+    ) -> jax.Array:
+        """Return the log acceptance ratio without the likelihoods."""
+        known = log_prior - state.log_prior + log_hastings
+        # from a start without mass, whatever completes is accepted
+        return jnp.where(state.log_prior > NO_DENSITY, known, 0.0)
+
+    def settle(
+        self,
+        move: Move,
+        state: MHState,
+        key: jax.Array,
+        key_seed: jax.Array,
+        key_accept: jax.Array,
+    ) -> MHState:
+        """Simulate what a move proposes, and return the state after its acceptance or rejection.
+
+        Args:
+            move: what is proposed.
+            state: the current state.
+            key: for the new state.
+            key_seed: for the seed of the simulation.
+            key_accept: for the decision.
+        """
+        program = self.model
+        seed = program.simulator_seed(key_seed, move.sites)
+        log_u = log_uniform(key_accept)
+        current = program.log_likelihood(state.step_error)
+        floor = log_u - move.log_known - move.log_bound + current.sum()
+        ceiling: jax.Array | float = np.inf
+        log_bound: jax.Array | float = np.inf
+        if self._early_reject:
+            ceiling, log_bound = self.error_ceiling(floor), log_u - floor
+        step_error = program.simulate(
+            move.sites, move.log_prior, seed, ceiling, move.log_proposal, log_bound
+        )
+        proposed = program.log_likelihood(step_error)
+        ratio = log_ratio(move.log_known, current, proposed, move.log_after(step_error))
+        accepted = log_u < ratio  # not a number, where both failed: rejected
+        new = state._replace(
+            z=move.sites,
+            sim_seed=seed,
+            log_prior=move.log_prior,
+            memo=move.memo,
+            step_error=step_error,
+            log_joint=move.log_prior + proposed.sum(),
+        )
+        return _kept(accepted, new, state)._replace(
+            i=state.i + 1,
+            window=jnp.asarray(move.window, jnp.int32),
+            accepted=accepted,
+            n_accepted=state.n_accepted + accepted,
+            rng_key=key,
+        )
+
+
+class ProposalKernel(MetropolisKernel):
+    """Base of those kernels of the family that only have to say what they propose."""
+
+    proposes_from_prior: ClassVar[bool] = False
+    """Whether each proposal is a draw from the prior, whatever the state."""
+
+    @abstractmethod
+    def propose(
+        self, key: jax.Array, state: MHState
+    ) -> tuple[dict[str, jax.Array], jax.Array | float]:
+        """Return a hypothesis z' and Hastings' correction, log q(z | z') - log q(z' | z)."""
+
+    def step_one(self, state: MHState) -> MHState:
+        """Propose, simulate, accept or not."""
+        key, key_propose, key_seed, key_accept = random.split(state.rng_key, 4)
+        sites, log_hastings = self.propose(key_propose, state)
+        log_prior = self.model.log_prior(sites)
+        known = self.log_known(log_prior, log_hastings, state)
+        log_proposal = log_prior if self.proposes_from_prior else np.nan
+        move = Move(sites, log_prior, self.memo(sites), known, log_proposal=log_proposal)
+        return self.settle(move, state, key, key_seed, key_accept)
+
+
+def _kept(accepted: jax.Array, new: MHState, old: MHState) -> MHState:
+    """Return what belongs to the hypothesis of ``new`` where accepted, else of ``old``."""
+    fields = ("z", "sim_seed", "log_prior", "memo", "step_error", "log_joint")
+    values = chosen(
+        accepted,
+        {name: getattr(new, name) for name in fields},
+        {name: getattr(old, name) for name in fields},
+    )
+    return old._replace(**values)
+
+
+# --- moving one site of a hypothesis while the others stay ----------------------------------------
+# Changing a site also changes the prior of the sites below it in a hierarchy. That part is in the
+# prior's ratio, which the caller has; the corrections returned here are those of the proposal
+# alone, Hastings' log q(z | z') - log q(z' | z).
+
+SiteMove = Callable[[jax.Array, Mapping[str, Any]], tuple[jax.Array, jax.Array | float]]
+"""``(key, site) -> (new value, Hastings' correction)``, where the site is that of a trace."""
+
+
+def redrawn(key: jax.Array, site: Mapping[str, Any]) -> tuple[jax.Array, jax.Array | float]:
+    """Draw a site from its prior, given those above it in the program."""
+    prior, value = site["fn"], site["value"]
+    new = prior.sample(key, site["kwargs"].get("sample_shape", ()))
+    return new, jnp.sum(prior.log_prob(value)) - jnp.sum(prior.log_prob(new))
+
+
+def moved_site(
+    prior: Program,
+    key: jax.Array,
+    sites: Sites,
+    names: Sequence[str],
+    moves: Mapping[str, SiteMove] | None = None,
+) -> tuple[dict[str, jax.Array], jax.Array]:
+    """Move one site, chosen by chance.
+
+    Args:
+        prior: program over the sites.
+        key: of all that is random.
+        sites: all latent sites.
+        names: of those that may move, each as likely.
+        moves: how sites move; those not named are :func:`redrawn`.
+
+    Returns:
+        The sites after it, and Hastings' correction.
+    """
+    trace = handlers.trace(handlers.substitute(prior, data=dict(sites))).get_trace()
+    key_which, *keys = random.split(key, 1 + len(names))
+    which = random.randint(key_which, (), 0, len(names))
+    proposed, corrections = dict(sites), []
+    for index, (name, key_site) in enumerate(zip(names, keys, strict=True)):
+        new, correction = ({} if moves is None else moves).get(name, redrawn)(key_site, trace[name])
+        old = jnp.asarray(sites[name])
+        proposed[name] = jnp.where(which == index, jnp.asarray(new, old.dtype), old)
+        corrections.append(correction)
+    return proposed, jnp.stack([jnp.asarray(c, jnp.float32) for c in corrections])[which]

@@ -1,1 +1,0 @@
-"""How strong the agents seem: the estimators that SIMPLE proposes strengths by."""

@@ -1,1 +1,0 @@
-"""What kernels are made of."""

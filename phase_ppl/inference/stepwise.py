@@ -1,0 +1,330 @@
+"""The posterior of a whole video, by reading it step by step under all hypotheses."""
+
+from __future__ import annotations
+
+import functools
+import json
+import sys
+import time
+from collections.abc import Iterator
+from typing import Any, Final, Self
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+
+import phase_ppl
+from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+from phase_ppl.analysis.stepwise_table import (
+    DIMENSIONS,
+    SCHEMA,
+    STRENGTHS,
+    log_prior_of_pairs,
+)
+from phase_ppl.closed_loop.reader import Reader, Reading
+from phase_ppl.inference.runs.progress import counted, is_shown
+from phase_ppl.models.model import Model
+from phase_ppl.models.stepwise import StepwiseLikelihood, prior_table
+from phase_ppl.physics.actions import ACTION_NAMES
+from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.checks import instance_of, number_of_workers, whole_number
+from phase_ppl.world.errors import InvalidSettingError, shown
+from phase_ppl.world.event import Event
+from phase_ppl.world.goals import GOALS, N_GOALS
+from phase_ppl.world.hypothesis import ALPHAS
+from phase_ppl.world.names import AGENTS, ENTITIES, NOTHING
+from phase_ppl.world.observation import FRAMES_PER_SECOND, SHOWN_SECONDS_PER_FRAME
+from phase_ppl.world.scene import Scene, check_inside, finite_array
+
+_PRIORS_KEPT: Final = 8
+_GOAL_DIMENSIONS: Final = ("goal_red", "goal_green", "stated_goal_red", "stated_goal_green")
+
+
+class Watch:
+    """An observer of one event; :func:`watch` returns one.
+
+    Args:
+        scene: where everything starts.
+        model: prior and planner, with a :class:`phase_ppl.StepwiseLikelihood`.
+        seed: of the agents' beliefs and searches.
+        threads: searches at a time; the result does not depend on it.
+        event_id: name of the event.
+
+    It holds threads until ``close()``; as a context manager it closes itself.
+
+    Raises:
+        InvalidSettingError: the model has another likelihood, or a simulator of its own.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        model: Model | None = None,
+        *,
+        seed: int = 0,
+        threads: int | None = None,
+        event_id: str = "",
+    ) -> None:
+        self._clock = time.perf_counter()
+        self.model = Model(likelihood=StepwiseLikelihood()) if model is None else model
+        likelihood, planner = _parts(self.model)
+        instance_of("scene", scene, Scene, "a phase_ppl.Scene")
+        self._scene, self._event_id = scene, event_id
+        self._likelihood = likelihood
+        self._seed = whole_number("seed", seed, minimum=0)
+        self.threads = number_of_workers(threads, "threads")
+        levels = likelihood.tracking.strengths
+        self._prior = _prior_table(self.model.prior, levels)
+        self._reader = Reader(
+            scene,
+            planner,
+            likelihood.tracking,
+            likelihood.conduct,
+            self._seed,
+            self.threads,
+            likelihood.planner_seeds,
+            likelihood.weight,
+            log_prior_of_pairs(self._prior),
+        )
+        self._frames: list[FloatArray] = []
+        self._torn = False  # a frame was begun and not finished
+        start = np.full((len(levels), len(levels)), 1.0 / len(levels) ** 2)
+        nothing_yet = np.zeros((N_GOALS, N_GOALS))
+        unknown = np.full((len(AGENTS), len(ACTION_NAMES)), 1.0 / len(ACTION_NAMES))
+        empty = np.full(len(AGENTS), NOTHING, np.int64)
+        seeds = likelihood.planner_seeds if likelihood.planner_seeds > 1 else 0
+        without = np.zeros((seeds, N_GOALS, N_GOALS))
+        self._readings = [Reading(nothing_yet, without, start, unknown, empty, 0.0, 0.0, 0)]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the threads; what was read stays."""
+        self._reader.close()
+
+    def take(self, frame: ArrayLike) -> None:
+        """Take in the next frame without asking for the posterior.
+
+        Args:
+            frame: (entity, [x, y, angle]), units and rad; the first one shows the start, from
+                which nothing is learnt.
+
+        Raises:
+            InvalidEventError: another shape, a number that is not finite, or a body outside of
+                the arena. What was read before stays, and the next frame can follow.
+            InvalidSettingError: an earlier frame was interrupted while it was read. What was
+                read before that stays.
+        """
+        name = f"frame {len(self._frames)}"
+        pose = finite_array(name, frame, (len(ENTITIES), 3))
+        check_inside(pose[None], self._scene, name)
+        if self._torn:
+            raise InvalidSettingError(
+                f"reading {name} was interrupted, which left agents half way: watch it anew"
+            )
+        if self._frames:
+            self._torn = True
+            self._readings.append(self._reader.read(pose))
+        self._frames.append(pose)
+        self._torn = False
+
+    def update(self, frame: ArrayLike) -> StepwisePosterior:
+        """Take in the next frame, as :meth:`take`, and return the posterior now."""
+        self.take(frame)
+        return self.posterior()
+
+    def posterior(self) -> StepwisePosterior:
+        """Return the posterior given the frames so far, the prior before the second.
+
+        Raises:
+            InvalidSettingError: not even the start was seen.
+        """
+        if not self._frames:
+            raise InvalidSettingError("nothing was watched yet: update(frame) takes in a frame")
+        return StepwisePosterior(self._dataset())
+
+    def _dataset(self) -> xr.Dataset:
+        readings = self._readings[: len(self._frames)]
+        columns: dict[str, Any] = {
+            "log_likelihood": np.stack([one.log_likelihood for one in readings]),
+            # for errors only, to which single precision does no harm
+            "log_likelihood_without": np.stack([one.without for one in readings], axis=1).astype(
+                np.float32
+            ),
+            "strengths": np.stack([one.strengths for one in readings]),
+            "log_prior": self._prior,
+            "actions": np.stack([one.actions for one in readings]),
+            "held": np.stack([one.held for one in readings]),
+            "unexplained": np.array([one.unexplained for one in readings]),
+            "log_peak": np.array([one.log_peak for one in readings]),
+            "trajectory": np.stack(self._frames),
+        }
+        scene = self._scene
+        likelihood, n = self._likelihood, len(readings)
+        cost = {
+            "searches": sum(one.searches for one in readings),
+            "frames": n,
+            "seconds": time.perf_counter() - self._clock,
+            "video_seconds": (n - 1) * SHOWN_SECONDS_PER_FRAME,
+            "threads": self.threads,
+        }
+        return xr.Dataset(
+            {
+                **{name: (DIMENSIONS[name], values) for name, values in columns.items()},
+                "start": (("entity", "coord"), scene.start),
+                "radius": ("entity", scene.radius),
+                "walls": (("wall", "end", "axis"), scene.walls),
+                "landmark_centres": (("landmark", "axis"), scene.landmark_centres),
+                "arena": ("border", np.array(scene.arena)),
+            },
+            coords={
+                "time": ("time", np.arange(n) / FRAMES_PER_SECOND, {"units": "s"}),
+                **{name: list(GOALS) for name in _GOAL_DIMENSIONS},
+                "alpha": [str(alpha) for alpha in ALPHAS],
+                **{name: list(likelihood.tracking.strengths) for name in STRENGTHS},
+                "agent": list(AGENTS),
+                "action": list(ACTION_NAMES),
+                "entity": list(ENTITIES),
+                "coord": ["x", "y", "angle"],
+            },
+            attrs={
+                "schema": SCHEMA,
+                "event_id": self._event_id,
+                "weight": float(likelihood.weight),
+                "settings": json.dumps(self._settings(), default=repr),
+                "cost": json.dumps(cost),
+                "turning": scene.turning,
+                "landmark_half_width": float(scene.landmark_half_width),
+                "version": phase_ppl.__version__,
+            },
+        )
+
+    def _settings(self) -> dict[str, Any]:
+        return {
+            "model": self.model.fingerprint(),
+            "likelihood": self._likelihood.to_dict(),
+            "seed": self._seed,
+            "turning": self._scene.turning,
+        }
+
+
+def watch(
+    scene: Scene,
+    model: Model | None = None,
+    *,
+    seed: int = 0,
+    threads: int | None = None,
+    event_id: str = "",
+) -> Watch:
+    """Return an observer of an event, to be given its frames one by one.
+
+    Example:
+        ``with ppl.watch(event.scene) as watch:`` and there, for every frame of
+        ``event.observation.trajectory``, ``post = watch.update(frame)``
+
+    What it says after a frame is the same whatever follows, and after the last frame it is what
+    :func:`phase_ppl.infer` returns. Arguments and errors as of :class:`Watch`.
+    """
+    return Watch(scene, model, seed=seed, threads=threads, event_id=event_id)
+
+
+def _parts(model: Model) -> tuple[StepwiseLikelihood, PlannerConfig]:
+    instance_of("model", model, Model, "a phase_ppl.Model")
+    likelihood, planner = model.likelihood, model.planner
+    if not isinstance(likelihood, StepwiseLikelihood):
+        raise InvalidSettingError(
+            f"likelihood={shown(likelihood)}: to read step by step takes a StepwiseLikelihood"
+        )
+    if model.simulator is not None:
+        raise InvalidSettingError(
+            "the stepwise likelihood asks the agents of the joint simulator for their policies; "
+            "the model has a simulator of its own"
+        )
+    return likelihood, PlannerConfig.named(planner if planner is not None else "fast")
+
+
+@functools.lru_cache(maxsize=_PRIORS_KEPT)
+def _prior_table(prior: Any, strengths: tuple[float, ...]) -> FloatArray:
+    table = prior_table(prior, np.array(strengths))
+    table.setflags(write=False)
+    return table
+
+
+# --- the posterior of a whole video, by reading it step by step under all hypotheses --------------
+
+_TIMED: Final = 10
+"""Frames after which the time of all is estimated."""
+
+_LONG: Final = 60.0
+"""Seconds that are worth saying where no bar is shown."""
+
+
+class StepwiseInterrupted(KeyboardInterrupt):
+    """The reading was interrupted; what was read until then is kept.
+
+    Attributes:
+        posterior: given the frames that were read.
+    """
+
+    def __init__(self, posterior: StepwisePosterior) -> None:
+        n = len(posterior.observed())
+        super().__init__(f"interrupted after {n} frames; see .posterior")
+        self.posterior = posterior
+
+
+def read_event(
+    event: Event,
+    model: Model,
+    *,
+    seed: int = 0,
+    threads: int | None = None,
+    progress: bool | None = None,
+) -> StepwisePosterior:
+    """Return the posterior over all hypotheses given the whole video.
+
+    Args:
+        event: what to explain; only scene, observation and id are read.
+        model: with a :class:`phase_ppl.StepwiseLikelihood`.
+        seed: of the agents' beliefs and searches.
+        threads: searches at a time; by default one per usable core.
+        progress: whether to show a bar on stderr, with the time that is left; by default where
+            that is a terminal. Elsewhere one line says how long it will take, if that is more
+            than a minute; with False nothing does.
+
+    Raises:
+        InvalidSettingError: the model cannot be read step by step.
+        StepwiseInterrupted: Ctrl-C.
+    """
+    with Watch(event.scene, model, seed=seed, threads=threads, event_id=event.id) as watch:
+        frames = list(event.observation.trajectory)
+        watch.take(frames[0])
+        try:
+            for frame in _timed(frames[1:], progress):
+                watch.take(frame)
+        except KeyboardInterrupt as stop:
+            raise StepwiseInterrupted(watch.posterior()) from stop
+        return watch.posterior()
+
+
+def _timed(
+    frames: list[NDArray[np.float64]], progress: bool | None
+) -> Iterator[NDArray[np.float64]]:
+    """Yield the frames, and say on stderr how long all of them will take."""
+    if progress is False or is_shown(progress):
+        yield from counted(frames, progress, "frame", "reading")
+        return
+    began = time.monotonic()
+    for index, frame in enumerate(frames):
+        if index == _TIMED:
+            left = (time.monotonic() - began) / _TIMED * (len(frames) - _TIMED)
+            if left > _LONG:
+                print(
+                    f"reading {len(frames)} more frames takes about {left / 60:.0f} min",
+                    file=sys.stderr,
+                )
+        yield frame

@@ -1,1 +1,0 @@
-"""Exact inference with the closed-loop likelihood: of a whole video, or as it plays."""

@@ -1,0 +1,593 @@
+"""From tracks to a symbolic trajectory: which predicates hold in each frame, by thresholds.
+
+The predicates are those of the paper's table as SIMPLE's planner uses them: CLOSE(entity,
+landmark) is being in that landmark's room (in an arena without inner walls, its quarter), ATTACH
+is read off the tracks, TOUCH is being near enough to stop or to grab, ON to count as arrived.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import itertools
+import math
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phase_ppl.agents.operators import TOUCH_COST, Abilities, Node, Step, moves, plan
+from phase_ppl.agents.symbols import NEAR_AGENT_ON, NEAR_ITEM_ON, NEAR_TOUCH
+from phase_ppl.dataset.motion import HELD_WITHIN, items_held
+from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.checks import nonnegative_number, positive_number, whole_number
+from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
+from phase_ppl.world.geometry import GRAB_POINTS, GRAB_REACH
+from phase_ppl.world.goals import N_GOALS, goal_literal, is_self_referring
+from phase_ppl.world.hypothesis import RELATION_TABLE, RELATIONS
+from phase_ppl.world.names import AGENTS, ENTITIES, ITEMS, NOTHING, STOP, Literal, Predicate
+from phase_ppl.world.observation import Observation
+from phase_ppl.world.rooms import N_ROOMS
+from phase_ppl.world.scene import Scene
+
+Flags = NDArray[np.bool_]
+
+FACTOR: Final = 3.0
+"""By how much wider ON, and TOUCH of items, are here than where SIMPLE's planner is done with them:
+recorded agents stop a little short. Chosen on half of 50 real videos
+(``benchmarks/predicate.py``)."""
+
+_PREDICATES: Final = ("rooms", "held", "near", "placed")
+
+
+@dataclasses.dataclass(frozen=True)
+class Thresholds:
+    """When a predicate holds, units. The defaults: SIMPLE's planner's, but for :data:`FACTOR`.
+
+    Attributes:
+        on_agent: ON(agent, landmark): from its centre to the landmark's centre.
+        on_item: ON(item, landmark): likewise.
+        touch_agent: TOUCH(agent, agent): from centre to centre.
+        touch_item: TOUCH(agent, item): from a grab point of the agent to the item's rim. As for
+            the planner, only those in the same room touch.
+        attach: ATTACH(agent, item): how far the item may be from its place at a grab point; it is
+            to stay there for three frames.
+        lasting: frames for which a predicate must hold, or not hold, to count.
+
+    Raises:
+        InvalidSettingError: a threshold that is no positive number, or ``lasting`` no whole one.
+    """
+
+    on_agent: float = FACTOR * NEAR_AGENT_ON
+    on_item: float = FACTOR * NEAR_ITEM_ON
+    touch_agent: float = NEAR_TOUCH
+    touch_item: float = FACTOR * GRAB_REACH
+    attach: float = HELD_WITHIN
+    lasting: int = 3
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            check = whole_number if field.name == "lasting" else positive_number
+            check(field.name, value)
+
+
+class SymbolicState(NamedTuple):
+    """The predicates that hold at one moment.
+
+    Attributes:
+        rooms: CLOSE: id of the landmark whose room each entity is in.
+        held: ATTACH: item that each agent holds, or ``NOTHING``.
+        near: TOUCH: per agent, whether it touches each entity.
+        placed: ON: whether each entity is on the landmark of its room.
+    """
+
+    rooms: tuple[int, ...]
+    held: tuple[int, ...]
+    near: tuple[tuple[bool, ...], ...]
+    placed: tuple[bool, ...]
+
+
+def symbolic_trajectory(
+    scene: Scene, observation: Observation, thresholds: Thresholds | None = None
+) -> list[SymbolicState]:
+    """Return the symbolic state of every frame."""
+    given = Thresholds() if thresholds is None else thresholds
+    trajectory = observation.trajectory
+    found = {
+        "rooms": scene.rooms.room_of(trajectory[..., :2]),
+        "held": items_held(trajectory, scene.radius, given.attach),
+        "near": _near(trajectory, scene, given),
+        "placed": _placed(trajectory, scene, given),
+    }
+    for name in _PREDICATES:
+        shape = found[name].shape
+        columns = found[name].reshape(shape[0], -1).T
+        lasting = [_lasting(column, given.lasting) for column in columns]
+        found[name] = np.stack(lasting, axis=1).reshape(shape)
+    return [
+        SymbolicState(
+            tuple(rooms), tuple(held), tuple(tuple(agent) for agent in near), tuple(placed)
+        )
+        for rooms, held, near, placed in zip(
+            *(found[name].tolist() for name in _PREDICATES), strict=True
+        )
+    ]
+
+
+def _near(trajectory: FloatArray, scene: Scene, given: Thresholds) -> Flags:
+    """Return (time, agent, entity)."""
+    near = np.zeros((len(trajectory), len(AGENTS), len(ENTITIES)), bool)
+    place = trajectory[..., :2]
+    apart = np.linalg.norm(place[:, 0] - place[:, 1], axis=1)
+    near[:, 0, 1] = near[:, 1, 0] = apart < given.touch_agent
+    for agent in range(len(AGENTS)):
+        cos, sin = np.cos(trajectory[:, agent, 2]), np.sin(trajectory[:, agent, 2])
+        for local in GRAB_POINTS * scene.radius[agent]:
+            offset = np.column_stack(
+                [cos * local[0] - sin * local[1], sin * local[0] + cos * local[1]]
+            )
+            for item in range(len(AGENTS), len(ENTITIES)):
+                distance = np.linalg.norm(place[:, agent] + offset - place[:, item], axis=1)
+                near[:, agent, item] |= distance < scene.radius[item] + given.touch_item
+    rooms = scene.rooms.room_of(place)
+    near &= rooms[:, : len(AGENTS), None] == rooms[:, None]
+    return near
+
+
+def _placed(trajectory: FloatArray, scene: Scene, given: Thresholds) -> Flags:
+    """Return (time, entity)."""
+    placed = np.zeros(trajectory.shape[:2], bool)
+    for entity in range(len(ENTITIES)):
+        place = trajectory[:, entity, :2]
+        centre = scene.landmark_centres[scene.rooms.room_of(place)]
+        limit = given.on_agent if entity < len(AGENTS) else given.on_item
+        placed[:, entity] = np.linalg.norm(place - centre, axis=1) < limit
+    return placed
+
+
+def _lasting(values: NDArray[Any], frames: int) -> NDArray[Any]:
+    """Return a series in which runs shorter than ``frames`` go on with what was before them."""
+    result = values.copy()
+    edges = np.flatnonzero(values[1:] != values[:-1]) + 1
+    bounds = [0, *edges.tolist(), len(values)]
+    for start, end in itertools.pairwise(bounds[1:]):
+        if end - start < frames:
+            result[start:end] = result[start - 1]
+    return result
+
+
+# --- what is left to do for a goal, in symbols: the cost of the cheapest plan, without... ---------
+# Plans are those of SIMPLE's subgoal planner (:mod:`phase_ppl.agents.operators`) by bodies that
+# can do everything: they pass every door, close none, and carry any item alone. Costs are its
+# too: lengths of ways from room to room, and constants for touching, gripping and placing.
+
+_ALL: Final = frozenset(range(len(ENTITIES)))
+_CLEAR: Final = (NOTHING, NOTHING)
+"""No item closes a door."""
+_TIE: Final = 1e-6
+
+
+def without_physics(scene: Scene) -> Abilities:
+    """Return abilities that know the layout of a scene and no sizes, strengths or masses."""
+    able = Abilities.of(scene, (math.inf, math.inf))
+    doors = range(len(scene.rooms.door_width))
+    return dataclasses.replace(
+        able,
+        passes=tuple(tuple(True for _ in doors) for _ in ENTITIES),
+        fills=tuple(tuple(False for _ in doors) for _ in ITEMS),
+    )
+
+
+def operators(node: Node, agent: int, touched: Sequence[int], abilities: Abilities) -> list[Step]:
+    """Return all that an agent can do in a state.
+
+    Args:
+        node: the state, in which an agent is at one entity only.
+        agent: 0 red, 1 green.
+        touched: all entities that it touches: none is touched anew, and any item among them can
+            be gripped.
+        abilities: of the bodies.
+    """
+    found = dict[Literal, Step]()
+    for near in dict.fromkeys([node.near[agent], *touched]):
+        at = tuple(near if a == agent else other for a, other in enumerate(node.near))
+        for step in moves(node._replace(near=at), agent, (agent,), _ALL, abilities):  # type: ignore[arg-type]
+            predicate, _, target, positive = step.literal
+            if predicate is Predicate.TOUCH and target in touched:
+                continue
+            if predicate is Predicate.ATTACH and positive:
+                step = step._replace(result=step.result._replace(near=node.near))
+            found.setdefault(step.literal, step)
+    return list(found.values())
+
+
+class CostToGo:
+    """Cost of the cheapest plan of one agent to what its goal means in symbols.
+
+    =====================  =================================================================
+    goal                   done when
+    =====================  =================================================================
+    ON(self | item, l)     it is on the landmark
+    TOUCH(self, other)     it touches the other
+    ON(other, l)           always: the other goes by itself
+    not ON(self, l)        it is in the room farthest from the landmark
+    not TOUCH(self, other) it is in the room farthest from the other's
+    not ON(item, l)        it holds the item in the room farthest from the landmark
+    not ON(other, l)       it touches the other: without physics there is no other way to
+                           hinder anyone
+    =====================  =================================================================
+
+    Farthest of the rooms in reach; none is farther than one without a way.
+
+    Args:
+        abilities: of the bodies, :func:`without_physics`.
+        agent: who plans, 0 red or 1 green.
+        goal: literal of its effective goal.
+    """
+
+    def __init__(self, abilities: Abilities, agent: int, goal: Literal) -> None:
+        self.abilities, self.agent, self.goal = abilities, agent, goal
+        item = goal.subject if goal.subject >= len(AGENTS) else NOTHING
+        chased = goal.predicate is Predicate.TOUCH and goal.positive
+        hindered = goal.subject == 1 - agent and not goal.positive
+        self.focus = item if item != NOTHING else (1 - agent if chased or hindered else NOTHING)
+        """The entity that the agent has to be at for the goal, or ``NOTHING``."""
+        self._known: dict[Node, float] = {}
+
+    def __call__(self, node: Node) -> float:
+        """Return the cost, units of way; inf where there is no plan."""
+        relevant = self._relevant(node)
+        if relevant not in self._known:
+            self._known[relevant] = self._cost(relevant)
+        return self._known[relevant]
+
+    def node(self, state: SymbolicState) -> Node:
+        """Return a symbolic state as the planner's: being at the focus counts first."""
+        near = list[int]()
+        for agent, touched in enumerate(state.near):
+            at = [entity for entity, yes in enumerate(touched) if yes]
+            first = self.focus if agent == self.agent and self.focus in at else NOTHING
+            near.append(first if first != NOTHING else next(iter(at), NOTHING))
+        return Node(state.rooms, state.held, tuple(near), state.placed, _CLEAR)  # type: ignore[arg-type]
+
+    def _relevant(self, node: Node) -> Node:
+        """Return the node without what makes no difference to the goal."""
+        agent, literal = self.agent, self.goal
+        entities = {agent, literal.subject}
+        if literal.predicate is Predicate.TOUCH:
+            entities.add(literal.target)
+        near = [NOTHING, NOTHING]
+        if self.focus != NOTHING and node.near[agent] == self.focus:
+            near[agent] = self.focus
+        held = [NOTHING, NOTHING]
+        held[agent] = node.held[agent]
+        return Node(
+            tuple(room if e in entities else 0 for e, room in enumerate(node.rooms)),  # type: ignore[arg-type]
+            tuple(held),  # type: ignore[arg-type]
+            tuple(near),  # type: ignore[arg-type]
+            tuple(yes and e == literal.subject for e, yes in enumerate(node.placed)),  # type: ignore[arg-type]
+            _CLEAR,
+        )
+
+    def _cost(self, node: Node) -> float:
+        agent, (predicate, subject, target, positive) = self.agent, self.goal
+        if predicate is Predicate.ON and positive:
+            if subject == 1 - agent:
+                return 0.0
+            return self._plan(
+                node, {subject}, lambda n: n.placed[subject] and n.rooms[subject] == target
+            )
+        if predicate is Predicate.ON and subject >= len(AGENTS):
+            away = self._farthest(target, node.rooms[subject])
+            return self._plan(
+                node, {subject}, lambda n: n.held[agent] == subject and n.rooms[subject] in away
+            )
+        if positive or subject == 1 - agent:
+            return self._plan(node, {1 - agent}, lambda n: n.near[agent] == 1 - agent)
+        fled = node.rooms[target] if predicate is Predicate.TOUCH else target
+        away = self._farthest(fled, node.rooms[agent])
+        return self._plan(node, set(), lambda n: n.rooms[agent] in away)
+
+    def _plan(self, node: Node, targets: set[int], is_goal: Callable[[Node], bool]) -> float:
+        steps = plan(
+            node, (self.agent,), frozenset(targets), is_goal, lambda n: 0.0, self.abilities
+        )
+        return math.inf if steps is None else sum(step.cost for step in steps)
+
+    def _farthest(self, room: int, start: int) -> frozenset[int]:
+        """Return the rooms farthest from ``room``, of those that one gets to from ``start``.
+
+        None is farther than one without a way to it.
+        """
+        distance = self.abilities.room_distance
+        there = [r for r in range(N_ROOMS) if math.isfinite(distance[start][r])]
+        most = max(distance[room][r] for r in there)
+        return frozenset(r for r in there if distance[room][r] >= most - _TIE)
+
+
+@functools.lru_cache(maxsize=1024)
+def cost_to_go(abilities: Abilities, agent: int, goal: Literal) -> CostToGo:
+    """Return the cost to go for these arguments; scenes of one layout share what it knows."""
+    return CostToGo(abilities, agent, goal)
+
+
+# --- the forward model: how probable a symbolic trajectory is if an agent has a goal --------------
+# In each frame an agent completes an operator with the probability h = 1 / ``operator_frames``,
+# else nothing happens. Which one it is is boundedly rational: with the cost to go C after it,
+#
+# P(o | state, g) = (1 - lapse) exp(-rationality Q(o)) / Z + lapse / n, Q(o) = cost(o) + C(o, g),
+#
+# over the n operators that the planner knows in that state, waiting among them. Waiting costs
+# ``wait_cost`` as long as there is something left to do and nothing otherwise, and cannot be told
+# from completing nothing. What comes true without an operator of the agent that explains it has
+# only the lapse. Facts that are no agent's doing (a pushed item, where a holder is) are given.
+
+RATIONALITY: Final = 0.8
+OPERATOR_FRAMES: Final = 12.0
+WAIT_COST: Final = 2 * TOUCH_COST
+LAPSE: Final = 0.02
+
+
+@dataclasses.dataclass(frozen=True)
+class Rationality:
+    """How rational agents are taken to be.
+
+    Attributes:
+        rationality: inverse temperature, per unit of way; 0 is blind chance.
+        operator_frames: frames that an operator takes in the mean, more than 1.
+        wait_cost: what waiting costs while something is left to do, units of way.
+        lapse: probability of doing just anything, in (0, 1).
+
+    Raises:
+        InvalidSettingError: a value outside its range.
+    """
+
+    rationality: float = RATIONALITY
+    operator_frames: float = OPERATOR_FRAMES
+    wait_cost: float = WAIT_COST
+    lapse: float = LAPSE
+
+    def __post_init__(self) -> None:
+        for name in ("operator_frames", "lapse"):
+            positive_number(name, getattr(self, name))
+        for name in ("rationality", "wait_cost"):
+            nonnegative_number(name, getattr(self, name))
+        if not self.operator_frames > 1:
+            raise InvalidSettingError(
+                f"operator_frames={shown(self.operator_frames)}, expected a number > 1"
+            )
+        if not self.lapse < 1:
+            raise InvalidSettingError(f"lapse={shown(self.lapse)}, expected a number in (0, 1)")
+
+
+def own_changes(
+    before: SymbolicState, after: SymbolicState, agent: int
+) -> Iterator[tuple[SymbolicState, Literal]]:
+    """Yield what an agent did between two frames, each with the state in which it did it.
+
+    Letting go, going to a room, touching, gripping, arriving, in this order. To grip is to touch;
+    an agent that holds an item goes and arrives with it, and so do two that hold the same. That a
+    predicate ceases to hold is no doing of its own, but for letting go: it comes with going on.
+    """
+    had, has = before.held[agent], after.held[agent]
+    state = before
+    if had not in (NOTHING, has):
+        yield state, Literal(Predicate.ATTACH, agent, had, positive=False)
+        state = _with_near(state, agent, had)._replace(held=_put(state.held, agent, NOTHING))
+    mover = agent if state.held[agent] == NOTHING else state.held[agent]
+    if after.rooms[mover] != before.rooms[mover]:
+        yield state, Literal(Predicate.CLOSE, mover, after.rooms[mover])
+        state = state._replace(placed=_put(state.placed, mover, False))
+        still = [was and yes for was, yes in zip(state.near[agent], after.near[agent], strict=True)]
+        state = state._replace(near=_put(state.near, agent, tuple(still)))
+    state = state._replace(rooms=after.rooms)
+    if state.held[agent] == NOTHING:
+        for entity in range(len(ENTITIES)):
+            touches = after.near[agent][entity] or entity == has
+            if touches and not state.near[agent][entity]:
+                yield state, Literal(Predicate.TOUCH, agent, entity)
+                state = _with_near(state, agent, entity)
+    if has not in (NOTHING, had):
+        yield state, Literal(Predicate.ATTACH, agent, has)
+        state = state._replace(held=after.held)
+    mover = agent if has == NOTHING else has
+    if after.placed[mover] and not state.placed[mover]:
+        yield state, Literal(Predicate.ON, mover, after.rooms[mover])
+
+
+class ForwardModel:
+    """Probabilities of symbolic trajectories in one scene.
+
+    Args:
+        scene: its layout is all that counts.
+        rationality: of both agents.
+    """
+
+    def __init__(self, scene: Scene, rationality: Rationality | None = None) -> None:
+        self.rationality = Rationality() if rationality is None else rationality
+        self._abilities = without_physics(scene)
+        self._cost_to_go = {
+            (agent, goal): cost_to_go(self._abilities, agent, goal_literal(goal, agent))
+            for agent in range(len(AGENTS))
+            for goal in range(N_GOALS)
+            if not is_self_referring(goal, agent)
+        }
+        self._steps: dict[tuple[Node, int, tuple[int, ...]], list[Step]] = {}
+        self._known: dict[tuple[SymbolicState, int, int], dict[Literal, float]] = {}
+
+    def policy(self, state: SymbolicState, agent: int, goal: int) -> dict[Literal, float]:
+        """Return P(operator | state, goal) by the literal that the operator makes true.
+
+        Args:
+            state: where the agent is.
+            agent: 0 red, 1 green.
+            goal: index of its effective goal.
+
+        Returns:
+            The sum is 1; ``STOP`` is waiting.
+        """
+        key = state, agent, goal
+        if key not in self._known:
+            self._known[key] = self._policy(*key)
+        return self._known[key]
+
+    def _policy(self, state: SymbolicState, agent: int, goal: int) -> dict[Literal, float]:
+        given, left_after = self.rationality, self._cost_to_go[agent, goal]
+        node = left_after.node(state)
+        left = left_after(node)
+        costs = {STOP: left + (given.wait_cost if left > 0 else 0.0)}
+        touched = tuple(entity for entity, yes in enumerate(state.near[agent]) if yes)
+        for step in self._operators(node, agent, touched):
+            costs[step.literal] = step.cost + left_after(step.result)
+        # where there is no way to the goal, nothing is better than anything else
+        least = min(costs.values())
+        weights = {
+            literal: _weight(given.rationality, cost, least) for literal, cost in costs.items()
+        }
+        total, even = sum(weights.values()), given.lapse / len(weights)
+        return {
+            literal: (1 - given.lapse) * weight / total + even
+            for literal, weight in weights.items()
+        }
+
+    def _operators(self, node: Node, agent: int, touched: tuple[int, ...]) -> list[Step]:
+        key = node, agent, touched
+        if key not in self._steps:
+            self._steps[key] = operators(*key, self._abilities)
+        return self._steps[key]
+
+    def log_likelihood(self, trajectory: Sequence[SymbolicState]) -> FloatArray:
+        """Return (agent, goal) log P(trajectory | goal), 0 for goals that name their holder.
+
+        Given what is seen of both before, each agent's doings depend on its own goal only: the
+        log probability given a pair of goals is the sum of the two.
+        """
+        found = np.zeros((len(AGENTS), N_GOALS))
+        for agent, goal in self._cost_to_go:
+            found[agent, goal] = sum(
+                self._log_step(before, after, agent, goal)
+                for before, after in itertools.pairwise(trajectory)
+            )
+        return found
+
+    def _log_step(
+        self, before: SymbolicState, after: SymbolicState, agent: int, goal: int
+    ) -> float:
+        completes = 1 / self.rationality.operator_frames
+        did = [] if before == after else list(own_changes(before, after, agent))
+        if not did:
+            return math.log(1 - completes + completes * self.policy(before, agent, goal)[STOP])
+        total = 0.0
+        for state, literal in did:
+            policy = self.policy(state, agent, goal)
+            unexplained = self.rationality.lapse / len(policy)
+            total += math.log(completes * policy.get(literal, unexplained))
+        return total
+
+
+def _weight(rationality: float, cost: float, least: float) -> float:
+    if rationality == 0 or cost == least:
+        return 1.0
+    return math.exp(-rationality * (cost - least))
+
+
+def _put(values: tuple, index: int, value: object) -> tuple:  # type: ignore[type-arg]
+    return (*values[:index], value, *values[index + 1 :])
+
+
+def _with_near(state: SymbolicState, agent: int, entity: int) -> SymbolicState:
+    return state._replace(near=_put(state.near, agent, _put(state.near[agent], entity, True)))
+
+
+# --- the inversion of the forward model: P(goals | trajectory), and with it that of... ------------
+# P(g_red, g_green | tau) ~ P(tau | g_red) P(tau | g_green) P(g_red, g_green) (paper, Appendix
+# "Predicate Inverse Planning"), over all pairs of effective goals. The paper says "a prior over
+# goals, often uniform". Under SIMPLE's prior each agent's effective goal is uniform over the 34
+# that it can have, but the two go together more often than by chance: 2 of 3 times one agent
+# helps or hinders the other. That is the default here, so that the two models differ in physics
+# and nothing else; the other choice, :data:`INDEPENDENT`, has all pairs alike.
+
+INDEPENDENT: Final = "independent"
+"""Name of the prior under which all pairs of effective goals are alike."""
+
+_STRENGTH: Final = 450.0
+
+
+class Inverse(NamedTuple):
+    """Probabilities of goals and relation.
+
+    Attributes:
+        joint: (goal of red, goal of green).
+        goal_red, goal_green: (36,) marginals.
+        relation: (3,) of ``RELATIONS``, which follows from the two goals.
+    """
+
+    joint: FloatArray
+    goal_red: FloatArray
+    goal_green: FloatArray
+    relation: FloatArray
+
+
+def posterior(log_likelihood: FloatArray, log_prior: FloatArray) -> Inverse:
+    """Return what a symbolic trajectory says.
+
+    Args:
+        log_likelihood: (agent, goal) log P(trajectory | goal) of each agent.
+        log_prior: (goal of red, goal of green).
+    """
+    log_joint = log_likelihood[0][:, None] + log_likelihood[1] + log_prior
+    joint = np.exp(log_joint - log_joint.max())
+    joint /= joint.sum()
+    relation = np.array([joint[index == RELATION_TABLE].sum() for index in range(len(RELATIONS))])
+    return Inverse(joint, joint.sum(axis=1), joint.sum(axis=0), relation)
+
+
+def log_prior_of_pairs(name: str) -> FloatArray:
+    """Return the log prior of pairs of effective goals (goal of red, goal of green), sum 1.
+
+    Args:
+        name: :data:`INDEPENDENT`, or a ready-made prior of SIMPLE
+            (:mod:`phase_ppl.models.priors`), in all of which goals and strengths are independent.
+
+    Raises:
+        UnknownNameError: there is none of that name; the message names close matches.
+    """
+    if name != INDEPENDENT:
+        from phase_ppl.models import priors
+
+        if not isinstance(name, str) or name not in priors.available():
+            raise unknown_name("prior", name, [INDEPENDENT, *priors.available()])
+    return _log_prior_of_pairs(name)
+
+
+@functools.cache
+def _log_prior_of_pairs(name: str) -> FloatArray:
+    possible = [
+        np.array([not is_self_referring(goal, agent) for goal in range(N_GOALS)])
+        for agent in range(len(AGENTS))
+    ]
+    allowed = possible[0][:, None] & possible[1]
+    if name == INDEPENDENT:
+        prior = allowed / allowed.sum()
+    else:
+        prior = np.where(allowed, _of_simple(name), 0.0)
+        prior /= prior.sum()
+    with np.errstate(divide="ignore"):
+        log_prior: FloatArray = np.log(prior)
+    log_prior.flags.writeable = False
+    return log_prior
+
+
+def _of_simple(name: str) -> FloatArray:
+    from phase_ppl.models import priors
+    from phase_ppl.models.effective import log_prior_of_effective
+
+    pairs = np.argwhere(np.ones((N_GOALS, N_GOALS)))
+    strengths = {
+        site: np.full(len(pairs), _STRENGTH) for site in ("strength_red", "strength_green")
+    }
+    log_prior = log_prior_of_effective(priors.named(name), pairs, strengths)
+    prior: FloatArray = np.exp(log_prior - log_prior.max()).reshape(N_GOALS, N_GOALS)
+    return prior
