@@ -33,8 +33,8 @@ import numpy as np
 from videos import own, reading
 
 import phase_ppl as ppl
+from phase_ppl.closed_loop.goal_filter import Conduct
 from phase_ppl.closed_loop.hidden_state import HiddenState, Tracking
-from phase_ppl.closed_loop.reader import Conduct
 from phase_ppl.models.stepwise import StepwiseLikelihood
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import goal_index
@@ -42,8 +42,6 @@ from phase_ppl.world.observation import Observation
 
 KINDS = ("goal", "relation")
 SHARPNESS, LAPSE, WEIGHT = (4.0, 6.0), (0.1, 0.2, 0.3), (0.3, 0.5, 1.0)
-LEAVE_RESUME = ((1e-6, 1.0), (0.05, 0.05), (0.1, 0.05), (0.1, 0.1), (0.05, 0.02), (0.2, 0.05))
-"""The first: agents never cease to pursue their goals."""
 SEEDS = (1, 2, 4)
 JITTERS, STRENGTH_WEIGHTS = (0.0, 0.05), (1.0, 0.3, 0.1, 0.05, 0.03)
 OWN_FRAMES = 31
@@ -104,10 +102,8 @@ def fit(options: argparse.Namespace) -> dict[str, Any]:
     found: dict[str, Any] = {}
     names = ("sets", *Conduct._fields, "weight", "nats")
     print("".join(f"{name:>10}" for name in names), f"  end: {reading.HEAD}; half: {reading.HEAD}")
-    for seeds, sharpness, lapse, (leave, resume) in itertools.product(
-        SEEDS, SHARPNESS, LAPSE, LEAVE_RESUME
-    ):
-        conduct = Conduct(sharpness, lapse, leave, resume)
+    for seeds, sharpness, lapse in itertools.product(SEEDS, SHARPNESS, LAPSE):
+        conduct = Conduct(sharpness, lapse)
         tables = [one.log_likelihood(conduct, 1.0, seeds).cumsum(axis=0) for one in kept]
         per_frame = sum(
             float(table[-1][one.truth]) for one, table in zip(kept, tables, strict=True)

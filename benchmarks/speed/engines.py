@@ -12,7 +12,7 @@ import numpy as np
 
 from phase_ppl.agents.agent import Agent
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.agents.mind import Mind
+from phase_ppl.agents.world_model import WorldModel
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import N_ACTIONS
 from phase_ppl.physics.constants import IMAGINATION_ITERATIONS
@@ -95,10 +95,12 @@ def _many() -> Callable[..., None]:
 
 def agents(config: PlannerConfig, seed: int, scene: Scene) -> dict[str, Agent]:
     """Return agents with the compiled and the slow search, of equal settings and beliefs."""
-    mind = Mind.of(scene, STRENGTHS, config)
+    world_model = WorldModel.of(scene, STRENGTHS, config)
     made = {
-        "compiled": Agent(0, GOALS, mind, config, np.random.default_rng(seed)),
-        "pymunk": OracleAgent(0, GOALS, mind, config, np.random.default_rng(seed), STRENGTHS),
+        "compiled": Agent(0, GOALS, world_model, config, np.random.default_rng(seed)),
+        "pymunk": OracleAgent(
+            0, GOALS, world_model, config, np.random.default_rng(seed), STRENGTHS
+        ),
     }
     for agent in made.values():
         agent.perceive(*compiled.from_state(State.at_start(scene), scene.radius))

@@ -53,7 +53,7 @@ def early_stop() -> dict[str, Any]:
             chosen[stops] = original(self, *arguments)
             steps[stops] += int(self.tree.statistics[1]) - before
         self.search = search
-        same.append(chosen[True][0] == chosen[False][0])
+        same.append(chosen[True].best == chosen[False].best)
         return chosen[False]
 
     Agent._search_actions = both  # type: ignore[method-assign]

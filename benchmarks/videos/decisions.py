@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from phase_ppl.agents.agent import Agent
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.agents.mind import Mind
+from phase_ppl.agents.world_model import WorldModel
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import N_ACTIONS, Action, executed
 from phase_ppl.physics.pymunk_world import PymunkWorld
@@ -133,10 +133,10 @@ def judge(task: Task) -> list[dict[str, Any]]:
         original_goal(goal, video["reflection"]) for goal in (truth.goal_red, truth.goal_green)
     )
     world = compiled.make_params(scene, strengths, inner_steps=4)
-    mind = Mind.of(scene, strengths, task.planner)
+    model = WorldModel.of(scene, strengths, task.planner)
     agents = [
         [
-            Agent(a, goals, mind, task.planner, np.random.default_rng([a, repeat]))
+            Agent(a, goals, model, task.planner, np.random.default_rng([a, repeat]))
             for repeat in range(task.repeats)
         ]
         for a in range(2)

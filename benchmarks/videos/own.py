@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.agents.mind import Mind
 from phase_ppl.agents.policies import Policies
+from phase_ppl.agents.world_model import WorldModel
 from phase_ppl.closed_loop.hidden_state import filter_gains
 from phase_ppl.dataset.generation.situation import LAYOUTS, CannotDraw, Draw, Situation
 from phase_ppl.models.stepwise import StepwiseLikelihood
@@ -57,8 +57,10 @@ def own_event(number: int, likelihood: StepwiseLikelihood, n_frames: int = 41) -
     scene, goals = drawn.scene, drawn.hypothesis.effective_goals
     strengths = drawn.hypothesis.strengths
     planner, tracking = PlannerConfig.fast(), likelihood.tracking
-    mind = Mind.of(scene, strengths, planner)
-    agents = [Policies(a, mind, planner, int(rng.integers(2**60))) for a in range(len(AGENTS))]
+    world_model = WorldModel.of(scene, strengths, planner)
+    agents = [
+        Policies(a, world_model, planner, int(rng.integers(2**60))) for a in range(len(AGENTS))
+    ]
     wanted = np.zeros((N_GOALS, N_GOALS), bool)
     wanted[goals] = True
     bodies, held, weld = (part[None].copy() for part in compiled.from_state(
@@ -68,13 +70,11 @@ def own_event(number: int, likelihood: StepwiseLikelihood, n_frames: int = 41) -
     newtons, gains = np.array([strengths]), filter_gains(tracking.scale, 0.0)
     trajectory = [np.array(scene.start)]
     conduct = likelihood.conduct
-    strays = [rng.random() < conduct.start[1] for _ in agents]
     for _ in range(n_frames - 1):
         meant = []
-        strays = [rng.random() < conduct.change[int(stray), 1] for stray in strays]
-        for agent, stray in zip(agents, strays, strict=True):
+        for agent in agents:
             agent.observe(bodies[0], held[0], weld[0], wanted)
-            found = None if stray else conduct.policy(agent.outlooks()[0])
+            found = conduct.policy(agent.root_statistics(agent.intents[0]))
             meant.append(Action(int(rng.choice(N_ACTIONS, p=found))))
             agent.done(meant[-1])
         done = [executed(action, scene.turning) for action in meant]

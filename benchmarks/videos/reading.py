@@ -1,4 +1,4 @@
-"""What the closed-loop reader makes of a real video, kept in parts for other settings."""
+"""What the closed-loop filter makes of a real video, kept in parts for other settings."""
 
 from __future__ import annotations
 
@@ -12,8 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.closed_loop.goal_filter import (
+    Conduct,
+    GoalFilter,
+    Looked,
+    frame_log_likelihood,
+)
 from phase_ppl.closed_loop.hidden_state import HiddenState, Tracking
-from phase_ppl.closed_loop.reader import Conduct, GoalFilter, Looked, Reader
 from phase_ppl.models import priors
 from phase_ppl.models.effective import log_prior_of_effective
 from phase_ppl.models.stepwise import StepwiseLikelihood
@@ -94,7 +99,7 @@ class Kept:
         truth: effective goals of red and green; levels: places of their strengths.
         steps: per step (looked, wanted, relative density, its highest log density).
         strengths: (step, strength of red, of green) probabilities.
-        unexplained: (step,) nats, as of :class:`phase_ppl.closed_loop.reader.Reading`.
+        unexplained: (step,) nats, as of :class:`phase_ppl.closed_loop.goal_filter.Reading`.
     """
 
     truth: tuple[int, int]
@@ -113,10 +118,10 @@ class Kept:
         self, conduct: Conduct, weight: float, planner_seeds: int | None = None
     ) -> FloatArray:
         """Return (step, goal_red, goal_green) with other settings, or fewer sets of searches."""
-        n = len(self.steps[0][0][:planner_seeds])
-        log_mass, goals, found = log_prior().copy(), GoalFilter(conduct, n), []
+        log_mass, found = log_prior().copy(), []
         for looked, wanted, relative, highest in self.steps:
-            now, _ = goals.take(looked[:planner_seeds], wanted, relative, log_mass)
+            sets = looked[:planner_seeds]
+            now, _ = frame_log_likelihood(sets, wanted, relative, log_mass, conduct)
             found.append(now + highest)
             log_mass += weight * found[-1]
         return np.array(found)
@@ -180,24 +185,19 @@ class Scores(NamedTuple):
 
 
 class Recorder(GoalFilter):
-    """One that keeps what it is given."""
+    """One that keeps what its searches found."""
 
-    def __init__(self, conduct: Conduct, n_sets: int) -> None:
-        super().__init__(conduct, n_sets)
-        self.steps: list[Any] = []
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self.searched: list[tuple[list[list[Looked]], NDArray[np.bool_]]] = []
 
-    def take(
-        self,
-        looked: Sequence[Sequence[Looked]],
-        wanted: NDArray[np.bool_],
-        relative: FloatArray,
-        log_mass: FloatArray,
-    ) -> tuple[FloatArray, FloatArray]:
+    def _look(self, wanted: NDArray[np.bool_]) -> list[list[Looked]]:
+        looked = super()._look(wanted)
         small = [
             [one._replace(of_pair=one.of_pair.astype(np.int16)) for one in pair] for pair in looked
         ]
-        self.steps.append((small, wanted, relative))
-        return super().take(looked, wanted, relative, log_mass)
+        self.searched.append((small, wanted))
+        return looked
 
 
 def levels_of(event: Event) -> tuple[int, int]:
@@ -214,9 +214,8 @@ def record(event: Event, likelihood: StepwiseLikelihood, seed: int = 0) -> Kept:
     assert event.truth is not None
     truth = goal_index(event.truth.goal_red), goal_index(event.truth.goal_green)
     began = time.process_time()
-    readings = []
-    kept = Recorder(likelihood.conduct, likelihood.planner_seeds)
-    with Reader(
+    densities: list[FloatArray] = []
+    with Recorder(
         event.scene,
         PlannerConfig.fast(),
         likelihood.tracking,
@@ -225,17 +224,22 @@ def record(event: Event, likelihood: StepwiseLikelihood, seed: int = 0) -> Kept:
         planner_seeds=likelihood.planner_seeds,
         weight=likelihood.weight,
         log_prior=log_prior(),
-    ) as reader:
-        reader._goals = kept
-        for frame in event.observation.trajectory[1:]:
-            readings.append(reader.read(frame))
+    ) as goals:
+        advance = goals._hidden.advance
+
+        def advanced(*arguments: Any) -> FloatArray:
+            densities.append(advance(*arguments))
+            return densities[-1]
+
+        goals._hidden.advance = advanced  # type: ignore[method-assign]
+        readings = [goals.read(frame) for frame in event.observation.trajectory[1:]]
     seconds = time.process_time() - began
     unexplained, log_peak = (
         np.array([getattr(one, name) for one in readings]) for name in ("unexplained", "log_peak")
     )
     steps = [
-        (*step, float(peak - nats))
-        for step, peak, nats in zip(kept.steps, log_peak, unexplained, strict=True)
+        (*found, np.exp(density - density.max()), float(density.max()))
+        for found, density in zip(goals.searched, densities, strict=True)
     ]
     strengths = np.stack([one.strengths for one in readings])
     return Kept(truth, levels_of(event), steps, strengths, unexplained, log_peak, seconds)

@@ -13,13 +13,11 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.agents import beliefs as belief
 from phase_ppl.agents import vision
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.agents.ground import Ground
-from phase_ppl.agents.mind import Mind
 from phase_ppl.agents.pomcp import below, make_rng
 from phase_ppl.agents.vision import MAX_OUTLINE_CELLS, OUTSIDE, outline_cells, shapes_meet
+from phase_ppl.agents.world_model import Layout, WorldModel
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import NO_ACTION, Action
 from phase_ppl.physics.compiled import Params, Scratch
@@ -68,7 +66,7 @@ class Beliefs(NamedTuple):
 
 
 def initial_beliefs(
-    truth: FloatArray, agent: int, n_particles: int, ground: Ground, generator: np.random.Generator
+    truth: FloatArray, agent: int, n_particles: int, layout: Layout, generator: np.random.Generator
 ) -> Beliefs:
     """Return particles whose other entities lie uniformly on integer points, at rest.
 
@@ -77,10 +75,10 @@ def initial_beliefs(
         agent: 0 red, 1 green.
         n_particles: K.
     """
-    n_cells = ground.size**2
+    n_cells = layout.size**2
     bodies = np.zeros((n_particles, len(ENTITIES), truth.shape[1]))
-    x_points = np.arange(ground.origin[0] + START_INSET, ground.origin[0] + ground.size - 1)
-    y_points = np.arange(ground.origin[1] - ground.size + START_INSET, ground.origin[1] - 1)
+    x_points = np.arange(layout.origin[0] + START_INSET, layout.origin[0] + layout.size - 1)
+    y_points = np.arange(layout.origin[1] - layout.size + START_INSET, layout.origin[1] - 1)
     shape = bodies.shape[:2]
     bodies[..., 0] = generator.choice(x_points, size=shape)
     bodies[..., 1] = generator.choice(y_points, size=shape)
@@ -105,7 +103,7 @@ def _consistent(
     missed_by: int,
     beliefs: Beliefs,
     params: Params,
-    ground: Ground,
+    layout: Layout,
 ) -> bool:
     """Whether a particle's unobserved entity agrees with what is seen and felt.
 
@@ -114,7 +112,7 @@ def _consistent(
     """
     if entity >= 2 and missed_by >= 0 and in_reach(bodies, missed_by, entity, params):
         return False
-    n = outline_cells(bodies, entity, params, ground, beliefs.cells)
+    n = outline_cells(bodies, entity, params, layout, beliefs.cells)
     off = (
         abs(bodies[entity, 0] - truth[entity, 0]) > POSITION_TOLERANCE
         or abs(bodies[entity, 1] - truth[entity, 1]) > POSITION_TOLERANCE
@@ -150,7 +148,7 @@ def _resample(
     missed_by: int,
     beliefs: Beliefs,
     params: Params,
-    ground: Ground,
+    layout: Layout,
     rng: NDArray[np.uint64],
 ) -> None:
     """Draw a new place for ``entity`` among the open cells, at rest and holding nothing.
@@ -167,9 +165,9 @@ def _resample(
             bodies[entity, 2] = angle
             # the drawn corner is where the body origin goes
             cog = params.cog[entity]
-            bodies[entity, 0] = ground.origin[0] + cell % ground.size - math.sin(angle) * cog
-            bodies[entity, 1] = ground.origin[1] - cell // ground.size + math.cos(angle) * cog
-            if _consistent(bodies, entity, truth, missed_by, beliefs, params, ground) and (
+            bodies[entity, 0] = layout.origin[0] + cell % layout.size - math.sin(angle) * cog
+            bodies[entity, 1] = layout.origin[1] - cell // layout.size + math.cos(angle) * cog
+            if _consistent(bodies, entity, truth, missed_by, beliefs, params, layout) and (
                 draw >= DRAWS_WITHOUT_OVERLAP or not _overlaps(bodies, entity, settled, params)
             ):
                 return
@@ -208,7 +206,7 @@ def update(
     own_action: int,
     predict: bool,
     params: Params,
-    ground: Ground,
+    layout: Layout,
     scratch: Scratch,
     rng: NDArray[np.uint64],
 ) -> None:
@@ -255,7 +253,7 @@ def update(
         for entity in range(4):
             if beliefs.observed[entity]:
                 continue
-            if _consistent(bodies, entity, truth, missed_by, beliefs, params, ground):
+            if _consistent(bodies, entity, truth, missed_by, beliefs, params, layout):
                 settled |= 1 << entity
             else:
                 moved |= 1 << entity
@@ -264,20 +262,17 @@ def update(
         for entity in range(4):
             if (moved >> entity) & 1:
                 _resample(
-                    bodies, entity, settled, n_open, truth, missed_by, beliefs, params, ground, rng
+                    bodies, entity, settled, n_open, truth, missed_by, beliefs, params, layout, rng
                 )
                 settled |= 1 << entity
 
 
-# --- what an agent sees, and what it therefore believes, whatever its goal ------------------------
-
-
 class Perception:
-    """The belief particles of one agent, kept up to date with what it sees.
+    """The belief particles of one agent, kept up to date with what it sees, whatever its goal.
 
     Args:
         agent: 0 red, 1 green.
-        mind: layout and imagined physics; may be exchanged between observations.
+        model: layout and imagined physics; may be exchanged between observations.
         config: settings of the planner.
         generator: source of all randomness of this agent.
 
@@ -288,16 +283,14 @@ class Perception:
     """
 
     def __init__(
-        self, agent: int, mind: Mind, config: PlannerConfig, generator: np.random.Generator
+        self, agent: int, model: WorldModel, config: PlannerConfig, generator: np.random.Generator
     ) -> None:
         self.agent = agent
-        self.mind = mind
+        self.model = model
         self.config = config
         self.rng = make_rng(generator)
-        bodies, _, _ = compiled.from_state(State.at_start(mind.scene), mind.scene.radius)
-        self.beliefs = belief.initial_beliefs(
-            bodies, agent, config.particles, mind.ground, generator
-        )
+        bodies, _, _ = compiled.from_state(State.at_start(model.scene), model.scene.radius)
+        self.beliefs = initial_beliefs(bodies, agent, config.particles, model.layout, generator)
         self.scratch = compiled.make_scratch()
         self._last_action: Action | None = None
 
@@ -305,22 +298,20 @@ class Perception:
         """Say what the agent has just executed, which its next prediction starts from."""
         self._last_action = action
 
-    def observe(
-        self, bodies: NDArray[np.float64], held: NDArray[np.int64], weld: NDArray[np.float64]
-    ) -> None:
+    def observe(self, bodies: FloatArray, held: IntArray, weld: FloatArray) -> None:
         """Look at the true state and bring the belief particles up to date.
 
         Args:
             bodies, held, weld: the true state as ``physics.compiled.from_state`` gives it.
         """
-        mind, beliefs = self.mind, self.beliefs
+        model, beliefs = self.model, self.beliefs
         vision.observe(
             bodies,
             held,
             self.agent,
             self.config.full_observation,
-            mind.params,
-            mind.ground,
+            model.params,
+            model.layout,
             beliefs.visible,
             beliefs.cells,
             beliefs.observed,
@@ -329,7 +320,7 @@ class Perception:
             beliefs.bodies[:], beliefs.held[:], beliefs.weld[:] = bodies, held, weld
             return
         own_action = Action.NO_FORCE if self._last_action is None else self._last_action
-        belief.update(
+        update(
             beliefs,
             bodies,
             held,
@@ -337,8 +328,8 @@ class Perception:
             self.agent,
             int(own_action),
             self._last_action is not None,
-            mind.params,
-            mind.ground,
+            model.params,
+            model.layout,
             self.scratch,
             self.rng,
         )

@@ -9,7 +9,6 @@ names A* and the predicates; the operators are ours).
 
 from __future__ import annotations
 
-import dataclasses
 import heapq
 import itertools
 from collections.abc import Callable, Iterator
@@ -18,104 +17,13 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from phase_ppl.agents.symbols import SymbolicState
-from phase_ppl.physics.constants import FLOOR_FRICTION
-from phase_ppl.world.names import AGENTS, ITEMS, NOTHING, Literal, Predicate
-from phase_ppl.world.rooms import N_ROOMS, ROOMS_OF_RAY
-from phase_ppl.world.scene import Scene
+from phase_ppl.agents.world_model import Abilities
+from phase_ppl.world.names import NOTHING, Literal, Predicate
 
 TOUCH_COST: Final = 3.0
 GRIP_COST: Final = 0.5
 PLACE_COST: Final = 3.0
 MAX_EXPANSIONS: Final = 4000
-
-AGENT_WIDTH: Final = 3.0
-"""Width of an agent driving straight, in units of its size R: the base of the trapezoid."""
-
-ITEM_WIDTH: Final = 2.0
-
-
-@dataclasses.dataclass(frozen=True)
-class Abilities:
-    """What the bodies of a scene can do; everything about physics that planning depends on.
-
-    Attributes:
-        passes: (entity, ray): whether the entity fits through the door.
-        fills: (item, ray): whether the item, standing at the door, closes it: it is wider than
-            the gap, so that nobody can push it through.
-        walled: (ray,) whether a wall stands on the ray, so that its door can be stood in.
-        carries_alone: whether each agent's pull beats the floor friction of itself and an item.
-        carries_against_hold: likewise with the other agent hanging on the item, not helping.
-        carries_together: whether both beat the friction of all three bodies.
-        room_distance: (room, room) length of the way, inf for none; doors only by ``passes``.
-        neighbours: per room the (ray, room) pairs that open doors join.
-        is_open: no inner walls.
-    """
-
-    passes: tuple[tuple[bool, ...], ...]
-    fills: tuple[tuple[bool, ...], ...]
-    walled: tuple[bool, ...]
-    carries_alone: tuple[bool, bool]
-    carries_against_hold: tuple[bool, bool]
-    carries_together: bool
-    room_distance: tuple[tuple[float, ...], ...]
-    neighbours: tuple[tuple[tuple[int, int], ...], ...]
-    is_open: bool
-
-    @classmethod
-    def of(cls, scene: Scene, strengths: tuple[float, float]) -> Abilities:
-        """Return the abilities of a scene's bodies with the given strengths, newtons."""
-        rooms = scene.rooms
-        factor = [AGENT_WIDTH] * len(AGENTS) + [ITEM_WIDTH] * len(ITEMS)
-        width = [f * r for f, r in zip(factor, scene.radius, strict=True)]
-        middle = scene.landmark_centres
-        return cls(
-            passes=tuple(tuple(bool(w < gap) for gap in rooms.door_width) for w in width),
-            fills=tuple(
-                tuple(bool(0 < gap < 2 * scene.radius[len(AGENTS) + i]) for gap in rooms.door_width)
-                for i in range(len(ITEMS))
-            ),
-            walled=tuple((rooms.wall_length > 0).tolist()),
-            carries_alone=tuple(f > 2 * FLOOR_FRICTION for f in strengths),  # type: ignore[arg-type]
-            carries_against_hold=tuple(  # type: ignore[arg-type]
-                f > 3 * FLOOR_FRICTION for f in strengths
-            ),
-            carries_together=sum(strengths) > 3 * FLOOR_FRICTION,
-            room_distance=tuple(
-                tuple(
-                    float(rooms.path_distance(middle[a], middle[b]))
-                    if rooms.route(a, b) is not None
-                    else np.inf
-                    for b in range(N_ROOMS)
-                )
-                for a in range(N_ROOMS)
-            ),
-            neighbours=tuple(
-                tuple(
-                    (ray, sides[1] if sides[0] == room else sides[0])
-                    for ray, sides in enumerate(ROOMS_OF_RAY)
-                    if room in sides and rooms.door_width[ray] > 0
-                )
-                for room in range(N_ROOMS)
-            ),
-            is_open=rooms.is_open,
-        )
-
-    def route(self, entities: tuple[int, ...], start: int, end: int) -> tuple[int, ...] | None:
-        """Return the rooms from start to end through doors that all ``entities`` pass."""
-        if start == end:
-            return (start,)
-        frontier, came = [start], {start: start}
-        for room in frontier:
-            for ray, following in self.neighbours[room]:
-                if following not in came and all(self.passes[e][ray] for e in entities):
-                    came[following] = room
-                    frontier.append(following)
-        if end not in came:
-            return None
-        way = [end]
-        while way[-1] != start:
-            way.append(came[way[-1]])
-        return tuple(reversed(way))
 
 
 class Node(NamedTuple):

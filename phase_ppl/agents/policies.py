@@ -10,19 +10,17 @@ from __future__ import annotations
 import functools
 import hashlib
 from collections import defaultdict
-from concurrent.futures import Executor
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.agents import pomcp, symbols
+from phase_ppl.agents.agent import RootStatistics, best_subgoal, reflex, search_actions
 from phase_ppl.agents.beliefs import Perception
-from phase_ppl.agents.choice import best_subgoal, make_search, reflex, search_actions
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.agents.mind import Mind
-from phase_ppl.agents.operators import Abilities
 from phase_ppl.agents.subgoals import SubgoalPlanner, stance, subgoal_planner
+from phase_ppl.agents.world_model import Abilities, WorldModel
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import Action
 from phase_ppl.world.arrays import FloatArray, IntArray
@@ -47,29 +45,13 @@ class Intent(NamedTuple):
     contested: bool
 
 
-class Outlook(NamedTuple):
-    """What the planner makes of an intent.
-
-    Attributes:
-        actions: (A,) actions considered; one, where no search is needed.
-        visits: (A,) root visits of the search, or 1; values: (A,) mean returns there, NaN if
-            unvisited.
-        best: the action that the agent would take.
-    """
-
-    actions: IntArray
-    visits: IntArray
-    values: FloatArray
-    best: Action
-
-
 class Policies:
     """One agent's beliefs, and its intents under every pair of effective goals.
 
     Args:
         agent: 0 red, 1 green.
-        mind: layout and imagined physics.
-        config: settings of the planner; trees are not reused.
+        model: layout and imagined physics.
+        config: settings of the planner.
         seed: of beliefs and searches. A search's own seed follows from it, the step and the
             intent, so that its result does not depend on what else is searched.
 
@@ -79,32 +61,35 @@ class Policies:
             agent's goal names itself, or the pair was not asked for.
     """
 
-    def __init__(self, agent: int, mind: Mind, config: PlannerConfig, seed: int) -> None:
+    def __init__(self, agent: int, model: WorldModel, config: PlannerConfig, seed: int) -> None:
         self.agent = agent
         self.config = config
         self._seed = seed
-        self._perception = Perception(agent, mind, config, np.random.default_rng([seed, agent]))
-        self._search = make_search(config)
-        self._codes = _goal_codes(agent), _goal_codes(1 - agent)
+        self._perception = Perception(agent, model, config, np.random.default_rng([seed, agent]))
+        self._search = pomcp.Search.of(config)
+        self._codes = [
+            np.array([pomcp.subgoal_code(goal_literal(g, holder)) for g in range(N_GOALS)])
+            for holder in (agent, 1 - agent)
+        ]
         particles = config.particles
         self._facts = np.zeros((particles, symbols.N_FACTS), np.int8)
         self._done = np.zeros((2, N_GOALS, particles), np.bool_)
         self._costs = np.zeros((N_GOALS, particles))
-        self._planners = _planners(agent, mind.abilities)
+        self._planners = _planners(agent, model.abilities)
         self._groups: dict[bytes, list[tuple[symbols.SymbolicState, list[int]]]] = {}
         self._step = 0
         self.intents: list[Intent] = []
         self.of_pair = np.full((N_GOALS, N_GOALS), NO_INTENT)
 
     @property
-    def mind(self) -> Mind:
+    def model(self) -> WorldModel:
         """Layout and imagined physics; may be exchanged between observations."""
-        return self._perception.mind
+        return self._perception.model
 
-    @mind.setter
-    def mind(self, mind: Mind) -> None:
-        self._perception.mind = mind
-        self._planners = _planners(self.agent, mind.abilities)
+    @model.setter
+    def model(self, model: WorldModel) -> None:
+        self._perception.model = model
+        self._planners = _planners(self.agent, model.abilities)
 
     def done(self, action: Action) -> None:
         """Say what the agent has just executed."""
@@ -156,7 +141,7 @@ class Policies:
         return classes
 
     def _describe(self) -> None:
-        beliefs, mind = self._perception.beliefs, self.mind
+        beliefs, model = self._perception.beliefs, self.model
         own, other = self._codes
         symbols.describe(
             beliefs.bodies,
@@ -164,8 +149,8 @@ class Policies:
             self.agent,
             own[0],
             other[0],
-            mind.params,
-            mind.ground,
+            model.params,
+            model.layout,
             self._facts,
             np.empty(self.config.particles),
         )
@@ -175,8 +160,8 @@ class Policies:
                 beliefs.held,
                 self.agent,
                 codes,
-                mind.params,
-                mind.ground,
+                model.params,
+                model.layout,
                 self._done[which],
                 self._costs,
             )
@@ -224,48 +209,37 @@ class Policies:
         )
         return Intent(best, tuple(sorted(agreeing[best])), planner.stance.contested)
 
-    def outlooks(self, executor: Executor | None = None) -> list[Outlook]:
-        """Return what the planner makes of each intent.
+    def root_statistics(self, intent: Intent) -> RootStatistics:
+        """Return what the planner makes of one intent; only this much depends on chance.
 
-        Args:
-            executor: of threads, among which to share the searches.
+        Where no search is needed there is one action, visited once.
         """
-        share = map if executor is None else executor.map
-        return list(share(self.outlook, self.intents))
-
-    def outlook(self, intent: Intent) -> Outlook:
-        """Return what the planner makes of one intent; only this much depends on chance."""
         beliefs = self._perception.beliefs
         first = intent.agreeing[0]
-        action = reflex(intent.subgoal, first, self.agent, beliefs, self.mind)
+        action = reflex(intent.subgoal, first, self.agent, beliefs, self.model)
         if action is not None:
-            return Outlook(np.array([action]), np.ones(1, np.int64), np.full(1, np.nan), action)
+            once = np.ones(1, np.int64)
+            return RootStatistics(np.array([action]), once, np.full(1, np.nan), action)
         actions = pomcp.actions_for(
             intent.subgoal, self.agent, int(beliefs.held[first, self.agent]), intent.contested
         )
-        tree = pomcp.make_tree(self.config.simulations)
-        found = search_actions(
-            tree,
+        return search_actions(
+            pomcp.make_tree(self.config.simulations),
             intent.subgoal,
             np.array(intent.agreeing, np.int64),
             actions,
             self.agent,
             beliefs,
-            self.mind,
+            self.model,
             self._search,
             compiled.make_scratch(),
             self._rng(intent),
         )
-        return Outlook(actions, found.visits, found.values, Action(int(actions[found.column])))
 
     def _rng(self, intent: Intent) -> NDArray[np.uint64]:
         text = repr((self._seed, self.agent, self._step, intent.subgoal, intent.agreeing))
         digest = hashlib.blake2b(text.encode(), digest_size=8).digest()
         return np.frombuffer(digest, np.uint64).copy()
-
-
-def _goal_codes(holder: int) -> IntArray:
-    return np.array([pomcp.subgoal_code(goal_literal(g, holder)) for g in range(N_GOALS)])
 
 
 @functools.cache

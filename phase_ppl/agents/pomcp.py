@@ -16,7 +16,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.agents.ground import DISTANCE_UNIT, Ground, body_origin, path_distance, room_of
+from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.agents.world_model import DISTANCE_UNIT, Layout, body_origin, path_distance, room_of
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import N_ACTIONS, NO_ACTION, Action
 from phase_ppl.physics.compiled import Params, Scratch
@@ -43,15 +44,13 @@ _NAVIGATION: Final = (
 _GRIP: Final = (Action.ATTACH, Action.DETACH)
 
 
-def subgoal_code(literal: Literal) -> NDArray[np.int64]:
+def subgoal_code(literal: Literal) -> IntArray:
     """Return (predicate, subject, target, sign) for compiled code."""
     sign = 1 if literal.positive else -1
     return np.array([literal.predicate, literal.subject, literal.target, sign], np.int64)
 
 
-def actions_for(
-    literal: Literal, agent: int, held: int, contested: bool = False
-) -> NDArray[np.int64]:
+def actions_for(literal: Literal, agent: int, held: int, contested: bool = False) -> IntArray:
     """Return the actions that ``agent`` considers for a subgoal, indices into ``Action``.
 
     Args:
@@ -79,47 +78,47 @@ def actions_for(
 
 @bare_kernel
 def _distance(
-    bodies: NDArray[np.float64],
-    held: NDArray[np.int64],
-    subgoal: NDArray[np.int64],
+    bodies: FloatArray,
+    held: IntArray,
+    subgoal: IntArray,
     params: Params,
-    ground: Ground,
+    layout: Layout,
 ) -> float:
     predicate, subject, target = subgoal[0], subgoal[1], subgoal[2]
     if predicate == _ATTACH:
         return 0.0 if held[subject] == target else DISTANCE_UNIT
     x, y = body_origin(bodies, subject, params.cog)
     if predicate == _ON:
-        return path_distance(x, y, ground.landmarks[target, 0], ground.landmarks[target, 1], ground)
+        return path_distance(x, y, layout.landmarks[target, 0], layout.landmarks[target, 1], layout)
     if predicate == _TOUCH:
         other_x, other_y = body_origin(bodies, target, params.cog)
-        return path_distance(x, y, other_x, other_y, ground)
+        return path_distance(x, y, other_x, other_y, layout)
     if target >= N_ROOMS:
         door = target - N_ROOMS
-        return path_distance(x, y, ground.doors[door, 0], ground.doors[door, 1], ground)
-    px, py = ground.room_points[target, 0], ground.room_points[target, 1]
-    room = room_of(x, y, ground)
+        return path_distance(x, y, layout.doors[door, 0], layout.doors[door, 1], layout)
+    px, py = layout.room_points[target, 0], layout.room_points[target, 1]
+    room = room_of(x, y, layout)
     if room == target:
         inside = math.sqrt((x - px) ** 2 + (y - py) ** 2)
         return inside - UNREACHABLE if subject >= 2 else inside
-    door = ground.neighbour[room, target]
+    door = layout.neighbour[room, target]
     if door < 0:
         return DISTANCE_UNIT
-    dx, dy = ground.doors[door, 0], ground.doors[door, 1]
+    dx, dy = layout.doors[door, 0], layout.doors[door, 1]
     return math.sqrt((x - dx) ** 2 + (y - dy) ** 2) + math.sqrt((dx - px) ** 2 + (dy - py) ** 2)
 
 
 @bare_kernel
 def reward(
-    bodies: NDArray[np.float64],
-    held: NDArray[np.int64],
-    subgoal: NDArray[np.int64],
+    bodies: FloatArray,
+    held: IntArray,
+    subgoal: IntArray,
     action: int,
     params: Params,
-    ground: Ground,
+    layout: Layout,
 ) -> float:
     """Return the reward of being in a state after ``action``, for one subgoal."""
-    value = -subgoal[3] * _distance(bodies, held, subgoal, params, ground) / DISTANCE_UNIT
+    value = -subgoal[3] * _distance(bodies, held, subgoal, params, layout) / DISTANCE_UNIT
     if _FIRST_SIDEWAYS <= action <= _LAST_SIDEWAYS:
         value -= SIDEWAYS_COST
     return value
@@ -157,14 +156,7 @@ def below(rng: NDArray[np.uint64], n: int) -> int:
     return int(uniform(rng) * n)
 
 
-# --- the low-level planner: POMCP over an agent's own actions, with PUCT, on the... ---------------
-# Source: paper, Appendix "Hierarchical Planner"; Silver and Veness (2010); the PUCT variant of
-# Silver et al. (2018). Each simulation draws a particle, walks down the tree of the agent's own
-# actions (the other agent coasts), adds one node, and rolls out with random actions of both.
-#
-# Ours is the pairing of simulations: the n-th one through each root action meets the same
-# particle and random numbers, which compares the actions like with like and needs far fewer
-# simulations.
+# --- the search -----------------------------------------------------------------------------
 
 NO_NODE: Final = -1
 _UNVISITED_SCORE = 1e200
@@ -182,6 +174,19 @@ class Search(NamedTuple):
     c_base: float
     early_stop: bool
     paired: bool
+
+    @classmethod
+    def of(cls, config: PlannerConfig) -> Search:
+        """Return those of a planner."""
+        return cls(
+            config.simulations,
+            config.rollout_length,
+            config.discount,
+            config.c_init,
+            config.c_base,
+            config.early_stop,
+            config.paired,
+        )
 
 
 class Tree(NamedTuple):
@@ -280,7 +285,7 @@ def _rollout(
     actions: IntArray,
     search: Search,
     params: Params,
-    ground: Ground,
+    layout: Layout,
     scratch: Scratch,
     rng: NDArray[np.uint64],
 ) -> float:
@@ -299,7 +304,7 @@ def _rollout(
             params,
             scratch,
         )
-        value += weight * reward(tree.particle, tree.particle_held, subgoal, own, params, ground)
+        value += weight * reward(tree.particle, tree.particle_held, subgoal, own, params, layout)
         weight *= search.discount
     return value
 
@@ -358,7 +363,7 @@ def run(
     actions: IntArray,
     search: Search,
     params: Params,
-    ground: Ground,
+    layout: Layout,
     scratch: Scratch,
     rng: NDArray[np.uint64],
 ) -> int:
@@ -396,7 +401,7 @@ def run(
                 params,
                 scratch,
             )
-            tree.rewards[depth] = reward(state, state_held, subgoal, action, params, ground)
+            tree.rewards[depth] = reward(state, state_held, subgoal, action, params, layout)
             child = tree.child[node, column]
             if child < 0:
                 child = tree.used[0]
@@ -411,7 +416,7 @@ def run(
             tree.path[depth] = child
             depth += 1
             node = child
-        value = _rollout(tree, agent, subgoal, actions, search, params, ground, scratch, stream)
+        value = _rollout(tree, agent, subgoal, actions, search, params, layout, scratch, stream)
         for level in range(depth - 1, -1, -1):
             value = tree.rewards[level] + search.discount * value
             tree.visits[tree.path[level]] += 1

@@ -12,12 +12,11 @@ import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
-from phase_ppl.agents.operators import Abilities, Node, Step, plan, start_node
+from phase_ppl.agents.operators import Node, Step, plan, start_node
 from phase_ppl.agents.symbols import SymbolicState
+from phase_ppl.agents.world_model import Abilities
 from phase_ppl.world.names import NOTHING, STOP, Literal, Predicate
 from phase_ppl.world.rooms import N_ROOMS
-
-NodeTest = Callable[[Node], bool]
 
 
 class Stance(NamedTuple):
@@ -41,8 +40,8 @@ def stance(agent: int, own: Literal, other: Literal) -> Stance:
     return Stance(other == own, other == own.negated(), to_place and own.subject == 1 - agent)
 
 
-class Planning:
-    """The view of one agent on plans.
+class SubgoalPlanner:
+    """Chooses subgoals of one agent, remembering each symbolic state it has planned for.
 
     Args:
         agent: who plans, 0 red or 1 green.
@@ -55,227 +54,8 @@ class Planning:
         self.agent = agent
         self.opponent = 1 - agent
         self.own = own
-        self.other = other
         self.abilities = abilities
         self.stance = stance(agent, own, other)
-
-    # --- simple subgoals --------------------------------------------------------------------
-
-    def _free_hands(self, state: SymbolicState, keep: int = NOTHING) -> Literal | None:
-        """Return the subgoal to let go of whatever is held (other than ``keep``), if anything."""
-        held = state.held[self.agent]
-        if held in (NOTHING, keep):
-            return None
-        return Literal(Predicate.ATTACH, self.agent, held, positive=False)
-
-    def _press_on(self, state: SymbolicState, room: int) -> Literal:
-        """Head for a room that the body does not fit into: as near as the walls allow."""
-        way = self.abilities.route((), state.rooms[self.agent], room)
-        if way is None or len(way) < 2:
-            return STOP
-        return Literal(Predicate.CLOSE, self.agent, way[1])
-
-    def _take(
-        self, state: SymbolicState, item: int, observed: tuple[bool, ...] = (False,) * 4
-    ) -> Literal:
-        """Get hold of an item."""
-        steps = self._plan(
-            state, (self.agent,), frozenset({item}), lambda node: node.held[self.agent] == item
-        )
-        if not steps:
-            return self._press_on(state, state.rooms[item])
-        return self._in_sight(steps[0].literal, item, observed)
-
-    def _in_sight(self, literal: Literal, item: int, observed: tuple[bool, ...]) -> Literal:
-        """Head straight for an item in view instead of for its room."""
-        walking = literal.predicate is Predicate.CLOSE and literal.subject == self.agent
-        if walking and observed[item]:
-            return Literal(Predicate.TOUCH, self.agent, item)
-        return literal
-
-    # --- plans and places --------------------------------------------------------------------
-
-    def _open(self, room: int) -> tuple[tuple[int, int], ...]:
-        return self.abilities.neighbours[room]
-
-    def _doors_of(self, room: int) -> set[int]:
-        """Return the rays of the doors of a room."""
-        return {ray for ray, _ in self._open(room)}
-
-    def _doors(self, way: tuple[int, ...] | None) -> list[int]:
-        """Return the rays of the doors that a way through rooms uses."""
-        doors = []
-        for start, end in zip(way or (), (way or ())[1:], strict=False):
-            doors += [ray for ray, following in self._open(start) if following == end][:1]
-        return doors
-
-    def _landmark_room(self, landmark: int) -> int:
-        """Rooms carry the ids of their landmarks; an arena without inner walls is one room."""
-        return 0 if self.abilities.is_open else landmark
-
-    def _plan(
-        self,
-        state: SymbolicState,
-        willing: tuple[int, ...],
-        targets: frozenset[int],
-        is_goal: NodeTest,
-    ) -> list[Step] | None:
-        done = [False] * 4
-        if self.own.predicate is Predicate.ON:
-            done[self.own.subject] = state.own_done
-        start = start_node(state, tuple(done), targets)  # type: ignore[arg-type]
-        distance = self.abilities.room_distance
-        moving = self.own.subject if self.own.predicate is Predicate.ON else None
-        goal_room = self._landmark_room(self.own.target) if moving in targets else None
-
-        def heuristic(node: Node) -> float:
-            if moving is None or goal_room is None or not self.own.positive:
-                return 0.0
-            return distance[node.rooms[moving]][goal_room]
-
-        return plan(start, willing, targets, is_goal, heuristic, self.abilities)
-
-
-# --- hindering: the cheapest state from which the opponent's plan is broken, and how... -----------
-
-
-class Hindering(Planning):
-    """Subgoals of an agent whose goal is the negation of the other's."""
-
-    def _keep_away(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
-        """Not ON(other, landmark): fill a door on its way, or meet it there and push it back."""
-        goal_room = self._landmark_room(self.own.target)
-        rival_room = state.rooms[self.opponent]
-        way = self.abilities.route((self.opponent,), rival_room, goal_room)
-        if way is None:
-            return self._free_hands(state) or STOP
-        doors = self._doors(way)
-        for i in range(2):
-            item = 2 + i
-            useful = [d for d in doors if self.abilities.fills[i][d]]
-            near = state.rooms[self.agent] == state.rooms[item]
-            if not useful or not near or not self.abilities.carries_alone[self.agent]:
-                continue
-            reachable = [d for d in useful if d in self._doors_of(state.rooms[item])]
-            if reachable:
-                if state.held[self.agent] == item:
-                    return Literal(Predicate.CLOSE, item, N_ROOMS + reachable[0])
-                return self._take(state, item)
-        letting_go = self._free_hands(state)
-        if letting_go is not None:
-            return letting_go
-        here = self._doors_of(state.rooms[self.agent])
-        narrowed = [door for door in doors if self.abilities.walled[door] and door in here]
-        if narrowed:
-            return Literal(Predicate.CLOSE, self.agent, N_ROOMS + narrowed[0])
-        meeting = set(way[1:]) if len(way) > 1 else set(way)
-        if state.rooms[self.agent] in meeting or observed[self.opponent]:
-            return self.own
-        steps = self._plan(
-            state, (self.agent,), frozenset(), lambda node: node.rooms[self.agent] in meeting
-        )
-        return steps[0].literal if steps else self._press_on(state, goal_room)
-
-    def _guard_item(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
-        """Not ON(item, landmark): take it away, hold it back, or stand in the way."""
-        item = self.own.subject
-        me, rival = state.rooms[self.agent], state.rooms[self.opponent]
-        item_room, goal_room = state.rooms[item], self._landmark_room(self.own.target)
-        ability = self.abilities
-        letting_go = self._free_hands(state, keep=item)
-        if letting_go is not None:
-            return letting_go
-        rival_way = ability.route((self.opponent,), rival, item_room)
-        rival_holds = state.held[self.opponent] == item
-        if ability.route((self.agent,), me, item_room) is None:
-            if rival_holds or rival == item_room or rival_way is None:
-                return STOP
-            return self._stand_in_door(state, rival_way)
-        holding = state.held[self.agent] == item
-        if rival_holds:
-            if ability.route((self.opponent, item), item_room, goal_room) is None:
-                return self._free_hands(state) or STOP
-            return (
-                self._hold_back(item, item_room) if holding else self._take(state, item, observed)
-            )
-        if rival_way is None:
-            return self._free_hands(state) or STOP
-        refuge = self._closed_room(item, item_room, rival)
-        if refuge is None:
-            if not holding and me in rival_way[1:-1]:
-                return self._stand_in_door(state, rival_way)
-            refuge = self._far_room(item, item_room, rival)
-        if refuge is None:
-            return Literal(Predicate.ON, self.opponent, rival, positive=False)
-        if not holding:
-            return self._take(state, item, observed)
-        way = ability.route((self.agent, item), item_room, refuge)
-        if way is None or len(way) < 2:
-            return self._hold_back(item, item_room)
-        return Literal(Predicate.CLOSE, item, way[1])
-
-    def _hold_back(self, item: int, room: int) -> Literal:
-        """Pull an item into the corner of its room; where that is the goal, off the goal."""
-        if room == self._landmark_room(self.own.target):
-            return self.own
-        return Literal(Predicate.ON, item, room)
-
-    def _rooms_to_take_to(self, item: int, item_room: int) -> list[int]:
-        """Return the rooms, but for that of the goal, to which this agent can take an item."""
-        goal_room = self._landmark_room(self.own.target)
-        return [
-            room
-            for room in range(N_ROOMS)
-            if room != goal_room
-            and self.abilities.route((self.agent, item), item_room, room) is not None
-        ]
-
-    def _closed_room(self, item: int, item_room: int, rival: int) -> int | None:
-        """Return a room to take an item to that is closed to the rival, if there is one."""
-        for room in self._rooms_to_take_to(item, item_room):
-            if self.abilities.route((self.opponent,), rival, room) is None:
-                return room
-        return None
-
-    def _far_room(self, item: int, item_room: int, rival: int) -> int | None:
-        """Return the room farthest from the rival among those nearer to the item than to it."""
-        distance = self.abilities.room_distance
-        nearer = [
-            room
-            for room in self._rooms_to_take_to(item, item_room)
-            if distance[item_room][room] < distance[rival][room]
-        ]
-        return max(nearer, key=lambda room: distance[rival][room], default=None)
-
-    def _stand_in_door(self, state: SymbolicState, rival_way: tuple[int, ...]) -> Literal:
-        """Go to the nearest door on the rival's way that this agent can get to."""
-        here = self._doors_of(state.rooms[self.agent])
-        for door in reversed(self._doors(rival_way)):
-            if door in here and self.abilities.walled[door]:
-                return Literal(Predicate.CLOSE, self.agent, N_ROOMS + door)
-        target = rival_way[-2] if len(rival_way) > 1 else rival_way[-1]
-        return self._press_on(state, target)
-
-
-# --- the high-level planner: one subgoal per belief particle, by A* over symbolic states ----------
-# Source: paper, Algorithm 1 (HP) and Appendix "Hierarchical Planner". The planning agent first
-# looks for a plan of its own; where its body cannot do it, for a plan of both agents; where there
-# is none, it goes as near as it can. An agent that hinders looks for the cheapest state from
-# which the opponent's plan is broken, and from there acts on the negated goal itself.
-
-
-class SubgoalPlanner(Hindering):
-    """Chooses subgoals of one agent, remembering each symbolic state it has planned for.
-
-    Args:
-        agent: who plans, 0 red or 1 green.
-        own: literal of its effective goal.
-        other: literal of the other agent's effective goal.
-        abilities: what the bodies can do.
-    """
-
-    def __init__(self, agent: int, own: Literal, other: Literal, abilities: Abilities) -> None:
-        super().__init__(agent, own, other, abilities)
         self._memory: dict[tuple[SymbolicState, tuple[bool, ...]], Literal] = {}
 
     def subgoal(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
@@ -321,18 +101,9 @@ class SubgoalPlanner(Hindering):
             in_view = observed[self.own.target]
         else:
             goal_room, in_view = self._landmark_room(self.own.target), False
-        return self._approach(state, goal_room, in_view, self.own)
-
-    def _approach(
-        self, state: SymbolicState, room: int, in_view: bool, arrived: Literal
-    ) -> Literal:
-        """Go to a room, and there act on ``arrived``."""
-        if state.rooms[self.agent] == room or in_view:
-            return arrived
-        steps = self._plan(
-            state, (self.agent,), frozenset(), lambda node: node.rooms[self.agent] == room
-        )
-        return steps[0].literal if steps else self._press_on(state, room)
+        if state.rooms[self.agent] == goal_room or in_view:
+            return self.own
+        return self._walk(state, {goal_room}, goal_room)
 
     def _deliver(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
         """ON(item, landmark)."""
@@ -353,7 +124,7 @@ class SubgoalPlanner(Hindering):
         alone = steps is not None
         if steps is None and self.stance.cooperative:
             steps = self._plan(state, (self.agent, self.opponent), frozenset({item}), delivered)
-        own_step = self._first_own_step(steps)
+        own_step = next((s for s in steps or () if self.agent in s.agents), None)
         if own_step is not None and self._can_start(steps, own_step, state):
             return self._start(own_step.literal, alone, item, state, observed)
         if (
@@ -364,10 +135,8 @@ class SubgoalPlanner(Hindering):
             return STOP
         if holding:
             # too weak or too wide: keep pulling towards the goal
-            way = self.abilities.route((), state.rooms[item], room)
-            if way is None or len(way) < 2:
-                return self.own
-            return Literal(Predicate.CLOSE, item, way[1])
+            following = self._next_room((), state.rooms[item], room)
+            return self.own if following is None else Literal(Predicate.CLOSE, item, following)
         if state.rooms[self.agent] == state.rooms[item] or observed[item]:
             if state.in_reach[2 * self.agent + item - 2]:
                 return Literal(Predicate.ATTACH, self.agent, item)
@@ -397,15 +166,10 @@ class SubgoalPlanner(Hindering):
         """Return how to begin a step towards bringing an item somewhere."""
         if literal.predicate is Predicate.ATTACH and literal.positive and not alone:
             # what is to be handed over may be pushed as well; the search decides
-            way = self._way_to_hand_over(state, item)
-            if way is not None:
-                return Literal(Predicate.CLOSE, item, way)
+            following = self._next_room((item,), state.rooms[item], state.rooms[self.opponent])
+            if following is not None:
+                return Literal(Predicate.CLOSE, item, following)
         return self._in_sight(literal, item, observed)
-
-    def _way_to_hand_over(self, state: SymbolicState, item: int) -> int | None:
-        """Return the next room on the item's way to the other agent, if there is one."""
-        way = self.abilities.route((item,), state.rooms[item], state.rooms[self.opponent])
-        return way[1] if way is not None and len(way) > 1 else None
 
     def _help_to_move(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
         """ON(other, landmark): clear a door that an item closes on the other's way."""
@@ -431,9 +195,6 @@ class SubgoalPlanner(Hindering):
             return Literal(Predicate.ON, item, state.rooms[item])
         return self._in_sight(step, item, observed)
 
-    def _first_own_step(self, steps: list[Step] | None) -> Step | None:
-        return next((s for s in steps or () if self.agent in s.agents), None)
-
     def _can_start(self, steps: list[Step] | None, step: Step, state: SymbolicState) -> bool:
         """Whether the first own step of a joint plan needs nothing of the other agent first."""
         if not steps or steps[0] is step:
@@ -445,6 +206,201 @@ class SubgoalPlanner(Hindering):
         return walks or (
             touches_here and all(s.literal.predicate is not Predicate.CLOSE for s in before)
         )
+
+    # --- hindering: the negation of the other's goal ------------------------------------------
+
+    def _keep_away(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
+        """Not ON(other, landmark): fill a door on its way, or meet it there and push it back."""
+        goal_room = self._landmark_room(self.own.target)
+        rival_room = state.rooms[self.opponent]
+        way = self.abilities.route((self.opponent,), rival_room, goal_room)
+        if way is None:
+            return self._free_hands(state) or STOP
+        doors = self._doors(way)
+        for i in range(2):
+            item = 2 + i
+            useful = [d for d in doors if self.abilities.fills[i][d]]
+            near = state.rooms[self.agent] == state.rooms[item]
+            if not useful or not near or not self.abilities.carries_alone[self.agent]:
+                continue
+            reachable = [d for d in useful if d in self._doors_of(state.rooms[item])]
+            if reachable:
+                if state.held[self.agent] == item:
+                    return Literal(Predicate.CLOSE, item, N_ROOMS + reachable[0])
+                return self._take(state, item)
+        letting_go = self._free_hands(state)
+        if letting_go is not None:
+            return letting_go
+        here = self._doors_of(state.rooms[self.agent])
+        narrowed = [door for door in doors if self.abilities.walled[door] and door in here]
+        if narrowed:
+            return Literal(Predicate.CLOSE, self.agent, N_ROOMS + narrowed[0])
+        meeting = set(way[1:]) if len(way) > 1 else set(way)
+        if state.rooms[self.agent] in meeting or observed[self.opponent]:
+            return self.own
+        return self._walk(state, meeting, goal_room)
+
+    def _guard_item(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
+        """Not ON(item, landmark): take it away, hold it back, or stand in the way."""
+        item = self.own.subject
+        me, rival = state.rooms[self.agent], state.rooms[self.opponent]
+        item_room, goal_room = state.rooms[item], self._landmark_room(self.own.target)
+        ability = self.abilities
+        letting_go = self._free_hands(state, keep=item)
+        if letting_go is not None:
+            return letting_go
+        rival_way = ability.route((self.opponent,), rival, item_room)
+        rival_holds = state.held[self.opponent] == item
+        if ability.route((self.agent,), me, item_room) is None:
+            if rival_holds or rival == item_room or rival_way is None:
+                return STOP
+            return self._stand_in_door(state, rival_way)
+        holding = state.held[self.agent] == item
+        if rival_holds:
+            if ability.route((self.opponent, item), item_room, goal_room) is None:
+                return self._free_hands(state) or STOP
+            if holding:
+                return self._hold_back(item, item_room)
+            return self._take(state, item, observed)
+        if rival_way is None:
+            return self._free_hands(state) or STOP
+        refuge = self._closed_room(item, item_room, rival)
+        if refuge is None:
+            if not holding and me in rival_way[1:-1]:
+                return self._stand_in_door(state, rival_way)
+            refuge = self._far_room(item, item_room, rival)
+        if refuge is None:
+            return Literal(Predicate.ON, self.opponent, rival, positive=False)
+        if not holding:
+            return self._take(state, item, observed)
+        following = self._next_room((self.agent, item), item_room, refuge)
+        if following is None:
+            return self._hold_back(item, item_room)
+        return Literal(Predicate.CLOSE, item, following)
+
+    def _hold_back(self, item: int, room: int) -> Literal:
+        """Pull an item into the corner of its room; where that is the goal, off the goal."""
+        if room == self._landmark_room(self.own.target):
+            return self.own
+        return Literal(Predicate.ON, item, room)
+
+    def _rooms_to_take_to(self, item: int, item_room: int) -> list[int]:
+        """Return the rooms, but for that of the goal, to which this agent can take an item."""
+        goal_room = self._landmark_room(self.own.target)
+        return [
+            room
+            for room in range(N_ROOMS)
+            if room != goal_room
+            and self.abilities.route((self.agent, item), item_room, room) is not None
+        ]
+
+    def _closed_room(self, item: int, item_room: int, rival: int) -> int | None:
+        """Return a room to take an item to that is closed to the rival, if there is one."""
+        for room in self._rooms_to_take_to(item, item_room):
+            if self.abilities.route((self.opponent,), rival, room) is None:
+                return room
+        return None
+
+    def _far_room(self, item: int, item_room: int, rival: int) -> int | None:
+        """Return the room farthest from the rival among those nearer to the item than to it."""
+        distance = self.abilities.room_distance
+        nearer = [
+            room
+            for room in self._rooms_to_take_to(item, item_room)
+            if distance[item_room][room] < distance[rival][room]
+        ]
+        return max(nearer, key=lambda room: distance[rival][room], default=None)
+
+    def _stand_in_door(self, state: SymbolicState, rival_way: tuple[int, ...]) -> Literal:
+        """Go to the nearest door on the rival's way that this agent can get to."""
+        here = self._doors_of(state.rooms[self.agent])
+        for door in reversed(self._doors(rival_way)):
+            if door in here and self.abilities.walled[door]:
+                return Literal(Predicate.CLOSE, self.agent, N_ROOMS + door)
+        target = rival_way[-2] if len(rival_way) > 1 else rival_way[-1]
+        return self._press_on(state, target)
+
+    # --- what all have in common ------------------------------------------------------------
+
+    def _free_hands(self, state: SymbolicState, keep: int = NOTHING) -> Literal | None:
+        """Return the subgoal to let go of whatever is held (other than ``keep``), if anything."""
+        held = state.held[self.agent]
+        if held in (NOTHING, keep):
+            return None
+        return Literal(Predicate.ATTACH, self.agent, held, positive=False)
+
+    def _next_room(self, entities: tuple[int, ...], start: int, end: int) -> int | None:
+        """Return where to go first, through doors that all ``entities`` pass; None: nowhere."""
+        way = self.abilities.route(entities, start, end)
+        return way[1] if way is not None and len(way) > 1 else None
+
+    def _walk(self, state: SymbolicState, rooms: set[int], towards: int) -> Literal:
+        """Go to one of some rooms; where that is impossible, as near to a room as can be."""
+        steps = self._plan(
+            state, (self.agent,), frozenset(), lambda node: node.rooms[self.agent] in rooms
+        )
+        return steps[0].literal if steps else self._press_on(state, towards)
+
+    def _press_on(self, state: SymbolicState, room: int) -> Literal:
+        """Head for a room that the body does not fit into: as near as the walls allow."""
+        following = self._next_room((), state.rooms[self.agent], room)
+        return STOP if following is None else Literal(Predicate.CLOSE, self.agent, following)
+
+    def _take(
+        self, state: SymbolicState, item: int, observed: tuple[bool, ...] = (False,) * 4
+    ) -> Literal:
+        """Get hold of an item."""
+        steps = self._plan(
+            state, (self.agent,), frozenset({item}), lambda node: node.held[self.agent] == item
+        )
+        if not steps:
+            return self._press_on(state, state.rooms[item])
+        return self._in_sight(steps[0].literal, item, observed)
+
+    def _in_sight(self, literal: Literal, item: int, observed: tuple[bool, ...]) -> Literal:
+        """Head straight for an item in view instead of for its room."""
+        walking = literal.predicate is Predicate.CLOSE and literal.subject == self.agent
+        if walking and observed[item]:
+            return Literal(Predicate.TOUCH, self.agent, item)
+        return literal
+
+    def _doors_of(self, room: int) -> set[int]:
+        """Return the rays of the doors of a room."""
+        return {ray for ray, _ in self.abilities.neighbours[room]}
+
+    def _doors(self, way: tuple[int, ...] | None) -> list[int]:
+        """Return the rays of the doors that a way through rooms uses."""
+        doors = []
+        for start, end in zip(way or (), (way or ())[1:], strict=False):
+            joining = self.abilities.neighbours[start]
+            doors += [ray for ray, following in joining if following == end][:1]
+        return doors
+
+    def _landmark_room(self, landmark: int) -> int:
+        """Rooms carry the ids of their landmarks; an arena without inner walls is one room."""
+        return 0 if self.abilities.is_open else landmark
+
+    def _plan(
+        self,
+        state: SymbolicState,
+        willing: tuple[int, ...],
+        targets: frozenset[int],
+        is_goal: Callable[[Node], bool],
+    ) -> list[Step] | None:
+        done = [False] * 4
+        if self.own.predicate is Predicate.ON:
+            done[self.own.subject] = state.own_done
+        start = start_node(state, tuple(done), targets)  # type: ignore[arg-type]
+        distance = self.abilities.room_distance
+        moving = self.own.subject if self.own.predicate is Predicate.ON else None
+        goal_room = self._landmark_room(self.own.target) if moving in targets else None
+
+        def heuristic(node: Node) -> float:
+            if moving is None or goal_room is None or not self.own.positive:
+                return 0.0
+            return distance[node.rooms[moving]][goal_room]
+
+        return plan(start, willing, targets, is_goal, heuristic, self.abilities)
 
 
 @functools.lru_cache(maxsize=4096)

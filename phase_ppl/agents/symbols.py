@@ -10,11 +10,11 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.agents.ground import DISTANCE_UNIT, Ground, body_origin, path_distance, room_of
+from phase_ppl.agents.world_model import DISTANCE_UNIT, Layout, body_origin, path_distance, room_of
 from phase_ppl.physics.compiled import Params
 from phase_ppl.physics.jit import bare_kernel
 from phase_ppl.physics.welds import in_reach
-from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
 from phase_ppl.world.names import Predicate
 
 NEAR_AGENT_ON: Final = 0.02 * DISTANCE_UNIT
@@ -67,47 +67,47 @@ def unpack(facts: NDArray[np.int8]) -> SymbolicState:
 
 
 @bare_kernel
-def _done(bodies: FloatArray, goal: NDArray[np.int64], params: Params, ground: Ground) -> bool:
+def _done(bodies: FloatArray, goal: IntArray, params: Params, layout: Layout) -> bool:
     x, y = body_origin(bodies, goal[1], params.cog)
     if goal[0] == _ON:
         near = NEAR_ITEM_ON if goal[1] >= 2 else NEAR_AGENT_ON
-        lx, ly = ground.landmarks[goal[2], 0], ground.landmarks[goal[2], 1]
-        return path_distance(x, y, lx, ly, ground) < near
+        lx, ly = layout.landmarks[goal[2], 0], layout.landmarks[goal[2], 1]
+        return path_distance(x, y, lx, ly, layout) < near
     tx, ty = body_origin(bodies, goal[2], params.cog)
-    return path_distance(x, y, tx, ty, ground) < NEAR_TOUCH
+    return path_distance(x, y, tx, ty, layout) < NEAR_TOUCH
 
 
 @bare_kernel
 def _cost_to_go(
     bodies: FloatArray,
-    held: NDArray[np.int64],
+    held: IntArray,
     agent: int,
-    goal: NDArray[np.int64],
+    goal: IntArray,
     params: Params,
-    ground: Ground,
+    layout: Layout,
 ) -> float:
     if goal[3] < 0:
         return 0.0
     x, y = body_origin(bodies, agent, params.cog)
     sx, sy = body_origin(bodies, goal[1], params.cog)
     if goal[1] != agent and held[agent] != goal[1]:
-        return path_distance(x, y, sx, sy, ground)
+        return path_distance(x, y, sx, sy, layout)
     if goal[0] == _ON:
-        lx, ly = ground.landmarks[goal[2], 0], ground.landmarks[goal[2], 1]
-        return path_distance(sx, sy, lx, ly, ground)
+        lx, ly = layout.landmarks[goal[2], 0], layout.landmarks[goal[2], 1]
+        return path_distance(sx, sy, lx, ly, layout)
     tx, ty = body_origin(bodies, goal[2], params.cog)
-    return path_distance(sx, sy, tx, ty, ground)
+    return path_distance(sx, sy, tx, ty, layout)
 
 
 @bare_kernel
 def describe(
     bodies: FloatArray,
-    held: NDArray[np.int64],
+    held: IntArray,
     agent: int,
-    own_goal: NDArray[np.int64],
-    other_goal: NDArray[np.int64],
+    own_goal: IntArray,
+    other_goal: IntArray,
     params: Params,
-    ground: Ground,
+    layout: Layout,
     facts: NDArray[np.int8],
     costs: FloatArray,
 ) -> None:
@@ -124,38 +124,38 @@ def describe(
         particle = bodies[k]
         for entity in range(4):
             x, y = body_origin(particle, entity, params.cog)
-            facts[k, entity] = 0 if ground.is_open else room_of(x, y, ground)
+            facts[k, entity] = 0 if layout.is_open else room_of(x, y, layout)
         for a in range(2):
             facts[k, 4 + a] = held[k, a]
             for i in range(2):
                 facts[k, 6 + 2 * a + i] = in_reach(particle, a, 2 + i, params)
-        facts[k, 10] = _done(particle, own_goal, params, ground)
-        facts[k, 11] = _done(particle, other_goal, params, ground)
+        facts[k, 10] = _done(particle, own_goal, params, layout)
+        facts[k, 11] = _done(particle, other_goal, params, layout)
         for i in range(2):
             facts[k, 12 + i] = NO_DOOR
             for door in range(4):
-                if ground.is_open or ground.door_width[door] <= 0.0:
+                if layout.is_open or layout.door_width[door] <= 0.0:
                     continue
-                dx = particle[2 + i, 0] - ground.doors[door, 0]
-                dy = particle[2 + i, 1] - ground.doors[door, 1]
+                dx = particle[2 + i, 0] - layout.doors[door, 0]
+                dy = particle[2 + i, 1] - layout.doors[door, 1]
                 # a narrower item can be pushed through
                 radius = params.radius[2 + i]
-                if 2.0 * radius <= ground.door_width[door]:
+                if 2.0 * radius <= layout.door_width[door]:
                     continue
                 if dx * dx + dy * dy < (radius + params.radius[1 - agent]) ** 2:
                     facts[k, 12 + i] = door
-        costs[k] = _cost_to_go(particle, held[k], agent, own_goal, params, ground)
+        costs[k] = _cost_to_go(particle, held[k], agent, own_goal, params, layout)
 
 
 @bare_kernel
 def describe_goals(
     bodies: FloatArray,
-    held: NDArray[np.int64],
+    held: IntArray,
     agent: int,
-    goals: NDArray[np.int64],
+    goals: IntArray,
     params: Params,
-    ground: Ground,
-    done: NDArray[np.bool_],
+    layout: Layout,
+    done: BoolArray,
     costs: FloatArray,
 ) -> None:
     """Write, for many goals of an agent at once, what :func:`describe` tells of one.
@@ -169,5 +169,5 @@ def describe_goals(
     """
     for g in range(goals.shape[0]):
         for k in range(bodies.shape[0]):
-            done[g, k] = _done(bodies[k], goals[g], params, ground)
-            costs[g, k] = _cost_to_go(bodies[k], held[k], agent, goals[g], params, ground)
+            done[g, k] = _done(bodies[k], goals[g], params, layout)
+            costs[g, k] = _cost_to_go(bodies[k], held[k], agent, goals[g], params, layout)

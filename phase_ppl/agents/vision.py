@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from phase_ppl.agents.ground import Ground
+from phase_ppl.agents.world_model import Layout
 from phase_ppl.physics.compiled import Params
 from phase_ppl.physics.jit import bare_kernel
 from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
@@ -21,13 +21,13 @@ OUTSIDE: Final = -1
 
 
 @bare_kernel
-def cell_of(x: float, y: float, ground: Ground) -> int:
+def cell_of(x: float, y: float, layout: Layout) -> int:
     """Return row * size + column of the 1 x 1 cell that holds a point, or OUTSIDE."""
-    column = int(math.floor(x - ground.origin[0]))
-    row = int(math.floor(ground.origin[1] - y))
-    if column < 0 or row < 0 or column >= ground.size or row >= ground.size:
+    column = int(math.floor(x - layout.origin[0]))
+    row = int(math.floor(layout.origin[1] - y))
+    if column < 0 or row < 0 or column >= layout.size or row >= layout.size:
         return OUTSIDE
-    return row * ground.size + column
+    return row * layout.size + column
 
 
 @bare_kernel
@@ -44,7 +44,7 @@ def corner(
 
 @bare_kernel
 def outline_cells(
-    bodies: FloatArray, entity: int, params: Params, ground: Ground, cells: IntArray
+    bodies: FloatArray, entity: int, params: Params, layout: Layout, cells: IntArray
 ) -> int:
     """Write the cells that the outline of ``entity`` touches into ``cells``; return their number.
 
@@ -56,7 +56,7 @@ def outline_cells(
             angle = 2.0 * math.pi * i / RIM_POINTS
             x = bodies[entity, 0] + params.radius[entity] * math.cos(angle)
             y = bodies[entity, 1] + params.radius[entity] * math.sin(angle)
-            cells[n] = cell_of(x, y, ground)
+            cells[n] = cell_of(x, y, layout)
             n += 1
         return n
     for k in range(4):
@@ -67,7 +67,7 @@ def outline_cells(
             break
         for i in range(steps):
             t = i / steps
-            cells[n] = cell_of(x1 + (x2 - x1) * t, y1 + (y2 - y1) * t, ground)
+            cells[n] = cell_of(x1 + (x2 - x1) * t, y1 + (y2 - y1) * t, layout)
             n += 1
     return n
 
@@ -147,9 +147,6 @@ def shapes_meet(
     return _agents_meet(bodies, scale_2, scale_1, params)
 
 
-# --- what an agent observes: field of view with occlusion, touch, and the observation... ----------
-# Source: paper, Appendix "Belief Representation and Update".
-
 HALF_ANGLE: Final = math.atan2(0.8, 0.4 + 1.0 / 6.0)
 """Half the opening of the cone of vision, rad: its edge passes local (0.8 R, 0.4 R)."""
 
@@ -169,7 +166,7 @@ def _segments_cross(
 
 @bare_kernel
 def visible_cells(
-    bodies: FloatArray, agent: int, params: Params, ground: Ground, visible: BoolArray
+    bodies: FloatArray, agent: int, params: Params, layout: Layout, visible: BoolArray
 ) -> None:
     """Mark in ``visible`` (size * size,) the cells in the agent's field of view.
 
@@ -178,27 +175,27 @@ def visible_cells(
     """
     ex, ey, angle = bodies[agent, 0], bodies[agent, 1], bodies[agent, 2]
     hx, hy = -math.sin(angle), math.cos(angle)
-    for row in range(ground.size):
-        y = ground.origin[1] - 0.5 - row
-        for column in range(ground.size):
-            x = ground.origin[0] + 0.5 + column
-            index = row * ground.size + column
+    for row in range(layout.size):
+        y = layout.origin[1] - 0.5 - row
+        for column in range(layout.size):
+            x = layout.origin[0] + 0.5 + column
+            index = row * layout.size + column
             visible[index] = False
             dx, dy = x - ex, y - ey
             length = math.sqrt(dx * dx + dy * dy)
             if dx * hx + dy * hy < _COS_HALF_ANGLE * length:
                 continue
             free = True
-            for w in range(ground.walls.shape[0]):
+            for w in range(layout.walls.shape[0]):
                 if _segments_cross(
                     ex,
                     ey,
                     x,
                     y,
-                    ground.walls[w, 0],
-                    ground.walls[w, 1],
-                    ground.walls[w, 2],
-                    ground.walls[w, 3],
+                    layout.walls[w, 0],
+                    layout.walls[w, 1],
+                    layout.walls[w, 2],
+                    layout.walls[w, 3],
                 ):
                     free = False
                     break
@@ -224,7 +221,7 @@ def observe(
     agent: int,
     full_view: bool,
     params: Params,
-    ground: Ground,
+    layout: Layout,
     visible: BoolArray,
     cells: IntArray,
     observed: BoolArray,
@@ -239,7 +236,7 @@ def observe(
         full_view: see everything (an ablation, and the paper's full-observation switch).
         cells: scratch for outline cells.
     """
-    visible_cells(bodies, agent, params, ground, visible)
+    visible_cells(bodies, agent, params, layout, visible)
     other = 1 - agent
     for entity in range(4):
         observed[entity] = full_view or entity == agent
@@ -250,7 +247,7 @@ def observe(
     for entity in range(4):
         if entity == agent:
             continue
-        n = outline_cells(bodies, entity, params, ground, cells)
+        n = outline_cells(bodies, entity, params, layout, cells)
         for i in range(n):
             if cells[i] != OUTSIDE and visible[cells[i]]:
                 observed[entity] = True

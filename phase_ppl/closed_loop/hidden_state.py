@@ -14,6 +14,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+from collections.abc import Callable, Iterable
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -89,15 +90,6 @@ def filter_gains(drift: float, noise: float) -> FloatArray:
     return np.array([alpha, beta, _ANGLE])
 
 
-# --- the hidden part of the state, filtered from what is seen: velocities, holds and... -----------
-# A beam of full states goes along with the video, some for every pair of strengths. At each frame
-# every joint action is tried from each of them; the states after those that explain the frame
-# best go on, corrected by what was seen. Frames are compared like with like: means over the
-# substeps of a step.
-#
-# Each pair of strengths has a filter of its own, and its evidence is the product over the frames
-# of how probable that filter found them, so that none is lost by being dropped from the beam.
-
 _ALIKE: Final = 4
 """States of the beam that agree on holds and strengths, at most: they differ in velocities."""
 
@@ -106,6 +98,9 @@ _TRIED: Final = 6
 
 _LEAST: Final = 20.0
 """Log weight below the best at which a state is dropped."""
+
+_PARTS_PER_THREAD: Final = 4
+"""Into which the beam is divided: some states take far longer than others."""
 
 _VELOCITY_BIN: Final = 3.0
 """States whose velocities differ by less are taken for the same, units/s."""
@@ -201,13 +196,14 @@ class HiddenState:
     Args:
         scene: where everything starts, at rest.
         tracking: its settings.
+        threads: that may be at work at a time, see :meth:`advance`.
 
     Attributes:
         beam: states after the last frame.
         log_peak: log density that the last frame would have had exactly where an action puts it.
     """
 
-    def __init__(self, scene: Scene, tracking: Tracking) -> None:
+    def __init__(self, scene: Scene, tracking: Tracking, threads: int = 1) -> None:
         self.tracking = tracking
         self._pairs = np.array(list(itertools.product(tracking.strengths, repeat=len(AGENTS))))
         n = len(self._pairs)
@@ -220,11 +216,16 @@ class HiddenState:
             np.zeros(n),
         )
         self._evidence = np.zeros(n)  # log, of each pair of strengths
-        # its forces are overwritten state by state
+        # each part of the beam has a work space; its forces are overwritten state by state
         strongest = (max(tracking.strengths),) * 2
-        self._params = compiled.make_params(scene, strongest, inner_steps=WORLD_INNER_STEPS)
-        self._scratch = compiled.make_scratch()
-        self._trial = inverse.make_trial()
+        self._spaces = [
+            (
+                compiled.make_params(scene, strongest, inner_steps=WORLD_INNER_STEPS),
+                compiled.make_scratch(),
+                inverse.make_trial(),
+            )
+            for _ in range(1 if threads == 1 else min(_PARTS_PER_THREAD * threads, n))
+        ]
         self._executed = np.array([executed(a, scene.turning) for a in range(N_ACTIONS)])
         intended = np.zeros((N_ACTIONS, N_ACTIONS))
         np.add.at(intended, np.ix_(self._executed, self._executed), 1.0 / N_ACTIONS**2)
@@ -233,11 +234,14 @@ class HiddenState:
         self._noise = NoiseEstimate(tracking.noise, scene.start)
         self.log_peak = 0.0
 
-    def advance(self, observed: FloatArray) -> FloatArray:
+    def advance(
+        self, observed: FloatArray, share: Callable[..., Iterable[None]] = map
+    ) -> FloatArray:
         """Take in the next frame.
 
         Args:
             observed: (4, 3) x, y [units], angle [rad].
+            share: as ``map``, from whichever threads; the result does not depend on it.
 
         Returns:
             (A, A) log density of the frame after every pair of intended actions, red's first.
@@ -246,20 +250,19 @@ class HiddenState:
         scale = float(np.hypot(tracking.scale, self._noise.now))  # from the frames before
         self.log_peak = _log_peak(scale, tracking.angle_scale, tracking.tail)
         found = np.empty((len(beam), N_ACTIONS, N_ACTIONS))
-        inverse.try_all(
-            beam.bodies,
-            beam.held,
-            beam.weld,
-            self._pairs[beam.pair],
-            observed,
-            scale,
-            tracking.angle_scale,
-            tracking.tail,
-            self._params,
-            self._scratch,
-            self._trial,
-            found,
-        )
+        strengths = self._pairs[beam.pair]
+        bounds = np.linspace(0, len(beam), len(self._spaces) + 1).astype(int)
+
+        def try_part(part: int) -> None:
+            rows = slice(bounds[part], bounds[part + 1])
+            inverse.try_all(
+                *(beam.bodies[rows], beam.held[rows], beam.weld[rows], strengths[rows]),
+                *(observed, scale, tracking.angle_scale, tracking.tail),
+                *(*self._spaces[part], found[rows]),
+            )
+
+        for _ in share(try_part, range(len(self._spaces))):
+            pass
         found += beam.within[:, None, None]
         before = self._log_strengths()
         density = np.logaddexp.reduce(found + before[beam.pair][:, None, None], axis=0)
@@ -331,21 +334,11 @@ class HiddenState:
         bodies = np.empty((n, len(ENTITIES), beam.bodies.shape[2]))
         held = np.empty((n, len(AGENTS)), np.int64)
         weld = np.empty((n, len(AGENTS), 3))
+        done = np.column_stack([red, green]).astype(np.int64)
         inverse.follow(
-            beam.bodies,
-            beam.held,
-            beam.weld,
-            self._pairs[beam.pair],
-            parents.astype(np.int64),
-            np.column_stack([red, green]).astype(np.int64),
-            observed,
-            gains,
-            self._params,
-            self._scratch,
-            self._trial,
-            bodies,
-            held,
-            weld,
+            *(beam.bodies, beam.held, beam.weld, self._pairs[beam.pair]),
+            *(parents.astype(np.int64), done, observed, gains),
+            *(*self._spaces[0], bodies, held, weld),
         )
         pair = beam.pair[parents]
         rows, mass = self._merged(bodies, held, pair, flat.ravel()[chosen])

@@ -23,7 +23,8 @@ from phase_ppl.evaluation.judgments import all_events, judged
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.registry import ReadyModel, ready
 from phase_ppl.inference.runs.progress import Bar
-from phase_ppl.simulator.jobs import Failure, described, results
+from phase_ppl.simulator.contract import described
+from phase_ppl.simulator.jobs import Failure, results
 from phase_ppl.simulator.processes import in_worker
 from phase_ppl.world.checks import number_of_workers, whole_number
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError

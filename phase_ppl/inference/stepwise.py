@@ -22,7 +22,7 @@ from phase_ppl.analysis.stepwise_table import (
     STRENGTHS,
     log_prior_of_pairs,
 )
-from phase_ppl.closed_loop.reader import Reader, Reading
+from phase_ppl.closed_loop.goal_filter import GoalFilter, Reading
 from phase_ppl.inference.runs.progress import counted, is_shown
 from phase_ppl.models.model import Model
 from phase_ppl.models.stepwise import StepwiseLikelihood, prior_table
@@ -76,7 +76,7 @@ class Watch:
         self.threads = number_of_workers(threads, "threads")
         levels = likelihood.tracking.strengths
         self._prior = _prior_table(self.model.prior, levels)
-        self._reader = Reader(
+        self._reader = GoalFilter(
             scene,
             planner,
             likelihood.tracking,

@@ -17,8 +17,9 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.agents.operators import TOUCH_COST, Abilities, Node, Step, moves, plan
+from phase_ppl.agents.operators import TOUCH_COST, Node, Step, moves, plan
 from phase_ppl.agents.symbols import NEAR_AGENT_ON, NEAR_ITEM_ON, NEAR_TOUCH
+from phase_ppl.agents.world_model import Abilities
 from phase_ppl.dataset.motion import HELD_WITHIN, items_held
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import nonnegative_number, positive_number, whole_number

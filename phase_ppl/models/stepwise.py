@@ -14,8 +14,8 @@ from typing import Any, Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from phase_ppl.closed_loop.goal_filter import Conduct
 from phase_ppl.closed_loop.hidden_state import Tracking
-from phase_ppl.closed_loop.reader import Conduct
 from phase_ppl.world.checks import nonnegative_number, positive_number, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.goals import N_GOALS
@@ -33,7 +33,7 @@ _NODES: Final = 4
 class StepwiseLikelihood:
     """p(s_1..T | h) = prod_t p(s_t | s_<t, h)^weight, with one step of planner and physics.
 
-    An agent that pursues its goal acts by pi = (1 - lapse) visits^sharpness / Z + lapse / |A|, with
+    An agent acts by pi = (1 - lapse) visits^sharpness / Z + lapse / |A|, with
     the visits of the root actions in the planner's search, as a mean over ``planner_seeds``
     independent sets of beliefs and searches.
 
@@ -47,11 +47,7 @@ class StepwiseLikelihood:
 
     Attributes:
         sharpness: exponent of the visits.
-        lapse: probability, by frame, that an agent that pursues its goal does anything whatever.
-        leave: probability, by frame, that an agent ceases to pursue its goal and does anything
-            whatever; 0: never. With 0.05 and a weight of 0.4 what is believed after half of a video
-            scores as high, and after all of it lower.
-        resume: probability, by frame, that it takes its goal up again.
+        lapse: probability, by frame, that an agent does anything whatever.
         weight: what a frame counts; with 1 the posterior is not tempered.
         planner_seeds: sets of searches. Errors come from their spread; 1 is the instant setting,
             with errors unknown. Only the most probable pairs of goals are searched by all sets.
@@ -63,34 +59,26 @@ class StepwiseLikelihood:
 
     sharpness: float = 4.0
     lapse: float = 0.3
-    leave: float = 0.0
-    resume: float = 0.1
     weight: float = 0.2
     planner_seeds: int = 4
     tracking: Tracking = dataclasses.field(default_factory=Tracking)
 
     def __post_init__(self) -> None:
-        for name in ("sharpness", "lapse", "leave"):
+        for name in ("sharpness", "lapse"):
             nonnegative_number(name, getattr(self, name))
-        for name in ("weight", "resume"):
-            positive_number(name, getattr(self, name))
+        positive_number("weight", self.weight)
         whole_number("planner_seeds", self.planner_seeds)
         if not 0 < self.lapse <= 1:
             raise InvalidSettingError(
                 f"lapse={self.lapse!r}, expected a number in (0, 1], or frames could be impossible"
             )
-        for name in ("leave", "resume"):
-            if getattr(self, name) > 1:
-                raise InvalidSettingError(
-                    f"{name}={getattr(self, name)!r}, expected a probability, at most 1"
-                )
         if not isinstance(self.tracking, Tracking):
             raise InvalidSettingError(f"tracking={shown(self.tracking)}, expected a Tracking")
 
     @property
     def conduct(self) -> Conduct:
         """How agents act on their plans."""
-        return Conduct(self.sharpness, self.lapse, self.leave, self.resume)
+        return Conduct(self.sharpness, self.lapse)
 
     # Kernels that sample see the likelihood as an error per frame: by how much, in nats, another
     # hypothesis explains it better.

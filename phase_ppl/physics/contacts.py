@@ -156,10 +156,6 @@ def place_outlines(bodies: FloatArray, params: Params, scratch: Scratch) -> None
         box[0], box[1], box[2], box[3] = x - r, x + r, y - r, y + r
 
 
-# --- collision detection of the compiled model: which bodies overlap, and along which... ----------
-# The normal comes from separating axes, which for these shapes is the same as Chipmunk's GJK and
-# EPA wherever shapes overlap.
-
 _TIE: Final = 1e-9
 """Of faces as near as this the first one counts, not the one that rounding favours: back, right,
 front, left, as in the pymunk world."""

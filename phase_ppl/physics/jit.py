@@ -94,33 +94,27 @@ class KernelCache(FunctionCache):
 
 
 def _compiled(function: Function, **options: Any) -> Function:
-    compiled: Any = numba.njit(nogil=True, error_model="numpy", **options)(function)
+    compiled: Any = numba.njit(nogil=True, error_model="numpy", _nrt=False, **options)(function)
     # without a writable place for a cache every process compiles for itself
     with contextlib.suppress(RuntimeError):
         compiled._cache = KernelCache(function)
     return cast(Function, compiled)
 
 
-def kernel(function: Function) -> Function:
-    """Compile ``function`` with numba on its first call: no Python objects, no GIL, cached.
+def bare_kernel(function: Function) -> Function:
+    """Compile ``function`` on its first call: no Python objects, GIL or reference counts, cached.
 
     Floating point is strict (no fastmath), so results are the same bits in every process;
     division by zero gives inf or nan as in NumPy.
-    """
-    return _compiled(function)
-
-
-def bare_kernel(function: Function) -> Function:
-    """As ``kernel``, without reference counts: for functions that run millions of times.
 
     numba counts references whenever an array is taken out of a tuple or sliced, one atomic
     operation each time; in short functions on tuples of arrays that costs ten times more than
     the arithmetic. Such a function cannot allocate, which rules out slice-to-slice copies too
     (``a[i] = b[j]`` on rows needs a loop), and must not return an array.
     """
-    return _compiled(function, _nrt=False)
+    return _compiled(function)
 
 
 def inlined_kernel(function: Function) -> Function:
     """As ``bare_kernel``, compiled into its callers: handing over a large tuple takes time too."""
-    return _compiled(function, _nrt=False, forceinline=True)
+    return _compiled(function, forceinline=True)

@@ -7,10 +7,13 @@ It is a black box: inference sees its frames only.
 from __future__ import annotations
 
 import contextlib
+import contextvars
 import ctypes
 import dataclasses
 import functools
 import math
+import os
+import queue
 import threading
 import time
 import traceback
@@ -192,18 +195,11 @@ def in_time(
         return work()
     if limit <= 0:
         return failed(too_long(limit))
-    done: Future[Result] = Future()
-
-    def worked() -> None:
-        try:
-            result = work()
-        except BaseException as error:
-            done.set_exception(error)
-        else:
-            done.set_result(result)
-
-    thread = threading.Thread(target=worked, name="phase_ppl-simulation", daemon=True)
-    thread.start()
+    try:
+        helper = _idle.pop()
+    except IndexError:
+        helper = _Helper()
+    done = helper.begin(work)
     try:
         seconds = max(0.0, min(limit, deadline - time.perf_counter()))
         wait([done, *stop], seconds if seconds < math.inf else None, FIRST_COMPLETED)
@@ -215,9 +211,50 @@ def in_time(
             raise OutOfTime("the time of the run is over")
         return failed(too_long(limit))
     finally:
-        if not done.done():
-            number = ctypes.c_ulong(thread.ident or 0)
-            ctypes.pythonapi.PyThreadState_SetAsyncExc(number, ctypes.py_object(SystemExit))
+        if done.done():
+            _idle.append(helper)
+        else:
+            helper.give_up()
+
+
+class _Helper:
+    """A thread that does one thing after the other, until it is given up."""
+
+    def __init__(self) -> None:
+        self._tasks: queue.SimpleQueue[tuple[Callable[[], Any], Future[Any]] | None]
+        self._tasks = queue.SimpleQueue()
+        self._thread = threading.Thread(
+            target=self._serve, name="phase_ppl-simulation", daemon=True
+        )
+        self._thread.start()
+
+    def begin(self, work: Callable[[], Result]) -> Future[Result]:
+        done: Future[Result] = Future()
+        self._tasks.put((work, done))
+        return done
+
+    def give_up(self) -> None:
+        self._tasks.put(None)  # should it be done with its work just now
+        number = ctypes.c_ulong(self._thread.ident or 0)
+        ctypes.pythonapi.PyThreadState_SetAsyncExc(number, ctypes.py_object(SystemExit))
+
+    def _serve(self) -> None:
+        while (task := self._tasks.get()) is not None:
+            work, done = task
+            try:
+                # settings of this thread, such as NumPy's for errors, do not outlive the work
+                result = contextvars.copy_context().run(work)
+            except BaseException as error:
+                done.set_exception(error)
+            else:
+                done.set_result(result)
+            del task, work, done  # what they hold on to may be large
+
+
+_idle: list[_Helper] = []
+"""Helpers with nothing to do: to start a thread for every simulation takes longer than a toy."""
+
+os.register_at_fork(after_in_child=_idle.clear)
 
 
 def simulate_together(
@@ -247,7 +284,7 @@ def simulate_together(
         if batch.shape != expected:
             raise SimulationError(f"the batch has shape {batch.shape}, expected {expected}")
     except (Exception, SystemExit) as error:
-        failure = _described(error)
+        failure = described(error)
         results = [
             SimulationResult.failed(hypothesis, int(seed), n_frames, failure)
             for hypothesis, seed in zip(hypotheses, seeds, strict=True)
@@ -280,7 +317,7 @@ def simulate_trajectory(
                 trajectory[t] = next(incoming)
     except (Exception, SystemExit) as error:
         raise SimulationError(
-            f"simulation of [{hypothesis}] with seed {seed} failed: {_described(error)}"
+            f"simulation of [{hypothesis}] with seed {seed} failed: {described(error)}"
         ) from error
     return trajectory
 
@@ -314,7 +351,7 @@ def _follow(
     except Cancelled:
         raise
     except (Exception, SystemExit) as error:  # a simulator may raise anything
-        failure = _described(error)
+        failure = described(error)
     return SimulationResult(
         hypothesis,
         int(seed),
@@ -358,19 +395,16 @@ def _checked(
             close()
 
 
-def _described(error: BaseException) -> str:
-    """Return class and message of ``error``, and where a user's code raised it."""
+def described(error: BaseException) -> str:
+    """Return in one line class and message of ``error``, and where a user's code raised it."""
     # str() of a user's own exception may itself raise; this one does not
     trace = traceback.TracebackException.from_exception(error, limit=-1, lookup_lines=False)
-    message = str(trace)
+    message = " ".join(str(trace).split())
     text = f"{type(error).__name__}: {message}" if message else type(error).__name__
     if isinstance(error, SimulationError) or not trace.stack:
         return text
     place = trace.stack[-1]
-    return f"{text} ({Path(place.filename).name}, line {place.lineno})"
-
-
-# --- what simulations cost ------------------------------------------------------------------------
+    return f"{text} ({Path(place.filename).name}, line {place.lineno}, in {place.name})"
 
 
 @dataclasses.dataclass

@@ -9,9 +9,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.agents.agent import Agent, Decision
+from phase_ppl.agents.agent import Decision, both_agents
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.agents.mind import Mind
+from phase_ppl.agents.world_model import WorldModel
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import executed
 from phase_ppl.physics.pymunk_world import PymunkWorld
@@ -20,7 +20,7 @@ from phase_ppl.world.checks import check_memory, instance_of, nonnegative_number
 from phase_ppl.world.event import Event, Truth
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import Hypothesis
-from phase_ppl.world.names import AGENTS, ENTITIES
+from phase_ppl.world.names import ENTITIES
 from phase_ppl.world.observation import MIN_FRAMES, Observation
 from phase_ppl.world.scene import Scene
 
@@ -96,11 +96,8 @@ class JointSimulator:
     ) -> Iterator[tuple[NDArray[np.float64], tuple[Decision, ...]]]:
         """Yield each frame with the decisions of (red, green) behind it; the start has none."""
         strengths = hypothesis.strengths
-        goals = hypothesis.effective_goals
-        mind = Mind.of(scene, strengths, self.planner)
-        agents = [
-            Agent(agent, goals, mind, self.planner, rng.spawn(1)[0]) for agent in range(len(AGENTS))
-        ]
+        model = WorldModel.of(scene, strengths, self.planner)
+        agents = both_agents(hypothesis.effective_goals, model, self.planner, rng)
         disturbing = rng.spawn(1)[0]
         world = PymunkWorld(scene, strengths, self.inner_steps)
         yield scene.start.copy(), ()
@@ -122,8 +119,6 @@ def run_briefly(simulator: Simulator) -> None:
     for _ in range(3):
         next(frames)
 
-
-# --- running a simulator forward: a hypothesis becomes an event -----------------------------------
 
 _FRAME_BYTES: Final = 300
 """Of memory, until the event is written."""

@@ -14,9 +14,9 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from phase_ppl.agents.agent import Agent, Mind
+from phase_ppl.agents.agent import both_agents
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.agents.ground import body_origin
+from phase_ppl.agents.world_model import WorldModel, body_origin
 from phase_ppl.physics import compiled
 from phase_ppl.simulator.joint import run_briefly
 from phase_ppl.world.arrays import FloatArray
@@ -88,11 +88,8 @@ class PathSimulator:
         self, scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator
     ) -> Iterator[FloatArray]:
         """Yield frames (4, 3) = x, y [units], angle [rad] per entity, the start first."""
-        mind = Mind.of(scene, hypothesis.strengths, self.planner)
-        goals = hypothesis.effective_goals
-        agents = [
-            Agent(agent, goals, mind, self.planner, rng.spawn(1)[0]) for agent in range(len(AGENTS))
-        ]
+        model = WorldModel.of(scene, hypothesis.strengths, self.planner)
+        agents = both_agents(hypothesis.effective_goals, model, self.planner, rng)
         state = State.at_start(scene)
         yield state.pose.copy()
         while True:
@@ -104,14 +101,14 @@ class PathSimulator:
                 agent.perceive(*arrays)
                 subgoal, agreeing = agent.choose_subgoal()
                 imagined = agent.beliefs.bodies[agreeing[0]]
-                wishes.append(self._wish(agent.agent, subgoal, imagined, state, mind))
+                wishes.append(self._wish(agent.agent, subgoal, imagined, state, model))
             _move(state, wishes, scene)
             frame = state.pose.copy()
             frame[:, :2] = before[:, :2] + _MEAN_OF_STEP * (state.pose - before)[:, :2]
             yield frame
 
     def _wish(
-        self, agent: int, subgoal: Literal, imagined: FloatArray, state: State, mind: Mind
+        self, agent: int, subgoal: Literal, imagined: FloatArray, state: State, model: WorldModel
     ) -> Wish:
         """Return what an agent wants for a subgoal, where it imagines the others."""
         predicate, subject, target, positive = subgoal
@@ -120,42 +117,35 @@ class PathSimulator:
             return Wish(_NO_MOVE)
         if predicate is Predicate.ATTACH and not positive:
             return Wish(_NO_MOVE, release=True)
-        places = np.array([body_origin(imagined, entity, mind.params.cog) for entity in range(4)])
+        places = np.array([body_origin(imagined, entity, model.params.cog) for entity in range(4)])
         item = target if predicate is Predicate.ATTACH else subject
         if item >= len(AGENTS):
             if held != item:
-                return self._towards_item(agent, item, places, state, mind)
-            return Wish(self._along(state.pose[item, :2], _place(subgoal, places, mind), mind))
+                bodies, holds, _ = compiled.from_state(state, model.scene.radius)
+                if compiled.find_grab(bodies, holds, agent, model.params)[0] == item:
+                    return Wish(_NO_MOVE, grab=item)
+                return Wish(self._up_to(agent, item, places, model))
+            return Wish(self._along(state.pose[item, :2], _place(subgoal, places, model), model))
         if predicate is Predicate.TOUCH and positive:
-            return Wish(self._up_to(agent, target, places, mind))
+            return Wish(self._up_to(agent, target, places, model))
         if subject != agent:
             # all that is left of pushing the other about
-            return Wish(self._up_to(agent, subject, places, mind))
-        return Wish(self._along(places[agent], _place(subgoal, places, mind), mind))
+            return Wish(self._up_to(agent, subject, places, model))
+        return Wish(self._along(places[agent], _place(subgoal, places, model), model))
 
-    def _towards_item(
-        self, agent: int, item: int, places: FloatArray, state: State, mind: Mind
-    ) -> Wish:
-        """Go to an item, and take hold of it where that is possible."""
-        bodies, held, _ = compiled.from_state(state, mind.scene.radius)
-        found, _ = compiled.find_grab(bodies, held, agent, mind.params)
-        if found == item:
-            return Wish(_NO_MOVE, grab=item)
-        return Wish(self._up_to(agent, item, places, mind))
-
-    def _up_to(self, agent: int, other: int, places: FloatArray, mind: Mind) -> FloatArray:
+    def _up_to(self, agent: int, other: int, places: FloatArray, model: WorldModel) -> FloatArray:
         """Return a move towards another body that ends where the two touch."""
-        apart = mind.scene.radius[agent] + mind.scene.radius[other]
-        return self._along(places[agent], places[other], mind, apart)
+        apart = model.scene.radius[agent] + model.scene.radius[other]
+        return self._along(places[agent], places[other], model, apart)
 
     def _along(
-        self, start: FloatArray, end: FloatArray, mind: Mind, apart: float = 0.0
+        self, start: FloatArray, end: FloatArray, model: WorldModel, apart: float = 0.0
     ) -> FloatArray:
         """Return the move of one step along the way from start to end, stopping ``apart``."""
-        left = mind.scene.rooms.path_distance(start, end) - apart
+        left = model.scene.rooms.path_distance(start, end) - apart
         length = min(self.speed / FRAMES_PER_SECOND, left)
         place = start
-        for corner in _way(start, end, mind.scene):
+        for corner in _way(start, end, model.scene):
             stretch = float(np.linalg.norm(corner - place))
             if length <= 0:
                 break
@@ -174,16 +164,16 @@ def _way(start: FloatArray, end: FloatArray, scene: Scene) -> list[FloatArray]:
     return [] if doors is None else [*rooms.door_position[list(doors)], end]
 
 
-def _place(subgoal: Literal, places: FloatArray, mind: Mind) -> FloatArray:
+def _place(subgoal: Literal, places: FloatArray, model: WorldModel) -> FloatArray:
     """Return where the subject of a subgoal is to go.
 
     "Not" on a landmark is on the one farthest from it, away from an agent on the one that can be
     reached with the greatest lead on it.
     """
-    ground, target = mind.ground, subgoal.target
+    layout, target = model.layout, subgoal.target
     if subgoal.predicate is Predicate.CLOSE:
-        return ground.room_points[target] if target < N_ROOMS else ground.doors[target - N_ROOMS]
-    landmarks, path_distance = mind.scene.landmark_centres, mind.scene.rooms.path_distance
+        return layout.room_points[target] if target < N_ROOMS else layout.doors[target - N_ROOMS]
+    landmarks, path_distance = model.scene.landmark_centres, model.scene.rooms.path_distance
     if subgoal.predicate is Predicate.TOUCH:
         fugitive, pursuer = places[subgoal.subject], places[target]
         lead = [path_distance(pursuer, to) - path_distance(fugitive, to) for to in landmarks]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import functools
 import math
 import secrets
 import threading
@@ -12,7 +11,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, Future, InvalidStateError
 from types import TracebackType
-from typing import Final
+from typing import Any, Final, NamedTuple
 
 import cloudpickle
 import numpy as np
@@ -27,13 +26,17 @@ from phase_ppl.simulator.contract import (
     simulate_together,
     too_long,
 )
-from phase_ppl.simulator.dispatch import Dispatch, Request
-from phase_ppl.simulator.processes import BorrowedExecutor, OwnWorkers, Pool, Work
+from phase_ppl.simulator.jobs import Dispatch
+from phase_ppl.simulator.processes import BorrowedExecutor, CannotLoad, OwnWorkers
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import number_of_workers, positive_number, whole_number
 from phase_ppl.world.errors import InvalidSettingError, SimulationError, shown, unknown_name
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
+
+Request = tuple[Hypothesis, int, float]
+"""Hypothesis, seed, error ceiling."""
 
 POLICIES: Final = ("reject", "raise", "retry")
 """A failed simulation is a result without likelihood; ends the run; is run again."""
@@ -79,7 +82,32 @@ def failure_error(result: SimulationResult) -> SimulationError:
     )
 
 
-# --- running many simulations: on worker processes, stopped early, counted, never lost ------------
+class Work(NamedTuple):
+    """What all simulations of a runner have in common; sent to a worker once.
+
+    Attributes:
+        simulator, scene: what to simulate.
+        observed_positions: (time, entity, 2) x, y, units.
+    """
+
+    simulator: Any
+    scene: Scene
+    observed_positions: FloatArray
+
+    def simulate(
+        self, hypothesis: Hypothesis, seed: int, error_ceiling: float, limit: float, **more: Any
+    ) -> SimulationResult:
+        """Run one simulation; arguments as of :func:`simulate_one`."""
+        return simulate_one(
+            *(self.simulator, self.scene, hypothesis, seed, self.observed_positions),
+            *(error_ceiling,),
+            limit=limit,
+            **more,
+        )
+
+    def warm_up(self) -> None:
+        """Do once what all workers can then share, such as compiling."""
+        self.simulator.warm_up()
 
 
 class Runner:
@@ -150,30 +178,26 @@ class Runner:
         self._cut = False
         self.statistics = Statistics()
         self.on_result = on_result
-        self._simulator, self.scene = simulator, scene
-        self._observed = np.array(observation.positions)
+        self.scene = scene
+        self._work = Work(simulator, scene, np.array(observation.positions))
+        self._together = hasattr(simulator, "simulate_batch") and executor is None
         self._max_retries = whole_number("max_retries", max_retries, 0)
         self._stop: Future[None] = Future()
         self._one_run = threading.Lock()
         self._attempts_left = self.retries
-        self._pool: Pool | None = None
+        self._pool: OwnWorkers | BorrowedExecutor | None = None
         if executor is not None:
             self._pool = BorrowedExecutor(executor, slots, *self._packed_work())
-        elif (
-            self.workers is not None
-            and self.workers > 1
-            and not hasattr(simulator, "simulate_batch")
-        ):
-            warm_up = hasattr(simulator, "warm_up")
-            self._pool = OwnWorkers(self.workers, *self._packed_work(), warm_up)
+        elif (self.workers or 1) > 1 and not self._together:
+            warm_up = Work.warm_up if hasattr(simulator, "warm_up") else None
+            self._pool = OwnWorkers(self.workers or 1, *self._packed_work(), warm_up)
 
     def _packed_work(self) -> tuple[str, bytes]:
-        work = Work(self._simulator, self.scene, self._observed)
         try:
-            return secrets.token_hex(8), cloudpickle.dumps(work)
+            return secrets.token_hex(8), cloudpickle.dumps(self._work)
         except Exception as error:
             raise InvalidSettingError(
-                f"simulator={shown(self._simulator)} cannot be sent to worker processes "
+                f"simulator={shown(self._work.simulator)} cannot be sent to worker processes "
                 f"({type(error).__name__}: {error}); workers=1 needs none"
             ) from error
 
@@ -208,7 +232,7 @@ class Runner:
     @property
     def n_frames(self) -> int:
         """Frames of a complete simulation."""
-        return len(self._observed)
+        return len(self._work.observed_positions)
 
     # --- work ------------------------------------------------------------------------------
 
@@ -246,7 +270,7 @@ class Runner:
         return [done[request] for request in requests]
 
     def _run_distinct(self, requests: Sequence[Request]) -> dict[Request, SimulationResult]:
-        if hasattr(self._simulator, "simulate_batch") and self._pool is None:
+        if self._together:
             return self._run_together(requests)
         if self._pool is None:
             return {request: self._run_here(request) for request in requests}
@@ -288,21 +312,14 @@ class Runner:
 
     def _run_here(self, request: Request) -> SimulationResult:
         self._check_cancelled()
-        hypothesis, seed, ceiling = request
-        return self._count(
-            simulate_one(
-                self._simulator,
-                self.scene,
-                hypothesis,
-                seed,
-                self._observed,
-                ceiling,
-                cancelled=self._stop.done,
-                limit=self._limit(),
-                stop=[self._stop],
-                deadline=self.deadline,
-            )
+        result = self._work.simulate(
+            *request,
+            self._limit(),
+            cancelled=self._stop.done,
+            stop=[self._stop],
+            deadline=self.deadline,
         )
+        return self._count(result)
 
     def _limit(self) -> float:
         """Return the seconds that a simulation may take that begins now."""
@@ -311,38 +328,51 @@ class Runner:
 
     def _run_together(self, requests: Sequence[Request]) -> dict[Request, SimulationResult]:
         self._check_cancelled()
-        hypotheses = [hypothesis for hypothesis, _, _ in requests]
-        seeds = [seed for _, seed, _ in requests]
         results: list[SimulationResult] = []
         if requests:
-            together = functools.partial(simulate_together, self._simulator, self.scene)
-
-            def failed(reason: str) -> list[SimulationResult]:
-                return [
-                    SimulationResult.failed(h, seed, self.n_frames, reason)
-                    for h, seed, _ in requests
-                ]
-
-            work = functools.partial(together, hypotheses, seeds, self._observed)
-            results = in_time(work, failed, self._limit() * len(seeds), [self._stop], self.deadline)
+            hypotheses, seeds, _ = zip(*requests, strict=True)
+            simulator, scene, observed = self._work
+            results = in_time(
+                lambda: simulate_together(simulator, scene, hypotheses, seeds, observed),
+                lambda reason: [self._failed(request, reason) for request in requests],
+                self._limit() * len(seeds),
+                [self._stop],
+                self.deadline,
+            )
         self._check_cancelled()
         for result in results:
             self._count(result)
         return dict(zip(requests, results, strict=True))
 
-    def _run_in(self, pool: Pool, requests: Sequence[Request]) -> dict[Request, SimulationResult]:
-        if isinstance(pool, OwnWorkers):
-            pool.suffice(len(requests))
+    def _run_in(
+        self, pool: OwnWorkers | BorrowedExecutor, requests: Sequence[Request]
+    ) -> dict[Request, SimulationResult]:
         dispatch = Dispatch(
-            *(pool, requests, self.n_frames, self._max_retries, self._stop),
-            limit=self._limit,
-            deadline=self.deadline,
+            pool,
+            Work.simulate,
+            requests,
+            lambda request: (*request, self._limit()),
+            self._failed,
+            self._max_retries,
+            self._stop,
+            self._limit,
+            self.deadline,
         )
         try:
             with contextlib.closing(dispatch.results()) as results:
                 return {request: self._count(result) for request, result in results}
+        except CannotLoad as error:
+            raise SimulationError(
+                f"the simulator cannot be loaded in a worker process: {error}"
+            ) from None
         finally:
             self.statistics.retries += dispatch.retries
+
+    def _failed(
+        self, request: Request, reason: str, error: BaseException | None = None
+    ) -> SimulationResult:
+        hypothesis, seed, _ = request
+        return SimulationResult.failed(hypothesis, seed, self.n_frames, reason)
 
     def _check_cancelled(self) -> None:
         if self._stop.done():

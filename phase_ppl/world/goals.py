@@ -135,13 +135,11 @@ def effective_goals(
         alpha: signs of (alpha red -> green, alpha green -> red); 0 means the agent pursues
             its own goal, > 0 the other's, < 0 the negation of the other's.
     """
+
+    def effective(own: int, sign: int, other: int, owner: int) -> int:
+        if sign == 0:
+            return own
+        return (shared_goal if sign > 0 else opposed_goal)(other, owner)
+
     red, green = goal_index(goal_red), goal_index(goal_green)
-    if alpha[0] != 0:
-        effective_red = (shared_goal if alpha[0] > 0 else opposed_goal)(green, GREEN)
-    else:
-        effective_red = red
-    if alpha[1] != 0:
-        effective_green = (shared_goal if alpha[1] > 0 else opposed_goal)(red, RED)
-    else:
-        effective_green = green
-    return effective_red, effective_green
+    return effective(red, alpha[0], green, GREEN), effective(green, alpha[1], red, RED)

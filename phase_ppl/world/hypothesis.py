@@ -69,9 +69,6 @@ RELATION_TABLE: Final = np.array(
 )
 """(goal_red, goal_green) -> index into :data:`RELATIONS`."""
 
-
-# --- the hypothesis h = <g_i, g_j, alpha_ij, alpha_ji, f_i, f_j> of the paper (Eq. 1) -------------
-
 ALPHAS: Final = ((0, 0), (1, 0), (0, 1), (-1, 0), (0, -1))
 """Values of site ``alpha``: signs of (alpha red -> green, alpha green -> red)."""
 
@@ -80,7 +77,6 @@ STRENGTH_LEVELS: Final = (150.0, 300.0, 450.0, 600.0)
 
 STRENGTH_RANGE: Final = (150.0, 600.0)
 """Support of a strength, newtons."""
-
 
 MOST_STRENGTH: Final = 1e6
 """Newtons, beyond which a body of some kilograms moves further in a step than the arena is wide."""

@@ -1,4 +1,7 @@
-"""The fixed cast of every event, in the order used by every array of the package."""
+"""The fixed cast of every event, in the order used by every array of the package.
+
+And the predicates over it: the language of goals, subgoals and symbolic states.
+"""
 
 from __future__ import annotations
 
@@ -17,11 +20,6 @@ PINK_ITEM: Final = 3
 NOTHING: Final = -1
 """Index of the held item of an agent that holds nothing."""
 
-
-# --- predicates and literals: the language of goals, subgoals and symbolic states -----------------
-# Source: paper, Appendix "Predicates, Symbolic States, Goals, and Subgoals" (Table of
-# predicates).
-
 DOORS: Final = ("upper door", "left door", "lower door", "right door")
 """The doors by the ray of the wall that they are in."""
 
@@ -29,7 +27,10 @@ PLACES: Final = (*LANDMARKS, *DOORS)
 
 
 class Predicate(enum.IntEnum):
-    """The paper's predicates, and STOP for "nothing is left to do"."""
+    """The paper's predicates, and STOP for "nothing is left to do".
+
+    Source: paper, Appendix "Predicates, Symbolic States, Goals, and Subgoals".
+    """
 
     ON = 0
     """ON(agent | item, landmark): the centre is inside the landmark's square."""

@@ -12,13 +12,12 @@ import math
 import numpy as np
 
 from phase_ppl.agents import pomcp
-from phase_ppl.agents.agent import Agent
-from phase_ppl.agents.choice import Root
+from phase_ppl.agents.agent import Agent, RootStatistics
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.agents.mind import Mind
 from phase_ppl.agents.pomcp import Search
+from phase_ppl.agents.world_model import WorldModel
 from phase_ppl.physics import compiled
-from phase_ppl.physics.actions import NO_ACTION
+from phase_ppl.physics.actions import NO_ACTION, Action
 from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.world.arrays import IntArray
 from phase_ppl.world.errors import InvalidSettingError
@@ -43,7 +42,7 @@ class SlowSearch:
     """PUCT over an agent's own actions with random rollouts (see ``pomcp.run``).
 
     Args:
-        mind: layout and bodies.
+        model: layout and bodies.
         strengths: maximum forces of red and green, newtons.
         search: settings; an early stop is not made, as it changes no action.
         inner_steps: solver steps per physics substep of the imagined world.
@@ -53,16 +52,16 @@ class SlowSearch:
 
     def __init__(
         self,
-        mind: Mind,
+        model: WorldModel,
         strengths: tuple[float, float],
         search: Search,
         inner_steps: int,
         generator: np.random.Generator,
         iterations: int = 10,
     ) -> None:
-        self.mind, self.search, self.generator = mind, search, generator
-        start = State.at_start(mind.scene)
-        self.world = PymunkWorld(mind.scene, strengths, inner_steps, start, iterations)
+        self.model, self.search, self.generator = model, search, generator
+        start = State.at_start(model.scene)
+        self.world = PymunkWorld(model.scene, strengths, inner_steps, start, iterations)
 
     def run(self, particles: list[State], agent: int, subgoal: Literal, actions: IntArray) -> Node:
         """Return the root after ``n_simulations`` from particles drawn uniformly."""
@@ -113,8 +112,8 @@ class SlowSearch:
     def _step(self, agent: int, own: int, other: int, code: IntArray) -> float:
         """Move the imagined world on and return the reward of the agent's action."""
         self.world.advance((own, other) if agent == 0 else (other, own))
-        bodies, held, _ = compiled.from_state(self.world.state, self.mind.scene.radius)
-        return pomcp.reward(bodies, held, code, own, self.mind.params, self.mind.ground)
+        bodies, held, _ = compiled.from_state(self.world.state, self.model.scene.radius)
+        return pomcp.reward(bodies, held, code, own, self.model.params, self.model.layout)
 
 
 class OracleAgent(Agent):
@@ -128,28 +127,30 @@ class OracleAgent(Agent):
         self,
         agent: int,
         goals: tuple[int, int],
-        mind: Mind,
+        model: WorldModel,
         config: PlannerConfig,
         generator: np.random.Generator,
         strengths: tuple[float, float],
     ) -> None:
         if config.swivel or config.paired:
             raise InvalidSettingError("the oracle's search has no swivel and no paired")
-        super().__init__(agent, goals, mind, config, generator)
+        super().__init__(agent, goals, model, config, generator)
         self.slow_search = SlowSearch(
-            mind, strengths, self.search, config.inner_steps, generator.spawn(1)[0]
+            model, strengths, self.search, config.inner_steps, generator.spawn(1)[0]
         )
 
-    def _search_actions(self, subgoal: Literal, agreeing: IntArray, actions: IntArray) -> Root:
+    def _search_actions(
+        self, subgoal: Literal, agreeing: IntArray, actions: IntArray
+    ) -> RootStatistics:
         beliefs = self.beliefs
         particles = [
             compiled.to_state(
-                beliefs.bodies[k], beliefs.held[k], beliefs.weld[k], self.mind.scene.radius
+                beliefs.bodies[k], beliefs.held[k], beliefs.weld[k], self.model.scene.radius
             )
             for k in agreeing
         ]
         root = self.slow_search.run(particles, self.agent, subgoal, actions)
         visits = np.array([child.visits if child else 0 for child in root.children], np.int64)
         values = np.array([child.value if child else math.nan for child in root.children])
-        best = np.flatnonzero(visits == visits.max())
-        return Root(int(self.slow_search.generator.choice(best)), visits, values)
+        best = self.slow_search.generator.choice(np.flatnonzero(visits == visits.max()))
+        return RootStatistics(actions, visits, values, Action(int(actions[best])))

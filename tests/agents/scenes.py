@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from phase_ppl.agents import vision
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.agents.mind import Mind
+from phase_ppl.agents.world_model import WorldModel
 from phase_ppl.physics import compiled
 from phase_ppl.world.scene import Scene
 from phase_ppl.world.state import State
@@ -44,9 +44,9 @@ def look(
     where: Scene, agent: int = 0, held: tuple[int, int] = (-1, -1), full_view: bool = False
 ) -> Sight:
     """Return what ``agent`` observes at the start of a scene."""
-    mind = Mind.of(where, (450.0, 450.0), PlannerConfig())
+    model = WorldModel.of(where, (450.0, 450.0), PlannerConfig())
     bodies, _, _ = compiled.from_state(State.at_start(where), where.radius)
-    size = mind.ground.size
+    size = model.layout.size
     visible = np.zeros(size * size, bool)
     observed = np.zeros(4, bool)
     vision.observe(
@@ -54,8 +54,8 @@ def look(
         np.array(held),
         agent,
         full_view,
-        mind.params,
-        mind.ground,
+        model.params,
+        model.layout,
         visible,
         np.zeros(128, np.int64),
         observed,

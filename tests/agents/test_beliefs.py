@@ -10,7 +10,7 @@ import pytest
 
 from phase_ppl.agents.agent import Agent
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.agents.mind import Mind
+from phase_ppl.agents.world_model import WorldModel
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import Action
 from phase_ppl.physics.welds import in_reach
@@ -26,8 +26,8 @@ CONFIG = PlannerConfig(simulations=50)
 
 
 def agent_in(where: Scene, seed: int = 0, config: PlannerConfig = CONFIG) -> Agent:
-    mind = Mind.of(where, (450.0, 450.0), config)
-    return Agent(0, GOALS, mind, config, np.random.default_rng(seed))
+    model = WorldModel.of(where, (450.0, 450.0), config)
+    return Agent(0, GOALS, model, config, np.random.default_rng(seed))
 
 
 def perceive(agent: Agent, where: Scene, times: int = 1) -> None:
@@ -137,10 +137,10 @@ def test_a_hand_that_closed_on_nothing_refutes_what_was_believed_in_its_reach() 
     for action, stays in ((Action.STOP, True), (Action.ATTACH, False)):
         agent.beliefs.bodies[:, blue] = 0.0
         agent.beliefs.bodies[:, blue, :2] = behind
-        assert all(in_reach(b, red, blue, agent.mind.params) for b in agent.beliefs.bodies)
+        assert all(in_reach(b, red, blue, agent.model.params) for b in agent.beliefs.bodies)
         agent.done(action)
         perceive(agent, HIDDEN)
-        reach = [in_reach(b, red, blue, agent.mind.params) for b in agent.beliefs.bodies]
+        reach = [in_reach(b, red, blue, agent.model.params) for b in agent.beliefs.bodies]
         assert all(reach) if stays else not any(reach)
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from phase_ppl.agents.agent import Agent
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.agents.mind import Mind
+from phase_ppl.agents.world_model import WorldModel
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import N_ACTIONS, NO_ACTION
 from phase_ppl.physics.pymunk_world import PymunkWorld
@@ -37,11 +37,11 @@ SCENES = {
 def make(
     where: Scene, oracle: bool, seed: int, config: PlannerConfig = CONFIG
 ) -> tuple[Agent, PymunkWorld]:
-    mind, generator = Mind.of(where, STRENGTHS, config), np.random.default_rng(seed)
+    model, generator = WorldModel.of(where, STRENGTHS, config), np.random.default_rng(seed)
     agent = (
-        OracleAgent(0, GOALS, mind, config, generator, STRENGTHS)
+        OracleAgent(0, GOALS, model, config, generator, STRENGTHS)
         if oracle
-        else Agent(0, GOALS, mind, config, generator)
+        else Agent(0, GOALS, model, config, generator)
     )
     return agent, PymunkWorld(where, STRENGTHS, initial=State.at_start(where))
 

@@ -7,8 +7,8 @@ import pytest
 
 from phase_ppl.agents.agent import Agent
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.agents.mind import Mind
 from phase_ppl.agents.policies import NO_INTENT, Policies
+from phase_ppl.agents.world_model import WorldModel
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import Action
 from phase_ppl.world.goals import GOALS, N_GOALS, goal_index
@@ -23,7 +23,7 @@ STRENGTHS = (450.0, 300.0)
 
 def watched(agent: int, held: int = -1) -> Policies:
     """Return what an agent makes of the scene, perhaps with its near item in hand."""
-    found = Policies(agent, Mind.of(WHERE, STRENGTHS, CONFIG), CONFIG, seed=3)
+    found = Policies(agent, WorldModel.of(WHERE, STRENGTHS, CONFIG), CONFIG, seed=3)
     bodies, holds, weld = compiled.from_state(State.at_start(WHERE), WHERE.radius)
     found.observe(bodies, holds, weld)
     found.done(Action.ATTACH)
@@ -52,10 +52,10 @@ def test_pairs_of_goals_that_share_an_intent_have_it_each_for_itself(agent: int,
 
 def test_what_a_search_finds_does_not_depend_on_what_else_is_searched() -> None:
     policies, again = watched(0), watched(0)
-    together = policies.outlooks()
+    together = [policies.root_statistics(intent) for intent in policies.intents]
     order = np.random.default_rng(0).permutation(len(again.intents))
     for index in order:
-        alone = again.outlook(again.intents[index])
+        alone = again.root_statistics(again.intents[index])
         np.testing.assert_allclose(alone.values, together[index].values, rtol=0, atol=1e-10)
         np.testing.assert_array_equal(alone.visits, together[index].visits)
         assert alone.best == together[index].best
@@ -69,9 +69,9 @@ def test_an_agent_with_one_pair_of_goals_takes_up_the_same_subgoal() -> None:
         ("get to green agent", "get away from red agent"),
     ):
         goals = goal_index(red), goal_index(green)
-        mind = Mind.of(WHERE, STRENGTHS, CONFIG)
-        policies = Policies(0, mind, CONFIG, seed=3)
-        agent = Agent(0, goals, mind, CONFIG, np.random.default_rng([3, 0]))
+        model = WorldModel.of(WHERE, STRENGTHS, CONFIG)
+        policies = Policies(0, model, CONFIG, seed=3)
+        agent = Agent(0, goals, model, CONFIG, np.random.default_rng([3, 0]))
         state = compiled.from_state(State.at_start(WHERE), WHERE.radius)
         policies.observe(*state)
         agent.perceive(*state)

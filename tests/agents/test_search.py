@@ -11,8 +11,8 @@ import pytest
 from phase_ppl.agents import pomcp
 from phase_ppl.agents.agent import Agent
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.agents.mind import Mind
 from phase_ppl.agents.pomcp import below, make_rng, uniform
+from phase_ppl.agents.world_model import WorldModel
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import Action
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
@@ -27,8 +27,8 @@ GOALS = (goal_index("Get red agent to red lm"), goal_index("Get green agent to g
 
 
 def agent_in(where: Scene, config: PlannerConfig = CONFIG, seed: int = 0) -> Agent:
-    mind = Mind.of(where, (450.0, 450.0), config)
-    agent = Agent(0, GOALS, mind, config, np.random.default_rng(seed))
+    model = WorldModel.of(where, (450.0, 450.0), config)
+    agent = Agent(0, GOALS, model, config, np.random.default_rng(seed))
     agent.perceive(*compiled.from_state(State.at_start(where), where.radius))
     return agent
 
@@ -128,11 +128,11 @@ def test_an_agent_that_is_kept_from_its_landmark_also_moves_sideways() -> None:
 
 def test_reward_falls_with_path_distance_and_sideways_steps_cost() -> None:
     agent = agent_in(scene(red=(23.5, 14.0, math.pi)))
-    bodies, held, _ = compiled.from_state(State.at_start(agent.mind.scene), [0.8] * 4)
+    bodies, held, _ = compiled.from_state(State.at_start(agent.model.scene), [0.8] * 4)
     code = pomcp.subgoal_code(Literal(Predicate.ON, 0, 2))
-    mind = agent.mind
-    ahead = pomcp.reward(bodies, held, code, int(Action.UP), mind.params, mind.ground)
-    sideways = pomcp.reward(bodies, held, code, int(Action.LEFT), mind.params, mind.ground)
+    model = agent.model
+    ahead = pomcp.reward(bodies, held, code, int(Action.UP), model.params, model.layout)
+    sideways = pomcp.reward(bodies, held, code, int(Action.LEFT), model.params, model.layout)
     assert ahead == pytest.approx(-9.5 / math.hypot(20, 20), abs=1e-6)
     assert ahead - sideways == pytest.approx(0.02)
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import pytest
 
-from phase_ppl.agents.operators import Abilities
 from phase_ppl.agents.subgoals import SubgoalPlanner, subgoal_planner
 from phase_ppl.agents.symbols import SymbolicState
+from phase_ppl.agents.world_model import Abilities
 from phase_ppl.world.goals import N_GOALS, goal_index, goal_literal, is_self_referring
 from phase_ppl.world.names import STOP, Literal, Predicate
 from tests.agents.scenes import (

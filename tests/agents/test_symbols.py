@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from phase_ppl.agents import pomcp, symbols
-from phase_ppl.agents.choice import best_subgoal
+from phase_ppl.agents.agent import best_subgoal
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.agents.mind import Mind
 from phase_ppl.agents.symbols import SymbolicState
+from phase_ppl.agents.world_model import WorldModel
 from phase_ppl.physics import compiled
 from phase_ppl.world.goals import goal_index, goal_literal
 from phase_ppl.world.names import STOP, Literal, Predicate
@@ -32,14 +32,14 @@ def described(
     held: tuple[int, int] = (-1, -1),
 ) -> tuple[SymbolicState, float]:
     """Return the facts of red at the start of a scene, and its cost."""
-    mind = Mind.of(where, (450.0, 450.0), PlannerConfig())
+    model = WorldModel.of(where, (450.0, 450.0), PlannerConfig())
     bodies, holds, _ = compiled.from_state(State.at_start(where), where.radius)
     holds[:] = held
     facts, costs = np.zeros((1, symbols.N_FACTS), np.int8), np.zeros(1)
     goals = goal_literal(goal_index(goal), RED), goal_literal(goal_index(other), GREEN)
     own, theirs = (pomcp.subgoal_code(literal) for literal in goals)
     symbols.describe(
-        bodies[None], holds[None], RED, own, theirs, mind.params, mind.ground, facts, costs
+        bodies[None], holds[None], RED, own, theirs, model.params, model.layout, facts, costs
     )
     return symbols.unpack(facts[0]), float(costs[0])
 
@@ -138,5 +138,5 @@ class TestValue:
 
 @pytest.mark.parametrize("swivel", [False, True])
 def test_held_items_are_imagined_as_the_settings_say(swivel: bool) -> None:
-    mind = Mind.of(scene(), (450.0, 450.0), PlannerConfig(swivel=swivel))
-    assert mind.params.swivel is swivel
+    model = WorldModel.of(scene(), (450.0, 450.0), PlannerConfig(swivel=swivel))
+    assert model.params.swivel is swivel

@@ -30,7 +30,7 @@ def load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     return make
 
 
-@pytest.mark.parametrize("decorator", ["kernel", "bare_kernel", "inlined_kernel"])
+@pytest.mark.parametrize("decorator", ["bare_kernel", "inlined_kernel"])
 def test_kernels_are_loaded_from_disk_the_second_time(load: Any, decorator: str) -> None:
     assert sum(load(decorator).stats.cache_misses.values()) == 1
     assert sum(load(decorator).stats.cache_hits.values()) == 1
@@ -39,9 +39,9 @@ def test_kernels_are_loaded_from_disk_the_second_time(load: Any, decorator: str)
 def test_kernels_are_compiled_anew_when_any_kernel_file_has_changed(
     load: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    load("kernel")
+    load("bare_kernel")
     monkeypatch.setattr(jit, "package_stamp", lambda: "stamp of changed files")
-    assert sum(load("kernel").stats.cache_misses.values()) == 1
+    assert sum(load("bare_kernel").stats.cache_misses.values()) == 1
 
 
 @pytest.mark.parametrize("suffix", ["nbi", "nbc"])
@@ -49,15 +49,15 @@ def test_kernels_are_compiled_anew_when_any_kernel_file_has_changed(
 def test_a_damaged_cache_is_named_and_made_anew(
     load: Any, tmp_path: Path, suffix: str, damage: str
 ) -> None:
-    load("kernel")
+    load("bare_kernel")
     (file,) = tmp_path.glob(f"cache/**/*.{suffix}")
     content = file.read_bytes()
     half = len(content) // 2
     flipped = content[:half] + bytes([content[half] ^ 1]) + content[half + 1 :]
     file.write_bytes({"cut": content[:half], "flipped": flipped, "empty": b""}[damage])
     with pytest.warns(RuntimeWarning, match=r"compiled anew, as .*small_kernel.*is damaged"):
-        load("kernel")
-    assert sum(load("kernel").stats.cache_hits.values()) == 1
+        load("bare_kernel")
+    assert sum(load("bare_kernel").stats.cache_hits.values()) == 1
 
 
 def test_a_cache_that_cannot_be_written_is_done_without(
@@ -68,7 +68,7 @@ def test_a_cache_that_cannot_be_written_is_done_without(
 
     monkeypatch.setattr(jit.IndexDataCacheFile, "_save_data", full)
     with pytest.warns(RuntimeWarning, match=r"is not written: .*No space left"):
-        assert sum(load("kernel").stats.cache_misses.values()) == 1
+        assert sum(load("bare_kernel").stats.cache_misses.values()) == 1
 
 
 def test_stamp_covers_names_and_contents_but_not_order(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from phase_ppl.agents import vision
-from phase_ppl.agents.ground import make_ground
+from phase_ppl.agents.world_model import Layout
 from phase_ppl.physics import compiled
 from phase_ppl.render import draw_frame, image, strip, video
 from phase_ppl.render.frames import field_of_view
@@ -46,13 +46,13 @@ def seen_by_the_simulator(
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Return points on a grid shifted by ``shift``, and which the simulator's rule has in view."""
     bodies, _, _ = compiled.from_state(State.at_start(scene), scene.radius)
-    ground = make_ground(scene)
-    ground = ground._replace(origin=ground.origin + shift)
-    visible = np.zeros(ground.size**2, bool)
+    layout = Layout.of(scene)
+    layout = layout._replace(origin=layout.origin + shift)
+    visible = np.zeros(layout.size**2, bool)
     params = compiled.make_params(scene, (450.0, 450.0))
-    vision.visible_cells(bodies, agent, params, ground, visible)
-    row, column = np.divmod(np.arange(ground.size**2), ground.size)
-    return ground.origin + np.stack([0.5 + column, -0.5 - row], axis=1), visible
+    vision.visible_cells(bodies, agent, params, layout, visible)
+    row, column = np.divmod(np.arange(layout.size**2), layout.size)
+    return layout.origin + np.stack([0.5 + column, -0.5 - row], axis=1), visible
 
 
 ROOMS = [walls(), walls(up=10), walls(up=7.5, left=10, down=5), walls(left=7.5, right=7.5, up=10)]

@@ -42,7 +42,7 @@ class Stepwise:
 
     def warm_up(self) -> None:
         """Compile what reading needs, for all processes."""
-        from phase_ppl.closed_loop.reader import warm_up
+        from phase_ppl.closed_loop.goal_filter import warm_up
 
         warm_up()
 
@@ -58,8 +58,6 @@ def stepwise(
     planner: Any = None,
     sharpness: float | None = None,
     lapse: float | None = None,
-    leave: float | None = None,
-    resume: float | None = None,
     weight: float | None = None,
     planner_seeds: int | None = None,
     strengths: Any = None,
@@ -69,7 +67,7 @@ def stepwise(
 
     Args:
         prior, planner: of the :class:`phase_ppl.Model`.
-        sharpness, lapse, leave, resume, weight, planner_seeds: of the
+        sharpness, lapse, weight, planner_seeds: of the
             :class:`phase_ppl.StepwiseLikelihood`.
         strengths, noise: of its :class:`phase_ppl.Tracking`.
 
@@ -84,8 +82,6 @@ def stepwise(
     given = _given(
         sharpness=sharpness,
         lapse=lapse,
-        leave=leave,
-        resume=resume,
         weight=weight,
         planner_seeds=planner_seeds,
     )

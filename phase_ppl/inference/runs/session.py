@@ -39,8 +39,7 @@ from phase_ppl.models.bridge import SimulatorBridge
 from phase_ppl.models.program import event_salt
 from phase_ppl.models.stepwise import StepwiseLikelihood, level_of
 from phase_ppl.simulator.contract import Cancelled, OutOfTime, SimulationResult, Statistics
-from phase_ppl.simulator.dispatch import Request
-from phase_ppl.simulator.runner import Runner
+from phase_ppl.simulator.runner import Request, Runner
 from phase_ppl.world.checks import check_memory
 from phase_ppl.world.errors import InvalidSettingError, OutputError
 from phase_ppl.world.hypothesis import Hypothesis

@@ -12,7 +12,7 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.cli import main
-from phase_ppl.closed_loop.reader import Reader
+from phase_ppl.closed_loop.goal_filter import GoalFilter
 from phase_ppl.inference import stepwise as enumerate_
 from phase_ppl.models import priors
 from phase_ppl.models.stepwise import level_of, prior_table
@@ -98,15 +98,15 @@ def test_a_bad_frame_is_refused_and_loses_nothing() -> None:
 
 def test_an_interrupted_reading_keeps_what_was_read(monkeypatch: pytest.MonkeyPatch) -> None:
     event = short(6)
-    read, calls = Reader.read, []
+    read, calls = GoalFilter.read, []
 
-    def interrupted(self: Reader, frame: np.ndarray) -> Any:
+    def interrupted(self: GoalFilter, frame: np.ndarray) -> Any:
         calls.append(frame)
         if len(calls) == 3:
             raise KeyboardInterrupt
         return read(self, frame)
 
-    monkeypatch.setattr(Reader, "read", interrupted)
+    monkeypatch.setattr(GoalFilter, "read", interrupted)
     with pytest.raises(ppl.StepwiseInterrupted, match="after 3 frames") as stopped:
         ppl.infer(event, MODEL, workers=1, progress=False)
     assert len(stopped.value.posterior.observed()) == 3

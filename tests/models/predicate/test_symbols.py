@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phase_ppl.agents.agent import Mind
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.symbols import N_FACTS, describe
+from phase_ppl.agents.world_model import WorldModel
 from phase_ppl.models.predicate import FACTOR, Thresholds, symbolic_trajectory
 from phase_ppl.physics import compiled
 from phase_ppl.world.errors import InvalidSettingError
@@ -78,7 +78,7 @@ def test_items_are_in_reach_and_rooms_are_as_for_the_planner() -> None:
     poses[:, :, :2] = rng.uniform([7, 13], [11, 17], (n, 4, 2))  # all in one room
     poses[:, :2, 2] = rng.uniform(-3, 3, (n, 2))
     where = scene(walls=[FULL_WALL_UP])
-    mind = Mind.of(where, (450.0, 450.0), PlannerConfig())
+    model = WorldModel.of(where, (450.0, 450.0), PlannerConfig())
     facts, costs = np.zeros((n, N_FACTS), np.int8), np.zeros(n)
     held = np.full((n, 2), NOTHING)
     bodies = np.array(
@@ -90,7 +90,7 @@ def test_items_are_in_reach_and_rooms_are_as_for_the_planner() -> None:
         ]
     )
     goal = np.array([0, 0, 0, 1])
-    describe(bodies, held, 0, goal, goal, mind.params, mind.ground, facts, costs)
+    describe(bodies, held, 0, goal, goal, model.params, model.layout, facts, costs)
     found = symbolic_trajectory(
         where, Observation(poses), Thresholds(touch_item=GRAB_REACH, lasting=1)
     )
