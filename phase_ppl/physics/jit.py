@@ -45,7 +45,10 @@ class _CheckedFile(IndexDataCacheFile):
         return data + hashlib.sha256(data).digest()
 
     def _load_index(self) -> Any:
-        found = super()._load_index()
+        try:
+            found = super()._load_index()
+        except (ImportError, AttributeError):  # what it was compiled for is no longer there
+            return {}
         if found:
             self._check(self._index_path, len(pickle.dumps(self._version, -1)))
         return found

@@ -29,7 +29,7 @@ BAD = [
     (toys.ends_early, 3, "SimulationError: the simulator ended after 3 of 8 frames"),
     (toys.not_finite, 1, "SimulationError: frame 1 holds a value that is not finite"),
     (toys.wrong_shape, 0, r"SimulationError: frame 0 has shape \(2, 3\), expected \(4, 3\)"),
-    (toys.raises, 1, r"ZeroDivisionError: no way to divide \(toys.py, line \d+\)"),
+    (toys.raises, 1, r"ZeroDivisionError: no way to divide \(toys.py, line \d+, in raises\)"),
     (toys.raises_unprintable, 1, "UnprintableError: .*"),
     (toys.exits, 1, "SystemExit: enough .*"),
     (toys.forgets_to_yield, 0, "SimulationError: the simulator returned None, expected frames.*"),
