@@ -75,13 +75,6 @@ def fresh_seed(seed: int, attempt: int) -> int:
     return int(words[0]) >> 1
 
 
-def failure_error(result: SimulationResult) -> SimulationError:
-    """Return the error that a failed simulation is where it may not fail."""
-    return SimulationError(
-        f"simulation of [{result.hypothesis}] with seed {result.seed} failed: {result.failure}"
-    )
-
-
 class Work(NamedTuple):
     """What all simulations of a runner have in common; sent to a worker once.
 
@@ -100,7 +93,7 @@ class Work(NamedTuple):
         """Run one simulation; arguments as of :func:`simulate_one`."""
         return simulate_one(
             *(self.simulator, self.scene, hypothesis, seed, self.observed_positions),
-            *(error_ceiling,),
+            error_ceiling,
             limit=limit,
             **more,
         )
@@ -201,8 +194,6 @@ class Runner:
                 f"({type(error).__name__}: {error}); workers=1 needs none"
             ) from error
 
-    # --- life ------------------------------------------------------------------------------
-
     def __enter__(self) -> Runner:
         return self
 
@@ -233,8 +224,6 @@ class Runner:
     def n_frames(self) -> int:
         """Frames of a complete simulation."""
         return len(self._work.observed_positions)
-
-    # --- work ------------------------------------------------------------------------------
 
     def run(
         self,
@@ -387,7 +376,10 @@ class Runner:
             statistics.failures += 1
             self._cut |= result.failure == too_long(self.limit)
             if self.on_failure == "raise":
-                raise failure_error(result)
+                raise SimulationError(
+                    f"simulation of [{result.hypothesis}] with seed {result.seed} failed: "
+                    f"{result.failure}"
+                )
             if self._attempts_left:
                 return result
         else:
