@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -32,13 +33,22 @@ pairs = st.sampled_from(
 )
 
 
-def placed(**at: tuple[float, float, float]) -> NDArray[np.float64]:
-    """Return poses with some entities placed and the rest far away."""
-    index = {"red": RED, "green": GREEN, "blue": BLUE_ITEM, "pink": PINK_ITEM}
-    poses = np.array(FAR)
-    for name, where in at.items():
-        poses[index[name]] = where
-    return poses
+class Pair(NamedTuple):
+    """Two entities, the others far away."""
+
+    first: int
+    second: int
+    poses: NDArray[np.float64]
+    radii: NDArray[np.float64]
+
+
+@st.composite
+def placed_pairs(draw: st.DrawFn) -> Pair:
+    first, second = draw(pairs)
+    poses, radii = np.array(FAR), np.ones(4)
+    poses[[first, second]] = draw(pose), draw(pose)
+    radii[[first, second]] = draw(size), draw(size)
+    return Pair(first, second, poses, radii)
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.7, -2.0, 9.0])
@@ -73,44 +83,42 @@ def test_an_item_is_centred_on_its_position() -> None:
     assert centre_of_mass(np.array([1.0, 2.0]), 0.9, 1.6, BLUE_ITEM).tolist() == [1.0, 2.0]
 
 
-def test_items_touch_when_one_enlarged_reaches_the_other() -> None:
-    radii = np.array([1.0, 1.0, 0.8, 1.6])
-    reach = 0.8 + TOUCH_ENLARGEMENT * 1.6
-    assert touches(BLUE_ITEM, PINK_ITEM, placed(blue=(0, 0, 0), pink=(reach - 1e-9, 0, 0)), radii)
-    assert not touches(
-        BLUE_ITEM, PINK_ITEM, placed(blue=(0, 0, 0), pink=(reach + 1e-6, 0, 0)), radii
-    )
-
-
-def test_an_agent_touches_an_item_straight_ahead() -> None:
-    radii = np.array([1.0, 1.0, 0.8, 0.8])
-    # the agent's front lies at R, the item enlarged reaches 1.2 r
-    reach = 1.0 + 1.2 * 0.8
-    assert touches(RED, BLUE_ITEM, placed(red=(0, 0, 0), blue=(0, reach - 1e-9, 0)), radii)
-    assert not touches(RED, BLUE_ITEM, placed(red=(0, 0, 0), blue=(0, reach + 1e-6, 0)), radii)
-
-
-def test_an_item_touches_an_agent_enlarged_about_its_centre_of_mass() -> None:
-    radii = np.array([1.0, 1.0, 0.8, 0.8])
-    # the enlarged front: -1/6 + 1.2 (1 + 1/6) = 37/30
-    reach = -1 / 6 + 1.2 * 7 / 6 + 0.8
-    assert touches(BLUE_ITEM, RED, placed(red=(0, 0, 0), blue=(0, reach - 1e-9, 0)), radii)
-    assert not touches(BLUE_ITEM, RED, placed(red=(0, 0, 0), blue=(0, reach + 1e-6, 0)), radii)
+@pytest.mark.parametrize(
+    ("entity", "other", "radii", "direction", "angle", "reach"),
+    [
+        # one enlarged reaches the other
+        (BLUE_ITEM, PINK_ITEM, [1, 1, 0.8, 1.6], (1, 0), 0, 0.8 + TOUCH_ENLARGEMENT * 1.6),
+        # the agent's front lies at R, the item enlarged reaches 1.2 r
+        (RED, BLUE_ITEM, [1, 1, 0.8, 0.8], (0, 1), 0, 1.0 + 1.2 * 0.8),
+        # the front enlarged about the centre of mass: -1/6 + 1.2 (1 + 1/6) = 37/30
+        (RED, BLUE_ITEM, [1, 1, 0.8, 0.8], (0, 1), 0, None),
+        # backs: own at -1; the other's, enlarged, 1/6 + 1.2 * 5/6 = 7/6 behind its centre
+        (RED, GREEN, [1] * 4, (0, -1), math.pi, 1.0 + (-1 / 6 + 1.2 * 5 / 6 + 1 / 3)),
+    ],
+    ids=["items", "agent with item", "item with agent", "agents back to back"],
+)
+def test_two_touch_up_to_where_the_enlarged_one_reaches(
+    entity: int,
+    other: int,
+    radii: list[float],
+    direction: tuple[int, int],
+    angle: float,
+    reach: float | None,
+) -> None:
+    swapped = reach is None
+    reach = -1 / 6 + 1.2 * 7 / 6 + 0.8 if reach is None else reach
+    for distance, touching in ((reach - 1e-9, True), (reach + 1e-6, False)):
+        poses = np.array(FAR)
+        poses[entity] = 0.0
+        poses[other] = distance * direction[0], distance * direction[1], angle
+        pair = (other, entity) if swapped else (entity, other)
+        assert touches(*pair, poses, np.array(radii)) is touching
 
 
 def test_an_item_inside_an_agent_touches_it() -> None:
-    radii = np.array([1.6, 1.0, 0.1, 0.8])
-    assert touches(RED, BLUE_ITEM, placed(red=(0, 0, 0), blue=(0.1, -0.2, 0)), radii)
-
-
-def test_agents_back_to_back_touch_at_a_small_gap() -> None:
-    radii = np.ones(4)
-    # backs: own at -1; the other's, enlarged, 1/6 + 1.2 * 5/6 = 7/6 behind its centre
-    gap = 1.0 + (-1 / 6 + 1.2 * 5 / 6 + 1 / 3)
-    at = placed(red=(0, 0, 0), green=(0, -gap + 1e-9, math.pi))
-    apart = placed(red=(0, 0, 0), green=(0, -gap - 1e-6, math.pi))
-    assert touches(RED, GREEN, at, radii)
-    assert not touches(RED, GREEN, apart, radii)
+    poses = np.array(FAR)
+    poses[RED], poses[BLUE_ITEM] = 0.0, (0.1, -0.2, 0.0)
+    assert touches(RED, BLUE_ITEM, poses, np.array([1.6, 1.0, 0.1, 0.8]))
 
 
 def contains(
@@ -142,65 +150,35 @@ def found_in_both(
 
 
 @settings(max_examples=150, deadline=None)
-@given(pairs, pose, pose, size, size)
-def test_touch_agrees_with_sampled_points(
-    pair: tuple[int, int],
-    first_pose: tuple[float, float, float],
-    second_pose: tuple[float, float, float],
-    first_size: float,
-    second_size: float,
-) -> None:
-    first, second = pair
-    poses, radii = np.array(FAR), np.ones(4)
-    poses[first], poses[second] = first_pose, second_pose
-    radii[first], radii[second] = first_size, second_size
-    meets = touches(first, second, poses, radii)
-    if found_in_both(first, second, poses, radii, grown=1.0):
+@given(placed_pairs())
+def test_touch_agrees_with_sampled_points(pair: Pair) -> None:
+    meets = touches(*pair)
+    if found_in_both(*pair, grown=1.0):
         assert meets
     if meets:  # a grid misses thin overlaps, not those of shapes a little larger
-        assert found_in_both(first, second, poses, radii, grown=1.1)
+        assert found_in_both(*pair, grown=1.1)
 
 
 @settings(max_examples=100, deadline=None)
-@given(pairs, pose, pose, size, size, pose)
+@given(placed_pairs(), pose)
 def test_touch_does_not_depend_on_where_the_pair_is(
-    pair: tuple[int, int],
-    first_pose: tuple[float, float, float],
-    second_pose: tuple[float, float, float],
-    first_size: float,
-    second_size: float,
-    motion: tuple[float, float, float],
+    pair: Pair, motion: tuple[float, float, float]
 ) -> None:
-    first, second = pair
-    poses, radii = np.array(FAR), np.ones(4)
-    poses[first], poses[second] = first_pose, second_pose
-    radii[first], radii[second] = first_size, second_size
-    moved = poses.copy()
-    moved[:, :2] = poses[:, :2] @ rotation(motion[2]).T + motion[:2]
+    moved = pair.poses.copy()
+    moved[:, :2] = pair.poses[:, :2] @ rotation(motion[2]).T + motion[:2]
     moved[:, 2] += motion[2]
     # a hair larger and smaller, so that rounding cannot decide
-    if touches(first, second, moved, radii):
-        assert shapes_meet(first, second, poses, radii, 1.0001, 1.2001)
+    if touches(*pair._replace(poses=moved)):
+        assert shapes_meet(*pair, 1.0001, 1.2001)
     else:
-        assert not shapes_meet(first, second, poses, radii, 0.9999, 1.1999)
+        assert not shapes_meet(*pair, 0.9999, 1.1999)
 
 
 @settings(max_examples=100, deadline=None)
-@given(pairs, pose, pose, size, size)
-def test_shapes_meet_whichever_is_named_first(
-    pair: tuple[int, int],
-    first_pose: tuple[float, float, float],
-    second_pose: tuple[float, float, float],
-    first_size: float,
-    second_size: float,
-) -> None:
-    first, second = pair
-    poses, radii = np.array(FAR), np.ones(4)
-    poses[first], poses[second] = first_pose, second_pose
-    radii[first], radii[second] = first_size, second_size
-    assert shapes_meet(first, second, poses, radii, 1.0, 1.3) == shapes_meet(
-        second, first, poses, radii, 1.3, 1.0
-    )
+@given(placed_pairs())
+def test_shapes_meet_whichever_is_named_first(pair: Pair) -> None:
+    turned = pair._replace(first=pair.second, second=pair.first)
+    assert shapes_meet(*pair, 1.0, 1.3) == shapes_meet(*turned, 1.3, 1.0)
 
 
 def test_on_a_landmark_means_centre_inside_its_square() -> None:

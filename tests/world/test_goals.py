@@ -24,44 +24,17 @@ from phase_ppl.world.hypothesis import ALPHAS
 from phase_ppl.world.names import AGENTS, GREEN, RED, STOP, Literal, Predicate
 from tests.world.examples import DEV, needs_dev
 
-PAPER = """
-Get blue item to blue lm
-Get blue item to green lm
-Get blue item to red lm
-Get blue item to yellow lm
-Get blue item away from blue lm
-Get blue item away from green lm
-Get blue item away from red lm
-Get blue item away from yellow lm
-Get green agent to blue lm
-Get green agent to green lm
-Get green agent to red lm
-Get green agent to yellow lm
-Get green agent away from blue lm
-Get green agent away from green lm
-Get green agent away from red lm
-Get green agent away from yellow lm
-Get pink item to blue lm
-Get pink item to green lm
-Get pink item to red lm
-Get pink item to yellow lm
-Get pink item away from blue lm
-Get pink item away from green lm
-Get pink item away from red lm
-Get pink item away from yellow lm
-Get red agent to blue lm
-Get red agent to green lm
-Get red agent to red lm
-Get red agent to yellow lm
-Get red agent away from blue lm
-Get red agent away from green lm
-Get red agent away from red lm
-Get red agent away from yellow lm
-get away from green agent
-get away from red agent
-get to green agent
-get to red agent
-""".strip().split("\n")
+PAPER = [
+    *(
+        f"Get {who} {way} {colour} lm"
+        for who in ("blue item", "green agent", "pink item", "red agent")
+        for way in ("to", "away from")
+        for colour in ("blue", "green", "red", "yellow")
+    ),
+    *("get away from green agent", "get away from red agent"),
+    *("get to green agent", "get to red agent"),
+]
+"""In the order of the published data (see below)."""
 
 
 def test_the_goals_are_the_papers_36_strings() -> None:
@@ -150,19 +123,20 @@ def test_effective_goals_of_all_pairs(alpha: tuple[int, int]) -> None:
         assert [GOALS[g] for g in effective_goals(red, green, alpha)] == expected
 
 
-def test_helper_of_an_agent_that_gets_to_it_gets_to_that_agent() -> None:
-    red, green = effective_goals("Get red agent to red lm", "get to red agent", (1, 0))
-    assert (GOALS[red], GOALS[green]) == ("get to green agent", "get to red agent")
-
-
-def test_who_hinders_a_pursuer_flees_from_it() -> None:
-    red, green = effective_goals("get to green agent", "Get pink item to red lm", (0, -1))
-    assert (GOALS[red], GOALS[green]) == ("get to green agent", "get away from red agent")
-
-
-def test_who_hinders_a_fugitive_pursues_it() -> None:
-    red, green = effective_goals("get to green agent", "get away from red agent", (-1, 0))
-    assert (GOALS[red], GOALS[green]) == ("get to green agent", "get away from red agent")
+@pytest.mark.parametrize(
+    ("red", "green", "alpha", "effective"),
+    [
+        ("Get red agent to red lm", "get to red agent", (1, 0), "get to red agent"),
+        ("get to green agent", "Get pink item to red lm", (0, -1), "get away from red agent"),
+        ("get to green agent", "get away from red agent", (-1, 0), "get away from red agent"),
+    ],
+    ids=["a helper comes to meet", "who hinders a pursuer flees", "who hinders a fugitive pursues"],
+)
+def test_of_goals_about_each_other_the_view_is_turned_round(
+    red: str, green: str, alpha: tuple[int, int], effective: str
+) -> None:
+    found = effective_goals(red, green, alpha)
+    assert [GOALS[goal] for goal in found] == ["get to green agent", effective]
 
 
 def test_neighbouring_goals_differ_in_one_thing() -> None:
