@@ -335,10 +335,11 @@ class HiddenState:
         held = np.empty((n, len(AGENTS)), np.int64)
         weld = np.empty((n, len(AGENTS), 3))
         done = np.column_stack([red, green]).astype(np.int64)
+        params, scratch, trial = self._spaces[0]
         inverse.follow(
             *(beam.bodies, beam.held, beam.weld, self._pairs[beam.pair]),
             *(parents.astype(np.int64), done, observed, gains),
-            *(*self._spaces[0], bodies, held, weld),
+            *(params, scratch, trial, bodies, held, weld),
         )
         pair = beam.pair[parents]
         rows, mass = self._merged(bodies, held, pair, flat.ravel()[chosen])

@@ -84,24 +84,21 @@ def test_items_can_be_grabbed_from_less_than_half_a_unit_beyond_their_radius(
     assert engine.state.held[0] == (2 if grabs else NOTHING)
 
 
-def test_nearest_item_is_grabbed(world: Any, make_scene: Any) -> None:
-    scene = make_scene({0: (16, 12), 2: at_point(2, 2.0), 3: at_point(3, 1.9)})
-    assert world(scene, (450.0, 450.0)).find_grab(0) == (3, 3)
-
-
-def test_nearness_is_measured_to_centres_so_that_a_large_item_can_lose(
-    world: Any, make_scene: Any
+@pytest.mark.parametrize(
+    ("items", "sizes", "found"),
+    [
+        ({2: at_point(2, 2.0), 3: at_point(3, 1.9)}, {}, (3, 3)),
+        # to centres: the large item's rim is nearer than the small one's
+        ({2: at_point(2, 2.6), 3: at_point(3, 2.0)}, {2: 1.6}, (3, 3)),
+        ({2: [17.3, 12.9]}, {}, (2, 2)),
+        ({2: [16.9, 13.3]}, {}, (2, 0)),
+    ],
+)
+def test_the_nearest_item_is_grabbed_at_the_nearest_point(
+    world: Any, make_scene: Any, items: Any, sizes: Any, found: tuple[int, int]
 ) -> None:
-    # the large item's rim is nearer than the small one's
-    scene = make_scene({0: (16, 12), 2: at_point(2, 2.6), 3: at_point(3, 2.0)}, {2: 1.6})
-    assert world(scene, (450.0, 450.0)).find_grab(0) == (3, 3)
-
-
-def test_nearest_grab_point_is_used(world: Any, make_scene: Any) -> None:
-    engine = world(make_scene({0: (16, 12), 2: (17.3, 12.9)}), (450.0, 450.0))
-    assert engine.find_grab(0) == (2, 2)
-    engine = world(make_scene({0: (16, 12), 2: (16.9, 13.3)}), (450.0, 450.0))
-    assert engine.find_grab(0) == (2, 0)
+    scene = make_scene({0: (16, 12), **items}, sizes)
+    assert world(scene, (450.0, 450.0)).find_grab(0) == found
 
 
 def test_attach_out_of_reach_does_nothing(world: Any, make_scene: Any) -> None:
