@@ -290,9 +290,7 @@ def test_a_simulator_defined_in_a_script_runs_on_workers_without_a_guard(tmp_pat
     assert lines[0].endswith("None None")
 
 
-@pytest.mark.parametrize(
-    ("module", "heavy"), [("runner", {*HEAVY, "numba"}), ("joint", HEAVY), ("simulate", HEAVY)]
-)
+@pytest.mark.parametrize(("module", "heavy"), [("runner", {*HEAVY, "numba"}), ("joint", HEAVY)])
 def test_simulating_imports_none_of_the_inference_libraries(module: str, heavy: set[str]) -> None:
     text = f"import sys, phase_ppl.simulator.{module}; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", text], cwd=ROOT, capture_output=True, text=True)
