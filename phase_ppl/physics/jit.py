@@ -97,7 +97,7 @@ class KernelCache(FunctionCache):
 
 
 def _compiled(function: Function, **options: Any) -> Function:
-    compiled: Any = numba.njit(nogil=True, error_model="numpy", _nrt=False, **options)(function)
+    compiled: Any = numba.njit(nogil=True, error_model="numpy", **options)(function)
     # without a writable place for a cache every process compiles for itself
     with contextlib.suppress(RuntimeError):
         compiled._cache = KernelCache(function)
@@ -115,9 +115,9 @@ def bare_kernel(function: Function) -> Function:
     the arithmetic. Such a function cannot allocate, which rules out slice-to-slice copies too
     (``a[i] = b[j]`` on rows needs a loop), and must not return an array.
     """
-    return _compiled(function)
+    return _compiled(function, _nrt=False)
 
 
 def inlined_kernel(function: Function) -> Function:
     """As ``bare_kernel``, compiled into its callers: handing over a large tuple takes time too."""
-    return _compiled(function, forceinline=True)
+    return _compiled(function, _nrt=False, forceinline=True)
