@@ -337,9 +337,20 @@ class HiddenState:
         done = np.column_stack([red, green]).astype(np.int64)
         params, scratch, trial = self._spaces[0]
         inverse.follow(
-            *(beam.bodies, beam.held, beam.weld, self._pairs[beam.pair]),
-            *(parents.astype(np.int64), done, observed, gains),
-            *(params, scratch, trial, bodies, held, weld),
+            beam.bodies,
+            beam.held,
+            beam.weld,
+            self._pairs[beam.pair],
+            parents.astype(np.int64),
+            done,
+            observed,
+            gains,
+            params,
+            scratch,
+            trial,
+            bodies,
+            held,
+            weld,
         )
         pair = beam.pair[parents]
         rows, mass = self._merged(bodies, held, pair, flat.ravel()[chosen])
