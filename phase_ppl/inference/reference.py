@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, NamedTuple, TypeAlias
 
@@ -26,14 +27,11 @@ from numpy.typing import NDArray
 from phase_ppl.analysis.measures import COMPARED, Marginals, distances, marginals
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.quantities import relation_codes
-from phase_ppl.inference.contenders import Contender, Spec, contender
-from phase_ppl.inference.settings import (
-    Budget,
-    FrameBudget,
-    SimpleSettings,
-    described_budget,
-)
+from phase_ppl.inference.entries import Entry, Spec, entry
+from phase_ppl.inference.settings import Budget, SimpleSettings
+from phase_ppl.inference.stepwise import filter_event
 from phase_ppl.models.effective import log_prior_of_effective
+from phase_ppl.models.likelihood import gives_table
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import MAX_SEED, EventProgram, event_salt
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, SELF_REFERRING, STRENGTH_SITES
@@ -149,7 +147,8 @@ def enumerate_goals(
     usable = np.array([result.completed for result in results])
     if not usable.any():
         raise SimulationError(f"no simulation was completed; the first: {results[0].failure}")
-    log_likelihood = np.asarray(model.likelihood.log_prob(np.where(usable[:, None], errors, 0.0)))
+    by_frame = model.error_likelihood.log_prob(np.where(usable[:, None], errors, 0.0))
+    log_likelihood = np.asarray(by_frame)
     log_mass = np.where(usable, log_likelihood.sum(axis=1), -np.inf).reshape(which.shape)
     log_mass += np.take_along_axis(plan.log_prior, which, axis=1)
     return of_masses(plan.pairs, log_mass, usable.reshape(which.shape))
@@ -238,8 +237,8 @@ class Reference:
 
     given: Posterior | None
     enumeration: bool
-    kernel: Contender | None
-    budget: Any
+    kernel: Entry | None
+    budget: Budget
     weights: str
     per_pair: int = PER_PAIR
 
@@ -248,7 +247,7 @@ class Reference:
         cls,
         reference: Posterior | Spec | None,
         event: Event,
-        budget: Any,
+        budget: Budget,
         chains: int,
         settings: SimpleSettings,
         weights: str,
@@ -269,20 +268,12 @@ class Reference:
             return cls(None, True, None, budget, weights)
         if isinstance(reference, tuple) and reference[:1] == (ENUMERATION,):
             return cls(None, True, None, budget, weights, _per_pair(reference))
-        long = budget
-        if dataclasses.is_dataclass(budget) and not isinstance(budget, type):
-            numbers = dataclasses.asdict(budget)
-            long = dataclasses.replace(budget, **{k: LONG * v for k, v in numbers.items()})
+        long = dataclasses.replace(budget, amount=LONG * budget.amount)
         spec = LONG_RUN if reference is None else reference
-        run = contender("reference", spec, chains, settings, own_length=True)
+        run = entry("reference", spec, chains, settings, own_length=True)
         if not run.length:
             run = dataclasses.replace(run, length={"budget": long})
         return cls(None, reference is None, run, long, weights)
-
-    @property
-    def contenders(self) -> list[Contender]:
-        """The kernel that may have to run."""
-        return [] if self.kernel is None else [self.kernel]
 
     def record(self) -> Any:
         """Return what was asked for, as a file keeps it."""
@@ -324,6 +315,10 @@ def reference_of(
         post = asked.given
         words = f"a given posterior ({post.tree.attrs['kernel']}, weights {post.weights})"
         return _entry(words, marginals(post), int(post.cost["simulations"]), _halves_of(post))
+    if asked.enumeration and gives_table(model.likelihood):
+        table = filter_event(event, model, seed=seed, threads=workers, progress=False)
+        found = {name: table.marginal(name).values for name in COMPARED}
+        return _entry("the sum over a table of all hypotheses", found, 0, [])
     if asked.enumeration:
         plan = plan_enumeration(model, seed)
         if asked.kernel is None or _affordable(plan, asked, event):
@@ -332,7 +327,7 @@ def reference_of(
     run_seed = int(np.random.SeedSequence([seed, 2**31]).generate_state(1)[0])
     post = asked.kernel.run(event, model, asked.budget, run_seed, workers)
     post = Posterior(post.tree, asked.weights)
-    length = ", ".join(described_budget(value) for value in asked.kernel.length.values())
+    length = ", ".join(str(value) for value in asked.kernel.length.values())
     words = (
         f"{asked.kernel.info.name}, {length}, weights {asked.weights}; its error is known as far "
         "as its chains have mixed"
@@ -342,9 +337,9 @@ def reference_of(
 
 def _affordable(plan: Plan, asked: Reference, event: Event) -> bool:
     simulations = len(plan.pairs) * asked.per_pair
-    if isinstance(asked.budget, FrameBudget):
-        return simulations * event.observation.n_frames <= asked.budget.frames
-    return isinstance(asked.budget, Budget) and simulations <= asked.budget.simulations
+    frames = simulations * event.observation.n_frames
+    needed = {"simulations": simulations, "frames": frames, "seconds": math.inf}
+    return needed[asked.budget.unit] <= asked.budget.amount
 
 
 def _enumerated(

@@ -1,17 +1,18 @@
-"""The posterior of a whole video, by reading it step by step under all hypotheses."""
+"""Filtering a video under all hypotheses at once: frame by frame, or the whole of it."""
 
 from __future__ import annotations
 
 import functools
 import json
+import math
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final, Self
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 import phase_ppl
 from phase_ppl.agents.config import PlannerConfig
@@ -22,17 +23,18 @@ from phase_ppl.analysis.stepwise_table import (
     STRENGTHS,
     log_prior_of_pairs,
 )
-from phase_ppl.closed_loop.reader import Reader, Reading
+from phase_ppl.closed_loop.reader import Reading
 from phase_ppl.inference.runs.progress import counted, is_shown
 from phase_ppl.models.model import Model
-from phase_ppl.models.stepwise import StepwiseLikelihood, prior_table
+from phase_ppl.models.stepwise import StepwiseLikelihood, level_of, prior_table
 from phase_ppl.physics.actions import ACTION_NAMES
+from phase_ppl.simulator.contract import Cancelled, SimulationResult, Statistics
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import instance_of, number_of_workers, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import GOALS, N_GOALS
-from phase_ppl.world.hypothesis import ALPHAS
+from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
 from phase_ppl.world.names import AGENTS, ENTITIES, NOTHING
 from phase_ppl.world.observation import FRAMES_PER_SECOND, SHOWN_SECONDS_PER_FRAME
 from phase_ppl.world.scene import Scene, check_inside, finite_array
@@ -76,16 +78,8 @@ class Watch:
         self.threads = number_of_workers(threads, "threads")
         levels = likelihood.tracking.strengths
         self._prior = _prior_table(self.model.prior, levels)
-        self._reader = Reader(
-            scene,
-            planner,
-            likelihood.tracking,
-            likelihood.conduct,
-            self._seed,
-            self.threads,
-            likelihood.planner_seeds,
-            likelihood.weight,
-            log_prior_of_pairs(self._prior),
+        self._reader = likelihood.filter(
+            scene, planner, self._seed, self.threads, log_prior_of_pairs(self._prior)
         )
         self._frames: list[FloatArray] = []
         self._torn = False  # a frame was begun and not finished
@@ -166,6 +160,12 @@ class Watch:
         }
         scene = self._scene
         likelihood, n = self._likelihood, len(readings)
+        settings = {
+            "model": self.model.fingerprint(),
+            "likelihood": likelihood.to_dict(),
+            "seed": self._seed,
+            "turning": scene.turning,
+        }
         cost = {
             "searches": sum(one.searches for one in readings),
             "frames": n,
@@ -196,21 +196,13 @@ class Watch:
                 "schema": SCHEMA,
                 "event_id": self._event_id,
                 "weight": float(likelihood.weight),
-                "settings": json.dumps(self._settings(), default=repr),
+                "settings": json.dumps(settings, default=repr),
                 "cost": json.dumps(cost),
                 "turning": scene.turning,
                 "landmark_half_width": float(scene.landmark_half_width),
                 "version": phase_ppl.__version__,
             },
         )
-
-    def _settings(self) -> dict[str, Any]:
-        return {
-            "model": self.model.fingerprint(),
-            "likelihood": self._likelihood.to_dict(),
-            "seed": self._seed,
-            "turning": self._scene.turning,
-        }
 
 
 def watch(
@@ -255,7 +247,7 @@ def _prior_table(prior: Any, strengths: tuple[float, ...]) -> FloatArray:
     return table
 
 
-# --- the posterior of a whole video, by reading it step by step under all hypotheses --------------
+# --- the whole video ------------------------------------------------------------------------------
 
 _TIMED: Final = 10
 """Frames after which the time of all is estimated."""
@@ -277,7 +269,7 @@ class StepwiseInterrupted(KeyboardInterrupt):
         self.posterior = posterior
 
 
-def read_event(
+def filter_event(
     event: Event,
     model: Model,
     *,
@@ -311,9 +303,7 @@ def read_event(
         return watch.posterior()
 
 
-def _timed(
-    frames: list[NDArray[np.float64]], progress: bool | None
-) -> Iterator[NDArray[np.float64]]:
+def _timed(frames: list[FloatArray], progress: bool | None) -> Iterator[FloatArray]:
     """Yield the frames, and say on stderr how long all of them will take."""
     if progress is False or is_shown(progress):
         yield from counted(frames, progress, "frame", "reading")
@@ -328,3 +318,81 @@ def _timed(
                     file=sys.stderr,
                 )
         yield frame
+
+
+# --- for kernels that sample ----------------------------------------------------------------------
+
+
+class TableRunner:
+    """Answers a kernel's requests from a table over all hypotheses; nothing is simulated.
+
+    The error of a frame is by how many nats, times the likelihood's weight, the best pair of goals
+    explains it better; that of the first frame tells the same of the strengths, each of which
+    counts as the nearest that was followed, as in the prior of the table. The "trajectory" is the
+    observed one, on which every frame is conditioned. Nothing is random, so seeds make no
+    difference, and nothing is stopped early.
+
+    Args:
+        post: of the whole video.
+
+    Attributes:
+        statistics, workers, on_failure, retries, on_result, limit, patience, deadline: as of a
+            :class:`~phase_ppl.simulator.runner.Runner`; nothing takes long enough for the latter.
+    """
+
+    workers, on_failure, retries = 1, "reject", 0
+
+    def __init__(self, post: StepwisePosterior) -> None:
+        found = post.dataset
+        likelihood = found["log_likelihood"].values
+        worst = likelihood.max(axis=(1, 2), keepdims=True) - likelihood
+        self._errors = float(found.attrs["weight"]) * worst
+        self._levels = found["strength_red"].values
+        with np.errstate(divide="ignore"):
+            strengths = np.log(found["strengths"].values[-1])
+        self._strength_errors = strengths.max() - strengths
+        self._trajectory = np.array(found["trajectory"].values)
+        self._cancelled = False
+        self.statistics = Statistics()
+        self.on_result: Callable[[SimulationResult], None] | None = None
+        self.limit = self.patience = self.deadline = math.inf
+
+    def cancel(self) -> None:
+        """Make :meth:`run` raise from now on."""
+        self._cancelled = True
+
+    close = cancel
+
+    def run(
+        self,
+        hypotheses: Sequence[Hypothesis],
+        seeds: Sequence[int],
+        error_ceilings: Sequence[float] | None = None,
+    ) -> list[SimulationResult]:
+        """Return what the table says of each hypothesis, in order; the same of identical requests.
+
+        Raises:
+            Cancelled: :meth:`cancel` was called.
+        """
+        if self._cancelled:
+            raise Cancelled("the run was cancelled")
+        requests = [(h, int(seed)) for h, seed in zip(hypotheses, seeds, strict=True)]
+        done = {request: self._look_up(*request) for request in dict.fromkeys(requests)}
+        for result in done.values():
+            self.statistics.simulations += 1
+            self.statistics.frames += result.frames_simulated
+            self.statistics.failures += result.failure is not None
+            if self.on_result is not None:
+                self.on_result(result)
+        return [done[request] for request in requests]
+
+    def _look_up(self, hypothesis: Hypothesis, seed: int) -> SimulationResult:
+        red, green = hypothesis.effective_goals
+        errors = self._errors[:, red, green].copy()
+        place = [level_of(newtons, self._levels) for newtons in hypothesis.strengths]
+        errors[0] += self._strength_errors[place[0], place[1]]
+        n = len(errors)
+        if not np.isfinite(errors).all():
+            reason = "impossible given what was seen"
+            return SimulationResult.failed(hypothesis, seed, n, reason)
+        return SimulationResult(hypothesis, seed, self._trajectory, errors, n, True)

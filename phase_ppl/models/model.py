@@ -24,7 +24,13 @@ from phase_ppl.models.density import (
     latent_sites,
     log_density,
 )
-from phase_ppl.models.likelihood import Likelihood, RadialLikelihood
+from phase_ppl.models.likelihood import (
+    InNats,
+    RadialLikelihood,
+    TableLikelihood,
+    TrajectoryLikelihood,
+    gives_table,
+)
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, HYPOTHESIS_SITES, STRENGTH_SITES
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.goals import N_GOALS
@@ -306,7 +312,8 @@ class Model:
             name of a ready-made one (:mod:`phase_ppl.models.priors`).
         simulator: generator function ``(scene, hypothesis, rng)`` of frames; None for the joint
             simulator of the paper (Algorithm 1).
-        likelihood: of a trajectory, from its per-frame errors.
+        likelihood: one that compares a simulation with the video, or one that gives a table over
+            hypotheses (:mod:`phase_ppl.models.likelihood`).
         planner: "fast", "paper" or a ``PlannerConfig`` for the joint simulator; None: "fast".
         noise: "fresh", a new simulator seed per proposal, so that the posterior is that of the
             mean likelihood over seeds; or "fixed", one seed per event and hypothesis: a
@@ -320,7 +327,9 @@ class Model:
 
     prior: _PriorField = _PriorField()
     simulator: Simulator | None = None
-    likelihood: Likelihood = dataclasses.field(default_factory=RadialLikelihood)
+    likelihood: TrajectoryLikelihood | TableLikelihood = dataclasses.field(
+        default_factory=RadialLikelihood
+    )
     planner: str | PlannerConfig | None = None
     noise: Noise = "fresh"
 
@@ -338,7 +347,8 @@ class Model:
             raise InvalidSettingError(
                 "planner applies to the joint simulator, but the model has a simulator of its own"
             )
-        if not all(hasattr(self.likelihood, name) for name in ("log_prob", "max_total_error")):
+        compares = all(hasattr(self.likelihood, n) for n in ("log_prob", "max_total_error"))
+        if not compares and not gives_table(self.likelihood):
             raise InvalidSettingError(
                 f"likelihood={self.likelihood!r} lacks log_prob or max_total_error"
             )
@@ -348,6 +358,11 @@ class Model:
     def sites(self) -> dict[str, tuple[int, ...]]:
         """Latent sites of the prior with their shapes."""
         return checked_sites(self.prior)
+
+    @property
+    def error_likelihood(self) -> TrajectoryLikelihood:
+        """What kernels weigh per-frame errors by."""
+        return InNats() if gives_table(self.likelihood) else self.likelihood
 
     def _planner_config(self) -> PlannerConfig:
         from phase_ppl.agents.config import PlannerConfig

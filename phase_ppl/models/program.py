@@ -55,6 +55,7 @@ class EventProgram:
         salt: jax.Array | int = 0,
     ) -> None:
         self.model = model
+        self.likelihood = model.error_likelihood
         self.bridge = bridge
         self.n_frames = n_frames
         self.salt = salt
@@ -65,7 +66,7 @@ class EventProgram:
         sites = {name: site["value"] for name, site in latent_sites(trace).items()}
         errors = self.simulate(sites, trace_log_density(trace), seed, error_ceiling)
         numpyro.deterministic("step_error", errors)
-        numpyro.factor("trajectory", self.model.likelihood.log_prob(errors).sum())
+        numpyro.factor("trajectory", self.likelihood.log_prob(errors).sum())
 
     def draw_prior(self, key: jax.Array) -> dict[str, jax.Array]:
         """Return a hypothesis, with any further sites, from the prior."""
@@ -77,7 +78,7 @@ class EventProgram:
 
     def log_likelihood(self, step_error: jax.Array) -> jax.Array:
         """Return (time,) the log density of each observed frame."""
-        return self.model.likelihood.log_prob(step_error)
+        return self.likelihood.log_prob(step_error)
 
     def relative_log_likelihood(self, step_error: jax.Array) -> jax.Array:
         """Return the log density of the observation less that of no error at all.

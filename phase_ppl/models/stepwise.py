@@ -9,21 +9,19 @@ no noise of simulations in it but the planner's own, and all pairs of goals are 
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.closed_loop.hidden_state import Tracking
-from phase_ppl.closed_loop.reader import Conduct
+from phase_ppl.closed_loop.reader import Conduct, Reader
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import nonnegative_number, positive_number, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_RANGE
-
-_Array = TypeVar("_Array")
-
-STRENGTH_SITES: Final = ("strength_red", "strength_green")
+from phase_ppl.world.scene import Scene
 
 _NODES: Final = 4
 """At which a continuous prior is evaluated in the cell of each level of strength."""
@@ -92,36 +90,35 @@ class StepwiseLikelihood:
         """How agents act on their plans."""
         return Conduct(self.sharpness, self.lapse, self.leave, self.resume)
 
-    # Kernels that sample see the likelihood as an error per frame: by how much, in nats, another
-    # hypothesis explains it better.
+    def filter(
+        self, scene: Scene, planner: PlannerConfig, seed: int, threads: int, log_prior: FloatArray
+    ) -> Reader:
+        """Return what gives a table over hypotheses for every frame.
 
-    def log_prob(self, errors: _Array) -> _Array:
-        """Return the log likelihood of each frame, up to a constant, from its error in nats."""
-        result: _Array = -errors  # type: ignore[operator]
-        return result
-
-    def max_total_error(self, log_floor: _Array, n_frames: int) -> _Array:
-        """Return the summed error at which the log likelihood is ``log_floor``."""
-        result: _Array = -log_floor  # type: ignore[operator]
-        return result
+        See :class:`~phase_ppl.models.likelihood.TableLikelihood`.
+        """
+        return Reader(
+            *(scene, planner, self.tracking, self.conduct, seed, threads),
+            *(self.planner_seeds, self.weight, log_prior),
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return the settings as plain data."""
         return dataclasses.asdict(self)
 
 
-def cells(levels: NDArray[np.float64]) -> NDArray[np.float64]:
+def cells(levels: FloatArray) -> FloatArray:
     """Return (level + 1,) the bounds, in newtons, between which each level is the nearest one."""
     between = (levels[1:] + levels[:-1]) / 2
     return np.concatenate([STRENGTH_RANGE[:1], between, STRENGTH_RANGE[1:]])
 
 
-def level_of(strength: float, levels: NDArray[np.float64]) -> int:
+def level_of(strength: float, levels: FloatArray) -> int:
     """Return the place of the level that stands for a strength: that of its cell."""
     return int(np.searchsorted(cells(levels)[1:-1], strength))
 
 
-def prior_table(prior: Any, strengths: NDArray[np.float64]) -> NDArray[np.float64]:
+def prior_table(prior: Any, strengths: FloatArray) -> FloatArray:
     """Return log prior masses of goals, alpha and levels of strength, their sum 1.
 
     A level stands for all strengths nearer to it than to any other and has their mass: with
@@ -140,6 +137,7 @@ def prior_table(prior: Any, strengths: NDArray[np.float64]) -> NDArray[np.float6
     """
     from phase_ppl.models.density import NO_DENSITY
     from phase_ppl.models.effective import log_prior_of_hypotheses
+    from phase_ppl.models.sites import STRENGTH_SITES
 
     nodes = [_nodes(prior, name, strengths) for name in STRENGTH_SITES]
     shape = (N_GOALS, N_GOALS, len(ALPHAS), *(len(values) for values, _ in nodes))
@@ -174,9 +172,7 @@ def prior_table(prior: Any, strengths: NDArray[np.float64]) -> NDArray[np.float6
         return np.asarray(np.log(masses / masses.sum()))
 
 
-def _nodes(
-    prior: Any, name: str, levels: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _nodes(prior: Any, name: str, levels: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return strengths at which to evaluate a prior, and the newtons that each stands for."""
     import jax
     from numpyro import handlers

@@ -14,8 +14,8 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.analysis.measures import distances
-from phase_ppl.inference import contenders as contenders_module
-from phase_ppl.inference.contenders import contenders
+from phase_ppl.inference import entries as entries_module
+from phase_ppl.inference.entries import entries
 from phase_ppl.inference.reference import (
     Reference,
     enumerate_goals,
@@ -172,7 +172,7 @@ def counted(monkeypatch: pytest.MonkeyPatch, stop_at: int | None = None) -> list
         calls.append(options["kernel"])
         return ppl.infer(*args, **options)
 
-    monkeypatch.setattr(contenders_module, "infer", infer)
+    monkeypatch.setattr(entries_module, "infer", infer)
     return calls
 
 
@@ -327,7 +327,7 @@ def test_reference_of_another_event_is_refused(reference: ppl.Posterior) -> None
 
 
 def test_chains_of_ones_own_are_an_option() -> None:
-    (pairs,) = contenders({"pairs": (even_only, {"chains": 6})}, 5, ppl.SimpleSettings())
+    (pairs,) = entries({"pairs": (even_only, {"chains": 6})}, 5, ppl.SimpleSettings())
     pairs.check(EVENT, MODEL, ppl.simulations(24))
     assert pairs.record()["chains"] == 6
 

@@ -17,7 +17,7 @@ import xarray as xr
 import phase_ppl as ppl
 from phase_ppl.analysis.tree import simulation_of_draw
 from phase_ppl.inference.kernels.generic_mh import PriorMH
-from phase_ppl.inference.runs import chains, session
+from phase_ppl.inference.runs import run, sampler
 from phase_ppl.simulator.contract import Cancelled, SimulationResult
 from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
@@ -166,9 +166,9 @@ def test_more_iterations_continue_the_same_chains(post: ppl.Posterior) -> None:
 
 
 def test_events_of_one_length_share_the_compiled_programs(post: ppl.Posterior) -> None:
-    compiled = chains._compiled_once.cache_info().misses
+    compiled = run.compiled_once.cache_info().misses
     infer(seed=12)
-    assert chains._compiled_once.cache_info().misses == compiled
+    assert run.compiled_once.cache_info().misses == compiled
 
 
 def test_budget_takes_the_place_of_iterations() -> None:
@@ -252,7 +252,7 @@ def disturb(monkeypatch: pytest.MonkeyPatch, change: Change) -> None:
             results = super().run(hypotheses, seeds, error_ceilings)
             return change(self.calls, self, results) or results
 
-    monkeypatch.setattr(session, "Runner", Disturbed)
+    monkeypatch.setattr(sampler, "Runner", Disturbed)
 
 
 def interrupt_in(call: int) -> Change:
