@@ -39,6 +39,9 @@ __all__ = [
 CHAINS: Final = 15
 """M, the paper's number of particles."""
 
+_ALSO_FOR_READING: Final = ("workers", "progress", "versions", "began")
+"""Options of a run that a video read step by step has a use for."""
+
 
 def infer(
     event: Event,
@@ -124,19 +127,6 @@ def infer(
     The last two carry what was done until then as ``posterior``, as any error does that ends a
     run; None where the initial particles were not complete.
     """
-    given = {
-        "chains": None if chains == CHAINS else chains,
-        "iterations": iterations,
-        "budget": budget,
-        "executor": executor,
-        "on_failure": None if on_failure == "reject" else on_failure,
-        "retries": retries,
-        "simulation_seconds": simulation_seconds,
-        "checkpoint": checkpoint,
-        "settings": settings,
-        "burn_in": burn_in,
-        **kernel_options,
-    }
     options = RunOptions(
         iterations=iterations,
         budget=budget,
@@ -149,11 +139,13 @@ def infer(
         checkpoint=checkpoint,
         burn_in=burn_in,
     )
+    given = {**vars(options), "chains": chains, "settings": settings, **kernel_options}
     settings = SimpleSettings() if settings is None else settings
     model = _complete_model(model, planner, settings)
     if kernel is None and gives_table(model.likelihood):
+        usual = {**vars(RunOptions()), "chains": CHAINS}
         for name, value in given.items():
-            if value is not None:
+            if name not in _ALSO_FOR_READING and value != usual.get(name):
                 raise InvalidSettingError(
                     f"{name}={value!r} is for sampling: a stepwise likelihood is summed over all "
                     "hypotheses, unless a kernel is named"

@@ -15,7 +15,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple, TypeAlias
 
 import jax
@@ -35,7 +35,6 @@ from phase_ppl.models.likelihood import gives_table
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import MAX_SEED, EventProgram, event_salt
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, SELF_REFERRING, STRENGTH_SITES
-from phase_ppl.simulator.contract import SimulationResult
 from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import whole_number
@@ -110,7 +109,6 @@ def enumerate_goals(
     per_pair: int = PER_PAIR,
     seed: int = 0,
     workers: int | None = None,
-    on_result: Callable[[SimulationResult], None] | None = None,
 ) -> Enumeration:
     """Return the posterior of the effective goals by simulating all of them.
 
@@ -122,7 +120,6 @@ def enumerate_goals(
             an even number, at most 32.
         seed: a whole number >= 0.
         workers: processes; by default one per usable core.
-        on_result: called after each simulation.
 
     Raises:
         InvalidSettingError: ``per_pair`` is another number.
@@ -138,10 +135,8 @@ def enumerate_goals(
         for draw in draws
     ]
     seeds = _seeds(event, model, hypotheses, seed)
-    with Runner(
-        model.build_simulator(), event.scene, event.observation, workers=workers,
-        on_result=on_result,
-    ) as runner:  # fmt: skip
+    simulator = model.build_simulator()
+    with Runner(simulator, event.scene, event.observation, workers=workers) as runner:
         results = runner.run(hypotheses, seeds)
     errors = np.array([result.errors for result in results])
     usable = np.array([result.completed for result in results])
@@ -207,8 +202,6 @@ def _seeds(event: Event, model: Model, hypotheses: list[Hypothesis], seed: int) 
     seeds = jax.jit(jax.vmap(program.simulator_seed, in_axes=(None, 0)))(random.key(0), sites)
     return [int(value) for value in np.asarray(seeds)]
 
-
-# --- what the kernels of a comparison are measured against ----------------------------------------
 
 Halves: TypeAlias = tuple[Marginals, Marginals]
 """What two halves of the same simulations say."""
@@ -311,28 +304,46 @@ def reference_of(
     of what all chains have in common, such as what none of them has found. None where there are no
     halves.
     """
-    if asked.given is not None:
-        post = asked.given
-        words = f"a given posterior ({post.tree.attrs['kernel']}, weights {post.weights})"
-        return _entry(words, marginals(post), int(post.cost["simulations"]), _halves_of(post))
     if asked.enumeration and gives_table(model.likelihood):
         table = filter_event(event, model, seed=seed, threads=workers, progress=False)
-        found = {name: table.marginal(name).values for name in COMPARED}
-        return _entry("the sum over a table of all hypotheses", found, 0, [])
+        return {
+            "description": "the sum over a table of all hypotheses",
+            "marginals": {name: table.marginal(name).values for name in COMPARED},
+            "simulations": 0,
+            "error": None,
+        }
     if asked.enumeration:
         plan = plan_enumeration(model, seed)
         if asked.kernel is None or _affordable(plan, asked, event):
-            return _enumerated(event, model, plan, asked.per_pair, seed, workers)
-    assert asked.kernel is not None
-    run_seed = int(np.random.SeedSequence([seed, 2**31]).generate_state(1)[0])
-    post = asked.kernel.run(event, model, asked.budget, run_seed, workers)
-    post = Posterior(post.tree, asked.weights)
-    length = ", ".join(str(value) for value in asked.kernel.length.values())
-    words = (
-        f"{asked.kernel.info.name}, {length}, weights {asked.weights}; its error is known as far "
-        "as its chains have mixed"
-    )
-    return _entry(words, marginals(post), int(post.cost["simulations"]), _halves_of(post))
+            found = enumerate_goals(
+                event, model, plan, per_pair=asked.per_pair, seed=seed, workers=workers
+            )
+            pairs, each = len(plan.pairs), asked.per_pair
+            return {
+                "description": f"enumeration of {pairs} pairs of goals, {each} simulations each",
+                "marginals": of_pairs(found.probability),
+                "simulations": found.simulations,
+                "error": error_of([(of_pairs(one), of_pairs(two)) for one, two in found.halves]),
+            }
+    if asked.given is not None:
+        post = asked.given
+        words = f"a given posterior ({post.tree.attrs['kernel']}, weights {post.weights})"
+    else:
+        assert asked.kernel is not None
+        run_seed = int(np.random.SeedSequence([seed, 2**31]).generate_state(1)[0])
+        post = asked.kernel.run(event, model, asked.budget, run_seed, workers)
+        post = Posterior(post.tree, asked.weights)
+        length = ", ".join(str(value) for value in asked.kernel.length.values())
+        words = (
+            f"{asked.kernel.info.name}, {length}, weights {asked.weights}; its error is known as "
+            "far as its chains have mixed"
+        )
+    return {
+        "description": words,
+        "marginals": dict(marginals(post)),
+        "simulations": int(post.cost["simulations"]),
+        "error": error_of(_halves_of(post)),
+    }
 
 
 def _affordable(plan: Plan, asked: Reference, event: Event) -> bool:
@@ -340,15 +351,6 @@ def _affordable(plan: Plan, asked: Reference, event: Event) -> bool:
     frames = simulations * event.observation.n_frames
     needed = {"simulations": simulations, "frames": frames, "seconds": math.inf}
     return needed[asked.budget.unit] <= asked.budget.amount
-
-
-def _enumerated(
-    event: Event, model: Model, plan: Plan, per_pair: int, seed: int, workers: int | None
-) -> dict[str, Any]:
-    found = enumerate_goals(event, model, plan, per_pair=per_pair, seed=seed, workers=workers)
-    words = f"enumeration of {len(plan.pairs)} pairs of goals, {per_pair} simulations each"
-    halves = [(of_pairs(one), of_pairs(other)) for one, other in found.halves]
-    return _entry(words, of_pairs(found.probability), found.simulations, halves)
 
 
 def of_pairs(probability: FloatArray) -> dict[str, FloatArray]:
@@ -382,17 +384,6 @@ def _halves_of(post: Posterior) -> list[Halves]:
             shares.append({name: values.to_numpy() / total for name, values in sums.items()})
         halves.append((shares[0], shares[1]))
     return halves
-
-
-def _entry(
-    words: str, found: dict[str, FloatArray], simulations: int, halves: Sequence[Halves]
-) -> dict[str, Any]:
-    return {
-        "description": words,
-        "marginals": dict(found),
-        "simulations": simulations,
-        "error": error_of(halves),
-    }
 
 
 def error_of(halves: Sequence[Halves]) -> dict[str, float] | None:

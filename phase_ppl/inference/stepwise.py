@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import functools
 import json
 import math
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, Final, Self
+from typing import Final, Self
 
 import numpy as np
 import xarray as xr
@@ -39,7 +38,7 @@ from phase_ppl.world.names import AGENTS, ENTITIES, NOTHING
 from phase_ppl.world.observation import FRAMES_PER_SECOND, SHOWN_SECONDS_PER_FRAME
 from phase_ppl.world.scene import Scene, check_inside, finite_array
 
-_PRIORS_KEPT: Final = 8
+_NUMBERS: Final = ("unexplained", "log_peak")
 _GOAL_DIMENSIONS: Final = ("goal_red", "goal_green", "stated_goal_red", "stated_goal_green")
 
 
@@ -77,7 +76,7 @@ class Watch:
         self._seed = whole_number("seed", seed, minimum=0)
         self.threads = number_of_workers(threads, "threads")
         levels = likelihood.tracking.strengths
-        self._prior = _prior_table(self.model.prior, levels)
+        self._prior = prior_table(self.model.prior, levels)
         self._reader = likelihood.filter(
             scene, planner, self._seed, self.threads, log_prior_of_pairs(self._prior)
         )
@@ -144,20 +143,15 @@ class Watch:
 
     def _dataset(self) -> xr.Dataset:
         readings = self._readings[: len(self._frames)]
-        columns: dict[str, Any] = {
-            "log_likelihood": np.stack([one.log_likelihood for one in readings]),
-            # for errors only, to which single precision does no harm
-            "log_likelihood_without": np.stack([one.without for one in readings], axis=1).astype(
-                np.float32
-            ),
-            "strengths": np.stack([one.strengths for one in readings]),
-            "log_prior": self._prior,
-            "actions": np.stack([one.actions for one in readings]),
-            "held": np.stack([one.held for one in readings]),
-            "unexplained": np.array([one.unexplained for one in readings]),
-            "log_peak": np.array([one.log_peak for one in readings]),
-            "trajectory": np.stack(self._frames),
+        columns = {
+            name: np.stack([getattr(one, name) for one in readings])
+            for name in ("log_likelihood", "strengths", "actions", "held", *_NUMBERS)
         }
+        without = np.stack([one.without for one in readings], axis=1)
+        # for errors only, to which single precision does no harm
+        columns["log_likelihood_without"] = without.astype(np.float32)
+        columns["log_prior"] = self._prior
+        columns["trajectory"] = np.stack(self._frames)
         scene = self._scene
         likelihood, n = self._likelihood, len(readings)
         settings = {
@@ -238,13 +232,6 @@ def _parts(model: Model) -> tuple[StepwiseLikelihood, PlannerConfig]:
             "the model has a simulator of its own"
         )
     return likelihood, PlannerConfig.named(planner if planner is not None else "fast")
-
-
-@functools.lru_cache(maxsize=_PRIORS_KEPT)
-def _prior_table(prior: Any, strengths: tuple[float, ...]) -> FloatArray:
-    table = prior_table(prior, np.array(strengths))
-    table.setflags(write=False)
-    return table
 
 
 # --- the whole video ------------------------------------------------------------------------------

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 from collections.abc import Callable, Mapping
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +19,32 @@ Sites = Mapping[str, jax.Array]
 
 NO_DENSITY: Final = -1e20
 """Log densities below this count as zero mass."""
+
+
+Result = TypeVar("Result")
+
+
+def remembered(most: int) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
+    """Return a decorator like ``functools.lru_cache``, for arguments of a user's own too.
+
+    A program or a model that cannot be hashed cannot be recognised: it is worked out anew.
+    """
+
+    def decorate(function: Callable[..., Result]) -> Callable[..., Result]:
+        kept = functools.lru_cache(most)(function)
+
+        @functools.wraps(function)
+        def call(*args: Any) -> Result:
+            try:
+                hash(args)
+            except TypeError:
+                return function(*args)
+            return kept(*args)
+
+        call.cache_info = kept.cache_info  # type: ignore[attr-defined]
+        return call
+
+    return decorate
 
 
 def latent_sites(trace: Mapping[str, Any]) -> dict[str, Any]:

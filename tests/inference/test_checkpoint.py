@@ -16,18 +16,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 import pytest
-from jax import random
 
 import phase_ppl as ppl
 from phase_ppl.inference.runs import sampler
 from phase_ppl.inference.runs.checkpoint import (
     Checkpoint,
-    packed_leaf,
     read_archive,
-    unpacked_leaf,
     write_archive,
 )
 from phase_ppl.world import identity
@@ -172,20 +168,6 @@ def test_records_keep_their_trajectories_in_single_precision(path: Path) -> None
         assert np.isfinite(record.result.trajectory[:n]).all()
         assert np.isnan(record.result.trajectory[n:]).all()
         assert np.isinf(record.result.errors[n:]).all()
-
-
-@pytest.mark.parametrize(
-    "leaf",
-    [random.key(3), random.split(random.key(1, impl="rbg"), (2, 3)), np.int32(4), np.zeros((2, 0))],
-    ids=["key", "keys of another kind", "scalar", "empty"],
-)
-def test_any_leaf_of_a_state_survives(leaf: Any, tmp_path: Path) -> None:
-    array = jax.numpy.asarray(leaf)
-    values, kind = packed_leaf(array)
-    write_archive(tmp_path / "x.ckpt", {}, {"leaf": values})
-    again = unpacked_leaf(read_archive(tmp_path / "x.ckpt")[1]["leaf"], kind)
-    assert (again.dtype, again.shape) == (array.dtype, array.shape)
-    np.testing.assert_array_equal(packed_leaf(again)[0], values)
 
 
 # --- another run -----------------------------------------------------------------------------

@@ -115,9 +115,7 @@ def one_second_each(clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
     sampler._known_simulators.add(walkers)  # which is not checked by one more simulation
 
 
-@pytest.mark.parametrize(
-    ("seconds", "iterations"), [(0.5, 0), (7.9, 0), (8, 1), (11.5, 1), (17, 3)]
-)
+@pytest.mark.parametrize(("seconds", "iterations"), [(0.5, 0), (7.9, 0), (8, 1), (17, 3)])
 @pytest.mark.usefixtures("one_second_each")
 def test_a_run_of_seconds_is_a_shorter_run(seconds: float, iterations: int) -> None:
     post = infer(iterations=None, budget=ppl.seconds(seconds))

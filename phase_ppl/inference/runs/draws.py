@@ -17,10 +17,15 @@ from phase_ppl.models.bridge import Record, request_key
 from phase_ppl.models.effective import log_prior_of_effective, prior_of_pairs
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.model import Model
-from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, HYPOTHESIS_SITES, STRENGTH_SITES
+from phase_ppl.models.sites import (
+    ALPHA_SITE,
+    GOAL_SITES,
+    HYPOTHESIS_SITES,
+    STRENGTH_SITES,
+    effective_table,
+)
 from phase_ppl.world.event import Event
-from phase_ppl.world.goals import GOALS, effective_goals
-from phase_ppl.world.hypothesis import ALPHAS
+from phase_ppl.world.goals import GOALS
 from phase_ppl.world.names import ENTITIES, LANDMARKS
 from phase_ppl.world.observation import FRAMES_PER_SECOND
 
@@ -211,8 +216,7 @@ def _step_log_likelihood(records: Sequence[Record], model: Model) -> NDArray[np.
 def _hypothesis_columns(records: Sequence[Record], own: Sequence[str]) -> Columns:
     """Return effective and stated goals, alpha, strengths and own sites as they are stored."""
     raw = {name: np.array([r.sites[name] for r in records]) for name in (*HYPOTHESIS_SITES, *own)}
-    stated = np.stack([raw[name] for name in (*GOAL_SITES, ALPHA_SITE)], axis=1)
-    effective = np.array([effective_goals(red, green, ALPHAS[a]) for red, green, a in stated])
+    effective = effective_table()[tuple(raw[name] for name in (*GOAL_SITES, ALPHA_SITE))]
     columns = {name: effective[:, i] for i, name in enumerate(GOAL_SITES)}
     columns |= {f"stated_{name}": raw[name] for name in GOAL_SITES}
     columns |= {name: raw[name] for name in (ALPHA_SITE, *STRENGTH_SITES)}

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import time
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final, NamedTuple
 
 from phase_ppl.inference.registry import KernelInfo
@@ -29,7 +29,7 @@ IDLE: Final = 100
 """Iterations in a row without a simulation, after which a budget will never be spent: so it is
 where all hypotheses have been simulated and their noise is fixed."""
 
-clock = time.perf_counter
+clock: Callable[[], float] = time.perf_counter
 """Seconds of wall time."""
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 import json
 from collections.abc import Callable, Mapping
 from typing import Any, Final, TypeAlias
@@ -18,7 +17,7 @@ from phase_ppl.inference.registry import Factory, KernelInfo, described
 from phase_ppl.inference.runs.length import run_length
 from phase_ppl.inference.settings import Budget, SimpleSettings
 from phase_ppl.models import priors
-from phase_ppl.models.density import compiled_quickly
+from phase_ppl.models.density import compiled_quickly, remembered
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import EventProgram, event_salt
@@ -197,6 +196,7 @@ def make_kernel(recipe: Recipe, data: Data) -> MCMCKernel:
     return info.make(EventProgram(model, bridge, n_frames, salt), **supplies, **dict(options))
 
 
+@remembered(_KEPT_PROGRAMS)
 def compiled(recipe: Recipe) -> tuple[Callable[..., Any], Callable[..., Any]]:
     """Return the two compiled functions of a recipe: (keys, data) and (state, data) -> state."""
 
@@ -211,6 +211,3 @@ def compiled(recipe: Recipe) -> tuple[Callable[..., Any], Callable[..., Any]]:
         return kernel.sample(state, (), {})
 
     return compiled_quickly(init), compiled_quickly(step)
-
-
-compiled_once = functools.lru_cache(_KEPT_PROGRAMS)(compiled)

@@ -31,7 +31,7 @@ from phase_ppl.inference.runs.checkpoint import Checkpoint, write_checkpoint
 from phase_ppl.inference.runs.draws import Columns, build_tree, particles_of
 from phase_ppl.inference.runs.length import Pace, counted, run_length
 from phase_ppl.inference.runs.progress import Progress
-from phase_ppl.inference.runs.run import Run, compiled, compiled_once, fields_of, make_kernel
+from phase_ppl.inference.runs.run import Run, compiled, fields_of, make_kernel
 from phase_ppl.inference.settings import Budget
 from phase_ppl.inference.stepwise import TableRunner, filter_event
 from phase_ppl.models.bridge import SimulatorBridge
@@ -199,10 +199,7 @@ class Sampler:
             self._n_frames,
         )
         self._check_memory()
-        try:
-            self._init, self._step = compiled_once(what.recipe)
-        except TypeError:  # a part of the user's cannot be hashed, so cannot be recognised
-            self._init, self._step = compiled(what.recipe)
+        self._init, self._step = compiled(what.recipe)
         self._state: Any = None
         self._particles: list[Columns] = []  # the initial ones, and those after every iteration
         self._tally = length.Tally()
