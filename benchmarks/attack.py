@@ -76,7 +76,7 @@ def content_of(path: Path) -> Any:
     """Return all that a file holds, so that it can be compared."""
     if path.suffix == ".ckpt":
         saved = Checkpoint(path)
-        return pickle.dumps((saved.identity, saved.steps, saved.start, saved._leaves))
+        return pickle.dumps((saved.identity, saved.particles, saved._leaves))
     if path.stem in ("posterior", "reading"):
         post = ppl.load_posterior(path)
         groups = post.tree.subtree if isinstance(post, ppl.Posterior) else [post.dataset]

@@ -22,7 +22,6 @@ from jax import random
 sys.path.insert(0, str(Path(__file__).parents[1]))  # the small world is the tests'
 
 from phase_ppl.inference.registry import KernelInfo, available_kernels, kernel_info
-from phase_ppl.inference.runs.length import Length
 from tests.inference.toy import (
     ALPHA_CODES,
     GREEN_GOALS,
@@ -95,11 +94,9 @@ def size(kernel: Any, info: KernelInfo, simulations: int) -> tuple[int, int]:
         return CHAINS, kernel.n_iterations(CHAINS)
     if info.keeps == "last":
         return simulations // (POPULATION_STEPS + 1), POPULATION_STEPS
-    length = Length(
-        0, getattr(kernel, "sims_at_start", 1), getattr(kernel, "sims_per_step", info.sims_per_step)
-    )
-    left = simulations - length.at_most(CHAINS, 0)
-    return CHAINS, max(3, left // (CHAINS * length.sims_per_step))
+    per_step = getattr(kernel, "sims_per_step", info.sims_per_step)
+    left = simulations - CHAINS * getattr(kernel, "sims_at_start", 1)
+    return CHAINS, max(3, left // (CHAINS * per_step))
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.cli import main
-from phase_ppl.inference.runs import session
+from phase_ppl.inference.runs import sampler
 from phase_ppl.inference.runs.checkpoint import read_archive, write_archive
 from phase_ppl.world.errors import PhasePPLError
 from phase_ppl.world.hypothesis import Hypothesis
@@ -149,7 +149,7 @@ def test_a_simulator_that_is_not_what_it_should_be_is_told_of_once(
         post = ppl.infer(EVENT, ppl.Model(simulator=simulator), **options)
     assert post.cost["simulations"] == len(post.tree["simulations"]["seed"]) == 4
     ppl.infer(EVENT, ppl.Model(simulator=simulator), **options)
-    assert simulator in session._known_simulators
+    assert simulator in sampler._known_simulators
 
 
 @pytest.mark.parametrize("kind", ["complex", "masked", "text"])

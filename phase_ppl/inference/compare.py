@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import os
 import re
@@ -19,20 +18,21 @@ from phase_ppl.analysis.measures import accuracy, curve, efficiency, of_truth
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.summary import plain
 from phase_ppl.analysis.weights import WEIGHTINGS
-from phase_ppl.inference.contenders import Contender, Spec, contenders
+from phase_ppl.inference.entries import Entry, Spec, entries
 from phase_ppl.inference.infer import CHAINS
 from phase_ppl.inference.reference import Reference, reference_of
 from phase_ppl.inference.runs.progress import is_shown
-from phase_ppl.inference.settings import Budget, SimpleSettings, described_budget, whole_number
+from phase_ppl.inference.runs.run import check_event
+from phase_ppl.inference.settings import BUDGETS, Budget, SimpleSettings, simulations
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import event_salt
-from phase_ppl.world.checks import number_of_workers
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown, unknown_name
+from phase_ppl.world.checks import instance_of, number_of_workers, whole_number
+from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import locked
 from phase_ppl.world.identity import versions, versions_so_far
 
-BUDGET: Final = Budget(500)
+BUDGET: Final = simulations(500)
 REPEATS: Final = 8
 
 _ADDRESS: Final = re.compile(r" at 0x[0-9a-fA-F]+")
@@ -59,7 +59,7 @@ def compare(
     model: Model | None = None,
     *,
     kernels: Iterable[Spec] | Mapping[str, Spec] = ("local_mh", "prior_mh"),
-    budget: Any = BUDGET,
+    budget: Budget = BUDGET,
     repeats: int = REPEATS,
     chains: int = CHAINS,
     seed: int = 0,
@@ -111,8 +111,7 @@ def compare(
         SimulationError: all initial simulations of a run failed.
         ComparisonInterrupted: Ctrl-C; it carries what was finished.
     """
-    if not isinstance(event, Event):
-        raise InvalidEventError(f"{shown(event)} is no event; phase_ppl.load_event reads one")
+    check_event(event)
     model = Model() if model is None else model
     settings = SimpleSettings() if settings is None else settings
     repeats = whole_number("repeats", repeats, maximum=_MOST_REPEATS)
@@ -120,15 +119,11 @@ def compare(
     number_of_workers(workers)
     if weights not in WEIGHTINGS:
         raise unknown_name("weights", weights, WEIGHTINGS)
-    if not dataclasses.is_dataclass(budget):
-        raise InvalidSettingError(
-            f"budget={shown(budget)}, expected phase_ppl.simulations(n), phase_ppl.frames(n) or "
-            "phase_ppl.seconds(t)"
-        )
-    chosen = contenders(kernels, chains, settings)
+    instance_of("budget", budget, Budget, BUDGETS)
+    chosen = entries(kernels, chains, settings)
     wanted = Reference.asked_for(reference, event, budget, chains, settings, weights)
-    for contender in (*chosen, *wanted.contenders):
-        contender.check(event, model, budget)
+    for entry in chosen if wanted.kernel is None else (*chosen, wanted.kernel):
+        entry.check(event, model, budget)
     with locked(checkpoint):
         record = _Record(
             {
@@ -136,8 +131,8 @@ def compare(
                 "event": event.id,
                 "observed": event_salt(event.scene, event.observation),
                 "model": model.fingerprint(),
-                "kernels": {contender.label: contender.record() for contender in chosen},
-                "budget": described_budget(budget),
+                "kernels": {entry.label: entry.record() for entry in chosen},
+                "budget": str(budget),
                 "chains": chains,
                 "repeats": repeats,
                 "seed": seed,
@@ -159,13 +154,13 @@ def compare(
                     record.keep_reference(found)
                 bar.update()
                 marginals = {name: np.array(p) for name, p in record.reference["marginals"].items()}
-                for repeat, contender in waiting:
-                    bar.set_description(f"{contender.label}, repeat {repeat + 1}")
+                for repeat, entry in waiting:
+                    bar.set_description(f"{entry.label}, repeat {repeat + 1}")
                     run_seed = int(np.random.SeedSequence([seed, repeat]).generate_state(1)[0])
-                    post = contender.run(event, model, budget, run_seed, workers)
+                    post = entry.run(event, model, budget, run_seed, workers)
                     post = Posterior(post.tree, weights)
                     columns = {
-                        "kernel": contender.label,
+                        "kernel": entry.label,
                         "repeat": repeat,
                         "seed": run_seed,
                         "validity": str(post.tree.attrs["validity"]),
@@ -173,7 +168,7 @@ def compare(
                         **efficiency(post),
                     }
                     rows = curve(post, marginals, event.truth)
-                    record.keep(columns, rows.assign(kernel=contender.label, repeat=repeat))
+                    record.keep(columns, rows.assign(kernel=entry.label, repeat=repeat))
                     bar.update()
         except KeyboardInterrupt as stopped:
             done = record.comparison() if record.runs else None
@@ -205,8 +200,8 @@ class _Record:
         entry = self.settings["reference"]
         return entry if "marginals" in entry else None
 
-    def has(self, contender: Contender, repeat: int) -> bool:
-        return any(r["kernel"] == contender.label and r["repeat"] == repeat for r in self.runs)
+    def has(self, entry: Entry, repeat: int) -> bool:
+        return any(r["kernel"] == entry.label and r["repeat"] == repeat for r in self.runs)
 
     def keep_reference(self, found: Mapping[str, Any]) -> None:
         self.settings["reference"] |= _stable(found)

@@ -2,34 +2,22 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
-from collections.abc import Mapping
 from concurrent.futures import Executor
 from typing import TYPE_CHECKING, Any, Final
 
-from numpyro.infer.mcmc import MCMCKernel
-
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-from phase_ppl.inference.registry import Factory
 from phase_ppl.inference.runs import length
 from phase_ppl.inference.runs.checkpoint import SUFFIXES, Checkpoint
-from phase_ppl.inference.runs.length import budget_of, check_chains
-from phase_ppl.inference.runs.plan import Plan, complete_model, model_again, no_event
-from phase_ppl.inference.runs.session import Interrupted, Means, carry_out
-from phase_ppl.inference.settings import (
-    Budget,
-    FrameBudget,
-    SimpleSettings,
-    TimeBudget,
-    frames,
-    seconds,
-    simulations,
-)
-from phase_ppl.inference.stepwise import read_event
+from phase_ppl.inference.runs.run import Kernel, Run, check_event, model_again
+from phase_ppl.inference.runs.sampler import Interrupted, RunOptions, run
+from phase_ppl.inference.settings import Budget, SimpleSettings, frames, seconds, simulations
+from phase_ppl.inference.stepwise import filter_event
+from phase_ppl.models.likelihood import RadialLikelihood, gives_table
 from phase_ppl.models.model import Model
-from phase_ppl.models.stepwise import StepwiseLikelihood
-from phase_ppl.world.checks import whole_number
+from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import InvalidSettingError, OutputError
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import as_path, check_output, locked
@@ -39,11 +27,8 @@ if TYPE_CHECKING:
     from phase_ppl.agents.config import PlannerConfig
 
 __all__ = [
-    "Budget",
-    "FrameBudget",
     "Interrupted",
     "SimpleSettings",
-    "TimeBudget",
     "frames",
     "infer",
     "resume",
@@ -54,19 +39,22 @@ __all__ = [
 CHAINS: Final = 15
 """M, the paper's number of particles."""
 
+_ALSO_FOR_READING: Final = ("workers", "progress", "versions", "began")
+"""Options of a run that a video read step by step has a use for."""
+
 
 def infer(
     event: Event,
     model: Model | None = None,
     *,
-    kernel: str | Factory | MCMCKernel | None = None,
+    kernel: Kernel | None = None,
     chains: int = CHAINS,
     iterations: int | None = None,
     seed: int = 0,
     planner: str | PlannerConfig | None = None,
     workers: int | None = None,
     executor: Executor | None = None,
-    budget: Budget | FrameBudget | TimeBudget | None = None,
+    budget: Budget | None = None,
     on_failure: str = "reject",
     retries: int | None = None,
     simulation_seconds: float | None = None,
@@ -139,41 +127,42 @@ def infer(
     The last two carry what was done until then as ``posterior``, as any error does that ends a
     run; None where the initial particles were not complete.
     """
-    began = length.clock()
-    given = {
-        "chains": None if chains == CHAINS else chains,
-        "iterations": iterations,
-        "budget": budget,
-        "executor": executor,
-        "on_failure": None if on_failure == "reject" else on_failure,
-        "retries": retries,
-        "simulation_seconds": simulation_seconds,
-        "checkpoint": checkpoint,
-        "settings": settings,
-        "burn_in": burn_in,
-        **kernel_options,
-    }
-    settings = SimpleSettings() if settings is None else settings
-    model = complete_model(model, planner, settings)
-    if kernel is None and isinstance(model.likelihood, StepwiseLikelihood):
-        _check_not_sampling(given)
-        if not isinstance(event, Event):
-            raise no_event(event)
-        return read_event(event, model, seed=seed, threads=workers, progress=progress)
-    kernel = "local_mh" if kernel is None else kernel
-    plan = Plan(event, model, kernel, kernel_options, settings, chains, seed)
-    check_chains(plan.info, chains)
-    if checkpoint is not None:
-        _check_new(checkpoint)
-    means = Means(
-        *(iterations, budget, on_failure, retries, simulation_seconds),
-        *(workers, executor, progress, checkpoint),
-        versions_so_far([], checkpoint, True),
-        began,
-        _checked_burn_in(burn_in, iterations),
+    options = RunOptions(
+        iterations=iterations,
+        budget=budget,
+        on_failure=on_failure,
+        retries=retries,
+        simulation_seconds=simulation_seconds,
+        workers=workers,
+        executor=executor,
+        progress=progress,
+        checkpoint=checkpoint,
+        burn_in=burn_in,
     )
+    given = {**vars(options), "chains": chains, "settings": settings, **kernel_options}
+    settings = SimpleSettings() if settings is None else settings
+    model = _complete_model(model, planner, settings)
+    if kernel is None and gives_table(model.likelihood):
+        usual = {**vars(RunOptions()), "chains": CHAINS}
+        for name, value in given.items():
+            if name not in _ALSO_FOR_READING and value != usual.get(name):
+                raise InvalidSettingError(
+                    f"{name}={value!r} is for sampling: a stepwise likelihood is summed over all "
+                    "hypotheses, unless a kernel is named"
+                )
+        check_event(event)
+        return filter_event(event, model, seed=seed, threads=workers, progress=progress)
+    kernel = "local_mh" if kernel is None else kernel
+    what = Run(event, model, kernel, kernel_options, settings, chains, seed)
+    if checkpoint is not None:
+        if as_path(checkpoint).exists():
+            raise OutputError(
+                f"{checkpoint} exists and may hold a run: continue it with phase_ppl.resume, or "
+                "delete it"
+            )
+        check_output(checkpoint, SUFFIXES)
     with locked(checkpoint):
-        return carry_out(plan, means)
+        return run(what, options)
 
 
 def resume(
@@ -181,12 +170,12 @@ def resume(
     event: Event | None = None,
     model: Model | None = None,
     *,
-    kernel: str | Factory | MCMCKernel | None = None,
+    kernel: Kernel | None = None,
     iterations: int | None = None,
     planner: str | PlannerConfig | None = None,
     workers: int | None = None,
     executor: Executor | None = None,
-    budget: Budget | FrameBudget | TimeBudget | None = None,
+    budget: Budget | None = None,
     on_failure: str | None = None,
     retries: int | None = None,
     simulation_seconds: float | None = None,
@@ -229,113 +218,101 @@ def resume(
     began = length.clock()
     saved = Checkpoint(path)
     if settings is None:
-        if saved.settings is None:
-            raise InvalidSettingError(
-                f"{path}: the settings {saved.identity['settings']} are not all plain data: give "
-                "them again, resume(path, settings=...)"
-            )
-        settings = saved.made(SimpleSettings, saved.settings)
+        stored = _stored(saved, "settings", "the settings {settings} are not all plain data")
+        settings = saved.made(SimpleSettings, stored)
     if model is None:
-        if saved.model is None:
-            own = saved.identity["model"]
-            raise InvalidSettingError(
-                f"{path}: the model has parts of its own (prior {own['prior']}, simulator "
-                f"{own['simulator']}, {own['likelihood']}), which a file cannot hold: give it "
-                "again, resume(path, model=...)"
-            )
-        model = saved.made(model_again, {"stored": saved.model})
+        own = "prior {model[prior]}, simulator {model[simulator]}, {model[likelihood]}"
+        reason = f"the model has parts of its own ({own}), which a file cannot hold"
+        model = saved.made(model_again, {"stored": _stored(saved, "model", reason)})
     if kernel is None:
-        if saved.kernel is None:
-            name = saved.identity["kernel"]["name"]
-            raise InvalidSettingError(
-                f"{path}: the kernel {name} was given as an object, which a file cannot hold: "
-                "give it again, resume(path, kernel=...)"
-            )
-        kernel = saved.kernel
+        reason = "the kernel {kernel[name]} was given as an object, which a file cannot hold"
+        kernel = _stored(saved, "kernel", reason)
     if not kernel_options:
-        if saved.options is None:
-            given = saved.identity["kernel"]["options"]
-            raise InvalidSettingError(
-                f"{path}: the kernel options {given} are not all plain data: give them again"
-            )
-        kernel_options = saved.options
-    plan = Plan(
+        reason = "the kernel options {kernel[options]} are not all plain data"
+        kernel_options = _stored(saved, "options", reason)
+    what = Run(
         saved.event if event is None else event,
-        complete_model(model, planner, settings),
+        _complete_model(model, planner, settings),
         kernel,
         kernel_options,
         settings,
         saved.identity["chains"],
         saved.identity["seed"],
     )
-    _check_same(saved, plan)
+    _check_same(saved, what)
     if iterations is None and budget is None:
-        iterations, budget = saved.target["iterations"], budget_of(saved.target)
+        iterations, budget = saved.target["iterations"], saved.target["budget"]
+    before = saved.failures
     if on_failure is None:
-        on_failure = str(saved.failures["on_failure"])
-        retries = saved.failures["retries"] if retries is None else retries
+        on_failure = str(before["on_failure"])
+        retries = before["retries"] if retries is None else retries
     if simulation_seconds is None:
-        simulation_seconds = saved.failures.get("simulation_seconds")
-    _check_failures(saved, on_failure, retries)
+        simulation_seconds = before["simulation_seconds"]
+    changed = (on_failure, retries) != (before["on_failure"], before["retries"])
+    if changed and saved.statistics.failures:
+        raise InvalidSettingError(
+            f"on_failure={on_failure!r}, retries={retries}: {saved.path} has failed simulations, "
+            f"which went by on_failure={before['on_failure']!r}, retries={before['retries']}"
+        )
     check_output(path, SUFFIXES)
-    complete = budget is None and iterations == len(saved.steps)
     versions = saved.versions
-    if not complete:
+    if budget is not None or iterations != saved.done:
         versions = versions_so_far(saved.versions, path, other_versions)
-    means = Means(
-        *(iterations, budget, on_failure, retries, simulation_seconds),
-        *(workers, executor, progress, path),
-        versions,
-        began,
-        _checked_burn_in(burn_in, iterations),
+    options = RunOptions(
+        iterations=iterations,
+        budget=budget,
+        on_failure=on_failure,
+        retries=retries,
+        simulation_seconds=simulation_seconds,
+        workers=workers,
+        executor=executor,
+        progress=progress,
+        checkpoint=path,
+        burn_in=burn_in,
+        versions=versions,
+        began=began,
     )
     with locked(path):
-        return carry_out(plan, means, saved)
+        return run(what, options, saved)
 
 
-def _check_not_sampling(given: Mapping[str, Any]) -> None:
-    for name, value in given.items():
-        if value is not None:
-            raise InvalidSettingError(
-                f"{name}={value!r} is for sampling: a stepwise likelihood is summed over all "
-                "hypotheses, unless a kernel is named"
-            )
+def _complete_model(
+    model: Model | None, planner: str | PlannerConfig | None, settings: SimpleSettings
+) -> Model:
+    """Return the model with the planner and the settings' beta, the paper's model by default."""
+    model = Model() if model is None else model
+    instance_of("model", model, Model, "a phase_ppl.Model")
+    instance_of("settings", settings, SimpleSettings, "a phase_ppl.SimpleSettings")
+    if planner is not None:
+        model = dataclasses.replace(model, planner=planner)
+    if settings.beta is not None:
+        if not isinstance(model.likelihood, RadialLikelihood):
+            raise InvalidSettingError("beta is of the radial likelihood; the model has another")
+        model = dataclasses.replace(model, likelihood=RadialLikelihood(settings.beta))
+    return model
 
 
-def _checked_burn_in(burn_in: int | None, iterations: int | None) -> int | None:
-    if burn_in is None:
-        return None
-    whole_number("burn_in", burn_in, minimum=0)
-    if iterations is not None and burn_in >= iterations:
+def _stored(saved: Checkpoint, name: str, reason: str) -> Any:
+    """Return a part of a run from its file.
+
+    Raises:
+        InvalidSettingError: the file does not hold it, for a reason that may name the identity.
+    """
+    if saved.again[name] is None:
+        argument = "**options" if name == "options" else f"{name}=..."
         raise InvalidSettingError(
-            f"burn_in={burn_in}, but there are {iterations} iterations: expected fewer"
+            f"{saved.path}: {reason.format(**saved.identity)}: give it again, "
+            f"resume(path, {argument})"
         )
-    return burn_in
+    return saved.again[name]
 
 
-def _check_new(path: str | os.PathLike[str]) -> None:
-    if as_path(path).exists():
-        raise OutputError(
-            f"{path} exists and may hold a run: continue it with phase_ppl.resume, or delete it"
-        )
-    check_output(path, SUFFIXES)
-
-
-def _check_same(saved: Checkpoint, plan: Plan) -> None:
-    if event_digest(plan.event) != saved.identity["event"]:
+def _check_same(saved: Checkpoint, what: Run) -> None:
+    if event_digest(what.event) != saved.identity["event"]:
         raise InvalidSettingError(
             f"{saved.path} is a run of another event ({saved.event.id!r}): its scene or "
             "observation differ"
         )
-    found = differences(saved.identity, plan.identity())
+    found = differences(saved.identity, what.identity())
     if found:
         raise InvalidSettingError(f"{saved.path} is another run: {'; '.join(found)}")
-
-
-def _check_failures(saved: Checkpoint, on_failure: str, retries: int | None) -> None:
-    before = saved.failures["on_failure"], saved.failures["retries"]
-    if (on_failure, retries) != before and saved.spent.statistics.failures:
-        raise InvalidSettingError(
-            f"on_failure={on_failure!r}, retries={retries}: {saved.path} has failed simulations, "
-            f"which went by on_failure={before[0]!r}, retries={before[1]}"
-        )

@@ -14,7 +14,8 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+import math
+from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple, TypeAlias
 
 import jax
@@ -26,18 +27,14 @@ from numpy.typing import NDArray
 from phase_ppl.analysis.measures import COMPARED, Marginals, distances, marginals
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.quantities import relation_codes
-from phase_ppl.inference.contenders import Contender, Spec, contender
-from phase_ppl.inference.settings import (
-    Budget,
-    FrameBudget,
-    SimpleSettings,
-    described_budget,
-)
+from phase_ppl.inference.entries import Entry, Spec, entry
+from phase_ppl.inference.settings import Budget, SimpleSettings
+from phase_ppl.inference.stepwise import filter_event
 from phase_ppl.models.effective import log_prior_of_effective
+from phase_ppl.models.likelihood import gives_table
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import MAX_SEED, EventProgram, event_salt
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, SELF_REFERRING, STRENGTH_SITES
-from phase_ppl.simulator.contract import SimulationResult
 from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import whole_number
@@ -112,7 +109,6 @@ def enumerate_goals(
     per_pair: int = PER_PAIR,
     seed: int = 0,
     workers: int | None = None,
-    on_result: Callable[[SimulationResult], None] | None = None,
 ) -> Enumeration:
     """Return the posterior of the effective goals by simulating all of them.
 
@@ -124,7 +120,6 @@ def enumerate_goals(
             an even number, at most 32.
         seed: a whole number >= 0.
         workers: processes; by default one per usable core.
-        on_result: called after each simulation.
 
     Raises:
         InvalidSettingError: ``per_pair`` is another number.
@@ -140,16 +135,15 @@ def enumerate_goals(
         for draw in draws
     ]
     seeds = _seeds(event, model, hypotheses, seed)
-    with Runner(
-        model.build_simulator(), event.scene, event.observation, workers=workers,
-        on_result=on_result,
-    ) as runner:  # fmt: skip
+    simulator = model.build_simulator()
+    with Runner(simulator, event.scene, event.observation, workers=workers) as runner:
         results = runner.run(hypotheses, seeds)
     errors = np.array([result.errors for result in results])
     usable = np.array([result.completed for result in results])
     if not usable.any():
         raise SimulationError(f"no simulation was completed; the first: {results[0].failure}")
-    log_likelihood = np.asarray(model.likelihood.log_prob(np.where(usable[:, None], errors, 0.0)))
+    by_frame = model.error_likelihood.log_prob(np.where(usable[:, None], errors, 0.0))
+    log_likelihood = np.asarray(by_frame)
     log_mass = np.where(usable, log_likelihood.sum(axis=1), -np.inf).reshape(which.shape)
     log_mass += np.take_along_axis(plan.log_prior, which, axis=1)
     return of_masses(plan.pairs, log_mass, usable.reshape(which.shape))
@@ -209,8 +203,6 @@ def _seeds(event: Event, model: Model, hypotheses: list[Hypothesis], seed: int) 
     return [int(value) for value in np.asarray(seeds)]
 
 
-# --- what the kernels of a comparison are measured against ----------------------------------------
-
 Halves: TypeAlias = tuple[Marginals, Marginals]
 """What two halves of the same simulations say."""
 
@@ -238,8 +230,8 @@ class Reference:
 
     given: Posterior | None
     enumeration: bool
-    kernel: Contender | None
-    budget: Any
+    kernel: Entry | None
+    budget: Budget
     weights: str
     per_pair: int = PER_PAIR
 
@@ -248,7 +240,7 @@ class Reference:
         cls,
         reference: Posterior | Spec | None,
         event: Event,
-        budget: Any,
+        budget: Budget,
         chains: int,
         settings: SimpleSettings,
         weights: str,
@@ -269,20 +261,12 @@ class Reference:
             return cls(None, True, None, budget, weights)
         if isinstance(reference, tuple) and reference[:1] == (ENUMERATION,):
             return cls(None, True, None, budget, weights, _per_pair(reference))
-        long = budget
-        if dataclasses.is_dataclass(budget) and not isinstance(budget, type):
-            numbers = dataclasses.asdict(budget)
-            long = dataclasses.replace(budget, **{k: LONG * v for k, v in numbers.items()})
+        long = dataclasses.replace(budget, amount=LONG * budget.amount)
         spec = LONG_RUN if reference is None else reference
-        run = contender("reference", spec, chains, settings, own_length=True)
+        run = entry("reference", spec, chains, settings, own_length=True)
         if not run.length:
             run = dataclasses.replace(run, length={"budget": long})
         return cls(None, reference is None, run, long, weights)
-
-    @property
-    def contenders(self) -> list[Contender]:
-        """The kernel that may have to run."""
-        return [] if self.kernel is None else [self.kernel]
 
     def record(self) -> Any:
         """Return what was asked for, as a file keeps it."""
@@ -320,40 +304,53 @@ def reference_of(
     of what all chains have in common, such as what none of them has found. None where there are no
     halves.
     """
-    if asked.given is not None:
-        post = asked.given
-        words = f"a given posterior ({post.tree.attrs['kernel']}, weights {post.weights})"
-        return _entry(words, marginals(post), int(post.cost["simulations"]), _halves_of(post))
+    if asked.enumeration and gives_table(model.likelihood):
+        table = filter_event(event, model, seed=seed, threads=workers, progress=False)
+        return {
+            "description": "the sum over a table of all hypotheses",
+            "marginals": {name: table.marginal(name).values for name in COMPARED},
+            "simulations": 0,
+            "error": None,
+        }
     if asked.enumeration:
         plan = plan_enumeration(model, seed)
         if asked.kernel is None or _affordable(plan, asked, event):
-            return _enumerated(event, model, plan, asked.per_pair, seed, workers)
-    assert asked.kernel is not None
-    run_seed = int(np.random.SeedSequence([seed, 2**31]).generate_state(1)[0])
-    post = asked.kernel.run(event, model, asked.budget, run_seed, workers)
-    post = Posterior(post.tree, asked.weights)
-    length = ", ".join(described_budget(value) for value in asked.kernel.length.values())
-    words = (
-        f"{asked.kernel.info.name}, {length}, weights {asked.weights}; its error is known as far "
-        "as its chains have mixed"
-    )
-    return _entry(words, marginals(post), int(post.cost["simulations"]), _halves_of(post))
+            found = enumerate_goals(
+                event, model, plan, per_pair=asked.per_pair, seed=seed, workers=workers
+            )
+            pairs, each = len(plan.pairs), asked.per_pair
+            return {
+                "description": f"enumeration of {pairs} pairs of goals, {each} simulations each",
+                "marginals": of_pairs(found.probability),
+                "simulations": found.simulations,
+                "error": error_of([(of_pairs(one), of_pairs(two)) for one, two in found.halves]),
+            }
+    if asked.given is not None:
+        post = asked.given
+        words = f"a given posterior ({post.tree.attrs['kernel']}, weights {post.weights})"
+    else:
+        assert asked.kernel is not None
+        run_seed = int(np.random.SeedSequence([seed, 2**31]).generate_state(1)[0])
+        post = asked.kernel.run(event, model, asked.budget, run_seed, workers)
+        post = Posterior(post.tree, asked.weights)
+        length = ", ".join(str(value) for value in asked.kernel.length.values())
+        words = (
+            f"{asked.kernel.info.name}, {length}, weights {asked.weights}; its error is known as "
+            "far as its chains have mixed"
+        )
+    return {
+        "description": words,
+        "marginals": dict(marginals(post)),
+        "simulations": int(post.cost["simulations"]),
+        "error": error_of(_halves_of(post)),
+    }
 
 
 def _affordable(plan: Plan, asked: Reference, event: Event) -> bool:
     simulations = len(plan.pairs) * asked.per_pair
-    if isinstance(asked.budget, FrameBudget):
-        return simulations * event.observation.n_frames <= asked.budget.frames
-    return isinstance(asked.budget, Budget) and simulations <= asked.budget.simulations
-
-
-def _enumerated(
-    event: Event, model: Model, plan: Plan, per_pair: int, seed: int, workers: int | None
-) -> dict[str, Any]:
-    found = enumerate_goals(event, model, plan, per_pair=per_pair, seed=seed, workers=workers)
-    words = f"enumeration of {len(plan.pairs)} pairs of goals, {per_pair} simulations each"
-    halves = [(of_pairs(one), of_pairs(other)) for one, other in found.halves]
-    return _entry(words, of_pairs(found.probability), found.simulations, halves)
+    frames = simulations * event.observation.n_frames
+    needed = {"simulations": simulations, "frames": frames, "seconds": math.inf}
+    return needed[asked.budget.unit] <= asked.budget.amount
 
 
 def of_pairs(probability: FloatArray) -> dict[str, FloatArray]:
@@ -387,17 +384,6 @@ def _halves_of(post: Posterior) -> list[Halves]:
             shares.append({name: values.to_numpy() / total for name, values in sums.items()})
         halves.append((shares[0], shares[1]))
     return halves
-
-
-def _entry(
-    words: str, found: dict[str, FloatArray], simulations: int, halves: Sequence[Halves]
-) -> dict[str, Any]:
-    return {
-        "description": words,
-        "marginals": dict(found),
-        "simulations": simulations,
-        "error": error_of(halves),
-    }
 
 
 def error_of(halves: Sequence[Halves]) -> dict[str, float] | None:

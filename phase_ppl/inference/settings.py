@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import Final, Literal
 
 from phase_ppl.inference.proposals.strength import DEFAULT_ESTIMATOR, Estimator, strength_estimator
 from phase_ppl.inference.proposals.tables import (
@@ -14,8 +14,7 @@ from phase_ppl.inference.proposals.tables import (
     Sign,
     bottom_up_tables,
 )
-from phase_ppl.world.checks import nonnegative_number, number_or_nan, positive_number
-from phase_ppl.world.checks import whole_number as whole_number
+from phase_ppl.world.checks import nonnegative_number, number_or_nan, positive_number, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
@@ -96,62 +95,49 @@ def probability(name: str, value: object) -> float:
     return number
 
 
+BUDGETS: Final = "phase_ppl.simulations(n), phase_ppl.frames(n) or phase_ppl.seconds(n)"
+
+
 @dataclasses.dataclass(frozen=True)
 class Budget:
-    """How many simulations a run makes, the initial ones included.
+    """What a run may cost, in "simulations", "frames" or "seconds"."""
 
-    Those count that were really run: a proposal without prior mass, or one whose simulation is
-    known, costs nothing; one that is stopped early counts as one. An iteration that has begun is
-    finished, so that a run makes up to one iteration's simulations of all particles more. What
-    fails and is run again (``on_failure="retry"``) comes on top.
-    """
+    amount: float
+    unit: Literal["simulations", "frames", "seconds"]
 
-    simulations: int
-
-
-@dataclasses.dataclass(frozen=True)
-class FrameBudget:
-    """How many frames a run simulates, those of the initial particles included.
-
-    As :class:`Budget`, but a simulation that is stopped early counts for the frames that it took.
-    How long such a run is thus depends a little on what its chains meet.
-    """
-
-    frames: int
-
-
-@dataclasses.dataclass(frozen=True)
-class TimeBudget:
-    """A cap on the wall time of a run, in seconds, from its call on."""
-
-    seconds: float
+    def __str__(self) -> str:
+        return f"{self.amount} {self.unit}"
 
 
 def simulations(n: int) -> Budget:
     """Return a budget of ``n`` simulations, the initial ones included.
 
-    Those that are really run count, and an iteration that has begun is finished: see
-    :class:`Budget`.
+    Those count that were really run: a proposal without prior mass, or one whose simulation is
+    known, costs nothing; one that is stopped early counts as one. An iteration that has begun is
+    finished, so that a run makes up to one iteration's simulations of all particles more. What
+    fails and is run again (``on_failure="retry"``) comes on top.
 
     Raises:
         InvalidSettingError: ``n`` is no whole number >= 1.
     """
-    return Budget(whole_number("simulations", n))
+    return Budget(whole_number("simulations", n), "simulations")
 
 
-def frames(n: int) -> FrameBudget:
+def frames(n: int) -> Budget:
     """Return a budget of ``n`` simulated frames, those of the initial particles included.
 
-    A kernel that stops simulations early gets more of them for it: see :class:`FrameBudget`.
+    As :func:`simulations`, but a simulation that is stopped early counts for the frames that it
+    took, so that a kernel that stops simulations early gets more of them. How long such a run is
+    thus depends a little on what its chains meet.
 
     Raises:
         InvalidSettingError: ``n`` is no whole number >= 1.
     """
-    return FrameBudget(whole_number("frames", n))
+    return Budget(whole_number("frames", n), "frames")
 
 
-def seconds(n: float) -> TimeBudget:
-    """Return a budget of ``n`` seconds.
+def seconds(n: float) -> Budget:
+    """Return a budget of ``n`` seconds of wall time, from the call on.
 
     The initial particles are simulated in any case, unless one takes longer than all the seconds.
     No iteration begins of which those before let expect that it ends too late, so a run rarely
@@ -160,11 +146,4 @@ def seconds(n: float) -> TimeBudget:
     Raises:
         InvalidSettingError: ``n`` is no positive number.
     """
-    return TimeBudget(positive_number("seconds", n))
-
-
-def described_budget(budget: Any) -> str:
-    """Return a budget in words, such as "500 simulations"."""
-    if not dataclasses.is_dataclass(budget) or isinstance(budget, type):
-        return str(budget)
-    return ", ".join(f"{value} {name}" for name, value in dataclasses.asdict(budget).items())
+    return Budget(positive_number("seconds", n), "seconds")

@@ -1,17 +1,17 @@
-"""The posterior of a whole video, by reading it step by step under all hypotheses."""
+"""Filtering a video under all hypotheses at once: frame by frame, or the whole of it."""
 
 from __future__ import annotations
 
-import functools
 import json
+import math
 import sys
 import time
-from collections.abc import Iterator
-from typing import Any, Final, Self
+from collections.abc import Callable, Iterator, Sequence
+from typing import Final, Self
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 import phase_ppl
 from phase_ppl.agents.config import PlannerConfig
@@ -22,22 +22,23 @@ from phase_ppl.analysis.stepwise_table import (
     STRENGTHS,
     log_prior_of_pairs,
 )
-from phase_ppl.closed_loop.goal_filter import GoalFilter, Reading
+from phase_ppl.closed_loop.goal_filter import Reading
 from phase_ppl.inference.runs.progress import counted, is_shown
 from phase_ppl.models.model import Model
-from phase_ppl.models.stepwise import StepwiseLikelihood, prior_table
+from phase_ppl.models.stepwise import StepwiseLikelihood, level_of, prior_table
 from phase_ppl.physics.actions import ACTION_NAMES
+from phase_ppl.simulator.contract import Cancelled, SimulationResult, Statistics
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import instance_of, number_of_workers, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import GOALS, N_GOALS
-from phase_ppl.world.hypothesis import ALPHAS
+from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
 from phase_ppl.world.names import AGENTS, ENTITIES, NOTHING
 from phase_ppl.world.observation import FRAMES_PER_SECOND, SHOWN_SECONDS_PER_FRAME
 from phase_ppl.world.scene import Scene, check_inside, finite_array
 
-_PRIORS_KEPT: Final = 8
+_NUMBERS: Final = ("unexplained", "log_peak")
 _GOAL_DIMENSIONS: Final = ("goal_red", "goal_green", "stated_goal_red", "stated_goal_green")
 
 
@@ -75,17 +76,9 @@ class Watch:
         self._seed = whole_number("seed", seed, minimum=0)
         self.threads = number_of_workers(threads, "threads")
         levels = likelihood.tracking.strengths
-        self._prior = _prior_table(self.model.prior, levels)
-        self._reader = GoalFilter(
-            scene,
-            planner,
-            likelihood.tracking,
-            likelihood.conduct,
-            self._seed,
-            self.threads,
-            likelihood.planner_seeds,
-            likelihood.weight,
-            log_prior_of_pairs(self._prior),
+        self._prior = prior_table(self.model.prior, levels)
+        self._filter = likelihood.filter(
+            scene, planner, self._seed, self.threads, log_prior_of_pairs(self._prior)
         )
         self._frames: list[FloatArray] = []
         self._torn = False  # a frame was begun and not finished
@@ -105,7 +98,7 @@ class Watch:
 
     def close(self) -> None:
         """End the threads; what was read stays."""
-        self._reader.close()
+        self._filter.close()
 
     def take(self, frame: ArrayLike) -> None:
         """Take in the next frame without asking for the posterior.
@@ -129,7 +122,7 @@ class Watch:
             )
         if self._frames:
             self._torn = True
-            self._readings.append(self._reader.read(pose))
+            self._readings.append(self._filter.read(pose))
         self._frames.append(pose)
         self._torn = False
 
@@ -150,22 +143,23 @@ class Watch:
 
     def _dataset(self) -> xr.Dataset:
         readings = self._readings[: len(self._frames)]
-        columns: dict[str, Any] = {
-            "log_likelihood": np.stack([one.log_likelihood for one in readings]),
-            # for errors only, to which single precision does no harm
-            "log_likelihood_without": np.stack([one.without for one in readings], axis=1).astype(
-                np.float32
-            ),
-            "strengths": np.stack([one.strengths for one in readings]),
-            "log_prior": self._prior,
-            "actions": np.stack([one.actions for one in readings]),
-            "held": np.stack([one.held for one in readings]),
-            "unexplained": np.array([one.unexplained for one in readings]),
-            "log_peak": np.array([one.log_peak for one in readings]),
-            "trajectory": np.stack(self._frames),
+        columns = {
+            name: np.stack([getattr(one, name) for one in readings])
+            for name in ("log_likelihood", "strengths", "actions", "held", *_NUMBERS)
         }
+        without = np.stack([one.without for one in readings], axis=1)
+        # for errors only, to which single precision does no harm
+        columns["log_likelihood_without"] = without.astype(np.float32)
+        columns["log_prior"] = self._prior
+        columns["trajectory"] = np.stack(self._frames)
         scene = self._scene
         likelihood, n = self._likelihood, len(readings)
+        settings = {
+            "model": self.model.fingerprint(),
+            "likelihood": likelihood.to_dict(),
+            "seed": self._seed,
+            "turning": scene.turning,
+        }
         cost = {
             "searches": sum(one.searches for one in readings),
             "frames": n,
@@ -196,21 +190,13 @@ class Watch:
                 "schema": SCHEMA,
                 "event_id": self._event_id,
                 "weight": float(likelihood.weight),
-                "settings": json.dumps(self._settings(), default=repr),
+                "settings": json.dumps(settings, default=repr),
                 "cost": json.dumps(cost),
                 "turning": scene.turning,
                 "landmark_half_width": float(scene.landmark_half_width),
                 "version": phase_ppl.__version__,
             },
         )
-
-    def _settings(self) -> dict[str, Any]:
-        return {
-            "model": self.model.fingerprint(),
-            "likelihood": self._likelihood.to_dict(),
-            "seed": self._seed,
-            "turning": self._scene.turning,
-        }
 
 
 def watch(
@@ -248,14 +234,7 @@ def _parts(model: Model) -> tuple[StepwiseLikelihood, PlannerConfig]:
     return likelihood, PlannerConfig.named(planner if planner is not None else "fast")
 
 
-@functools.lru_cache(maxsize=_PRIORS_KEPT)
-def _prior_table(prior: Any, strengths: tuple[float, ...]) -> FloatArray:
-    table = prior_table(prior, np.array(strengths))
-    table.setflags(write=False)
-    return table
-
-
-# --- the posterior of a whole video, by reading it step by step under all hypotheses --------------
+# --- the whole video ------------------------------------------------------------------------------
 
 _TIMED: Final = 10
 """Frames after which the time of all is estimated."""
@@ -277,7 +256,7 @@ class StepwiseInterrupted(KeyboardInterrupt):
         self.posterior = posterior
 
 
-def read_event(
+def filter_event(
     event: Event,
     model: Model,
     *,
@@ -311,9 +290,7 @@ def read_event(
         return watch.posterior()
 
 
-def _timed(
-    frames: list[NDArray[np.float64]], progress: bool | None
-) -> Iterator[NDArray[np.float64]]:
+def _timed(frames: list[FloatArray], progress: bool | None) -> Iterator[FloatArray]:
     """Yield the frames, and say on stderr how long all of them will take."""
     if progress is False or is_shown(progress):
         yield from counted(frames, progress, "frame", "reading")
@@ -328,3 +305,81 @@ def _timed(
                     file=sys.stderr,
                 )
         yield frame
+
+
+# --- for kernels that sample ----------------------------------------------------------------------
+
+
+class TableRunner:
+    """Answers a kernel's requests from a table over all hypotheses; nothing is simulated.
+
+    The error of a frame is by how many nats, times the likelihood's weight, the best pair of goals
+    explains it better; that of the first frame tells the same of the strengths, each of which
+    counts as the nearest that was followed, as in the prior of the table. The "trajectory" is the
+    observed one, on which every frame is conditioned. Nothing is random, so seeds make no
+    difference, and nothing is stopped early.
+
+    Args:
+        post: of the whole video.
+
+    Attributes:
+        statistics, workers, on_failure, retries, on_result, limit, patience, deadline: as of a
+            :class:`~phase_ppl.simulator.runner.Runner`; nothing takes long enough for the latter.
+    """
+
+    workers, on_failure, retries = 1, "reject", 0
+
+    def __init__(self, post: StepwisePosterior) -> None:
+        found = post.dataset
+        likelihood = found["log_likelihood"].values
+        worst = likelihood.max(axis=(1, 2), keepdims=True) - likelihood
+        self._errors = float(found.attrs["weight"]) * worst
+        self._levels = found["strength_red"].values
+        with np.errstate(divide="ignore"):
+            strengths = np.log(found["strengths"].values[-1])
+        self._strength_errors = strengths.max() - strengths
+        self._trajectory = np.array(found["trajectory"].values)
+        self._cancelled = False
+        self.statistics = Statistics()
+        self.on_result: Callable[[SimulationResult], None] | None = None
+        self.limit = self.patience = self.deadline = math.inf
+
+    def cancel(self) -> None:
+        """Make :meth:`run` raise from now on."""
+        self._cancelled = True
+
+    close = cancel
+
+    def run(
+        self,
+        hypotheses: Sequence[Hypothesis],
+        seeds: Sequence[int],
+        error_ceilings: Sequence[float] | None = None,
+    ) -> list[SimulationResult]:
+        """Return what the table says of each hypothesis, in order; the same of identical requests.
+
+        Raises:
+            Cancelled: :meth:`cancel` was called.
+        """
+        if self._cancelled:
+            raise Cancelled("the run was cancelled")
+        requests = [(h, int(seed)) for h, seed in zip(hypotheses, seeds, strict=True)]
+        done = {request: self._look_up(*request) for request in dict.fromkeys(requests)}
+        for result in done.values():
+            self.statistics.simulations += 1
+            self.statistics.frames += result.frames_simulated
+            self.statistics.failures += result.failure is not None
+            if self.on_result is not None:
+                self.on_result(result)
+        return [done[request] for request in requests]
+
+    def _look_up(self, hypothesis: Hypothesis, seed: int) -> SimulationResult:
+        red, green = hypothesis.effective_goals
+        errors = self._errors[:, red, green].copy()
+        place = [level_of(newtons, self._levels) for newtons in hypothesis.strengths]
+        errors[0] += self._strength_errors[place[0], place[1]]
+        n = len(errors)
+        if not np.isfinite(errors).all():
+            reason = "impossible given what was seen"
+            return SimulationResult.failed(hypothesis, seed, n, reason)
+        return SimulationResult(hypothesis, seed, self._trajectory, errors, n, True)

@@ -6,7 +6,7 @@ import dataclasses
 import itertools
 import math
 import weakref
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final, Protocol
 
 import jax
@@ -125,7 +125,7 @@ class SimulatorBridge:
     def remember(self, record: Record) -> None:
         """Keep a simulation; the same request is answered by it from now on, if it completed."""
         if record.result.completed:
-            self._completed[_request(record.sites, record.result.seed)] = len(self.records)
+            self._completed[request_key(record.sites, record.result.seed)] = len(self.records)
         self.records.append(record)
 
     def _simulate(
@@ -146,7 +146,7 @@ class SimulatorBridge:
         rows: list[int] = []
         for row in np.flatnonzero(_in_support(flat, log_prior)).tolist():
             sites = {name: values[row] for name, values in flat.items()}
-            known = self._completed.get(_request(sites, int(seed[row])))
+            known = self._completed.get(request_key(sites, int(seed[row])))
             if known is None:
                 rows.append(row)
             else:
@@ -238,7 +238,7 @@ def _in_support(flat: _Columns, log_prior: NDArray[np.float32]) -> NDArray[np.bo
     return inside
 
 
-def _request(sites: _Columns, seed: int) -> tuple[Any, ...]:
+def request_key(sites: Mapping[str, NDArray[Any]], seed: int) -> tuple[Any, ...]:
     """Return what identifies a request: seed and sites, to the last bit."""
     return seed, *(sites[name].tobytes() for name in sorted(sites))
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 from collections.abc import Callable, Mapping
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -18,6 +19,32 @@ Sites = Mapping[str, jax.Array]
 
 NO_DENSITY: Final = -1e20
 """Log densities below this count as zero mass."""
+
+
+Result = TypeVar("Result")
+
+
+def remembered(most: int) -> Callable[[Callable[..., Result]], Callable[..., Result]]:
+    """Return a decorator like ``functools.lru_cache``, for arguments of a user's own too.
+
+    A program or a model that cannot be hashed cannot be recognised: it is worked out anew.
+    """
+
+    def decorate(function: Callable[..., Result]) -> Callable[..., Result]:
+        kept = functools.lru_cache(most)(function)
+
+        @functools.wraps(function)
+        def call(*args: Any) -> Result:
+            try:
+                hash(args)
+            except TypeError:
+                return function(*args)
+            return kept(*args)
+
+        call.cache_info = kept.cache_info  # type: ignore[attr-defined]
+        return call
+
+    return decorate
 
 
 def latent_sites(trace: Mapping[str, Any]) -> dict[str, Any]:
@@ -59,7 +86,7 @@ def trace_log_density(trace: Mapping[str, Any]) -> jax.Array:
     return total
 
 
-# --- compilation of programs that run for milliseconds, where compiling well does not pay ---------
+# --- compiling programs that run for milliseconds, where compiling well does not pay --------------
 
 _WANTED: Final[dict[str, Any]] = {
     "xla_backend_optimization_level": 0,
@@ -77,12 +104,15 @@ def compiled_quickly(function: Callable[..., Any]) -> Callable[..., Any]:
 @functools.cache
 def _known_options() -> dict[str, Any]:
     """Return those options that the installed XLA knows; they come and go with its versions."""
-    return {name: value for name, value in _WANTED.items() if _is_known(name, value)}
+    known = {}
+    for name, value in _WANTED.items():
+        with contextlib.suppress(Exception):  # of a kind of XLA's own
+            jax.jit(lambda x: x, compiler_options={name: value}).lower(0.0).compile()
+            known[name] = value
+    return known
 
 
-def _is_known(name: str, value: Any) -> bool:
-    try:
-        jax.jit(lambda x: x, compiler_options={name: value}).lower(0.0).compile()
-    except Exception:  # of a kind of XLA's own
-        return False
-    return True
+def on_cpu() -> contextlib.AbstractContextManager[Any]:
+    """Return a context in which JAX works on the processor."""
+    # the programs are tiny, and the same everywhere; an accelerator would not help
+    return jax.default_device(jax.local_devices(backend="cpu")[0])

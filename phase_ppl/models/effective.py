@@ -8,7 +8,6 @@ user's own are averaged out over draws from the prior.
 from __future__ import annotations
 
 import functools
-import itertools
 import math
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -20,11 +19,16 @@ from jax.scipy.special import logsumexp
 from numpy.typing import NDArray
 from numpyro import handlers
 
-from phase_ppl.models.density import compiled_quickly, draw, latent_sites, trace_log_density
-from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES
+from phase_ppl.models.density import (
+    compiled_quickly,
+    draw,
+    latent_sites,
+    remembered,
+    trace_log_density,
+)
+from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, effective_table
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.goals import N_GOALS, effective_goals
-from phase_ppl.world.hypothesis import ALPHAS
+from phase_ppl.world.goals import N_GOALS
 
 Prior = Callable[[], object]
 
@@ -32,26 +36,24 @@ _CHUNK = 4096
 _OWN_DRAWS = 64
 _PAIR_DRAWS = 2**13
 _PRIORS_KEPT = 16
+_PAIR_SITES = (*GOAL_SITES, ALPHA_SITE)
 
 
 @functools.cache
 def stated_hypotheses() -> dict[tuple[int, int], NDArray[np.int64]]:
     """Return, per effective pair of goals, the (n, 3) stated goals and alphas that lead to it."""
-    found: dict[tuple[int, int], list[tuple[int, int, int]]] = {}
-    for red, green in itertools.product(range(N_GOALS), repeat=2):
-        for index, alpha in enumerate(ALPHAS):
-            pair = effective_goals(red, green, alpha)
-            found.setdefault(pair, []).append((red, green, index))
+    table = effective_table()
+    found: dict[tuple[int, int], list[tuple[int, ...]]] = {}
+    for stated in np.ndindex(table.shape[:-1]):
+        red, green = table[stated].tolist()
+        found.setdefault((red, green), []).append(stated)
     return {pair: np.array(rows) for pair, rows in found.items()}
 
 
 def log_prior_of_hypotheses(prior: Prior, sites: Mapping[str, NDArray[Any]]) -> FloatArray:
     """Return (n,) log densities of the hypothesis sites, each (n,), own sites averaged out."""
     names = tuple(sites)
-    try:
-        density = _density(prior, names)
-    except TypeError:  # it cannot be hashed
-        density = _density.__wrapped__(prior, names)
+    density = _density(prior, names)
     n = len(sites[names[0]])
     parts = []
     for start in range(0, n, _CHUNK):
@@ -61,7 +63,7 @@ def log_prior_of_hypotheses(prior: Prior, sites: Mapping[str, NDArray[Any]]) -> 
     return np.concatenate([np.empty(0), *parts])[:n].astype(float)
 
 
-@functools.lru_cache(maxsize=_PRIORS_KEPT)
+@remembered(_PRIORS_KEPT)
 def _density(prior: Prior, names: tuple[str, ...]) -> Callable[[dict[str, jax.Array]], jax.Array]:
     has_own = not latent_sites(_trace(prior, jax.random.key(0), {})).keys() <= set(names)
     keys = jax.random.split(jax.random.key(0), _OWN_DRAWS if has_own else 1)
@@ -79,42 +81,23 @@ def _density(prior: Prior, names: tuple[str, ...]) -> Callable[[dict[str, jax.Ar
     return density
 
 
+@remembered(_PRIORS_KEPT)
 def prior_of_pairs(prior: Prior) -> FloatArray:
     """Return (goal_red, goal_green) prior masses of the pairs of effective goals, their sum 1.
 
     By the prior's own draws, 2^13 of them: any sum of masses has a standard error below 0.006.
     """
-    try:
-        return _prior_of_pairs(prior)
-    except TypeError:  # it cannot be hashed
-        return _prior_of_pairs.__wrapped__(prior)
 
+    def pair(key: jax.Array) -> jax.Array:
+        sites = draw(prior, key)
+        return jnp.asarray(effective_table())[tuple(sites[name] for name in _PAIR_SITES)]
 
-@functools.lru_cache(maxsize=_PRIORS_KEPT)
-def _prior_of_pairs(prior: Prior) -> FloatArray:
-    drawn = compiled_quickly(jax.vmap(lambda key: _pair_codes(draw(prior, key))))
+    drawn = compiled_quickly(jax.vmap(pair))
     pairs = np.asarray(drawn(jax.random.split(jax.random.key(0), _PAIR_DRAWS)))
     mass = np.zeros((N_GOALS, N_GOALS))
     np.add.at(mass, tuple(pairs.T), 1.0 / len(pairs))
     mass.setflags(write=False)
     return mass
-
-
-def _pair_codes(sites: Mapping[str, Any]) -> jax.Array:
-    table = jnp.asarray(_effective_table())
-    return table[tuple(sites[name] for name in (*GOAL_SITES, ALPHA_SITE))]
-
-
-@functools.cache
-def _effective_table() -> NDArray[np.int32]:
-    """Return (stated_goal_red, stated_goal_green, alpha, 2) the effective goals."""
-    return np.array(
-        [
-            [[effective_goals(red, green, alpha) for alpha in ALPHAS] for green in range(N_GOALS)]
-            for red in range(N_GOALS)
-        ],
-        np.int32,
-    )
 
 
 def log_prior_of_effective(

@@ -1,4 +1,6 @@
-"""The likelihood of an observed trajectory, given a simulated one (paper, Eq. 2).
+"""Likelihoods of what was seen: of two kinds, and the paper's (Eq. 2).
+
+One kind compares a simulation with the video, the other gives a table over all hypotheses.
 
 The paper's exp(-beta sum_t ||s_t - s^_t||) is made a proper density: per frame, the position of
 all entities (d = 8 numbers) has the radial density exp(-beta ||s - s^||) / Z. Z does not depend
@@ -12,7 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any, Final, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Protocol, TypeGuard, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -25,14 +27,20 @@ from numpyro.distributions import constraints
 from phase_ppl.world.checks import positive_number
 from phase_ppl.world.names import ENTITIES
 
+if TYPE_CHECKING:
+    from phase_ppl.agents.config import PlannerConfig
+    from phase_ppl.closed_loop.goal_filter import GoalFilter
+    from phase_ppl.world.arrays import FloatArray
+    from phase_ppl.world.scene import Scene
+
 DIMENSIONS: Final = 2 * len(ENTITIES)
 """d, numbers per frame: x and y of each entity."""
 
 _Array = TypeVar("_Array")
 
 
-class Likelihood(Protocol):
-    """What a model needs to know of a likelihood of per-frame errors.
+class TrajectoryLikelihood(Protocol):
+    """Compares a simulation with the video, frame by frame.
 
     ``log_prob`` must work on NumPy and JAX arrays alike and fall with the error.
     """
@@ -44,6 +52,46 @@ class Likelihood(Protocol):
     def max_total_error(self, log_floor: _Array, n_frames: int) -> _Array:
         """Return the largest summed error with which the log density can reach ``log_floor``."""
         ...
+
+
+class TableLikelihood(Protocol):
+    """Says of every frame of the video how probable it is under all hypotheses at once."""
+
+    def filter(
+        self, scene: Scene, planner: PlannerConfig, seed: int, threads: int, log_prior: FloatArray
+    ) -> GoalFilter:
+        """Return what takes in frames, one after the other, and gives a table for each.
+
+        Args:
+            scene: where everything starts.
+            planner: of the agents.
+            seed: of whatever is random.
+            threads: at a time; the result does not depend on it.
+            log_prior: (goal_red, goal_green) log prior masses.
+        """
+        ...
+
+
+def gives_table(likelihood: object) -> TypeGuard[TableLikelihood]:
+    """Return whether a likelihood gives tables over hypotheses, so that nothing is simulated."""
+    return hasattr(likelihood, "filter")
+
+
+class InNats:
+    """The likelihood that goes with errors that are nats: exp(-error).
+
+    So a kernel sees a table over hypotheses: the error of a frame is by how much the best one
+    explains it better.
+    """
+
+    def log_prob(self, errors: _Array) -> _Array:
+        """Return the log density of each frame, up to a constant."""
+        result: _Array = -errors  # type: ignore[operator]
+        return result
+
+    def max_total_error(self, log_floor: _Array, n_frames: int) -> _Array:
+        """Return the summed error at which the log density is ``log_floor``."""
+        return self.log_prob(log_floor)
 
 
 def _log_normaliser(beta: float) -> float:

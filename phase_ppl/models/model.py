@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import os
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal, cast
 
 import jax
 import jax.numpy as jnp
@@ -23,8 +23,15 @@ from phase_ppl.models.density import (
     compiled_quickly,
     latent_sites,
     log_density,
+    remembered,
 )
-from phase_ppl.models.likelihood import Likelihood, RadialLikelihood
+from phase_ppl.models.likelihood import (
+    InNats,
+    RadialLikelihood,
+    TableLikelihood,
+    TrajectoryLikelihood,
+    gives_table,
+)
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, HYPOTHESIS_SITES, STRENGTH_SITES
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.goals import N_GOALS
@@ -84,12 +91,10 @@ def checked_sites(prior: Program) -> dict[str, tuple[int, ...]]:
             f"prior={shown(prior)} is no NumPyro program: expected the name of a ready-made prior "
             f"or a function without arguments that samples {', '.join(HYPOTHESIS_SITES)}"
         )
-    try:
-        return dict(_checked_once(prior))
-    except TypeError:  # it cannot be hashed
-        return _checked(prior)
+    return dict(_checked(prior))
 
 
+@remembered(_REMEMBERED)
 def _checked(prior: Program) -> dict[str, tuple[int, ...]]:
     name = getattr(prior, "__name__", shown(prior))
     try:
@@ -109,17 +114,12 @@ def _checked(prior: Program) -> dict[str, tuple[int, ...]]:
     return sites
 
 
-_checked_once = functools.lru_cache(_REMEMBERED)(_checked)
-
-
 def _reason(error: BaseException) -> str:
     return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
 
-# --- one run of the program ----------------------------------------------------------------
-
-
 def _check_trace(prior: str, trace: Mapping[str, Any]) -> None:
+    """Refuse a run of the program whose sites are not what they should be."""
     for name, site in trace.items():
         if site["type"] == "sample" and site["is_observed"]:
             raise InvalidSettingError(
@@ -131,44 +131,40 @@ def _check_trace(prior: str, trace: Mapping[str, Any]) -> None:
             raise InvalidSettingError(
                 f"the prior {prior} does not sample {name!r}: expected {_EXPECTED[name]}"
             )
-        _check_hypothesis_site(prior, name, latent[name])
     for name, site in latent.items():
-        _check_any_site(prior, name, site)
+        fault = _fault_of_hypothesis_site(name, site) if name in _EXPECTED else ""
+        if fault := fault or _fault(name, site):
+            raise InvalidSettingError(f"the prior {prior} samples {name!r}{fault}")
 
 
-def _check_any_site(prior: str, name: str, site: Mapping[str, Any]) -> None:
-    start = f"the prior {prior} samples {name!r}"
-    if name in RESERVED:
-        raise InvalidSettingError(f"{start}, a reserved name")
-    if not name or "/" in name:
-        raise InvalidSettingError(f"{start}: expected a name without '/', by which it is stored")
-    if isinstance(site["fn"], dist.MaskedDistribution) or site["scale"] not in (None, 1.0):
-        raise InvalidSettingError(
-            f"{start} with a mask or a scale: expected a plain distribution, whose density is "
-            "that of its draws"
-        )
-
-
-def _check_hypothesis_site(prior: str, name: str, site: Mapping[str, Any]) -> None:
-    start = f"the prior {prior} samples {name!r}"
+def _fault_of_hypothesis_site(name: str, site: Mapping[str, Any]) -> str:
+    """Return in words what is wrong with one of the five sites; "" if nothing is."""
     if site["cond_indep_stack"]:
         plates = ", ".join(repr(frame.name) for frame in site["cond_indep_stack"])
-        raise InvalidSettingError(
-            f"{start} in the plate {plates}: expected a single value outside of plates, "
-            f"{_EXPECTED[name]}"
-        )
-    shape = jnp.shape(site["value"])
+        where = f" in the plate {plates}: expected a single value outside of plates"
+        return f"{where}, {_EXPECTED[name]}"
+    shape, dtype = jnp.shape(site["value"]), jnp.result_type(site["value"])
     if shape != ():
-        raise InvalidSettingError(
-            f"{start} of shape {shape}: expected a single value, {_EXPECTED[name]}"
-        )
+        return f" of shape {shape}: expected a single value, {_EXPECTED[name]}"
     if not _support_fits(name, site["fn"]):
-        raise InvalidSettingError(
-            f"{start} with support {site['fn'].support}: expected {_EXPECTED[name]}"
-        )
-    dtype = jnp.result_type(site["value"])
+        return f" with support {site['fn'].support}: expected {_EXPECTED[name]}"
     if name not in STRENGTH_SITES and not jnp.issubdtype(dtype, jnp.integer):
-        raise InvalidSettingError(f"{start} of type {dtype}: expected {_EXPECTED[name]}")
+        return f" of type {dtype}: expected {_EXPECTED[name]}"
+    return ""
+
+
+def _fault(name: str, site: Mapping[str, Any]) -> str:
+    """Return in words what is wrong with any site; "" if nothing is."""
+    if name in RESERVED:
+        return ", a reserved name"
+    if not name or "/" in name:
+        return ": expected a name without '/', by which it is stored"
+    if isinstance(site["fn"], dist.MaskedDistribution) or site["scale"] not in (None, 1.0):
+        return (
+            " with a mask or a scale: expected a plain distribution, whose density is that of its "
+            "draws"
+        )
+    return ""
 
 
 def _support_fits(name: str, distribution: dist.Distribution) -> bool:
@@ -185,9 +181,6 @@ def _support_fits(name: str, distribution: dist.Distribution) -> bool:
         return support.is_discrete and not np.asarray(support(outside)).any()
     except (NotImplementedError, AttributeError, TypeError, ValueError):
         return False  # a support that cannot be asked, or values that cannot be listed
-
-
-# --- many runs, as inference makes them ----------------------------------------------------
 
 
 def _check_draws(name: str, prior: Program, sites: Mapping[str, tuple[int, ...]]) -> None:
@@ -234,8 +227,16 @@ def _check_draws(name: str, prior: Program, sites: Mapping[str, tuple[int, ...]]
             f"the density of the prior {name} cannot be evaluated at given values of its sites: "
             f"{_reason(error)}"
         ) from error
+    if (np.asarray(density) < NO_DENSITY).any():
+        raise InvalidSettingError(
+            f"the prior {name} draws values outside its own support: they have no density"
+        )
     total = np.sum([np.asarray(densities) for densities in by_site.values()], axis=0)
-    _check_densities(name, np.asarray(density), total)
+    if not np.allclose(density, total, rtol=1e-3, atol=1e-2):
+        raise InvalidSettingError(
+            f"the density of the prior {name} changes from run to run: expected all randomness to "
+            "come from numpyro.sample"
+        )
 
 
 def _log_prob(prior: str, name: str, site: Mapping[str, Any]) -> jax.Array:
@@ -263,21 +264,7 @@ def _check_values(prior: str, columns: Mapping[str, NDArray[Any]]) -> None:
             )
 
 
-def _check_densities(
-    prior: str, density: NDArray[np.float32], drawn_density: NDArray[np.float32]
-) -> None:
-    if (density < NO_DENSITY).any():
-        raise InvalidSettingError(
-            f"the prior {prior} draws values outside its own support: they have no density"
-        )
-    if not np.allclose(density, drawn_density, rtol=1e-3, atol=1e-2):
-        raise InvalidSettingError(
-            f"the density of the prior {prior} changes from run to run: expected all randomness "
-            "to come from numpyro.sample"
-        )
-
-
-# --- A model: the prior, the simulator and the likelihood that explain an event -------------------
+# --- the model ------------------------------------------------------------------------------------
 
 Noise = Literal["fresh", "fixed"]
 
@@ -306,7 +293,8 @@ class Model:
             name of a ready-made one (:mod:`phase_ppl.models.priors`).
         simulator: generator function ``(scene, hypothesis, rng)`` of frames; None for the joint
             simulator of the paper (Algorithm 1).
-        likelihood: of a trajectory, from its per-frame errors.
+        likelihood: one that compares a simulation with the video, or one that gives a table over
+            hypotheses (:mod:`phase_ppl.models.likelihood`).
         planner: "fast", "paper" or a ``PlannerConfig`` for the joint simulator; None: "fast".
         noise: "fresh", a new simulator seed per proposal, so that the posterior is that of the
             mean likelihood over seeds; or "fixed", one seed per event and hypothesis: a
@@ -320,7 +308,9 @@ class Model:
 
     prior: _PriorField = _PriorField()
     simulator: Simulator | None = None
-    likelihood: Likelihood = dataclasses.field(default_factory=RadialLikelihood)
+    likelihood: TrajectoryLikelihood | TableLikelihood = dataclasses.field(
+        default_factory=RadialLikelihood
+    )
     planner: str | PlannerConfig | None = None
     noise: Noise = "fresh"
 
@@ -338,7 +328,8 @@ class Model:
             raise InvalidSettingError(
                 "planner applies to the joint simulator, but the model has a simulator of its own"
             )
-        if not all(hasattr(self.likelihood, name) for name in ("log_prob", "max_total_error")):
+        compares = all(hasattr(self.likelihood, n) for n in ("log_prob", "max_total_error"))
+        if not compares and not gives_table(self.likelihood):
             raise InvalidSettingError(
                 f"likelihood={self.likelihood!r} lacks log_prob or max_total_error"
             )
@@ -348,6 +339,13 @@ class Model:
     def sites(self) -> dict[str, tuple[int, ...]]:
         """Latent sites of the prior with their shapes."""
         return checked_sites(self.prior)
+
+    @property
+    def error_likelihood(self) -> TrajectoryLikelihood:
+        """What kernels weigh per-frame errors by."""
+        if gives_table(self.likelihood):
+            return InNats()
+        return cast("TrajectoryLikelihood", self.likelihood)
 
     def _planner_config(self) -> PlannerConfig:
         from phase_ppl.agents.config import PlannerConfig

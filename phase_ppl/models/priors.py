@@ -8,7 +8,6 @@ is that of its draws.
 from __future__ import annotations
 
 import functools
-import itertools
 from typing import Final
 
 import jax
@@ -25,7 +24,6 @@ from phase_ppl.models.density import Program
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, IMPOSSIBLE, SELF_REFERRING, OneOf
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, unknown_name
-from phase_ppl.world.goals import N_GOALS, effective_goals
 from phase_ppl.world.hypothesis import (
     ALPHAS,
     RELATION_TABLE,
@@ -124,9 +122,8 @@ def _relation_tables(probabilities: tuple[float, ...]) -> tuple[FloatArray, Floa
             f"probabilities of {', '.join(RELATIONS)} = {list(probabilities)}: expected numbers "
             ">= 0 of sum 1"
         )
-    relation = np.empty((N_GOALS, N_GOALS, len(ALPHAS)), int)
-    for red, green, alpha in itertools.product(*map(range, relation.shape)):
-        relation[red, green, alpha] = RELATION_TABLE[effective_goals(red, green, ALPHAS[alpha])]
+    goals = sites.effective_table()
+    relation = RELATION_TABLE[goals[..., 0], goals[..., 1]].astype(int)
     base = np.einsum(
         "r,g,a->rga", *(~SELF_REFERRING).astype(float), np.array(sites.ALPHA_PROBABILITIES)
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import hashlib
 from typing import Final
 
@@ -11,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 import numpyro
 from jax import random
-from numpy.typing import NDArray
 from numpyro import handlers
 
 from phase_ppl.models.bridge import request_errors
@@ -23,9 +21,8 @@ from phase_ppl.models.density import (
     trace_log_density,
 )
 from phase_ppl.models.model import Model
-from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, STRENGTH_SITES
-from phase_ppl.world.goals import N_GOALS, effective_goals
-from phase_ppl.world.hypothesis import ALPHAS
+from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, STRENGTH_SITES, effective_table
+from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 
@@ -55,6 +52,7 @@ class EventProgram:
         salt: jax.Array | int = 0,
     ) -> None:
         self.model = model
+        self.likelihood = model.error_likelihood
         self.bridge = bridge
         self.n_frames = n_frames
         self.salt = salt
@@ -65,7 +63,7 @@ class EventProgram:
         sites = {name: site["value"] for name, site in latent_sites(trace).items()}
         errors = self.simulate(sites, trace_log_density(trace), seed, error_ceiling)
         numpyro.deterministic("step_error", errors)
-        numpyro.factor("trajectory", self.model.likelihood.log_prob(errors).sum())
+        numpyro.factor("trajectory", self.likelihood.log_prob(errors).sum())
 
     def draw_prior(self, key: jax.Array) -> dict[str, jax.Array]:
         """Return a hypothesis, with any further sites, from the prior."""
@@ -77,7 +75,7 @@ class EventProgram:
 
     def log_likelihood(self, step_error: jax.Array) -> jax.Array:
         """Return (time,) the log density of each observed frame."""
-        return self.model.likelihood.log_prob(step_error)
+        return self.likelihood.log_prob(step_error)
 
     def relative_log_likelihood(self, step_error: jax.Array) -> jax.Array:
         """Return the log density of the observation less that of no error at all.
@@ -104,23 +102,14 @@ class EventProgram:
         simulator is told: effective goals and strengths.
         """
         if self.model.noise == "fixed":
-            codes = [sites[name] for name in (*GOAL_SITES, ALPHA_SITE)]
-            pair = jnp.asarray(_effective_pairs())[tuple(codes)]
+            codes = tuple(sites[name] for name in (*GOAL_SITES, ALPHA_SITE))
+            pairs = (effective_table() @ [N_GOALS, 1]).astype(np.uint32)
+            pair = jnp.asarray(pairs)[codes]
             key = random.fold_in(random.key(self.salt), pair)
             for name in STRENGTH_SITES:
                 strength = jnp.asarray(sites[name], jnp.float32)
                 key = random.fold_in(key, strength.view(jnp.uint32))
         return random.randint(key, (), 0, MAX_SEED, jnp.int32)
-
-
-@functools.cache
-def _effective_pairs() -> NDArray[np.uint32]:
-    """Return (goal_red, goal_green, alpha) -> a number for the pair of effective goals."""
-    pairs = np.empty((N_GOALS, N_GOALS, len(ALPHAS)), np.uint32)
-    for red, green, alpha in np.ndindex(pairs.shape):
-        goals = effective_goals(red, green, ALPHAS[alpha])
-        pairs[red, green, alpha] = goals[0] * N_GOALS + goals[1]
-    return pairs
 
 
 def event_salt(scene: Scene, observation: Observation) -> int:

@@ -12,6 +12,7 @@ Strengths are real numbers, or one of a few (:class:`OneOf`).
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from typing import Any, Final
 
@@ -22,10 +23,11 @@ import numpyro
 import numpyro.distributions as dist
 from jax import random
 from jax.scipy.special import logsumexp
+from numpy.typing import NDArray
 from numpyro.distributions import constraints
 
-from phase_ppl.world.goals import N_GOALS, is_self_referring
-from phase_ppl.world.hypothesis import STRENGTH_RANGE
+from phase_ppl.world.goals import N_GOALS, effective_goals, is_self_referring
+from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_RANGE
 from phase_ppl.world.names import AGENTS
 
 IMPOSSIBLE: Final = -1e30
@@ -33,6 +35,57 @@ IMPOSSIBLE: Final = -1e30
 
 _MASSLESS = -1e15
 """Values with logits below this are outside the support."""
+
+
+GOAL_SITES: Final = ("goal_red", "goal_green")
+"""Stated goals: indices into ``GOALS``."""
+
+ALPHA_SITE: Final = "alpha"
+"""Index into ``ALPHAS``."""
+
+STRENGTH_SITES: Final = ("strength_red", "strength_green")
+"""Maximum forces, newtons."""
+
+HYPOTHESIS_SITES: Final = (*GOAL_SITES, ALPHA_SITE, *STRENGTH_SITES)
+
+ALPHA_PROBABILITIES: Final = (1 / 3, 1 / 6, 1 / 6, 1 / 6, 1 / 6)
+"""The paper's (Appendix 4B): u from {-1, 0, 1}; if not 0, one agent by chance has it."""
+
+SELF_REFERRING: Final = np.array(
+    [[is_self_referring(g, holder) for g in range(N_GOALS)] for holder in range(len(AGENTS))]
+)
+"""(holder, goal): goals that name their own holder and have no prior mass."""
+
+
+@functools.cache
+def effective_table() -> NDArray[np.int32]:
+    """Return (goal_red, goal_green, alpha, agent) the effective goals of stated ones."""
+    table = np.empty((N_GOALS, N_GOALS, len(ALPHAS), 2), np.int32)
+    for red, green, alpha in np.ndindex(table.shape[:-1]):
+        table[red, green, alpha] = effective_goals(red, green, ALPHAS[alpha])
+    table.setflags(write=False)
+    return table
+
+
+def goals() -> tuple[jax.Array, jax.Array]:
+    """Sample ``goal_red`` and ``goal_green``: the 34 that do not name their holder, alike."""
+    logits = np.where(SELF_REFERRING, IMPOSSIBLE, 0.0)
+    red, green = (
+        numpyro.sample(name, dist.Categorical(logits=jnp.asarray(row)))
+        for name, row in zip(GOAL_SITES, logits, strict=True)
+    )
+    return red, green
+
+
+def alpha() -> jax.Array:
+    """Sample ``alpha``: 1/3 for (0, 0), 1/6 for each of the others."""
+    return numpyro.sample(ALPHA_SITE, dist.Categorical(probs=jnp.array(ALPHA_PROBABILITIES)))
+
+
+def strengths() -> tuple[jax.Array, jax.Array]:
+    """Sample ``strength_red`` and ``strength_green``: uniform on [150, 600] newtons."""
+    red, green = (numpyro.sample(name, dist.Uniform(*STRENGTH_RANGE)) for name in STRENGTH_SITES)
+    return red, green
 
 
 class OneOf(dist.Distribution):
@@ -127,52 +180,3 @@ class _OneOf(constraints.Constraint[Any]):
 
     def tree_flatten(self) -> Any:
         return (self.values, self.possible), (("values", "possible"), {})
-
-
-# --- the sites of a hypothesis, and default statements to use inside a prior of one's own ---------
-# A prior is a NumPyro program that samples all five sites; it may sample further ones::
-#
-# def helpers_common(): numpyro.sample("alpha", dist.Categorical(probs=jnp.array([.2, .3, .3, .1,
-# .1]))) phase_ppl.sites.goals() phase_ppl.sites.strengths()
-#
-# Strengths are real numbers, or one of a few (:class:`OneOf`).
-
-GOAL_SITES: Final = ("goal_red", "goal_green")
-"""Stated goals: indices into ``GOALS``."""
-
-ALPHA_SITE: Final = "alpha"
-"""Index into ``ALPHAS``."""
-
-STRENGTH_SITES: Final = ("strength_red", "strength_green")
-"""Maximum forces, newtons."""
-
-HYPOTHESIS_SITES: Final = (*GOAL_SITES, ALPHA_SITE, *STRENGTH_SITES)
-
-ALPHA_PROBABILITIES: Final = (1 / 3, 1 / 6, 1 / 6, 1 / 6, 1 / 6)
-"""The paper's (Appendix 4B): u from {-1, 0, 1}; if not 0, one agent by chance has it."""
-
-SELF_REFERRING: Final = np.array(
-    [[is_self_referring(g, holder) for g in range(N_GOALS)] for holder in range(len(AGENTS))]
-)
-"""(holder, goal): goals that name their own holder and have no prior mass."""
-
-
-def goals() -> tuple[jax.Array, jax.Array]:
-    """Sample ``goal_red`` and ``goal_green``: the 34 that do not name their holder, alike."""
-    logits = np.where(SELF_REFERRING, IMPOSSIBLE, 0.0)
-    red, green = (
-        numpyro.sample(name, dist.Categorical(logits=jnp.asarray(row)))
-        for name, row in zip(GOAL_SITES, logits, strict=True)
-    )
-    return red, green
-
-
-def alpha() -> jax.Array:
-    """Sample ``alpha``: 1/3 for (0, 0), 1/6 for each of the others."""
-    return numpyro.sample(ALPHA_SITE, dist.Categorical(probs=jnp.array(ALPHA_PROBABILITIES)))
-
-
-def strengths() -> tuple[jax.Array, jax.Array]:
-    """Sample ``strength_red`` and ``strength_green``: uniform on [150, 600] newtons."""
-    red, green = (numpyro.sample(name, dist.Uniform(*STRENGTH_RANGE)) for name in STRENGTH_SITES)
-    return red, green

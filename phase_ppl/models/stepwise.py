@@ -9,24 +9,29 @@ no noise of simulations in it but the planner's own, and all pairs of goals are 
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
+import jax
 import numpy as np
-from numpy.typing import NDArray
+from numpyro import handlers
 
-from phase_ppl.closed_loop.goal_filter import Conduct
+from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.closed_loop.goal_filter import Conduct, GoalFilter
 from phase_ppl.closed_loop.hidden_state import Tracking
+from phase_ppl.models.density import NO_DENSITY, remembered
+from phase_ppl.models.effective import log_prior_of_hypotheses
+from phase_ppl.models.sites import HYPOTHESIS_SITES, STRENGTH_SITES
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import nonnegative_number, positive_number, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_RANGE
-
-_Array = TypeVar("_Array")
-
-STRENGTH_SITES: Final = ("strength_red", "strength_green")
+from phase_ppl.world.scene import Scene
 
 _NODES: Final = 4
 """At which a continuous prior is evaluated in the cell of each level of strength."""
+
+_PRIORS_KEPT: Final = 8
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,36 +85,36 @@ class StepwiseLikelihood:
         """How agents act on their plans."""
         return Conduct(self.sharpness, self.lapse)
 
-    # Kernels that sample see the likelihood as an error per frame: by how much, in nats, another
-    # hypothesis explains it better.
+    def filter(
+        self, scene: Scene, planner: PlannerConfig, seed: int, threads: int, log_prior: FloatArray
+    ) -> GoalFilter:
+        """Return what gives a table over hypotheses for every frame.
 
-    def log_prob(self, errors: _Array) -> _Array:
-        """Return the log likelihood of each frame, up to a constant, from its error in nats."""
-        result: _Array = -errors  # type: ignore[operator]
-        return result
-
-    def max_total_error(self, log_floor: _Array, n_frames: int) -> _Array:
-        """Return the summed error at which the log likelihood is ``log_floor``."""
-        result: _Array = -log_floor  # type: ignore[operator]
-        return result
+        See :class:`~phase_ppl.models.likelihood.TableLikelihood`.
+        """
+        return GoalFilter(
+            *(scene, planner, self.tracking, self.conduct, seed, threads),
+            *(self.planner_seeds, self.weight, log_prior),
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return the settings as plain data."""
         return dataclasses.asdict(self)
 
 
-def cells(levels: NDArray[np.float64]) -> NDArray[np.float64]:
+def cells(levels: FloatArray) -> FloatArray:
     """Return (level + 1,) the bounds, in newtons, between which each level is the nearest one."""
     between = (levels[1:] + levels[:-1]) / 2
     return np.concatenate([STRENGTH_RANGE[:1], between, STRENGTH_RANGE[1:]])
 
 
-def level_of(strength: float, levels: NDArray[np.float64]) -> int:
+def level_of(strength: float, levels: FloatArray) -> int:
     """Return the place of the level that stands for a strength: that of its cell."""
     return int(np.searchsorted(cells(levels)[1:-1], strength))
 
 
-def prior_table(prior: Any, strengths: NDArray[np.float64]) -> NDArray[np.float64]:
+@remembered(_PRIORS_KEPT)
+def prior_table(prior: Any, levels: tuple[float, ...]) -> FloatArray:
     """Return log prior masses of goals, alpha and levels of strength, their sum 1.
 
     A level stands for all strengths nearer to it than to any other and has their mass: with
@@ -118,7 +123,7 @@ def prior_table(prior: Any, strengths: NDArray[np.float64]) -> NDArray[np.float6
 
     Args:
         prior: NumPyro program over the hypothesis sites.
-        strengths: (n,) levels, newtons, ascending.
+        levels: (n,) of strength, newtons, ascending.
 
     Returns:
         (stated_goal_red, stated_goal_green, alpha, strength_red, strength_green).
@@ -126,24 +131,13 @@ def prior_table(prior: Any, strengths: NDArray[np.float64]) -> NDArray[np.float6
     Raises:
         InvalidSettingError: nothing has any mass.
     """
-    from phase_ppl.models.density import NO_DENSITY
-    from phase_ppl.models.effective import log_prior_of_hypotheses
-
+    strengths = np.array(levels)
     nodes = [_nodes(prior, name, strengths) for name in STRENGTH_SITES]
     shape = (N_GOALS, N_GOALS, len(ALPHAS), *(len(values) for values, _ in nodes))
-    codes = np.unravel_index(np.arange(np.prod(shape)), shape)
-    densities = log_prior_of_hypotheses(
-        prior,
-        {
-            "goal_red": codes[0],
-            "goal_green": codes[1],
-            "alpha": codes[2],
-            **{
-                name: values[code]
-                for name, (values, _), code in zip(STRENGTH_SITES, nodes, codes[3:], strict=True)
-            },
-        },
-    ).reshape(shape)
+    *stated, red, green = np.unravel_index(np.arange(np.prod(shape)), shape)
+    columns = (*stated, nodes[0][0][red], nodes[1][0][green])
+    sites = dict(zip(HYPOTHESIS_SITES, columns, strict=True))
+    densities = log_prior_of_hypotheses(prior, sites).reshape(shape)
     densities[densities <= NO_DENSITY] = -np.inf
     densities += np.log(nodes[0][1])[:, None] + np.log(nodes[1][1])
     highest = densities.max()
@@ -151,24 +145,17 @@ def prior_table(prior: Any, strengths: NDArray[np.float64]) -> NDArray[np.float6
         raise InvalidSettingError("the prior gives no mass to any hypothesis")
     masses = np.exp(densities - highest)
     for axis, (values, _) in enumerate(nodes, 3):
-        level = np.searchsorted(cells(strengths)[1:-1], values)
-        summed = np.zeros((*masses.shape[:axis], len(strengths), *masses.shape[axis + 1 :]))
-        for place in range(len(strengths)):
-            summed[(slice(None),) * axis + (place,)] = masses.compress(
-                level == place, axis=axis
-            ).sum(axis=axis)
-        masses = summed
+        place = np.searchsorted(cells(strengths)[1:-1], values)
+        of_levels = [masses.compress(place == i, axis).sum(axis) for i in range(len(levels))]
+        masses = np.stack(of_levels, axis)
     with np.errstate(divide="ignore"):
-        return np.asarray(np.log(masses / masses.sum()))
+        table = np.log(masses / masses.sum())
+    table.setflags(write=False)
+    return table
 
 
-def _nodes(
-    prior: Any, name: str, levels: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _nodes(prior: Any, name: str, levels: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return strengths at which to evaluate a prior, and the newtons that each stands for."""
-    import jax
-    from numpyro import handlers
-
     site = handlers.trace(handlers.seed(prior, jax.random.key(0))).get_trace()[name]
     if site["fn"].support.is_discrete:
         values = np.asarray(site["fn"].enumerate_support(expand=False), np.float64).ravel()

@@ -40,12 +40,16 @@ def assert_same_draws(one: xr.DataTree, other: xr.DataTree) -> None:
 
 
 class Watched(Runner):
-    """Calls ``before(number of the call, number of requests)`` before it runs anything."""
+    """Calls ``before`` and ``after`` it runs anything, with the number of the call from 0 on."""
 
     calls = -1
 
     def before(self, call: int, requests: int) -> None:
-        raise NotImplementedError
+        """May raise, or count the requests."""
+
+    def after(self, call: int, results: list[SimulationResult]) -> list[SimulationResult]:
+        """Return what is given back."""
+        return results
 
     def run(
         self,
@@ -55,7 +59,7 @@ class Watched(Runner):
     ) -> list[SimulationResult]:
         self.calls += 1
         self.before(self.calls, len(hypotheses))
-        return super().run(hypotheses, seeds, error_ceilings)
+        return self.after(self.calls, super().run(hypotheses, seeds, error_ceilings))
 
 
 def stops_at(call: int) -> type[Runner]:

@@ -14,8 +14,8 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.analysis.measures import distances
-from phase_ppl.inference import contenders as contenders_module
-from phase_ppl.inference.contenders import contenders
+from phase_ppl.inference import entries as entries_module
+from phase_ppl.inference.entries import entries
 from phase_ppl.inference.reference import (
     Reference,
     enumerate_goals,
@@ -32,8 +32,11 @@ from phase_ppl.world.hypothesis import ALPHAS, RELATION_TABLE, RELATIONS, Hypoth
 from phase_ppl.world.scene import Scene
 from tests.inference.toy import (
     ALPHA_CODES,
+    ALPHA_MASS,
     GREEN_GOALS,
+    GREEN_MASS,
     RED_GOALS,
+    RED_MASS,
     few_goals,
     never_called,
     walkers,
@@ -172,7 +175,7 @@ def counted(monkeypatch: pytest.MonkeyPatch, stop_at: int | None = None) -> list
         calls.append(options["kernel"])
         return ppl.infer(*args, **options)
 
-    monkeypatch.setattr(contenders_module, "infer", infer)
+    monkeypatch.setattr(entries_module, "infer", infer)
     return calls
 
 
@@ -327,7 +330,7 @@ def test_reference_of_another_event_is_refused(reference: ppl.Posterior) -> None
 
 
 def test_chains_of_ones_own_are_an_option() -> None:
-    (pairs,) = contenders({"pairs": (even_only, {"chains": 6})}, 5, ppl.SimpleSettings())
+    (pairs,) = entries({"pairs": (even_only, {"chains": 6})}, 5, ppl.SimpleSettings())
     pairs.check(EVENT, MODEL, ppl.simulations(24))
     assert pairs.record()["chains"] == 6
 
@@ -344,45 +347,36 @@ def straight(scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator) -> 
 def exact_pairs() -> np.ndarray:
     """The posterior of the effective goals under ``few_goals`` and ``straight``."""
     mass = np.zeros((36, 36))
-    probs = zip(RED_GOALS, (0.5, 0.3, 0.2), strict=True)
     observed = EVENT.observation.positions
-    for (red, p), (green, q), (alpha, s) in itertools.product(
-        probs,
-        zip(GREEN_GOALS, (0.6, 0.4), strict=True),
-        list(zip(ALPHA_CODES, (0.5, 0.3, 0.2), strict=True)),
-    ):
+    masses = ((RED_GOALS, RED_MASS), (GREEN_GOALS, GREEN_MASS), (ALPHA_CODES, ALPHA_MASS))
+    sites = [list(zip(*one, strict=True)) for one in masses]
+    for (red, p), (green, q), (alpha, s) in itertools.product(*sites):
         h = Hypothesis(red, green, ALPHAS[alpha])
         frames = itertools.islice(straight(EVENT.scene, h, np.random.default_rng(0)), len(observed))
-        errors = np.linalg.norm(
-            (np.array(list(frames))[..., :2] - observed).reshape(14, -1), axis=1
-        )
+        off = np.array(list(frames))[..., :2] - observed
+        errors = np.linalg.norm(off.reshape(len(observed), -1), axis=1)
         mass[h.effective_goals] += p * q * s * np.exp(-RadialLikelihood().beta * errors.sum())
     return mass / mass.sum()
 
 
-@pytest.mark.parametrize("noise", ["fresh", "fixed"])
-def test_enumeration_is_the_exact_posterior_of_the_goals(noise: Any) -> None:
-    model = ppl.Model(prior=few_goals, simulator=straight, noise=noise)
-    plan = plan_enumeration(model)
-    assert len(plan.pairs) == np.count_nonzero(exact_pairs())
-    found = enumerate_goals(EVENT, model, plan, workers=1)
-    np.testing.assert_allclose(found.probability, exact_pairs(), atol=1e-4)
-    np.testing.assert_allclose(found.halves[:, 0], found.halves[:, 1], atol=1e-6)
-    assert found.simulations == 4 * len(plan.pairs)
-
-
-def test_affordable_enumeration_is_the_default_reference() -> None:
-    model = ppl.Model(prior=few_goals, simulator=straight)
+def test_affordable_enumeration_is_exact_and_the_default_reference() -> None:
+    exact = exact_pairs()
+    for noise in ("fresh", "fixed"):
+        model = ppl.Model(prior=few_goals, simulator=straight, noise=noise)  # type: ignore[arg-type]
+        plan = plan_enumeration(model)
+        assert len(plan.pairs) == np.count_nonzero(exact)
+        found = enumerate_goals(EVENT, model, plan, workers=1)
+        np.testing.assert_allclose(found.probability, exact, atol=1e-4)
+        np.testing.assert_allclose(found.halves[:, 0], found.halves[:, 1], atol=1e-6)
+        assert found.simulations == 4 * len(plan.pairs)
     budget, settings = ppl.simulations(24), ppl.SimpleSettings()
     asked = Reference.asked_for(None, EVENT, budget, 4, settings, "count")
-    found = reference_of(asked, EVENT, model, seed=0, workers=1)
-    exact = exact_pairs()
-    assert found["description"].startswith("enumeration of")
-    np.testing.assert_allclose(found["marginals"]["goal_red"], exact.sum(axis=1), atol=1e-4)
-    np.testing.assert_allclose(found["marginals"]["goal_green"], exact.sum(axis=0), atol=1e-4)
-    friendly = RELATIONS.index("friendly")
-    expected = exact[friendly == RELATION_TABLE].sum()
-    assert found["marginals"]["relation"][friendly] == pytest.approx(expected, abs=1e-4)
+    reference = reference_of(asked, EVENT, model, seed=0, workers=1)
+    assert reference["description"].startswith("enumeration of")
+    for name, expected in of_pairs(exact).items():
+        np.testing.assert_allclose(reference["marginals"][name], expected, atol=1e-4)
+    friendly = exact[RELATIONS.index("friendly") == RELATION_TABLE].sum()
+    assert of_pairs(exact)["relation"][RELATIONS.index("friendly")] == pytest.approx(friendly)
 
 
 def test_equal_budgets_are_equal_in_what_was_spent() -> None:
@@ -400,6 +394,22 @@ def test_equal_budgets_are_equal_in_what_was_spent() -> None:
     assert (found.runs["frames"] >= 1000).all()
     assert "equal are the frames" in str(found)
     assert found.settings["reference"]["simulations"] > 500
+
+
+def test_the_reference_of_a_table_is_its_sum() -> None:
+    whole = ppl.load_event("collaborate")
+    short = ppl.Observation(whole.observation.trajectory[:3])
+    event = dataclasses.replace(whole, observation=short)
+    likelihood = ppl.StepwiseLikelihood(planner_seeds=1)
+    planner = ppl.PlannerConfig(simulations=14, particles=6)
+    model = ppl.Model(likelihood=likelihood, planner=planner)
+    options: dict[str, Any] = {"kernels": ["prior_mh"], "repeats": 1, "reference": "enumeration"}
+    found = ppl.compare(event, model, **{**SETTINGS, **options})
+    said = found.settings["reference"]
+    assert said["simulations"] == 0
+    assert said["error"] is None
+    exact = ppl.infer(event, model, seed=5, progress=False)
+    np.testing.assert_allclose(said["marginals"]["relation"], exact.marginal("relation"))
 
 
 def noisy_masses(rng: np.random.Generator, sd: float, repeats: int) -> tuple[Any, Any, Any]:

@@ -114,13 +114,9 @@ def test_raise_keeps_what_was_done_and_can_go_on(tmp_path: Path) -> None:
     assert kept.cost["interrupted"]
     resumed = ppl.resume(path, EVENT, model, on_failure="reject", workers=1, progress=False)
     assert_same_draws(ppl.infer(EVENT, model, **OPTIONS).tree, resumed.tree)
-
-
-def test_raise_in_the_initial_particles_keeps_nothing() -> None:
-    model = ppl.Model(simulator=FailsOnce(at=3))
     with pytest.raises(ppl.SimulationError, match="not today") as caught:
-        ppl.infer(EVENT, model, **OPTIONS, on_failure="raise")
-    assert caught.value.posterior is None
+        ppl.infer(EVENT, ppl.Model(simulator=FailsOnce(at=3)), **OPTIONS, on_failure="raise")
+    assert caught.value.posterior is None  # of the initial particles nothing is kept
 
 
 # --- what hangs ------------------------------------------------------------------------------

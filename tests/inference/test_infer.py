@@ -12,38 +12,28 @@ import numpy as np
 import numpyro
 import numpyro.distributions as dist
 import pytest
-import xarray as xr
 
 import phase_ppl as ppl
 from phase_ppl.analysis.tree import simulation_of_draw
 from phase_ppl.inference.kernels.generic_mh import PriorMH
-from phase_ppl.inference.runs import chains, session
+from phase_ppl.inference.runs import run, sampler
 from phase_ppl.simulator.contract import Cancelled, SimulationResult
 from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
-from phase_ppl.world.hypothesis import Hypothesis
-from tests.inference.toy import never_called, walkers, walking_event
+from tests.inference import runs
+from tests.inference.runs import EVENT, MODEL, Watched, assert_same_draws
+from tests.inference.toy import never_called, walkers
 
 CHAINS, ITERATIONS = 4, 2
-EVENT = walking_event()
-MODEL = ppl.Model(simulator=walkers)
 
 
 def infer(**options: Any) -> ppl.Posterior:
-    settings = {"chains": CHAINS, "iterations": ITERATIONS, "seed": 3, "workers": 1}
-    return ppl.infer(EVENT, MODEL, **{**settings, "progress": False, **options})
+    return runs.infer(**{"kernel": None, "iterations": ITERATIONS, **options})
 
 
 @pytest.fixture(scope="module")
 def post() -> ppl.Posterior:
     return infer()
-
-
-def assert_same_draws(one: xr.DataTree, other: xr.DataTree) -> None:
-    for group in one.children:
-        for name, values in one[group].dataset.variables.items():
-            again = other[group].dataset.variables[name]
-            np.testing.assert_array_equal(values, again, f"{group}/{name}")
 
 
 def test_every_draw_rests_on_a_simulation_of_its_own_chain(post: ppl.Posterior) -> None:
@@ -90,18 +80,9 @@ def test_the_frames_of_a_simulation_add_up_to_its_likelihood(post: ppl.Posterior
 
 
 def test_nothing_that_is_asked_of_a_posterior_simulates_again(
-    monkeypatch: pytest.MonkeyPatch,
+    post: ppl.Posterior, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    calls: list[int] = []
-    run = Runner.run
-
-    def counted(self: Runner, hypotheses: Sequence[Hypothesis], *rest: Any) -> Any:
-        calls.append(len(hypotheses))
-        return run(self, hypotheses, *rest)
-
-    monkeypatch.setattr(Runner, "run", counted)
-    post = infer()
-    assert sum(calls) == post.cost["simulations"]
+    monkeypatch.delattr(Runner, "run")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         import arviz
@@ -117,7 +98,6 @@ def test_nothing_that_is_asked_of_a_posterior_simulates_again(
     post.over_time()
     ppl.plot.diagnostics(post)
     ppl.plot.over_time(post)
-    assert sum(calls) == post.cost["simulations"]
 
 
 def test_every_simulation_is_kept_and_counted(post: ppl.Posterior) -> None:
@@ -142,22 +122,11 @@ def test_cost_is_kept_apart_from_the_settings(post: ppl.Posterior) -> None:
     assert not {"workers", "host", "seconds"} & set(json.dumps(post.settings).split('"'))
 
 
-def test_posterior_survives_a_file(post: ppl.Posterior, tmp_path: Any) -> None:
-    again = ppl.Posterior.load(post.save(tmp_path / "run.nc"))
-    assert_same_draws(post.tree, again.tree)
-    assert again.settings == post.settings
-
-
 def test_one_and_two_workers_give_the_same_draws(post: ppl.Posterior) -> None:
     other = infer(workers=2)
     assert other.cost["workers"] == 2
     assert other.settings == post.settings
     assert_same_draws(post.tree, other.tree)
-
-
-def test_another_seed_gives_other_draws(post: ppl.Posterior) -> None:
-    seeds = infer(seed=4).tree["simulations"]["seed"]
-    assert not np.array_equal(seeds, post.tree["simulations"]["seed"])
 
 
 def test_more_iterations_continue_the_same_chains(post: ppl.Posterior) -> None:
@@ -166,15 +135,9 @@ def test_more_iterations_continue_the_same_chains(post: ppl.Posterior) -> None:
 
 
 def test_events_of_one_length_share_the_compiled_programs(post: ppl.Posterior) -> None:
-    compiled = chains._compiled_once.cache_info().misses
+    compiled = run.compiled.cache_info().misses
     infer(seed=12)
-    assert chains._compiled_once.cache_info().misses == compiled
-
-
-def test_budget_takes_the_place_of_iterations() -> None:
-    for n, draws in ((12, 2), (13, 3)):  # an iteration that has begun is finished
-        post = infer(iterations=None, budget=ppl.simulations(n))
-        assert post.tree["posterior"].sizes["draw"] == draws
+    assert run.compiled.cache_info().misses == compiled
 
 
 def test_progress_counts_simulations_on_stderr(capsys: pytest.CaptureFixture[str]) -> None:
@@ -234,25 +197,17 @@ Change = Callable[[int, Any, Results], Any]
 def disturb(monkeypatch: pytest.MonkeyPatch, change: Change) -> None:
     """Let ``change`` act on what the runner gives back from its n-th call, counted from 0."""
 
-    class Disturbed(Runner):
-        calls = -1
+    class Disturbed(Watched):
         cancelled = False
 
         def cancel(self) -> None:
             self.cancelled = True
             super().cancel()
 
-        def run(
-            self,
-            hypotheses: Sequence[Hypothesis],
-            seeds: Sequence[int],
-            error_ceilings: Sequence[float] | None = None,
-        ) -> Results:
-            self.calls += 1
-            results = super().run(hypotheses, seeds, error_ceilings)
-            return change(self.calls, self, results) or results
+        def after(self, call: int, results: Results) -> Results:
+            return change(call, self, results) or results
 
-    monkeypatch.setattr(session, "Runner", Disturbed)
+    monkeypatch.setattr(sampler, "Runner", Disturbed)
 
 
 def interrupt_in(call: int) -> Change:
@@ -283,7 +238,7 @@ def test_interrupt_keeps_the_iterations_that_were_done(
     assert kept.cost["interrupted"]
 
 
-def test_interrupt_in_the_first_iteration_keeps_the_initial_particles(
+def test_interrupt_keeps_the_initial_particles_or_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     disturb(monkeypatch, interrupt_in(1))
@@ -292,11 +247,6 @@ def test_interrupt_in_the_first_iteration_keeps_the_initial_particles(
     kept = caught.value.posterior  # type: ignore[attr-defined]
     assert not kept.tree["sample_stats"]["accepted"].any()
     assert (kept.tree["simulations"]["iteration"] == 0).all()
-
-
-def test_interrupt_before_the_initial_particles_keeps_nothing(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
     disturb(monkeypatch, interrupt_in(0))
     with pytest.raises(ppl.Interrupted) as caught:
         infer()

@@ -7,13 +7,12 @@ import dataclasses
 import numpy as np
 
 import phase_ppl as ppl
-from tests.inference.toy import walkers, walking_event
-
-SETTINGS = {"chains": 4, "iterations": 2, "seed": 3, "workers": 1, "progress": False}
+from tests.inference.runs import MODEL, OPTIONS
+from tests.inference.toy import walking_event
 
 
 def infer(event: ppl.Event) -> ppl.Posterior:
-    return ppl.infer(event, ppl.Model(simulator=walkers), **SETTINGS)
+    return ppl.infer(event, MODEL, **{**OPTIONS, "kernel": "local_mh", "iterations": 2})
 
 
 def test_scrambling_truth_judgments_id_and_predictions_changes_no_byte() -> None:

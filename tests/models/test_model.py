@@ -10,8 +10,10 @@ import numpyro.distributions as dist
 import pytest
 
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.models import sites
+from phase_ppl.models import priors, sites
+from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.model import Model
+from phase_ppl.models.stepwise import StepwiseLikelihood
 from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from phase_ppl.world.hypothesis import Hypothesis
@@ -23,72 +25,29 @@ def still(scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator) -> Ite
         yield scene.start
 
 
-def equal(n: int) -> Any:
-    return dist.Categorical(logits=jnp.zeros(n))
-
-
-def prior_with(**statements: Callable[[str], Any]) -> Callable[[], None]:
-    """The default prior with some sites' statements replaced; None leaves a site out."""
+def also(statement: Callable[[], Any]) -> Callable[[], None]:
+    """The default prior and one more statement."""
 
     def changed() -> None:
-        for name in sites.GOAL_SITES:
-            statements.get(
-                name, lambda n: numpyro.sample(n, dist.Categorical(logits=jnp.zeros(36)))
-            )(name)
-        statements.get("alpha", lambda n: sites.alpha())("alpha")
-        for name in sites.STRENGTH_SITES:
-            statements.get(name, lambda n: numpyro.sample(n, dist.Uniform(150, 600)))(name)
-        if "also" in statements:
-            statements["also"]("also")
+        statement()
+        priors.uniform()
 
     return changed
 
 
-def sampled(distribution: Any) -> Callable[[str], Any]:
-    return lambda name: numpyro.sample(name, distribution)
+def test_prior_that_cannot_work_is_refused_by_name() -> None:
+    # tests/models/test_checks.py has all that can be wrong
+    with pytest.raises(InvalidSettingError, match="conditions on 'also'"):
+        Model(prior=also(lambda: numpyro.factor("also", 0.5)), simulator=still)
 
 
-REFUSED = {
-    "missing goal": ({"goal_red": lambda n: None}, "does not sample 'goal_red'.*sites.goals"),
-    "missing alpha": ({"alpha": lambda n: None}, "does not sample 'alpha'.*sites.alpha"),
-    "missing strength": ({"strength_red": lambda n: None}, "'strength_red'.*sites.strengths"),
-    "37 goals": (
-        {"goal_red": sampled(equal(37))},
-        "'goal_red'.*support",
-    ),
-    "real goal": ({"goal_green": sampled(dist.Uniform(0, 35))}, "'goal_green'.*support"),
-    "six alphas": ({"alpha": sampled(dist.DiscreteUniform(0, 5))}, "'alpha'.*support"),
-    "negative goal": ({"goal_red": sampled(dist.DiscreteUniform(-1, 35))}, "'goal_red'.*support"),
-    "negative strength": (
-        {"strength_green": sampled(dist.Normal(300, 50))},
-        "'strength_green'.*positive",
-    ),
-    "two strengths": (
-        {"strength_red": sampled(dist.Uniform(150, 600).expand([2]))},
-        r"'strength_red' of shape \(2,\)",
-    ),
-    "observed": (
-        {
-            "alpha": lambda n: numpyro.sample(
-                n, dist.Categorical(logits=jnp.zeros(5)), obs=jnp.array(0)
-            )
-        },
-        "conditions on 'alpha'",
-    ),
-    "factor": ({"also": lambda n: numpyro.factor(n, 0.5)}, "conditions on 'also'"),
-    "reserved name": ({"also": lambda n: numpyro.sample("relation", dist.Normal())}, "reserved"),
-    "crash": ({"alpha": lambda n: 1 / 0}, "cannot be run: ZeroDivisionError"),
-    "no density": (
-        {"also": sampled(dist.distribution.Distribution())},
-        "cannot be run|no density",
-    ),
-}
-
-
-@pytest.mark.parametrize(("statements", "message"), REFUSED.values(), ids=REFUSED)
-def test_prior_that_cannot_work_is_refused_by_name(statements: Any, message: str) -> None:
-    with pytest.raises(InvalidSettingError, match=message):
-        Model(prior=prior_with(**statements), simulator=still)
+def test_likelihood_must_be_of_one_of_two_kinds() -> None:
+    with pytest.raises(InvalidSettingError, match="lacks log_prob or max_total_error"):
+        Model(likelihood=object())  # type: ignore[arg-type]
+    assert Model().error_likelihood == RadialLikelihood()
+    table = Model(likelihood=StepwiseLikelihood()).error_likelihood
+    assert table.log_prob(2.5) == -2.5
+    assert table.max_total_error(-4.0, 10) == 4.0
 
 
 def test_prior_must_be_a_program() -> None:
@@ -97,13 +56,10 @@ def test_prior_must_be_a_program() -> None:
 
 
 def test_prior_may_have_sites_of_its_own() -> None:
-    model = Model(prior=prior_with(also=sampled(dist.Normal(jnp.zeros(3)).to_event(1))))
+    own = dist.Normal(jnp.zeros(3)).to_event(1)
+    model = Model(prior=also(lambda: numpyro.sample("also", own)))
     assert model.sites["also"] == (3,)
     assert set(sites.HYPOTHESIS_SITES) < set(model.sites)
-
-
-def test_prior_of_strengths_may_reach_beyond_the_original_worlds() -> None:
-    Model(prior=prior_with(strength_red=sampled(dist.LogNormal(6.0, 0.5))))
 
 
 def test_joint_simulator_with_the_fast_planner_is_the_default() -> None:

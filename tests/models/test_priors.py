@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import functools
 import itertools
+import math
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import numpyro
+import numpyro.distributions as dist
 import pytest
 from jax import random
 
@@ -17,7 +20,7 @@ from phase_ppl.models.density import compiled_quickly, draw, log_density
 from phase_ppl.models.effective import log_prior_of_effective
 from phase_ppl.models.model import Model
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
-from phase_ppl.world.goals import N_GOALS, effective_goals
+from phase_ppl.world.goals import GOALS, N_GOALS, effective_goals
 from phase_ppl.world.hypothesis import (
     ALPHAS,
     RELATION_TABLE,
@@ -120,6 +123,28 @@ def test_prior_of_effective_goals_is_the_sum_over_what_leads_to_them(name: str) 
                  for site, s in zip(sites.STRENGTH_SITES, STRENGTHS, strict=True)}  # fmt: skip
     found = np.exp(log_prior_of_effective(priors.named(name), pairs, strengths))
     np.testing.assert_allclose(found, expected.ravel(), rtol=1e-3, atol=1e-12)
+
+
+def test_uniform_prior_has_the_papers_density() -> None:
+    found = density("uniform", [(0, 0, 0), (0, 0, 3)], STRENGTHS)
+    assert found.tolist() == pytest.approx([1 / 34**2 / 3 / 450**2, 1 / 34**2 / 6 / 450**2], 1e-4)
+
+
+def test_density_is_zero_outside_the_support() -> None:
+    own = GOALS.index("get to red agent"), GOALS.index("get away from green agent")
+    codes = [(own[0], 0, 0), (0, own[1], 0), (36, 0, 0), (0, -1, 0), (0, 0, len(ALPHAS))]
+    strengths = [(149.0, 300.0), (300.0, 601.0), (np.nan, 300.0)]
+    assert (density("uniform", codes, STRENGTHS) == 0).all()
+    assert (density("uniform", REFERENCE, strengths) == 0).all()
+
+
+def test_density_of_a_program_counts_every_site_given_those_before_it() -> None:
+    def program() -> None:
+        mood = numpyro.sample("mood", dist.Bernoulli(0.25))
+        numpyro.sample("x", dist.Normal(jnp.where(mood == 1, 5.0, 0.0), 1.0))
+
+    found = log_density(program, {"mood": jnp.array(1), "x": jnp.array(5.0)})
+    assert float(found) == pytest.approx(math.log(0.25) - 0.5 * math.log(2 * math.pi))
 
 
 def relations(mass: np.ndarray) -> dict[str, float]:

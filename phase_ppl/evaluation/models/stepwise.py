@@ -28,11 +28,11 @@ class Stepwise:
 
     def __call__(self, scene: Scene, observation: Observation, seed: int) -> Answer:
         """Return the marginals of both effective goals and of the relation."""
-        from phase_ppl.inference.stepwise import read_event
+        from phase_ppl.inference.stepwise import filter_event
         from phase_ppl.world.event import Event
 
         event = Event(scene, observation)
-        post = read_event(event, self.model, seed=seed, threads=1, progress=False)
+        post = filter_event(event, self.model, seed=seed, threads=1, progress=False)
         prediction = Prediction(
             "",
             probabilities={question: post.marginal(question).values for question in QUESTIONS},

@@ -15,7 +15,6 @@ from numpyro.util import is_prng_key
 
 from phase_ppl.inference.kernels.particle import ParticleKernel, chosen
 from phase_ppl.inference.registry import register_kernel
-from phase_ppl.inference.settings import whole_number
 from phase_ppl.models.density import NO_DENSITY, log_density
 from phase_ppl.models.effective import (
     log_prior_of_effective,
@@ -25,7 +24,7 @@ from phase_ppl.models.effective import (
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import EventProgram
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, HYPOTHESIS_SITES, STRENGTH_SITES
-from phase_ppl.world.checks import number_or_nan
+from phase_ppl.world.checks import number_or_nan, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown
 
 NEVER: Final = -60.0

@@ -172,7 +172,7 @@ class ParticleKernel(MCMCKernel, Generic[State]):
         floor = log_floor - _SLACK - _RELATIVE_SLACK * jnp.abs(log_floor)
         # without a floor, as before a first completed simulation, there is no ceiling either
         floor = jnp.where(jnp.isfinite(floor), floor, -jnp.inf)
-        return self.model.model.likelihood.max_total_error(floor, self.model.n_frames)
+        return self.model.likelihood.max_total_error(floor, self.model.n_frames)
 
     def draw_guide(self, key: jax.Array, window: jax.Array | int) -> dict[str, jax.Array]:
         """Return a hypothesis from the guide."""

@@ -32,7 +32,7 @@ from phase_ppl.inference.proposals.tables import window_count
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.density import Program, log_density
-from phase_ppl.models.likelihood import Likelihood
+from phase_ppl.models.likelihood import TrajectoryLikelihood
 from phase_ppl.models.program import EventProgram
 from phase_ppl.world.checks import number_or_nan
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
@@ -48,7 +48,7 @@ class Tempered:
         temperature: in [0, 1]; may be known only inside compiled code.
     """
 
-    def __init__(self, likelihood: Likelihood, temperature: jax.Array) -> None:
+    def __init__(self, likelihood: TrajectoryLikelihood, temperature: jax.Array) -> None:
         self._likelihood, self._temperature = likelihood, temperature
 
     def log_prob(self, errors: Any) -> Any:
@@ -68,7 +68,7 @@ def tempered(program: EventProgram, temperature: jax.Array) -> EventProgram:
     """Return the program with its likelihood raised to ``temperature``."""
     model = copy.copy(program.model)
     # not dataclasses.replace: a model checks its prior anew, which compiled code cannot
-    object.__setattr__(model, "likelihood", Tempered(program.model.likelihood, temperature))
+    object.__setattr__(model, "likelihood", Tempered(program.likelihood, temperature))
     return EventProgram(model, program.bridge, program.n_frames, program.salt)
 
 

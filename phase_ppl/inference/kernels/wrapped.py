@@ -26,9 +26,9 @@ from numpyro.util import is_prng_key
 
 from phase_ppl.inference.kernels.particle import chosen
 from phase_ppl.inference.registry import register_kernel
-from phase_ppl.inference.settings import whole_number
 from phase_ppl.models.density import latent_sites
 from phase_ppl.models.program import EventProgram
+from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidSettingError
 
 SEED_BITS: Final = 24

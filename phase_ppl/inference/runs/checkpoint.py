@@ -1,7 +1,7 @@
 """A run on file: all that is needed to go on with it, bit for bit.
 
-Nothing in the file can run (:mod:`~phase_ppl.inference.runs.checkpoint`). A prior, a simulator or a
-kernel of a user's own is therefore not in it, but what tells it from others.
+Nothing in the file can run: it is a document in JSON and arrays of plain numbers. A prior, a
+simulator or a kernel of a user's own is therefore not in it, but what tells it from others.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from jax import random
 from numpy.typing import NDArray
 
 from phase_ppl.dataset.events_json import event_from_record, event_record
-from phase_ppl.inference.runs.chains import Step, on_cpu
-from phase_ppl.inference.runs.plan import Plan, fields_of, stored_model, stored_options
+from phase_ppl.inference.runs.draws import PARTICLE_COLUMNS, SITE, Columns, numbers_of
+from phase_ppl.inference.settings import frames, seconds, simulations
 from phase_ppl.models.bridge import Record, hypothesis_of_row
+from phase_ppl.models.density import on_cpu
 from phase_ppl.simulator.contract import FRAME_SHAPE, SimulationResult, Statistics
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import as_path, existing_file, write_bytes
 from phase_ppl.world.identity import event_digest
 
+SCHEMA: Final = "phase-ppl-checkpoint-3"
 SUFFIXES: Final = (".ckpt",)
-
-Arrays = dict[str, NDArray[Any]]
 
 _DOCUMENT: Final = "run.json"
 _ARRAY: Final = ".npy"
@@ -62,7 +62,7 @@ def write_archive(
     write_bytes(path, SUFFIXES, memory.getvalue())
 
 
-def read_archive(path: str | os.PathLike[str]) -> tuple[dict[str, Any], Arrays]:
+def read_archive(path: str | os.PathLike[str]) -> tuple[dict[str, Any], Columns]:
     """Return the document and the arrays that :func:`write_archive` wrote.
 
     Raises:
@@ -113,9 +113,7 @@ def _array(data: bytes) -> NDArray[Any]:
     return np.frombuffer(content, dtype).reshape(shape) if content else np.empty(shape, dtype)
 
 
-# --- turning what a run has done into arrays of numbers, and back, to the last bit ----------------
-
-# --- state -----------------------------------------------------------------------------------
+# --- what a run has done, as arrays of numbers ----------------------------------------------------
 
 
 def packed_leaf(leaf: Any) -> tuple[NDArray[Any], str | None]:
@@ -133,98 +131,51 @@ def unpacked_leaf(values: NDArray[Any], kind: str | None) -> jax.Array:
     return leaf if kind is None else random.wrap_key_data(leaf, impl=kind)
 
 
-# --- steps -----------------------------------------------------------------------------------
-
-
-def packed_steps(prefix: str, steps: Sequence[Step]) -> Arrays:
-    """Return arrays (step, ...), named ``prefix/field``."""
-    if not steps:
-        return {}
-    arrays: Arrays = {}
-    for field in Step._fields:
-        values = [getattr(step, field) for step in steps]
-        if field == "sites":
-            for site in values[0]:
-                arrays[f"{prefix}/sites/{site}"] = np.stack([sites[site] for sites in values])
-        else:
-            arrays[f"{prefix}/{field}"] = np.stack(values)
-    return arrays
-
-
-def unpacked_steps(arrays: Arrays, prefix: str, n: int) -> list[Step]:
-    """Return the ``n`` steps that :func:`packed_steps` was given."""
-    if not n:
-        return []
-    sites = _below(arrays, f"{prefix}/sites/")
-    fields = {name: arrays[f"{prefix}/{name}"] for name in Step._fields if name != "sites"}
-    for values in (*sites.values(), *fields.values()):
-        if len(values) != n:
-            raise ValueError(f"{prefix} has {len(values)} entries, expected {n}")
-    return [
-        Step(
-            sites={name: values[i] for name, values in sites.items()},
-            **{name: values[i] for name, values in fields.items()},
-        )
-        for i in range(n)
-    ]
-
-
-def _below(arrays: Arrays, prefix: str) -> Arrays:
+def _below(arrays: Columns, prefix: str) -> Columns:
     return {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
 
 
-# --- records ---------------------------------------------------------------------------------
+def _unpacked_particles(arrays: Columns, n: int) -> list[Columns]:
+    columns = _below(arrays, "particles/")
+    if missing := {*PARTICLE_COLUMNS} - columns.keys():
+        raise KeyError(f"particles/{min(missing)}")
+    for name, values in columns.items():
+        if len(values) != n:
+            raise ValueError(f"particles/{name} has {len(values)} entries, expected {n}")
+    return [{name: values[i] for name, values in columns.items()} for i in range(n)]
 
-_RECORD: Final = (
-    *("seed", "chain", "iteration", "log_prior", "log_proposal", "log_bound", "log_again"),
-    *("frames", "completed"),
-)
 
-
-def packed_records(records: Sequence[Record]) -> Arrays:
+def _packed_records(records: Sequence[Record]) -> Columns:
     """Return arrays (record, ...); errors and trajectories of the simulated frames, in a row."""
     results = [record.result for record in records]
-    frames = [result.frames_simulated for result in results]
-    columns = {
-        "seed": np.array([result.seed for result in results], np.int64),
-        "chain": np.array([record.chain for record in records], np.int64),
-        "iteration": np.array([record.iteration for record in records], np.int64),
-        **{
-            name: np.array([getattr(record, name) for record in records], np.float64)
-            for name in ("log_prior", "log_proposal", "log_bound", "log_again")
-        },
-        "frames": np.array(frames, np.int64),
-        "completed": np.array([result.completed for result in results], np.bool_),
-        "error": np.concatenate([r.errors[:n] for r, n in zip(results, frames, strict=True)]),
-        "trajectory": np.concatenate(
-            [r.trajectory[:n] for r, n in zip(results, frames, strict=True)]
-        ).astype(np.float32),
-    }
+    columns = numbers_of(records)
+    columns["error"] = np.concatenate([r.errors[: r.frames_simulated] for r in results])
+    shown_frames = [r.trajectory[: r.frames_simulated] for r in results]
+    columns["trajectory"] = np.concatenate(shown_frames).astype(np.float32)
     for site in records[0].sites:
-        columns[f"sites/{site}"] = np.stack([record.sites[site] for record in records])
-    return {f"records/{name}": values for name, values in columns.items()}
+        columns[f"{SITE}{site}"] = np.stack([record.sites[site] for record in records])
+    return columns
 
 
-def unpacked_records(arrays: Arrays, failed: Mapping[str, str], n_frames: int) -> list[Record]:
-    """Return the records that :func:`packed_records` was given.
+def _unpacked_records(columns: Columns, failed: Mapping[str, str], n_frames: int) -> list[Record]:
+    """Return the records that :func:`_packed_records` was given.
 
     Args:
-        arrays: that it returned.
+        columns: that it returned.
         failed: number of the record -> what went wrong.
         n_frames: of a complete simulation.
     """
-    sites = _below(arrays, "records/sites/")
-    columns = {name: arrays[f"records/{name}"] for name in _RECORD}
-    errors, trajectory = arrays["records/error"], arrays["records/trajectory"]
-    frames = columns["frames"]
-    ends = np.cumsum(frames)
-    lengths = {len(values) for values in (*sites.values(), *columns.values())}
+    errors, trajectory = columns.pop("error"), columns.pop("trajectory")
+    sites = _below(columns, SITE)
+    simulated = columns["frames_simulated"]
+    ends = np.cumsum(simulated)
+    lengths = {len(values) for values in columns.values()}
     if len(lengths) != 1 or not ends.size or ends[-1] != len(errors) or ends[-1] != len(trajectory):
         raise ValueError("the records differ in length")
-    if frames.min() < 0 or frames.max() > n_frames:
+    if simulated.min() < 0 or simulated.max() > n_frames:
         raise ValueError(f"a record has more than {n_frames} frames")
     records = []
-    for row, (end, n) in enumerate(zip(ends, frames, strict=True)):
+    for row, (end, n) in enumerate(zip(ends, simulated, strict=True)):
         frames_shown = np.full((n_frames, *FRAME_SHAPE), np.nan)
         frames_shown[:n] = trajectory[end - n : end]
         by_frame = np.full(n_frames, np.inf)
@@ -253,52 +204,9 @@ def unpacked_records(arrays: Arrays, failed: Mapping[str, str], n_frames: int) -
     return records
 
 
-# --- A run on file: all that is needed to go on with it, bit for bit ------------------------------
-# Nothing in the file can run (:mod:`~phase_ppl.inference.runs.checkpoint`). A prior, a simulator or
-# a kernel of a user's own is therefore not in it, but what tells it from others.
+# --- the file of a run ----------------------------------------------------------------------------
 
-_TARGET: Final = ("iterations", "seconds")
-_FAILURES: Final = ("on_failure", "retries")
-
-SCHEMA: Final = "phase-ppl-checkpoint-2"
-
-
-@dataclasses.dataclass(frozen=True)
-class Spent:
-    """What a run has cost so far, in all calls.
-
-    Attributes:
-        statistics: of its simulations.
-        seconds: of wall time.
-        recent: seconds that the last iterations took.
-        calls: of ``infer`` and ``resume``.
-    """
-
-    statistics: Statistics = dataclasses.field(default_factory=Statistics)
-    seconds: float = 0.0
-    recent: Sequence[float] = ()
-    calls: int = 0
-
-
-@dataclasses.dataclass(frozen=True)
-class Progressed:
-    """What a run has done.
-
-    Attributes:
-        state: of the kernel.
-        start: the initial particles.
-        steps: the particles after each iteration.
-        records: all simulations.
-        spent: what it cost.
-        versions: of this package and what it builds on, of which it was made; the last last.
-    """
-
-    state: Any
-    start: Step
-    steps: list[Step]
-    records: list[Record]
-    spent: Spent
-    versions: Sequence[Mapping[str, Any]]
+_BUDGETS: Final = {"simulations": simulations, "frames": frames, "seconds": seconds}
 
 
 class Checkpoint:
@@ -309,16 +217,19 @@ class Checkpoint:
 
     Attributes:
         path: of the file.
-        identity: what the run is (:meth:`phase_ppl.inference.runs.plan.Plan.identity`).
+        identity: what the run is (:meth:`phase_ppl.inference.runs.run.Run.identity`).
         event: that it explains.
-        target: ``iterations``, ``seconds``, ``simulations`` or ``frames``, when it was to be
-            complete; the others are None, or absent.
-        failures: ``on_failure`` and ``retries``.
-        model: to make the model again; None where it has parts of a user's own.
-        kernel: name of the kernel; None where it is a user's own object.
-        options: of the kernel; None where they are not plain data.
-        settings: of SIMPLE; likewise.
-        start, steps, records, spent, versions: as in :class:`Progressed`.
+        target: ``iterations`` and ``budget``, when it was to be complete; one of them is None.
+        failures: ``on_failure``, ``retries`` and ``simulation_seconds``.
+        again: ``model``, ``kernel``, ``options`` and ``settings`` to make the run again; each is
+            None where it is not plain data, such as parts of a user's own.
+        particles: the initial ones, and those after every iteration.
+        records: all simulations.
+        statistics: of the simulations.
+        seconds: of wall time that the run took, in all calls.
+        recent: seconds that the last iterations took.
+        calls: of ``infer`` and ``resume``.
+        versions: of this package and what it builds on, of which it was made; the last last.
 
     Raises:
         InvalidEventError: there is no such file, or it is damaged or of another kind.
@@ -326,44 +237,51 @@ class Checkpoint:
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = as_path(path)
-        document, self._arrays = read_archive(path)
+        document, arrays = read_archive(path)
         try:
             if document["schema"] != SCHEMA:
                 raise ValueError(f"its schema is {shown(document['schema'])}, not {SCHEMA!r}")
-            self._read(document)
+            self._read(document, arrays)
         except Exception as error:  # it may hold anything
             raise damaged(path, error) from None
 
-    def _read(self, document: Mapping[str, Any]) -> None:
+    def _read(self, document: Mapping[str, Any], arrays: Columns) -> None:
         self.identity = dict(document["identity"])
         self.event = dataclasses.replace(
             event_from_record(document["event"]), id=str(document["event_id"])
         )
         if event_digest(self.event) != self.identity["event"]:
             raise ValueError("its event is not that of the run")
-        self.target, self.failures = dict(document["target"]), dict(document["failures"])
-        for known in (*_TARGET, *_FAILURES):
-            (self.target if known in _TARGET else self.failures)[known]
-        again = document["again"]
-        self.model: dict[str, Any] | None = again["model"]
-        self.kernel: str | None = again["kernel"]
-        self.options: dict[str, Any] | None = again["options"]
-        self.settings: dict[str, Any] | None = again["settings"]
-        self.start = unpacked_steps(self._arrays, "start", 1)[0]
-        self.steps = unpacked_steps(self._arrays, "steps", int(document["iterations"]))
-        self.records = unpacked_records(
-            self._arrays, document["failed"], self.event.observation.n_frames
+        self.target = {name: document["target"][name] for name in ("iterations", "budget")}
+        if self.target["budget"] is not None:
+            amount, unit = self.target["budget"]
+            self.target["budget"] = _BUDGETS[unit](amount)
+        self.failures = {
+            name: document["failures"][name]
+            for name in ("on_failure", "retries", "simulation_seconds")
+        }
+        self.again = {
+            name: document["again"][name] for name in ("model", "kernel", "options", "settings")
+        }
+        self.particles = _unpacked_particles(arrays, int(document["iterations"]) + 1)
+        self.records = _unpacked_records(
+            _below(arrays, "records/"), document["failed"], self.event.observation.n_frames
         )
-        self.versions = [
-            dict(one) for one in document.get("versions", [{}])
-        ]  # there were none once
-        spent = dict(document["spent"])
-        self.spent = Spent(**{**spent, "statistics": Statistics(**spent["statistics"])})
+        self.versions = [dict(one) for one in document["versions"]]
+        spent = document["spent"]
+        self.statistics = Statistics(**spent["statistics"])
+        self.seconds, self.calls = float(spent["seconds"]), int(spent["calls"])
+        self.recent = [float(one) for one in spent["recent"]]
         with on_cpu():
             self._leaves = [
-                (str(name), unpacked_leaf(self._arrays[f"state/{i}"], kind))
+                (str(name), unpacked_leaf(arrays[f"state/{i}"], kind))
                 for i, (name, kind) in enumerate(document["state"])
             ]
+
+    @property
+    def done(self) -> int:
+        """Finished iterations."""
+        return len(self.particles) - 1
 
     def made(self, make: Callable[..., Any], given: Mapping[str, Any]) -> Any:
         """Return what is made of a part of the file; raise InvalidEventError if nothing can be."""
@@ -393,43 +311,34 @@ class Checkpoint:
 
 def write_checkpoint(
     path: str | os.PathLike[str],
-    plan: Plan,
-    target: Mapping[str, Any],
-    failures: Mapping[str, Any],
-    done: Progressed,
+    about: Mapping[str, Any],
+    event: Event,
+    state: Any,
+    particles: Sequence[Columns],
+    records: Sequence[Record],
 ) -> None:
     """Write a run to a file, whole or not at all.
 
     Args:
         path: ends in .ckpt.
-        plan: what the run is.
-        target, failures: as the attributes of :class:`Checkpoint`.
-        done: what it has done; ``state`` as the kernel has it.
+        about: what else :class:`Checkpoint` has, as plain data.
+        event: that is explained; its scene, observation and id are kept.
+        state: of the kernel.
+        particles, records: as the attributes of :class:`Checkpoint`.
 
     Raises:
         OutputError: the file cannot be written there.
     """
-    seen = Event(plan.event.scene, plan.event.observation)
-    leaves = jax.tree_util.tree_flatten_with_path(done.state)[0]
+    leaves = jax.tree_util.tree_flatten_with_path(state)[0]
     packed = [packed_leaf(leaf) for _, leaf in leaves]
     # those of an iteration that was interrupted will be run again
-    records = [record for record in done.records if record.iteration <= len(done.steps)]
+    records = [record for record in records if record.iteration < len(particles)]
     document = {
         "schema": SCHEMA,
-        "identity": plan.identity(),
-        "again": {
-            "model": stored_model(plan.model),
-            "kernel": plan.kernel if isinstance(plan.kernel, str) else None,
-            "options": stored_options(plan.options),
-            "settings": stored_options(fields_of(plan.settings)),
-        },
-        "target": dict(target),
-        "failures": dict(failures),
-        "event": event_record(seen),
-        "event_id": plan.event.id,
-        "iterations": len(done.steps),
-        "spent": dataclasses.asdict(done.spent),
-        "versions": list(done.versions),
+        **about,
+        "event": event_record(Event(event.scene, event.observation)),
+        "event_id": event.id,
+        "iterations": len(particles) - 1,
         "state": [
             [jax.tree_util.keystr(path), kind]
             for (path, _), (_, kind) in zip(leaves, packed, strict=True)
@@ -441,7 +350,7 @@ def write_checkpoint(
         },
     }
     arrays = {f"state/{i}": values for i, (values, _) in enumerate(packed)}
-    arrays |= packed_steps("start", [done.start])
-    arrays |= packed_steps("steps", done.steps)
-    arrays |= packed_records(records)
+    for name in particles[0]:
+        arrays[f"particles/{name}"] = np.stack([step[name] for step in particles])
+    arrays |= {f"records/{name}": values for name, values in _packed_records(records).items()}
     write_archive(path, document, arrays)

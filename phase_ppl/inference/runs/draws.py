@@ -1,8 +1,7 @@
-"""Building the tree of draws from what the particles did and what was simulated."""
+"""The particles of a run, and the tree of draws made of them and of what was simulated."""
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
@@ -14,18 +13,24 @@ from numpy.typing import NDArray
 from phase_ppl.analysis.tree import SCHEMA, SIMULATED
 from phase_ppl.analysis.weights import has_proposals
 from phase_ppl.inference.registry import KernelInfo
-from phase_ppl.inference.runs.chains import Step
-from phase_ppl.models.bridge import Record
+from phase_ppl.models.bridge import Record, request_key
 from phase_ppl.models.effective import log_prior_of_effective, prior_of_pairs
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.model import Model
-from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, HYPOTHESIS_SITES, STRENGTH_SITES
+from phase_ppl.models.sites import (
+    ALPHA_SITE,
+    GOAL_SITES,
+    HYPOTHESIS_SITES,
+    STRENGTH_SITES,
+    effective_table,
+)
 from phase_ppl.world.event import Event
-from phase_ppl.world.goals import GOALS, effective_goals
-from phase_ppl.world.hypothesis import ALPHAS
-from phase_ppl.world.identity import versions
+from phase_ppl.world.goals import GOALS
 from phase_ppl.world.names import ENTITIES, LANDMARKS
 from phase_ppl.world.observation import FRAMES_PER_SECOND
+
+Columns = dict[str, NDArray[Any]]
+"""Name -> an array with one row per particle, or per simulation."""
 
 LONG: Final = 20
 """Iterations from which on the draws of a chain are counted, the first quarter left out.
@@ -42,32 +47,48 @@ _PAIR: Final = ("chain", "draw")
 _SIMULATION: Final = ("simulation",)
 _FRAME: Final = ("time", "entity", "coord")
 
-Columns = dict[str, NDArray[Any]]
+SITE: Final = "z/"
+"""Begins the names of those columns of particles that are sites."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Drawn:
-    """The particles that are draws of the posterior.
+_PARTICLE: Final = {
+    "accepted": (False, np.bool_),
+    "window": (-1, np.int64),
+    "log_weight": (0.0, np.float64),
+    "log_evidence": (np.nan, np.float64),
+}
+"""Column of particles -> its value where a kernel's state has no such field, and its type."""
 
-    Attributes:
-        steps: (draw,) the particles.
-        iterations: (draw,) the iteration after which they stood so; 0 for the initial ones.
-        weighted: whether they carry weights of their own.
+PARTICLE_COLUMNS: Final = ("sim_seed", *_PARTICLE)
+
+
+def particles_of(state: Any) -> Columns:
+    """Return the particles of a kernel's state, on the host.
+
+    Returns:
+        The hypotheses, site by site, and, all (chain,): ``sim_seed``, of their simulations;
+        ``accepted``, whether the iteration's proposal was; ``window``, the first frame of the
+        window it came from, -1 where there is none; ``log_weight``, of the draws up to a constant,
+        0 where the kernel gives none; ``log_evidence`` of the observation, where the kernel
+        estimates it, else NaN.
     """
+    seed = np.asarray(state.sim_seed).astype(np.int64)
+    columns = {f"{SITE}{name}": np.asarray(value) for name, value in state.z.items()}
+    columns["sim_seed"] = seed
+    for name, (default, dtype) in _PARTICLE.items():
+        given = getattr(state, name, None)
+        values = np.full(seed.shape, default) if given is None else np.asarray(given)
+        columns[name] = values.astype(dtype)
+    return columns
 
-    steps: Sequence[Step]
-    iterations: Sequence[int]
-    weighted: bool = False
 
-    @classmethod
-    def kept(cls, start: Step, steps: Sequence[Step], kernel: KernelInfo) -> Drawn:
-        """Return those of a run that ``kernel`` keeps: the initial ones if there are no others."""
-        numbered = list(enumerate((start, *steps)))
-        if kernel.keeps == "last":
-            numbered = numbered[-1:]
-        elif kernel.keeps == "all" and steps:
-            numbered = numbered[1:]
-        return cls([s for _, s in numbered], [i for i, _ in numbered], kernel.weighted)
+def kept_iterations(done: int, kernel: KernelInfo) -> range:
+    """Return after which iterations the particles are draws of the posterior; 0: the initial ones.
+
+    The initial ones are if there are no others.
+    """
+    first = {"last": done, "all": min(done, 1), "start": 0}[kernel.keeps]
+    return range(first, done + 1)
 
 
 def burn_in(n_draws: int) -> int:
@@ -78,7 +99,8 @@ def burn_in(n_draws: int) -> int:
 def build_tree(
     event: Event,
     model: Model,
-    drawn: Drawn,
+    kernel: KernelInfo,
+    particles: Sequence[Columns],
     records: Sequence[Record],
     attrs: Mapping[str, Any],
 ) -> xr.DataTree:
@@ -87,22 +109,28 @@ def build_tree(
     Args:
         event: what was explained; its scene, observation and id are stored.
         model: prior and likelihood.
-        drawn: the particles that are draws.
+        kernel: says which particles are draws.
+        particles: the initial ones, and those after every iteration.
         records: every simulation.
         attrs: further root attributes.
     """
-    table = _simulation_table(records, model)
-    index = _records_of_draws(drawn.steps, records)
-    draw_coords = {"chain": np.arange(index.shape[0]), "draw": np.arange(index.shape[1])}
+    iterations = kept_iterations(len(particles) - 1, kernel)
+    steps = [particles[i] for i in iterations]
+    own = [name for name in records[0].sites if name not in HYPOTHESIS_SITES]
+    table = _hypothesis_columns(records, own)
+    sites = list(table)
+    table |= _results(records, table, model)
+    index = _records_of_draws(steps, records)
+    n_draws = len(steps)
+    draw_coords = {"chain": np.arange(len(index)), "draw": np.arange(n_draws)}
     time = ("time", np.arange(event.observation.n_frames) / FRAMES_PER_SECOND, {"units": "s"})
     frame_coords = {"time": time, "entity": list(ENTITIES), "coord": ["x", "y", "angle"]}
-    sites = [name for name in table if name not in _RESULT_COLUMNS]
     groups = {
         "posterior": xr.Dataset(
             {name: _variable(name, _PAIR, table[name][index]) for name in sites}, draw_coords
         ),
         "sample_stats": xr.Dataset(
-            _sample_stats(drawn, records, table, index), {**draw_coords, "time": time}
+            _sample_stats(steps, iterations, records, table, index), {**draw_coords, "time": time}
         ),
         SIMULATED: xr.Dataset(
             {"trajectory": ((*_PAIR, *_FRAME), _trajectories(records, index))},
@@ -128,48 +156,21 @@ def build_tree(
         ),
     }
     tree = xr.DataTree.from_dict(groups)
-    n_draws = index.shape[1]
-    short = n_draws < LONG and not drawn.weighted and has_proposals(tree)
+    short = n_draws < LONG and not kernel.weighted and has_proposals(tree)
     tree.attrs = {
         "event_id": event.id,
         "weights": "importance" if short else "count",
-        "burn_in": 0 if drawn.weighted else burn_in(n_draws),
-        "versions": json.dumps(versions()),
+        "burn_in": 0 if kernel.weighted else burn_in(n_draws),
         "schema": SCHEMA,
         **attrs,
     }
     return tree
 
 
-_RESULT_COLUMNS: Final = (
-    *("seed", "chain", "iteration", "log_prior", "log_prior_effective", "log_likelihood"),
-    *(
-        "log_proposal",
-        "log_bound",
-        "log_again",
-        "total_error",
-        "completed",
-        "frames_simulated",
-        "failed",
-    ),
-)
-
-
-def _simulation_table(records: Sequence[Record], model: Model) -> Columns:
-    """Return one row per simulation: sites, then what came out."""
+def numbers_of(records: Sequence[Record]) -> Columns:
+    """Return the numbers that are known of each simulation, a row each."""
     results = [record.result for record in records]
-    own = [name for name in records[0].sites if name not in HYPOTHESIS_SITES]
-    sites = (*HYPOTHESIS_SITES, *own)
-    raw = {name: np.array([record.sites[name] for record in records]) for name in sites}
-    table = _hypothesis_columns(raw) | {name: raw[name] for name in own}
-    effective = np.stack([table[name] for name in GOAL_SITES], axis=1).astype(np.int64)
-    strengths = {name: table[name] for name in STRENGTH_SITES}
-    errors = np.array([result.errors for result in results])
-    # what was not simulated counts as without error: a bound for simulations stopped early
-    simulated = np.where(np.isfinite(errors), errors, 0.0)
-    log_likelihood = model.likelihood.log_prob(simulated).sum(axis=1)
-    failed = np.array([result.failure is not None for result in results])
-    return table | {
+    return {
         "seed": np.array([result.seed for result in results], np.int64),
         "chain": np.array([record.chain for record in records], np.int64),
         "iteration": np.array([record.iteration for record in records], np.int64),
@@ -177,11 +178,29 @@ def _simulation_table(records: Sequence[Record], model: Model) -> Columns:
             name: np.array([getattr(record, name) for record in records], np.float64)
             for name in ("log_prior", "log_proposal", "log_bound", "log_again")
         },
-        "log_prior_effective": log_prior_of_effective(model.prior, effective, strengths),
-        "log_likelihood": np.where(failed, -np.inf, log_likelihood),
-        "total_error": np.where(failed, np.inf, [result.total_error for result in results]),
         "completed": np.array([result.completed for result in results], np.bool_),
         "frames_simulated": np.array([r.frames_simulated for r in results], np.int64),
+    }
+
+
+def _results(records: Sequence[Record], sites: Columns, model: Model) -> Columns:
+    """Return what came out of each simulation, and its prior."""
+    results = [record.result for record in records]
+    numbers = numbers_of(records)
+    goals = np.stack([sites[name] for name in GOAL_SITES], axis=1).astype(np.int64)
+    strengths = {name: sites[name] for name in STRENGTH_SITES}
+    errors = np.array([result.errors for result in results])
+    # what was not simulated counts as without error: a bound for simulations stopped early
+    simulated = np.where(np.isfinite(errors), errors, 0.0)
+    log_likelihood = model.error_likelihood.log_prob(simulated).sum(axis=1)
+    failed = np.array([result.failure is not None for result in results])
+    ends = {name: numbers.pop(name) for name in ("completed", "frames_simulated")}
+    return {
+        **numbers,
+        "log_prior_effective": log_prior_of_effective(model.prior, goals, strengths),
+        "log_likelihood": np.where(failed, -np.inf, log_likelihood),
+        "total_error": np.where(failed, np.inf, [result.total_error for result in results]),
+        **ends,
         "failed": failed,
     }
 
@@ -190,63 +209,67 @@ def _step_log_likelihood(records: Sequence[Record], model: Model) -> NDArray[np.
     """Return (simulation, time) the log likelihood of the frames that were simulated."""
     errors = np.array([record.result.errors for record in records])
     simulated = np.isfinite(errors)
-    by_frame = model.likelihood.log_prob(np.where(simulated, errors, 0.0))
+    by_frame = model.error_likelihood.log_prob(np.where(simulated, errors, 0.0))
     return np.where(simulated, by_frame, np.nan).astype(np.float64)
 
 
-def _hypothesis_columns(raw: Columns) -> Columns:
-    """Return effective and stated goals, alpha and strengths as they are stored."""
-    stated = np.stack([raw[name] for name in (*GOAL_SITES, ALPHA_SITE)], axis=1)
-    effective = np.array([effective_goals(red, green, ALPHAS[a]) for red, green, a in stated])
+def _hypothesis_columns(records: Sequence[Record], own: Sequence[str]) -> Columns:
+    """Return effective and stated goals, alpha, strengths and own sites as they are stored."""
+    raw = {name: np.array([r.sites[name] for r in records]) for name in (*HYPOTHESIS_SITES, *own)}
+    effective = effective_table()[tuple(raw[name] for name in (*GOAL_SITES, ALPHA_SITE))]
     columns = {name: effective[:, i] for i, name in enumerate(GOAL_SITES)}
     columns |= {f"stated_{name}": raw[name] for name in GOAL_SITES}
     columns |= {name: raw[name] for name in (ALPHA_SITE, *STRENGTH_SITES)}
-    return {name: values.astype(_STORED[name]) for name, values in columns.items()}
+    columns = {name: values.astype(_STORED[name]) for name, values in columns.items()}
+    return columns | {name: raw[name] for name in own}
 
 
-def _records_of_draws(steps: Sequence[Step], records: Sequence[Record]) -> NDArray[np.int64]:
+def _records_of_draws(steps: Sequence[Columns], records: Sequence[Record]) -> NDArray[np.int64]:
     """Return (chain, draw) the simulation that each draw rests on."""
     rows = {
-        _key(record.sites, record.result.seed): row
+        request_key(record.sites, record.result.seed): row
         for row, record in enumerate(records)
         if record.result.completed
     }
-    index = np.empty((len(steps[0].sim_seed), len(steps)), np.int64)
+    index = np.empty((len(steps[0]["sim_seed"]), len(steps)), np.int64)
     for draw, step in enumerate(steps):
-        for chain, seed in enumerate(step.sim_seed):
-            sites = {name: values[chain] for name, values in step.sites.items()}
-            index[chain, draw] = rows[_key(sites, int(seed))]
+        sites = {k.removeprefix(SITE): v for k, v in step.items() if k.startswith(SITE)}
+        for chain, seed in enumerate(step["sim_seed"]):
+            here = {name: values[chain] for name, values in sites.items()}
+            index[chain, draw] = rows[request_key(here, int(seed))]
     return index
 
 
-def _key(sites: Mapping[str, NDArray[Any]], seed: int) -> tuple[Any, ...]:
-    return (seed, *(sites[name].tobytes() for name in sorted(sites)))
-
-
 def _sample_stats(
-    drawn: Drawn, records: Sequence[Record], table: Columns, index: NDArray[np.int64]
+    steps: Sequence[Columns],
+    iterations: range,
+    records: Sequence[Record],
+    table: Columns,
+    index: NDArray[np.int64],
 ) -> dict[str, Any]:
-    steps = drawn.steps
     errors = np.array([record.result.errors for record in records], np.float32)
-    frames = np.zeros((len(index), max(drawn.iterations) + 1), np.int64)
+    frames = np.zeros((len(index), iterations[-1] + 1), np.int64)
     within = table["iteration"] < frames.shape[1]
     where = table["chain"][within], table["iteration"][within]
     np.add.at(frames, where, table["frames_simulated"][within])
     paid = {"long_name": "frames simulated for this iteration's proposal, accepted or not"}
     weight = {"long_name": "log weight of the draw, up to a constant; 0 where all are equal"}
+    drawn = {
+        name: np.stack([step[name] for step in steps], axis=1)
+        for name in ("accepted", "window", "log_weight", "log_evidence")
+    }
     stats = {
         "log_joint": (_PAIR, (table["log_prior"] + table["log_likelihood"])[index]),
         "total_error": (_PAIR, table["total_error"][index], {"units": "units of length"}),
-        "accepted": (_PAIR, np.stack([step.accepted for step in steps], axis=1)),
-        "window": (_PAIR, np.stack([step.window for step in steps], axis=1)),
-        "frames_simulated": (_PAIR, frames[:, list(drawn.iterations)], paid),
+        "accepted": (_PAIR, drawn["accepted"]),
+        "window": (_PAIR, drawn["window"]),
+        "frames_simulated": (_PAIR, frames[:, list(iterations)], paid),
         "sim_seed": (_PAIR, table["seed"][index]),
         "step_error": ((*_PAIR, "time"), errors[index]),
-        "log_weight": (_PAIR, np.stack([step.log_weight for step in steps], axis=1), weight),
+        "log_weight": (_PAIR, drawn["log_weight"], weight),
     }
-    log_evidence = np.stack([step.log_evidence for step in steps], axis=1)
-    if not np.isnan(log_evidence).all():
-        stats["log_evidence"] = (_PAIR, log_evidence)
+    if not np.isnan(drawn["log_evidence"]).all():
+        stats["log_evidence"] = (_PAIR, drawn["log_evidence"])
     return stats
 
 

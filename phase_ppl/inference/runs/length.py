@@ -1,61 +1,104 @@
-"""How long a run is and what it may cost, known before anything is simulated."""
+"""How long a run is: a number of iterations, or until a budget is spent.
+
+Whether another iteration begins follows from what those before really cost, not from what a kernel
+declares that a step may cost. With a budget of simulations or frames it follows from the run alone,
+so that it is the same for any number of workers and after every resumption.
+"""
 
 from __future__ import annotations
 
 import math
 import time
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final, NamedTuple
 
 from phase_ppl.inference.registry import KernelInfo
-from phase_ppl.inference.settings import Budget, FrameBudget, TimeBudget
+from phase_ppl.inference.settings import BUDGETS, Budget
 from phase_ppl.models.bridge import Record
-from phase_ppl.world.checks import whole_number
-from phase_ppl.world.errors import InvalidSettingError, shown
+from phase_ppl.world.checks import instance_of, whole_number
+from phase_ppl.world.errors import InvalidSettingError
 
 ITERATIONS: Final = 6
 """L, the paper's number of iterations."""
 
+RECENT: Final = 3
+"""Iterations whose mean is what the next one is expected to take."""
 
-class Length(NamedTuple):
-    """Length of a run.
+IDLE: Final = 100
+"""Iterations in a row without a simulation, after which a budget will never be spent: so it is
+where all hypotheses have been simulated and their noise is fixed."""
+
+clock: Callable[[], float] = time.perf_counter
+"""Seconds of wall time."""
+
+
+class Tally(NamedTuple):
+    """What the initial particles and the finished iterations have cost.
 
     Attributes:
-        iterations: L, after the initial particles; None: until the budget is spent.
-        sims_at_start: the most simulations of each initial particle.
-        sims_per_step: the most simulations that an iteration takes per particle. Kernels declare
-            it; what they spend is counted.
-        seconds: of wall time that the run may take; None: any.
-        simulations: to be made; None: any number.
-        frames: to be simulated; None: any number.
+        simulations: made; those run again because they failed do not count.
+        frames: simulated by them.
+        last: the last iteration that took a simulation.
     """
 
-    iterations: int | None
-    sims_at_start: int
-    sims_per_step: int
-    seconds: float | None = None
-    simulations: int | None = None
-    frames: int | None = None
+    simulations: int = 0
+    frames: int = 0
+    last: int = 0
 
-    def at_most(self, chains: int, iterations: int) -> int:
+
+def counted(records: Sequence[Record], done: int, before: Tally | None = None) -> Tally:
+    """Return what ``done`` iterations have cost.
+
+    Args:
+        records: all simulations of the run, in order.
+        done: how many iterations are finished.
+        before: what fewer of them cost, to which the rest is added.
+    """
+    before = Tally() if before is None else before
+    new = [record for record in records[before.simulations :] if record.iteration <= done]
+    return Tally(
+        before.simulations + len(new),
+        before.frames + sum(record.result.frames_simulated for record in new),
+        new[-1].iteration if new else before.last,
+    )
+
+
+class Length(NamedTuple):
+    """When a run ends.
+
+    Attributes:
+        chains: number of particles M.
+        iterations: L, after the initial particles; None: until the budget is spent.
+        budget: None where there is a number of iterations.
+        sims_at_start: the most simulations of each initial particle.
+        sims_per_step: the most simulations that an iteration takes per particle.
+    """
+
+    chains: int
+    iterations: int | None = None
+    budget: Budget | None = None
+    sims_at_start: int = 1
+    sims_per_step: int = 1
+
+    def at_most(self, iterations: int) -> int:
         """Return the most simulations that so many iterations take."""
-        return chains * (self.sims_at_start + iterations * self.sims_per_step)
+        return self.chains * (self.sims_at_start + iterations * self.sims_per_step)
+
+    def limit(self, unit: str) -> float:
+        """Return the budget, where it is in that unit; else inf."""
+        return self.budget.amount if self.budget and self.budget.unit == unit else math.inf
 
     @property
-    def target(self) -> dict[str, Any]:
-        """What ends the run, as a file keeps it."""
-        names = ("iterations", "seconds", "simulations", "frames")
-        return {name: getattr(self, name) for name in names}
+    def counts(self) -> bool:
+        """Whether the run ends when so many simulations or frames were made."""
+        return self.budget is not None and self.budget.unit != "seconds"
 
-
-def budget_of(target: Mapping[str, Any]) -> Budget | FrameBudget | TimeBudget | None:
-    """Return the budget of a :attr:`Length.target`; None: it is a number of iterations."""
-    if target.get("simulations") is not None:
-        return Budget(target["simulations"])
-    if target.get("frames") is not None:
-        return FrameBudget(target["frames"])
-    return None if target.get("seconds") is None else TimeBudget(target["seconds"])
+    def is_spent(self, tally: Tally) -> bool:
+        """Return whether a budget of simulations or frames is used up."""
+        return tally.simulations >= self.limit("simulations") or tally.frames >= self.limit(
+            "frames"
+        )
 
 
 def run_length(
@@ -63,7 +106,7 @@ def run_length(
     info: KernelInfo,
     chains: int,
     iterations: int | None,
-    budget: Budget | FrameBudget | TimeBudget | None,
+    budget: Budget | None,
     n_frames: int,
 ) -> Length:
     """Return the length of a run.
@@ -80,153 +123,56 @@ def run_length(
     """
     if budget is not None and iterations is not None:
         raise InvalidSettingError("give either iterations or a budget, not both")
-    if not isinstance(budget, Budget | FrameBudget | TimeBudget | None):
-        raise InvalidSettingError(
-            f"budget={shown(budget)}, expected phase_ppl.simulations(n), phase_ppl.frames(n) or "
-            "phase_ppl.seconds(n)"
-        )
+    if budget is not None:
+        instance_of("budget", budget, Budget, BUDGETS)
     length = Length(
-        0,
+        chains,
+        iterations,
+        budget,
         getattr(kernel, "sims_at_start", 1),
         getattr(kernel, "sims_per_step", info.sims_per_step),
     )
     own = getattr(kernel, "n_iterations", None)
     if own is not None:
-        needed = own(chains)
-        _check_own(info.name, length.at_most(chains, needed), needed, chains, iterations, budget,
-                   n_frames)  # fmt: skip
-        return length._replace(iterations=needed)
+        _check_own(info.name, length, own(chains), n_frames)
+        return length._replace(iterations=own(chains), budget=None)
     if budget is None:
         wanted = ITERATIONS if iterations is None else whole_number("iterations", iterations)
         return length._replace(iterations=wanted)
-    at_start = length.at_most(chains, 0)
-    if isinstance(budget, TimeBudget):
-        return length._replace(iterations=None, seconds=budget.seconds)
-    if isinstance(budget, Budget):
-        # what an iteration takes is not known before, but a simulation for each particle is little
-        if budget.simulations < at_start + chains:
-            raise InvalidSettingError(
-                f"a budget of {budget.simulations} simulations is too small: {chains} initial "
-                f"particles and one iteration need {at_start + chains}"
-            )
-        return length._replace(iterations=None, simulations=budget.simulations)
-    if budget.frames <= at_start * n_frames:
+    at_start = length.at_most(0)
+    # what an iteration takes is not known before, but a simulation for each particle is little
+    if length.limit("simulations") < at_start + chains:
         raise InvalidSettingError(
-            f"a budget of {budget.frames} frames is too small: {chains} initial particles need "
+            f"a budget of {budget} is too small: {chains} initial particles and one iteration "
+            f"need {at_start + chains}"
+        )
+    if length.limit("frames") <= at_start * n_frames:
+        raise InvalidSettingError(
+            f"a budget of {budget} is too small: {chains} initial particles need "
             f"{at_start * n_frames}, and iterations come on top"
         )
-    return length._replace(iterations=None, frames=budget.frames)
+    return length
 
 
-def _check_own(
-    name: str,
-    simulations: int,
-    needed: int,
-    chains: int,
-    iterations: int | None,
-    budget: Budget | FrameBudget | TimeBudget | None,
-    n_frames: int,
-) -> None:
+def _check_own(name: str, asked: Length, needed: int, n_frames: int) -> None:
     """Raise InvalidSettingError if something contradicts a kernel that decides its own length."""
-    if isinstance(budget, TimeBudget):
+    takes = f"with {asked.chains} chains it takes {needed}"
+    if asked.limit("seconds") < math.inf:
         raise InvalidSettingError(
-            f"a budget of seconds is of no use to kernel {name!r}: with {chains} chains it takes "
-            f"{needed} iterations, whatever their time"
+            f"a budget of seconds is of no use to kernel {name!r}: {takes} iterations, whatever "
+            "their time"
         )
-    if iterations is not None and iterations != needed:
+    if asked.iterations not in (None, needed):
         raise InvalidSettingError(
-            f"iterations={iterations}, but kernel {name!r} decides itself: with {chains} chains "
-            f"it takes {needed}; leave iterations out"
+            f"iterations={asked.iterations}, but kernel {name!r} decides itself: {takes}; leave "
+            "iterations out"
         )
-    if isinstance(budget, Budget) and budget.simulations < simulations:
-        raise InvalidSettingError(
-            f"a budget of {budget.simulations} simulations is too small: kernel {name!r} takes "
-            f"{simulations}"
-        )
-    if isinstance(budget, FrameBudget) and budget.frames < simulations * n_frames:
-        raise InvalidSettingError(
-            f"a budget of {budget.frames} frames is too small: kernel {name!r} takes "
-            f"{simulations * n_frames}"
-        )
-
-
-def check_chains(info: KernelInfo, chains: int) -> None:
-    """Raise InvalidSettingError if the kernel cannot work with so many chains."""
-    whole_number("chains", chains)
-    if info.even_chains and chains % 2:
-        raise InvalidSettingError(
-            f"chains={chains}: kernel {info.name!r} needs an even number, such as {chains + 1}"
-        )
-
-
-# --- how many iterations a run takes: a number of them, or until a budget is spent ----------------
-# Whether another iteration begins follows from what those before really cost, not from what a
-# kernel declares that a step may cost. With a budget of simulations or frames it follows from the
-# run alone, so that it is the same for any number of workers and after every resumption.
-
-clock = time.perf_counter
-"""Seconds of wall time."""
-
-RECENT: Final = 3
-"""Iterations whose mean is what the next one is expected to take."""
-
-
-IDLE: Final = 100
-"""Iterations in a row without a simulation, after which a budget will never be spent: so it is
-where all hypotheses have been simulated and their noise is fixed."""
-
-
-class Tally(NamedTuple):
-    """What the initial particles and the finished iterations have cost.
-
-    Attributes:
-        simulations: made; those run again because they failed do not count.
-        frames: simulated by them.
-        idle: how many of the last iterations in a row took no simulation.
-    """
-
-    simulations: int = 0
-    frames: int = 0
-    idle: int = 0
-
-
-NOTHING: Final = Tally()
-
-
-class Account:
-    """Keeps the :class:`Tally` of a run.
-
-    Args:
-        records: all simulations of the run; more will be appended.
-        done: iterations that are finished, all of whose simulations are there.
-
-    Attributes:
-        tally: as of the last call of :meth:`settle`.
-        before: as of the call before it.
-    """
-
-    def __init__(self, records: Sequence[Record], done: int = 0) -> None:
-        self._records = records
-        self._settled = 0
-        self.tally = self.before = NOTHING
-        if records:
-            last = [record for record in records if record.iteration == done]
-            self._settled = len(records) - len(last)
-            paid = records[: self._settled]
-            idle = max(done - 1 - max((r.iteration for r in paid), default=0), 0)
-            self.tally = Tally(len(paid), sum(r.result.frames_simulated for r in paid), idle)
-            self.settle()
-
-    def settle(self) -> None:
-        """Count the simulations of the initial particles, or of an iteration, which ended."""
-        new = self._records[self._settled :]
-        self._settled += len(new)
-        self.before = self.tally
-        self.tally = Tally(
-            self.before.simulations + len(new),
-            self.before.frames + sum(record.result.frames_simulated for record in new),
-            0 if new else self.before.idle + 1,
-        )
+    simulations = asked.at_most(needed)
+    for unit, least in (("simulations", simulations), ("frames", simulations * n_frames)):
+        if asked.limit(unit) < least:
+            raise InvalidSettingError(
+                f"a budget of {asked.budget} is too small: kernel {name!r} takes {least}"
+            )
 
 
 class Pace:
@@ -235,21 +181,21 @@ class Pace:
     Args:
         length: of the run.
         began: time of the call, by :func:`clock`.
-        spent: seconds that the run took before, in other calls.
+        seconds: that the run took before, in other calls.
         recent: seconds that its last iterations took there.
     """
 
     def __init__(
-        self, length: Length, began: float, *, spent: float = 0.0, recent: Iterable[float] = ()
+        self, length: Length, began: float, *, seconds: float = 0.0, recent: Iterable[float] = ()
     ) -> None:
         self._length = length
-        self._begin = began - spent
+        self._begin = began - seconds
         self._recent = deque(recent, maxlen=RECENT)
         self._first_guess = False
         self._mark = 0.0
 
     @property
-    def spent(self) -> float:
+    def seconds(self) -> float:
         """Seconds that the run has taken so far, in all calls."""
         return clock() - self._begin
 
@@ -276,30 +222,18 @@ class Pace:
         self._first_guess = initial
         self._recent.append(taken)
 
-    def another(self, done: int, spent: Tally = NOTHING) -> bool:
-        """Return whether another iteration is to begin.
-
-        Args:
-            done: iterations so far.
-            spent: what they and the initial particles cost.
-        """
-        length = self._length
-        if length.simulations is not None or length.frames is not None:
-            return not self.is_spent(spent) and spent.idle < IDLE
+    def another(self, done: int, tally: Tally) -> bool:
+        """Return whether another iteration is to begin, after ``done`` of such a cost."""
+        if self._length.counts:
+            return not self._length.is_spent(tally) and done - tally.last < IDLE
         return done < self.expected(done)
-
-    def is_spent(self, spent: Tally) -> bool:
-        """Return whether a budget of simulations or frames is used up."""
-        simulations, frames = self._length.simulations, self._length.frames
-        return (simulations is not None and spent.simulations >= simulations) or (
-            frames is not None and spent.frames >= frames
-        )
 
     def expected(self, done: int) -> int:
         """Return how many iterations there will be in all, as far as the clock can tell."""
         if self._length.iterations is not None:
             return self._length.iterations
-        if self._length.seconds is None or not self._recent:
+        left = self._length.limit("seconds") - self.seconds
+        if left == math.inf or not self._recent:
             return done
         each = max(math.fsum(self._recent) / len(self._recent), 1e-6)
-        return done + max(int((self._length.seconds - self.spent) / each), 0)
+        return done + max(int(left / each), 0)

@@ -177,14 +177,14 @@ def test_kernels_that_sample_find_the_same(kernel: str, iterations: int, prior: 
 
 
 def test_a_level_has_the_prior_mass_of_the_strengths_nearest_to_it() -> None:
-    levels = np.array(STRENGTH_LEVELS)
     for prior, masses in (
         ("uniform", [1 / 6, 1 / 3, 1 / 3, 1 / 6]),
         ("strength_levels", [1 / 4] * 4),
     ):
-        table = np.exp(prior_table(priors.named(prior), levels))
+        table = np.exp(prior_table(priors.named(prior), STRENGTH_LEVELS))
         np.testing.assert_allclose(table.sum(axis=(0, 1, 2, 3)), masses, atol=1e-6)
         np.testing.assert_allclose(table.sum(axis=(0, 1, 2, 4)), masses, atol=1e-6)
+    levels = np.array(STRENGTH_LEVELS)
     assert [level_of(f, levels) for f in (150, 224, 226, 374, 526, 600)] == [0, 0, 1, 1, 3, 3]
 
 

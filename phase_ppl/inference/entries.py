@@ -6,23 +6,16 @@ import dataclasses
 from collections.abc import Iterable, Mapping
 from typing import Any, Final, TypeAlias
 
-import jax
-from jax import random
-from numpyro.infer.mcmc import MCMCKernel
-
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.inference.infer import infer
-from phase_ppl.inference.registry import Factory, KernelInfo, described
-from phase_ppl.inference.runs.chains import EventData, Recipe
-from phase_ppl.inference.runs.length import check_chains, run_length
-from phase_ppl.inference.settings import SimpleSettings, described_budget
+from phase_ppl.inference.registry import KernelInfo, described
+from phase_ppl.inference.runs.run import Kernel, Run
+from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.model import Model
-from phase_ppl.models.program import event_salt
 from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import InvalidSettingError, PhasePPLError, shown
 from phase_ppl.world.event import Event
 
-Kernel: TypeAlias = str | Factory | MCMCKernel
 Spec: TypeAlias = Kernel | tuple[Kernel, Mapping[str, Any]]
 """A kernel, or a kernel and its options."""
 
@@ -34,8 +27,8 @@ _TAKEN: Final = (
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Contender:
-    """A kernel that takes part.
+class Entry:
+    """A kernel that is compared.
 
     Attributes:
         label: what it is called in tables and figures.
@@ -62,9 +55,8 @@ class Contender:
             "options": dict(self.options),
             "chains": self.chains,
             "settings": dataclasses.asdict(self.settings),
-            **({"length": {k: described_budget(v) for k, v in self.length.items()}}
-               if self.length else {}),
-        }  # fmt: skip
+            **({"length": {k: str(v) for k, v in self.length.items()}} if self.length else {}),
+        }
 
     def check(self, event: Event, model: Model, budget: Any) -> None:
         """Make the kernel and trace a step of it, with nothing simulated.
@@ -73,27 +65,11 @@ class Contender:
             InvalidSettingError: it cannot run with these settings; the message names it.
         """
         try:
-            check_chains(self.info, self.chains)
-            scene, observation = event.scene, event.observation
-            settings = self.settings
-            tables = settings.tables(scene, observation)
-            options = tuple(self.options.items())
-            recipe = Recipe(self.info, options, model, settings, observation.n_frames)
-            kernel = recipe.build(EventData(tables, event_salt(scene, observation), 0))
             length = self.length or {"budget": budget}
-            run_length(
-                kernel,
-                self.info,
-                self.chains,
-                length.get("iterations"),
-                length.get("budget"),
-                observation.n_frames,
+            what = Run(
+                *(event, model, self.kernel, self.options, self.settings, self.chains), seed=0
             )
-            keys = random.split(random.key(0), self.chains)
-            # one program: NumPyro's own kernels are made ready by init
-            jax.eval_shape(
-                lambda keys: kernel.sample(kernel.init(keys, 0, None, (), {}), (), {}), keys
-            )
+            what.check(length.get("iterations"), length.get("budget"))
         except PhasePPLError as error:
             raise type(error)(f"{self.label}: {error}") from None
         except Exception as error:  # whatever a kernel of somebody's stumbles over
@@ -124,13 +100,13 @@ class Contender:
         return post
 
 
-def contender(
+def entry(
     label: str | None,
     spec: Spec,
     chains: int,
     settings: SimpleSettings,
     own_length: bool = False,
-) -> Contender:
+) -> Entry:
     """Return the kernel that a user names.
 
     Args:
@@ -163,12 +139,12 @@ def contender(
     if own.beta is not None:
         raise InvalidSettingError("beta is the model's here: Model(likelihood=RadialLikelihood(b))")
     own_chains = options.pop("chains", chains)
-    return Contender(label or info.name, kernel, options, own_chains, own, length, info)
+    return Entry(label or info.name, kernel, options, own_chains, own, length, info)
 
 
-def contenders(
+def entries(
     kernels: Iterable[Spec] | Mapping[str, Spec], chains: int, settings: SimpleSettings
-) -> list[Contender]:
+) -> list[Entry]:
     """Return the kernels of a comparison.
 
     Raises:
@@ -181,7 +157,7 @@ def contenders(
     named: Iterable[tuple[str | None, Spec]] = (
         list(kernels.items()) if isinstance(kernels, Mapping) else [(None, k) for k in kernels]
     )
-    found = [contender(label, spec, chains, settings) for label, spec in named]
+    found = [entry(label, spec, chains, settings) for label, spec in named]
     if not found:
         raise InvalidSettingError("kernels is empty: name at least one")
     labels = [one.label for one in found]

@@ -1,0 +1,213 @@
+"""What a run is: the particles of a kernel on an event."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable, Mapping
+from typing import Any, Final, TypeAlias
+
+import jax
+from jax import random
+from numpyro.infer.mcmc import MCMCKernel
+
+from phase_ppl.inference.proposals.guide import bottom_up_guide
+from phase_ppl.inference.proposals.tables import BottomUpTables
+from phase_ppl.inference.registry import Factory, KernelInfo, described
+from phase_ppl.inference.runs.length import run_length
+from phase_ppl.inference.settings import Budget, SimpleSettings
+from phase_ppl.models import priors
+from phase_ppl.models.density import compiled_quickly, remembered
+from phase_ppl.models.likelihood import RadialLikelihood
+from phase_ppl.models.model import Model
+from phase_ppl.models.program import EventProgram, event_salt
+from phase_ppl.world.checks import whole_number
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
+from phase_ppl.world.event import Event
+from phase_ppl.world.identity import event_digest, source_hash, stable
+
+_KEPT_PROGRAMS: Final = 16
+
+Kernel: TypeAlias = str | Factory | MCMCKernel
+"""A kernel as users give it: by name, as what makes one for an event, or as an instance."""
+
+Data: TypeAlias = tuple[BottomUpTables, jax.Array | int, jax.Array | int]
+"""All that compiled code is told of an event, beside its number of frames: what its windows say,
+a number that stands for it, and the handle of the bridge that simulates."""
+
+Recipe: TypeAlias = tuple[KernelInfo, tuple[tuple[str, Any], ...], Model, SimpleSettings, int]
+"""Of a kernel: its options, name and value; prior, simulator, likelihood; settings; and length T of
+the observation. Events with as many frames share compiled programs."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Run:
+    """All that determines the draws of a run, but for how many there are.
+
+    Attributes:
+        event: what is explained.
+        model: prior, simulator, likelihood.
+        kernel: as the user gave it.
+        options: of the kernel.
+        settings: of SIMPLE.
+        chains: particles M.
+        seed: a whole number >= 0.
+
+    Raises:
+        InvalidEventError: ``event`` is no event.
+        InvalidSettingError, UnknownNameError: a setting that cannot be used.
+    """
+
+    event: Event
+    model: Model
+    kernel: Kernel
+    options: Mapping[str, Any]
+    settings: SimpleSettings
+    chains: int
+    seed: int
+    info: KernelInfo = dataclasses.field(init=False)
+    """What is known of the kernel."""
+
+    def __post_init__(self) -> None:
+        check_event(self.event)
+        object.__setattr__(self, "info", described(self.kernel))
+        object.__setattr__(self, "chains", whole_number("chains", self.chains))
+        object.__setattr__(self, "seed", whole_number("seed", self.seed, minimum=0))
+        if self.info.even_chains and self.chains % 2:
+            raise InvalidSettingError(
+                f"chains={self.chains}: kernel {self.info.name!r} needs an even number, such as "
+                f"{self.chains + 1}"
+            )
+
+    def identity(self) -> dict[str, Any]:
+        """Return as plain data what a run must have in common with another to be the same."""
+        own_values = vars(self.kernel) if isinstance(self.kernel, MCMCKernel) else {}
+        plain = bool | int | float | str
+        return {
+            "event": event_digest(self.event),
+            "model": stable(self.model.fingerprint()),
+            "kernel": {
+                "name": self.info.name,
+                "source": source_hash(
+                    self.info.factory if isinstance(self.kernel, str) else self.kernel
+                ),
+                "values": {k: v for k, v in sorted(own_values.items()) if isinstance(v, plain)},
+                "options": stable(dict(self.options)),
+            },
+            "settings": stable(fields_of(self.settings)),
+            "chains": self.chains,
+            "seed": self.seed,
+        }
+
+    def again(self) -> dict[str, Any]:
+        """Return what makes the run again from a file; None for what is no plain data."""
+        model = self.model
+        prior = next((name for name, known in priors.PRIORS.items() if known is model.prior), None)
+        stored = None
+        if prior and model.simulator is None and type(model.likelihood) is RadialLikelihood:
+            stored = {
+                "prior": prior,
+                "beta": model.likelihood.beta,
+                "planner": model.fingerprint()["planner"],
+                "noise": model.noise,
+            }
+        return {
+            "model": stored,
+            "kernel": self.kernel if isinstance(self.kernel, str) else None,
+            "options": _plain(dict(self.options)),
+            "settings": _plain(fields_of(self.settings)),
+        }
+
+    @property
+    def recipe(self) -> Recipe:
+        """What the compiled programs depend on."""
+        options = tuple(self.options.items())
+        n_frames = self.event.observation.n_frames
+        return self.info, options, self.model, self.settings, n_frames
+
+    def data(self, bridge: int) -> Data:
+        """Return what compiled code is told of the event and the bridge with that handle."""
+        scene, observation = self.event.scene, self.event.observation
+        return self.settings.tables(scene, observation), event_salt(scene, observation), bridge
+
+    def check(self, iterations: int | None, budget: Budget | None) -> None:
+        """Make the kernel and trace a step of it, with nothing simulated.
+
+        Raises:
+            Exception: it cannot run, or not for so long.
+        """
+        kernel = make_kernel(self.recipe, self.data(0))
+        n_frames = self.event.observation.n_frames
+        run_length(kernel, self.info, self.chains, iterations, budget, n_frames)
+        # one program: NumPyro's own kernels are made ready by init
+        jax.eval_shape(
+            lambda keys: kernel.sample(kernel.init(keys, 0, None, (), {}), (), {}),
+            random.split(random.key(0), self.chains),
+        )
+
+
+def check_event(given: object) -> None:
+    """Raise InvalidEventError if something is no event."""
+    if not isinstance(given, Event):
+        raise InvalidEventError(f"{shown(given)} is no event; phase_ppl.load_event reads one")
+
+
+def model_again(stored: Mapping[str, Any]) -> Model:
+    """Return the model that :meth:`Run.again` wrote down."""
+    from phase_ppl.agents.config import PlannerConfig
+
+    return Model(
+        prior=stored["prior"],
+        likelihood=RadialLikelihood(stored["beta"]),
+        planner=PlannerConfig.from_dict(stored["planner"]),
+        noise=stored["noise"],
+    )
+
+
+def fields_of(settings: SimpleSettings) -> dict[str, Any]:
+    """Return the settings by name."""
+    return {f.name: getattr(settings, f.name) for f in dataclasses.fields(settings)}
+
+
+def _plain(options: dict[str, Any]) -> dict[str, Any] | None:
+    """Return options or settings if JSON gives them back as they are; else None."""
+    try:
+        again: dict[str, Any] = json.loads(json.dumps(options, allow_nan=False))
+    except (TypeError, ValueError):
+        return None
+    # a list is no tuple, and 1 is not True
+    return again if repr(again) == repr(options) else None
+
+
+# --- compiled programs ----------------------------------------------------------------------------
+
+
+def make_kernel(recipe: Recipe, data: Data) -> MCMCKernel:
+    """Return the kernel for an event."""
+    info, options, model, settings, n_frames = recipe
+    tables, salt, bridge = data
+    supplies: dict[str, Any] = {}
+    if "settings" in info.needs:
+        supplies["settings"] = settings
+    if "guide" in info.needs:
+        supplies["guide"] = bottom_up_guide(
+            model.prior, model.sites, tables, prior_share=settings.prior_share
+        )
+    return info.make(EventProgram(model, bridge, n_frames, salt), **supplies, **dict(options))
+
+
+@remembered(_KEPT_PROGRAMS)
+def compiled(recipe: Recipe) -> tuple[Callable[..., Any], Callable[..., Any]]:
+    """Return the two compiled functions of a recipe: (keys, data) and (state, data) -> state."""
+
+    def init(keys: jax.Array, data: Data) -> Any:
+        return make_kernel(recipe, data).init(keys, 0, None, (), {})
+
+    def step(state: Any, data: Data) -> Any:
+        kernel = make_kernel(recipe, data)
+        if getattr(kernel, "_sample_fn", True) is None:
+            # NumPyro's own kernels are made ready by init
+            jax.eval_shape(lambda keys: kernel.init(keys, 0, None, (), {}), state.rng_key)
+        return kernel.sample(state, (), {})
+
+    return compiled_quickly(init), compiled_quickly(step)

@@ -1,0 +1,507 @@
+"""Doing a run: one iteration at a time, so that nothing that was done is ever lost.
+
+:func:`run` takes what the run is (:class:`~phase_ppl.inference.runs.run.Run`) and how the call goes
+about it (:class:`RunOptions`), begins it or goes on with it, and returns its posterior.
+"""
+
+from __future__ import annotations
+
+import concurrent.futures as futures
+import contextlib
+import dataclasses
+import json
+import math
+import os
+import platform
+import time
+import warnings
+import weakref
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from typing import Any, Final, TypeVar
+
+import jax
+import numpy as np
+from jax import random
+
+from phase_ppl.analysis.posterior import Posterior
+from phase_ppl.inference.proposals.strength import estimator_name
+from phase_ppl.inference.runs import length
+from phase_ppl.inference.runs.checkpoint import Checkpoint, write_checkpoint
+from phase_ppl.inference.runs.draws import Columns, build_tree, particles_of
+from phase_ppl.inference.runs.length import Pace, counted, run_length
+from phase_ppl.inference.runs.progress import Progress
+from phase_ppl.inference.runs.run import Run, compiled, fields_of, make_kernel
+from phase_ppl.inference.settings import Budget
+from phase_ppl.inference.stepwise import TableRunner, filter_event
+from phase_ppl.models.bridge import SimulatorBridge
+from phase_ppl.models.density import on_cpu
+from phase_ppl.models.likelihood import gives_table
+from phase_ppl.simulator.contract import Cancelled, OutOfTime, SimulationResult, Statistics
+from phase_ppl.simulator.runner import Runner
+from phase_ppl.world.checks import check_memory, whole_number
+from phase_ppl.world.errors import InvalidSettingError, OutputError, SimulationError
+from phase_ppl.world.identity import versions
+
+POLL_SECONDS: Final = 0.1
+"""How long Ctrl-C may go unnoticed."""
+
+_RECORD_BYTES: Final = 3000
+_FRAME_BYTES: Final = 104
+"""Of memory that a simulation takes, and each of its frames."""
+
+_APART: Final = 0.5
+"""Units by which a first frame may be off the start."""
+
+_OVERTIME: Final = 1.1
+"""An iteration is given up that goes on for so much of the seconds, and one second."""
+
+_known_simulators: Final[weakref.WeakSet[Any]] = weakref.WeakSet()
+
+Result = TypeVar("Result")
+
+
+class Interrupted(KeyboardInterrupt):
+    """The run was interrupted; what was done until then is kept.
+
+    A ``KeyboardInterrupt``, so that no ``except Exception`` in a loop over events swallows it.
+
+    Attributes:
+        posterior: of the iterations that were finished, of the initial particles where none
+            was; None where not even those were.
+    """
+
+    def __init__(self, posterior: Posterior | None) -> None:
+        kept = "nothing was complete yet" if posterior is None else "see .posterior"
+        super().__init__(f"the run was interrupted; {kept}")
+        self.posterior = posterior
+
+
+@dataclasses.dataclass(frozen=True)
+class RunOptions:
+    """How a call goes about a run.
+
+    Attributes:
+        iterations, budget: as given; the length of the run.
+        on_failure, retries: what becomes of failed simulations; draws depend on it where some fail.
+        simulation_seconds: that a simulation may take; None: any.
+        workers, executor: where simulations run.
+        progress: whether to show a bar.
+        checkpoint: file; None: none is written.
+        burn_in: draws at the beginning of each chain that do not count; None: by default.
+        versions: of which the run was made so far, the present ones last.
+        began: when the call began, by :func:`phase_ppl.inference.runs.length.clock`.
+
+    Raises:
+        InvalidSettingError: ``burn_in`` leaves no iteration.
+    """
+
+    iterations: int | None = None
+    budget: Budget | None = None
+    on_failure: str = "reject"
+    retries: int | None = None
+    simulation_seconds: float | None = None
+    workers: int | None = None
+    executor: Executor | None = None
+    progress: bool | None = None
+    checkpoint: str | os.PathLike[str] | None = None
+    burn_in: int | None = None
+    versions: Sequence[Mapping[str, Any]] = dataclasses.field(default_factory=lambda: [versions()])
+    began: float = dataclasses.field(default_factory=lambda: length.clock())
+
+    def __post_init__(self) -> None:
+        if self.burn_in is None:
+            return
+        whole_number("burn_in", self.burn_in, minimum=0)
+        if self.iterations is not None and self.burn_in >= self.iterations:
+            raise InvalidSettingError(
+                f"burn_in={self.burn_in}, but there are {self.iterations} iterations: "
+                "expected fewer"
+            )
+
+
+def run(what: Run, options: RunOptions, saved: Checkpoint | None = None) -> Posterior:
+    """Do a run, or what is left of it, and return its posterior.
+
+    Args:
+        what: the run.
+        options: of the call.
+        saved: where to go on; None: at the beginning.
+
+    Raises:
+        InvalidSettingError, UnknownNameError: a setting that cannot be used.
+        Interrupted: Ctrl-C.
+        Exception: whatever ended the run, with what was done as its ``posterior``.
+    """
+    with contextlib.closing(_open_runner(what, options)) as runner:
+        sampler = Sampler(what, options, runner, saved)
+        ended = sampler.advance()
+    posterior = sampler.posterior(interrupted=ended is not None)
+    if isinstance(ended, KeyboardInterrupt | Cancelled):
+        raise Interrupted(posterior) from None
+    if ended is not None:
+        with contextlib.suppress(AttributeError):  # of a class without room for it
+            ended.posterior = posterior  # type: ignore[attr-defined]
+            if posterior is not None:
+                ended.add_note("What was done until then is the attribute posterior of this error.")
+        raise ended
+    assert posterior is not None, "a run that ended well has at least its initial particles"
+    return posterior
+
+
+def _open_runner(what: Run, options: RunOptions) -> Runner | TableRunner:
+    if gives_table(what.model.likelihood):
+        if options.executor is not None:
+            raise InvalidSettingError(
+                "a stepwise likelihood simulates nothing: it takes no executor"
+            )
+        post = filter_event(
+            *(what.event, what.model),
+            seed=what.seed,
+            threads=options.workers,
+            progress=options.progress,
+        )
+        return TableRunner(post)
+    return Runner(
+        what.model.build_simulator(),
+        what.event.scene,
+        what.event.observation,
+        workers=options.workers,
+        executor=options.executor,
+        on_failure=options.on_failure,
+        retries=options.retries,
+        simulation_seconds=options.simulation_seconds,
+    )
+
+
+class Sampler:
+    """The particles of a run in the hands of one call; arguments as of :func:`run`.
+
+    The compiled step runs in a thread of its own, so that the main thread notices Ctrl-C at
+    once: it then cancels the simulations, waits for the thread, and ends.
+    """
+
+    def __init__(
+        self,
+        what: Run,
+        options: RunOptions,
+        runner: Runner | TableRunner,
+        saved: Checkpoint | None,
+    ) -> None:
+        self._run, self._options, self._runner = what, options, runner
+        self._n_frames = what.event.observation.n_frames
+        self._bridge = SimulatorBridge(runner, self._n_frames)
+        self._bridge.defers = True
+        self._data = what.data(self._bridge.handle)
+        self._kernel = make_kernel(what.recipe, self._data)
+        self._length = run_length(
+            *(self._kernel, what.info, what.chains, options.iterations, options.budget),
+            self._n_frames,
+        )
+        self._check_memory()
+        self._init, self._step = compiled(what.recipe)
+        self._state: Any = None
+        self._particles: list[Columns] = []  # the initial ones, and those after every iteration
+        self._tally = length.Tally()
+        self._written = -1
+        self._calls = 1
+        self._pace = Pace(self._length, options.began)
+        if saved is not None:
+            self._go_on(saved)
+
+    @property
+    def _done(self) -> int:
+        """Finished iterations; -1: not even the initial particles are there."""
+        return len(self._particles) - 1
+
+    def _check_memory(self) -> None:
+        asked = min(
+            self._length.limit("simulations"), self._length.limit("frames") // self._n_frames
+        )
+        least = self._length.at_most(self._length.iterations or 0)
+        most = max(int(asked), least) if self._length.counts else least
+        check_memory(
+            f"chains={self._run.chains}, {most} simulations of {self._n_frames} frames",
+            most * (_RECORD_BYTES + _FRAME_BYTES * self._n_frames),
+        )
+
+    def _keys(self) -> jax.Array:
+        number = int(np.random.SeedSequence(self._run.seed).generate_state(1)[0])
+        return random.split(random.key(number), self._run.chains)
+
+    def _go_on(self, saved: Checkpoint) -> None:
+        wanted = self._length.iterations
+        if wanted is not None and wanted < saved.done:
+            raise InvalidSettingError(
+                f"iterations={wanted}, but {saved.path} has {saved.done} already"
+            )
+        with on_cpu():
+            blank = jax.eval_shape(self._init, self._keys(), self._data)
+        self._state, self._particles = saved.state(blank), list(saved.particles)
+        before = counted(saved.records, saved.done - 1)
+        if saved.done and self._length.is_spent(before):
+            raise InvalidSettingError(
+                f"a budget of {self._length.budget} is too small: {saved.path} went on after "
+                f"{before.simulations} simulations of {before.frames} frames"
+            )
+        for record in saved.records:
+            self._bridge.remember(record)
+        self._bridge.iteration = self._written = saved.done
+        self._tally = counted(saved.records, saved.done, before)
+        self._runner.statistics = dataclasses.replace(saved.statistics)
+        self._calls = saved.calls + 1
+        began, recent = self._options.began, saved.recent
+        self._pace = Pace(self._length, began, seconds=saved.seconds, recent=recent)
+
+    def advance(self) -> BaseException | None:
+        """Do what is left of the run; return what ended it before its end, or None."""
+        batch = self._run.chains * self._length.sims_per_step
+        before = 0 if self._done < 0 else self._simulations()
+        with Progress(self._expected(), self._options.progress, done=before, batch=batch) as bar:
+            self._runner.on_result = bar.one_more
+            try:
+                self._advance(bar)
+            except OutOfTime:  # the iteration that was under way does not count
+                return None
+            except (KeyboardInterrupt, Cancelled) as stop:
+                # in case that it came while the file was being written; the posterior comes first
+                with contextlib.suppress(OutputError):
+                    self._keep()
+                return stop
+            except Exception as error:
+                return error
+        return None
+
+    def _advance(self, bar: Progress) -> None:
+        seconds, runner = self._length.limit("seconds"), self._runner
+        if self._done < 0:
+            limit = runner.limit
+            runner.limit = min(limit, seconds)
+            runner.patience = time.perf_counter() + seconds - self._pace.seconds
+            self._iterate(self._first_state)
+            runner.limit = limit
+            if self._run.model.simulator is not None:
+                results = [record.result for record in self._bridge.records]
+                _check_once(runner, self._run.model.simulator, results)
+        left = _OVERTIME * seconds + 1.0 - self._pace.seconds
+        runner.deadline = time.perf_counter() + left
+        while self._pace.another(self._done, self._tally):
+            bar.reach(self._simulations())
+            bar.expect(self._expected())
+            self._iterate(lambda: self._step(self._state, self._data))
+        bar.expect(self._simulations())
+        bar.reach(self._simulations())
+
+    def _iterate(self, compute: Callable[[], Any]) -> None:
+        """Do the initial particles, or an iteration, which counts once it is complete.
+
+        Raises:
+            SimulationError: all initial simulations failed.
+            KeyboardInterrupt: Ctrl-C.
+        """
+        initial = self._done < 0
+        self._bridge.iteration = self._done + 1
+        self._pace.begin()
+        state = self._in_thread(compute)
+        if initial:
+            state = self._all_started(state)
+        particles = particles_of(state)
+        self._state = state
+        self._particles.append(particles)
+        self._pace.end(initial=initial)
+        self._tally = counted(self._bridge.records, self._done, self._tally)
+        self._keep()
+
+    def _first_state(self) -> Any:
+        state = self._init(self._keys(), self._data)
+        for field in ("z", "sim_seed", "rng_key"):
+            if not hasattr(state, field):
+                raise InvalidSettingError(
+                    f"{type(state).__name__}, the state of the kernel, has no field {field!r}"
+                )
+        return state
+
+    def _all_started(self, state: Any) -> Any:
+        """Return the initial state with particles whose simulation failed where the next one is.
+
+        Any start leaves the stationary law as it is.
+        """
+        records, chain = self._bridge.records, np.arange(self._run.chains)
+        completed = np.isin(chain, [r.chain for r in records if r.result.completed])
+        if not records:
+            raise SimulationError("no initial hypothesis has prior mass: nothing was simulated")
+        if not completed.any():
+            first = records[0].result
+            raise SimulationError(
+                f"all initial simulations failed; the first, of [{first.hypothesis}] with seed "
+                f"{first.seed}: {first.failure}"
+            )
+        if completed.all():
+            return state
+        source = np.array([next(c for c in np.roll(chain, -i) if completed[c]) for i in chain])
+        copied = jax.tree.map(lambda leaf: leaf[source], state)
+        state = copied._replace(rng_key=state.rng_key)
+        if hasattr(state, "log_weight"):
+            weight = jax.numpy.where(completed, state.log_weight, -np.inf)
+            state = state._replace(log_weight=weight)
+        return state
+
+    def _in_thread(self, work: Callable[[], Result]) -> Result:
+        def worked() -> Result:
+            with on_cpu():
+                return jax.block_until_ready(work())
+
+        with futures.ThreadPoolExecutor(1, thread_name_prefix="phase_ppl") as executor:
+            future = executor.submit(worked)
+            try:
+                while not future.done():
+                    futures.wait([future], timeout=POLL_SECONDS)
+            except KeyboardInterrupt:
+                self._runner.cancel()
+                with contextlib.suppress(BaseException):
+                    future.result()
+                raise
+            result = future.result()
+        if self._bridge.failure is not None:
+            raise self._bridge.failure
+        return result
+
+    def _simulations(self) -> int:
+        """Return the simulations until now: the most there can be, where those do not decide."""
+        if self._length.counts:
+            return self._tally.simulations
+        return self._length.at_most(self._done)
+
+    def _expected(self) -> int:
+        """Return how many simulations there will be in the end, as far as one can tell."""
+        spent = self._tally
+        if self._length.counts:
+            each = spent.frames / spent.simulations if spent.frames else self._n_frames
+            total = min(self._length.limit("simulations"), self._length.limit("frames") / each)
+            return max(math.ceil(total), spent.simulations)
+        return self._length.at_most(self._pace.expected(max(self._done, 0)))
+
+    def _keep(self) -> None:
+        """Write the file, if there is to be one that is not up to date."""
+        options, ends = self._options, self._length
+        if options.checkpoint is None or self._written == self._done:
+            return
+        about = {
+            "identity": self._run.identity(),
+            "again": self._run.again(),
+            "target": {
+                "iterations": ends.iterations,
+                "budget": ends.budget and dataclasses.astuple(ends.budget),
+            },
+            "failures": {
+                "on_failure": self._runner.on_failure,
+                "retries": options.retries,
+                "simulation_seconds": options.simulation_seconds,
+            },
+            "spent": {
+                "statistics": dataclasses.asdict(self._runner.statistics),
+                "seconds": self._pace.seconds,
+                "recent": self._pace.recent,
+                "calls": self._calls,
+            },
+            "versions": list(options.versions),
+        }
+        write_checkpoint(
+            *(options.checkpoint, about, self._run.event),
+            *(self._state, self._particles, self._bridge.records),
+        )
+        self._written = self._done
+
+    def posterior(self, *, interrupted: bool) -> Posterior | None:
+        """Return that of what was done; None without initial particles."""
+        what, kernel = self._run, self._run.info
+        if self._done < 0:
+            return None
+        *earlier, now = self._options.versions
+        attrs: dict[str, Any] = {
+            "kernel": kernel.name,
+            "validity": getattr(self._kernel, "validity", kernel.validity),
+            "settings": json.dumps(self._settings(), default=repr),
+            "cost": json.dumps(self._cost(interrupted)),
+            "versions": json.dumps(now),
+        }
+        if earlier:
+            attrs["earlier_versions"] = json.dumps(earlier)
+        records = self._bridge.records
+        tree = build_tree(what.event, what.model, kernel, self._particles, records, attrs)
+        if self._options.burn_in is not None:
+            # of an interrupted run at least the last draw counts
+            most = tree["posterior"].sizes["draw"] - 1
+            tree.attrs["burn_in"] = min(self._options.burn_in, most)
+        return Posterior(tree)
+
+    def _settings(self) -> dict[str, Any]:
+        what = self._run
+        simple = fields_of(what.settings) | {"strength": estimator_name(what.settings.strength)}
+        del simple["beta"]  # the model's likelihood has it
+        return {
+            "kernel": {"name": what.info.name, **what.options},
+            "chains": what.chains,
+            "iterations": self._done,  # an interrupted run equals a shorter one
+            "seed": what.seed,
+            "on_failure": self._runner.on_failure,
+            "retries": self._runner.retries,
+            "simulation_seconds": self._options.simulation_seconds,
+            "turning": what.event.scene.turning,
+            "simple": simple,
+            "model": what.model.fingerprint(),
+        }
+
+    def _cost(self, interrupted: bool) -> dict[str, Any]:
+        """Return what the run cost; seconds are of wall time unless they say otherwise."""
+        statistics, seconds = self._runner.statistics, self._pace.seconds
+        wanted = statistics.frames + statistics.frames_saved
+        return {
+            "budget": self._length.budget and str(self._length.budget),
+            "simulations": statistics.simulations,
+            "frames": statistics.frames,
+            "frames_saved": statistics.frames_saved,  # by stopping simulations early
+            "frames_saved_share": statistics.frames_saved / wanted if wanted else 0.0,
+            "failures": statistics.failures,
+            "retries": statistics.retries,
+            "seconds": seconds,
+            "seconds_simulating": statistics.seconds_simulating,  # summed over workers
+            "seconds_waiting": statistics.seconds_waiting,
+            "seconds_overhead": seconds - statistics.seconds_waiting,
+            "workers": self._runner.workers,
+            "host": f"{platform.node()} ({platform.system()}, {platform.machine()})",
+            "calls": self._calls,
+            "interrupted": interrupted,
+        }
+
+
+def _check_once(
+    runner: Runner | TableRunner, simulator: Any, results: Sequence[SimulationResult]
+) -> None:
+    """Warn of a simulator that does not start where it is told to, or draws not from its seed."""
+    first = next((result for result in results if result.completed), None)
+    with contextlib.suppress(TypeError):  # of one that cannot be told from others
+        if simulator in _known_simulators:
+            return
+        _known_simulators.add(simulator)
+    if first is None or not isinstance(runner, Runner):
+        return
+    kept = runner.statistics, runner.on_result, runner.on_failure
+    runner.statistics, runner.on_result, runner.on_failure = Statistics(), None, "reject"
+    try:
+        (again,) = runner.run([first.hypothesis], [first.seed])
+    finally:
+        runner.statistics, runner.on_result, runner.on_failure = kept
+    if not np.array_equal(first.trajectory, again.trajectory, equal_nan=True):
+        warnings.warn(
+            "the simulator gave another result for the same seed: unless all its randomness comes "
+            "from rng, a run can be neither repeated nor resumed",
+            stacklevel=2,
+        )
+    apart = np.abs(first.trajectory[0, :, :2] - runner.scene.start[:, :2]).max()
+    if apart > _APART:
+        warnings.warn(
+            f"the first frame of the simulator is {apart:.3g} units off the start of the scene, "
+            "which frame 0 shows",
+            stacklevel=2,
+        )
