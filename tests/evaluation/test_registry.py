@@ -19,7 +19,7 @@ from tests.evaluation.toys import right, still
 @pytest.fixture(autouse=True)
 def _registered_for_this_test_only(monkeypatch: pytest.MonkeyPatch) -> None:
     registry.available_models()
-    monkeypatch.setattr(registry, "_MODELS", dict(registry._MODELS))
+    monkeypatch.setattr(registry.MODELS, "entries", dict(registry.MODELS.entries))
 
 
 def make(answer: str = "friendly") -> Any:
@@ -79,7 +79,7 @@ def test_models_of_other_packages_are_found_and_broken_ones_do_not_matter(
 
     entries = [Entry("bad", breaks), Entry("good", lambda: ppl.register_model("good")(make))]
     monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: entries)
-    registry._load_all.cache_clear()
+    monkeypatch.setattr(registry.MODELS, "_loaded", False)
     with pytest.warns(UserWarning, match=r"'bad' cannot be loaded: no module"):
         assert "good" in ppl.available_models()
 

@@ -17,7 +17,7 @@ from numpyro.infer.gibbs import DiscreteGibbs, Gibbs, discrete_latent_sites
 from numpyro.infer.mcmc import MCMCKernel
 
 from phase_ppl.inference.kernels.particle import ParticleKernel, chosen, log_uniform
-from phase_ppl.inference.kernels.wrapped import WrappedState, seed_of, settled
+from phase_ppl.inference.kernels.wrapped import WrappedState, seed_of
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.models.density import draw, trace_log_density
 from phase_ppl.models.program import EventProgram
@@ -99,10 +99,12 @@ class RandomWalk(MCMCKernel):
         return jnp.where(jnp.isnan(total), -jnp.inf, total)
 
 
+@register_kernel("gibbs", validity="exact", sims_per_step=4)
 class GibbsKernel(ParticleKernel[WrappedState]):
-    """Updates the discrete sites one by one, in random order, then the numbers and the seed.
+    """Gibbs sampling: random walks site by site.
 
-    A discrete site is proposed evenly from its other values, with the simulator's seed kept; the
+    Updates the discrete sites one by one, in random order, then the numbers and the seed. A
+    discrete site is proposed evenly from its other values, with the simulator's seed kept; the
     target is the joint law of hypothesis and seed. An iteration takes one simulation for each
     discrete site and one for the rest.
 
@@ -183,10 +185,6 @@ class GibbsKernel(ParticleKernel[WrappedState]):
             draws = jax.vmap(lambda key: draw(self.model.model.prior, key))(keys)
             return {name: self._step * values.std(axis=0) for name, values in draws.items()}
 
-    def propose_initial(self, key: jax.Array) -> dict[str, jax.Array]:
-        """Return a hypothesis from the prior."""
-        return self.model.draw_prior(key)
-
     def start_one(
         self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]
     ) -> WrappedState:
@@ -216,10 +214,4 @@ class GibbsKernel(ParticleKernel[WrappedState]):
         moved = jnp.stack([jnp.any(inner.z[n] != state.inner.z[n]) for n in inner.z]).any()
         seed = seed_of(self.model, inner.z.get(SEED_SITE, jnp.zeros(())), sites)
         error = self.model.simulate(sites, self.model.log_prior(sites), seed)
-        return settled(state, inner, moved, (sites, seed, error), key)
-
-
-@register_kernel("gibbs", validity="exact", sims_per_step=4)
-def gibbs(program: EventProgram, *, step: float = 0.5) -> GibbsKernel:
-    """Gibbs sampling: random walks site by site."""
-    return GibbsKernel(program, step=step)
+        return state.after(inner, moved, (sites, seed, error), key)

@@ -2,53 +2,31 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import random
 from jax.scipy.special import logsumexp
 
-from phase_ppl.inference.kernels.particle import ParticleKernel, chosen
+from phase_ppl.inference.kernels.particle import ParticleKernel, WeightedState
 from phase_ppl.inference.proposals.tables import window_count
 from phase_ppl.inference.registry import register_kernel
-from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.density import Program, Sites, log_density
-from phase_ppl.models.program import EventProgram
 
 
-class ImportanceState(NamedTuple):
-    """State of one particle.
+@register_kernel(
+    "importance",
+    validity="consistent",
+    needs=("guide", "settings"),
+    keeps="start",
+    weighted=True,
+)
+class Importance(ParticleKernel[WeightedState]):
+    """Importance sampling from the guide's mixture over windows.
 
-    Attributes:
-        i: iterations so far.
-        z: site -> value, the hypothesis drawn last with any further sites; an earlier one, at
-            weight 0, where the last could not be simulated.
-        sim_seed: seed of its simulation.
-        log_weight: log P + log L - log Q, less the log likelihood without any error.
-        window: the window it was drawn from, by its first frame.
-        accepted: whether the last draw could be simulated.
-        n_accepted: how many could.
-        rng_key: of the particle.
-    """
-
-    i: jax.Array
-    z: dict[str, jax.Array]
-    sim_seed: jax.Array
-    log_weight: jax.Array
-    window: jax.Array
-    accepted: jax.Array
-    n_accepted: jax.Array
-    rng_key: jax.Array
-
-
-class Importance(ParticleKernel[ImportanceState]):
-    """Independent draws from the guide, each weighing P(h) L / Q(h).
-
-    Q is the even mixture of the guide's proposals over all windows and the whole observation;
-    with the guide's share of the prior it covers whatever the prior does. Nothing is stopped
-    early.
+    Draws are independent, each weighing P(h) L / Q(h). Q is the even mixture of the guide's
+    proposals over all windows and the whole observation; with the guide's share of the prior it
+    covers whatever the prior does. Nothing is stopped early.
 
     Args:
         program: the model of an event.
@@ -59,6 +37,8 @@ class Importance(ParticleKernel[ImportanceState]):
 
     validity = "consistent"
 
+    initial_tries = 1
+
     @property
     def _n_windows(self) -> int:
         return window_count(self.model.n_frames, self.settings.window) + 1
@@ -67,9 +47,6 @@ class Importance(ParticleKernel[ImportanceState]):
         """Return a hypothesis from the mixture over windows."""
         return self._draw(key)[0]
 
-    def _initial_sites(self, key: jax.Array) -> dict[str, jax.Array]:
-        return self.propose_initial(key)  # one draw: the best of several has another density
-
     def _draw(self, key: jax.Array) -> tuple[dict[str, jax.Array], jax.Array]:
         key_window, key_sites = random.split(key)
         window = random.randint(key_window, (), 0, self._n_windows)
@@ -77,32 +54,18 @@ class Importance(ParticleKernel[ImportanceState]):
 
     def start_one(
         self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]
-    ) -> ImportanceState:
+    ) -> WeightedState:
         """Simulate and weigh the first draw."""
         seed, log_weight = self._weighed(key_start, sites)
         possible = jnp.isfinite(log_weight)
-        none = jnp.zeros((), jnp.int32)
-        return ImportanceState(
-            none, sites, seed, log_weight, none - 1, possible, possible.astype(jnp.int32), key
-        )
+        return WeightedState.before(key, sites, seed).after(key, sites, seed, log_weight, possible)
 
-    def step_one(self, state: ImportanceState) -> ImportanceState:
+    def step_one(self, state: WeightedState) -> WeightedState:
         """Draw once more, whatever was drawn before."""
         key, key_sites, key_seed = random.split(state.rng_key, 3)
         sites, window = self._draw(key_sites)
         seed, log_weight = self._weighed(key_seed, sites)
-        possible = jnp.isfinite(log_weight)
-        sites, seed = chosen(possible, (sites, seed), (state.z, state.sim_seed))
-        return ImportanceState(
-            state.i + 1,
-            sites,
-            seed,
-            log_weight,
-            window.astype(jnp.int32),
-            possible,
-            state.n_accepted + possible,
-            key,
-        )
+        return state.after(key, sites, seed, log_weight, jnp.isfinite(log_weight), window)
 
     def _weighed(self, key: jax.Array, sites: Sites) -> tuple[jax.Array, jax.Array]:
         """Simulate a draw; return the seed and the log weight, -inf where it is impossible."""
@@ -119,15 +82,3 @@ def mixture_log_density(guide: Program, sites: Sites, n_windows: int) -> jax.Arr
     """Return the log density of the even mixture of ``guide(0)``, ..., ``guide(n_windows - 1)``."""
     by_window = jax.vmap(lambda w: log_density(guide, sites, w))(jnp.arange(n_windows))
     return logsumexp(by_window) - np.log(n_windows)
-
-
-@register_kernel(
-    "importance",
-    validity="consistent",
-    needs=("guide", "settings"),
-    keeps="start",
-    weighted=True,
-)
-def importance(program: EventProgram, *, guide: Program, settings: SimpleSettings) -> Importance:
-    """Importance sampling from the guide's mixture over windows."""
-    return Importance(program, guide, settings)

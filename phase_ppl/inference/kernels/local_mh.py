@@ -27,7 +27,7 @@ sum_k r(k | e') Q(h | S_k) <= max_k Q(h | S_k) nor r(k | e') <= 1 can make up fo
 
 from __future__ import annotations
 
-from typing import Final, Literal
+from typing import Final, Literal, get_args
 
 import jax
 import jax.numpy as jnp
@@ -45,8 +45,7 @@ from phase_ppl.world.errors import unknown_name
 
 Rule = Literal["exact", "window", "paper"]
 
-RULES: Final = ("exact", "window", "paper")
-
+RULES: Final = get_args(Rule)
 EXACT_RULES: Final = ("exact", "window")
 
 
@@ -110,8 +109,9 @@ def log_after_bound(rule: Rule, log_proposal: jax.Array) -> jax.Array | float:
     return jnp.max(log_proposal) if rule == "exact" else 0.0
 
 
+@register_kernel("local_mh", validity="exact", needs=("guide", "settings"))
 class LocalMH(MetropolisKernel):
-    """SIMPLE's kernel; see the module for its rules.
+    """SIMPLE: Metropolis-Hastings with local, bottom-up proposals; the module has its rules.
 
     Args:
         program: the model of an event.
@@ -169,7 +169,8 @@ class LocalMH(MetropolisKernel):
         """Propose from a window that is simulated badly; accept by the rule."""
         key, key_window, key_sites, key_seed, key_accept = random.split(state.rng_key, 5)
         window, sites = self.propose_locally(key_window, key_sites, state)
-        return self.settle(self.local_move(window, sites, state), state, key, key_seed, key_accept)
+        move = self.local_move(window, sites, state)
+        return self.accept_reject(move, state, key, key_seed, key_accept)
 
     def propose_locally(
         self, key_window: jax.Array, key_sites: jax.Array, state: MHState
@@ -203,16 +204,3 @@ class LocalMH(MetropolisKernel):
     def _log_windows(self, step_error: jax.Array) -> jax.Array:
         length = window_length(self.model.n_frames, self.settings.window)
         return log_window_choice(step_error, self.settings.eta, length)
-
-
-@register_kernel("local_mh", validity="exact", needs=("guide", "settings"))
-def local_mh(
-    program: EventProgram,
-    *,
-    guide: Program,
-    settings: SimpleSettings,
-    rule: Rule = "exact",
-    early_reject: bool = True,
-) -> LocalMH:
-    """SIMPLE: Metropolis-Hastings with local, bottom-up proposals."""
-    return LocalMH(program, guide, settings, rule=rule, early_reject=early_reject)

@@ -8,10 +8,9 @@ exp(-x)).
 
 from __future__ import annotations
 
-import copy
 import math
 from abc import abstractmethod
-from typing import Any, ClassVar, Final, NamedTuple, Self
+from typing import Any, ClassVar, Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,11 +19,10 @@ from jax import random
 from numpyro import handlers
 from numpyro.infer import AIES, SA
 from numpyro.infer.ensemble import AIESState, EnsembleSamplerState
-from numpyro.infer.mcmc import MCMCKernel
 from numpyro.primitives import Messenger
 from numpyro.util import is_prng_key
 
-from phase_ppl.inference.kernels.particle import chosen
+from phase_ppl.inference.kernels.particle import EventKernel, as_batch_of_one, chosen
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.inference.settings import whole_number
 from phase_ppl.models.density import latent_sites
@@ -179,9 +177,6 @@ def _discrete_quantile(distribution: Any, uniform: jax.Array) -> jax.Array:
     return value
 
 
-# --- numPyro's own samplers as kernels of ours: what their points stand for, simulated ------------
-
-
 class WrappedState(NamedTuple):
     """State of one particle, or of all.
 
@@ -205,30 +200,28 @@ class WrappedState(NamedTuple):
     n_accepted: jax.Array
     rng_key: jax.Array
 
+    def after(
+        self,
+        inner: Any,
+        moved: jax.Array,
+        found: tuple[dict[str, jax.Array], jax.Array, jax.Array],
+        rng_key: jax.Array,
+    ) -> WrappedState:
+        """Return the next state; what could not be simulated leaves the hypothesis as it was.
 
-def settled(
-    state: WrappedState,
-    inner: Any,
-    moved: jax.Array,
-    found: tuple[dict[str, jax.Array], jax.Array, jax.Array],
-    rng_key: jax.Array,
-) -> WrappedState:
-    """Return the next state; what could not be simulated leaves the hypothesis as it was.
-
-    Args:
-        state: the one before.
-        inner: the sampler's next state.
-        moved: whether the sampler moved.
-        found: sites, seed and error of its point; the bridge has simulated it already.
-        rng_key: for the next iteration.
-    """
-    moved &= jnp.isfinite(found[2]).all()
-    z, sim_seed, error = chosen(moved, found, (state.z, state.sim_seed, state.step_error))
-    n_accepted = state.n_accepted + moved
-    return WrappedState(state.i + 1, z, sim_seed, error, inner, moved, n_accepted, rng_key)
+        Args:
+            inner: the sampler's next state.
+            moved: whether the sampler moved.
+            found: sites, seed and error of its point; the bridge has simulated it already.
+            rng_key: for the next iteration.
+        """
+        moved &= jnp.isfinite(found[2]).all()
+        z, sim_seed, error = chosen(moved, found, (self.z, self.sim_seed, self.step_error))
+        n_accepted = self.n_accepted + moved
+        return WrappedState(self.i + 1, z, sim_seed, error, inner, moved, n_accepted, rng_key)
 
 
-class UniformKernel(MCMCKernel):
+class UniformKernel(EventKernel[WrappedState]):
     """Base of kernels that run a sampler of NumPyro on the uniformised model.
 
     Subclasses work on all particles together.
@@ -241,60 +234,38 @@ class UniformKernel(MCMCKernel):
     """
 
     validity: ClassVar[str] = "exact"
-    sample_field: ClassVar[str] = "z"
-    default_fields: ClassVar[tuple[str, ...]] = ("z",)
 
     def __init__(self, program: EventProgram | None = None) -> None:
-        self._uniform = None if program is None else Uniformised(program)
-
-    def bound_to(self, program: EventProgram) -> Self:
-        """Return a copy of this kernel, with its own options, for another event."""
-        bound = copy.copy(self)
-        UniformKernel.__init__(bound, program)
-        return bound
+        super().__init__(program)
+        if program is not None:
+            self.uniform  # noqa: B018  (refuses sites that it cannot draw)
 
     @property
     def uniform(self) -> Uniformised:
         """The model over real vectors."""
-        if self._uniform is None:
-            raise InvalidSettingError(f"{type(self).__name__} has no program yet")
-        return self._uniform
-
-    @property
-    def model(self) -> EventProgram:
-        """The model of the event."""
-        return self.uniform.program
+        return Uniformised(self.model)
 
     def init(self, rng_key: jax.Array, *_: Any, **__: Any) -> WrappedState:
         """Return the initial states of a batch of keys, or of one."""
         if is_prng_key(rng_key):
-            return jax.tree.map(lambda leaf: leaf[0], self.init(rng_key[None]))
+            alone: WrappedState = as_batch_of_one(self.init, rng_key)
+            return alone
         keys = jax.vmap(lambda key: random.split(key, 3))(rng_key)
         inner = self.start(keys[:, 0], jax.vmap(self.uniform.draw)(keys[:, 1]))
         at = self._at(inner)
         none = jnp.zeros(rng_key.shape, jnp.int32)
         return WrappedState(none, at.sites, at.seed, at.error, inner, none > 0, none, keys[:, 2])
 
-    def sample(
-        self, state: WrappedState, model_args: Any = (), model_kwargs: Any = None
-    ) -> WrappedState:
-        """Return the states after one iteration."""
-        return self._sample_fn(state)
-
-    def get_diagnostics_str(self, state: WrappedState) -> str:
-        """Return the share of iterations that moved, for NumPyro's progress bar."""
-        return f"acc. rate={float(jnp.mean(state.n_accepted / jnp.maximum(state.i, 1))):.2f}"
-
     def _sample_fn(self, state: WrappedState) -> WrappedState:
         if is_prng_key(state.rng_key):
-            whole = jax.tree.map(lambda leaf: leaf[None], state)
-            return jax.tree.map(lambda leaf: leaf[0], self._sample_fn(whole))
+            alone: WrappedState = as_batch_of_one(self._sample_fn, state)
+            return alone
         keys = jax.vmap(random.split)(state.rng_key)
         inner = self.advance(keys[:, 0], state.inner)
         moved = (self.points(inner) != self.points(state.inner)).any(axis=1)
         at = self._at(inner)
         found = at.sites, at.seed, at.error
-        return jax.vmap(settled)(state, inner, moved, found, keys[:, 1])
+        return jax.vmap(WrappedState.after)(state, inner, moved, found, keys[:, 1])
 
     def _at(self, inner: Any) -> At:
         """Return what the points stand for; their simulations were paid for by the sampler."""
@@ -313,14 +284,13 @@ class UniformKernel(MCMCKernel):
         """Return (chain, dimension) the points at which the sampler is."""
 
 
-# --- affine-invariant ensemble sampling (Goodman, Weare 2010), NumPyro's, on the... ---------------
-
-
+@register_kernel("aies", validity="exact", chain_methods=("vectorized",), even_chains=True)
 class Ensemble(UniformKernel):
-    """The particles are an ensemble, each half of which moves along lines through the other.
+    """Affine-invariant ensemble sampling on the uniformised model.
 
-    An iteration is a stretch or a differential evolution move by chance. The sampler evaluates a
-    current point anew; the bridge answers that from its records.
+    NumPyro's (Goodman, Weare 2010): the particles are an ensemble, each half of which moves along
+    lines through the other. An iteration is a stretch or a differential evolution move by chance.
+    The sampler evaluates a current point anew; the bridge answers that from its records.
 
     Args:
         program: the model of an event.
@@ -359,24 +329,18 @@ class Ensemble(UniformKernel):
         return inner
 
 
-@register_kernel("aies", validity="exact", chain_methods=("vectorized",), even_chains=True)
-def aies(program: EventProgram) -> Ensemble:
-    """Affine-invariant ensemble sampling on the uniformised model."""
-    return Ensemble(program)
-
-
-# --- sample Adaptive MCMC (Zhu 2019), NumPyro's, on the uniformised model -------------------------
-
 _POINTS_PER_SITE: Final = 8
 
 
+@register_kernel("sa", validity="consistent")
 class SampleAdaptive(UniformKernel):
-    """A pool of points per particle proposes a new one, which takes the place of another.
+    """Sample Adaptive MCMC on the uniformised model.
 
-    The draw of an iteration is a point of the pool by chance. The pool's points are simulated at
-    the start, and it takes many iterations to leave them behind. With few points NumPyro's
-    sampler is biased: on the toy of the tests by a total variation of 0.05 with twice as many as
-    sites, below 0.015 with eight times as many. Hence "consistent", and hence the default.
+    NumPyro's (Zhu 2019): a pool of points per particle proposes a new one, which takes the place of
+    another. The draw of an iteration is a point of the pool by chance. The pool's points are
+    simulated at the start, and it takes many iterations to leave them behind. With few points
+    NumPyro's sampler is biased: on the toy of the tests by a total variation of 0.05 with twice as
+    many as sites, below 0.015 with eight times as many. Hence "consistent", and hence the default.
 
     Args:
         program: the model of an event.
@@ -425,9 +389,3 @@ class SampleAdaptive(UniformKernel):
     def _sampler(self, keys: jax.Array, points: jax.Array) -> tuple[SA, Any]:
         sampler = SA(potential_fn=self.uniform.potential, adapt_state_size=self.sims_at_start)
         return sampler, sampler.init(keys, 0, points)
-
-
-@register_kernel("sa", validity="consistent")
-def sa(program: EventProgram, *, pool: int | None = None) -> SampleAdaptive:
-    """Sample Adaptive MCMC on the uniformised model."""
-    return SampleAdaptive(program, pool=pool)

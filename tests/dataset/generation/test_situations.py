@@ -139,7 +139,7 @@ def test_unknown_families_and_variants_are_refused_with_what_there_is() -> None:
 
 def test_a_family_of_ones_own(monkeypatch: pytest.MonkeyPatch) -> None:
     available_families()
-    monkeypatch.setattr(families, "_FAMILIES", dict(families._FAMILIES))
+    monkeypatch.setattr(families.FAMILIES, "entries", dict(families.FAMILIES.entries))
 
     @register_family("side_by_side", scenario="collaborative", layouts=[0])
     def side_by_side(draw: Draw) -> Situation:
@@ -155,7 +155,7 @@ def test_a_family_of_ones_own(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_family_that_breaks_its_promise_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     available_families()
-    monkeypatch.setattr(families, "_FAMILIES", dict(families._FAMILIES))
+    monkeypatch.setattr(families.FAMILIES, "entries", dict(families.FAMILIES.entries))
 
     @register_family("wrong", scenario="opposing", layouts=[0])
     def wrong(draw: Draw) -> Situation:
