@@ -87,8 +87,9 @@ class KernelInfo:
         Raises:
             InvalidSettingError: something that it needs is missing, or an option it does not have.
         """
+        registered = self.validity in VALIDITIES  # and so has said what it needs
         for need in NEEDS:
-            if (need in options) != (need in self.needs):
+            if registered and (need in options) != (need in self.needs):
                 how = "missing" if need in self.needs else "got an unexpected"
                 raise InvalidSettingError(f"kernel {self.name!r}: {how} argument {need!r}")
         try:

@@ -113,15 +113,15 @@ def test_an_agent_that_walks_to_a_landmark_and_stays_is_taken_to_want_that(agent
 
 def test_tables_are_those_of_the_joint_distribution() -> None:
     scores = np.random.default_rng(0).normal(0, 2, (2, N_GOALS))
-    tables = joint_logits(scores)
+    goal, alpha = joint_logits(scores)
     expected = np.zeros((N_GOALS, N_GOALS, len(ALPHAS)))
     for red, green, index in np.ndindex(expected.shape):
         if not (SELF_REFERRING[RED, red] or SELF_REFERRING[GREEN, green]):
             goals = effective_goals(red, green, ALPHAS[index])
             together = scores[RED, goals[0]] + scores[GREEN, goals[1]]
             expected[red, green, index] = ALPHA_PROBABILITIES[index] * np.exp(together)
-    alpha = np.array(ALPHA_PROBABILITIES) * np.exp(tables.alpha)
-    goal = np.exp(tables.goal - tables.goal.max(axis=-1, keepdims=True))
+    alpha = np.array(ALPHA_PROBABILITIES) * np.exp(alpha)
+    goal = np.exp(goal - goal.max(axis=-1, keepdims=True))
     goal /= goal.sum(axis=-1, keepdims=True)
     found = np.einsum("a,ar,ag->rga", alpha / alpha.sum(), goal[:, RED], goal[:, GREEN])
     np.testing.assert_allclose(found, expected / expected.sum(), atol=1e-12)

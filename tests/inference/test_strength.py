@@ -6,27 +6,30 @@ import numpy as np
 import pytest
 
 from phase_ppl.dataset.load import load_events
-from phase_ppl.inference.proposals.strength import VALIDATION_SD, driving_hits, estimated_strength
+from phase_ppl.inference.proposals.strength import VALIDATION_SD, analytic_strengths
 from phase_ppl.physics.actions import Action
 from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS
+from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 
 PHASE_TEST = Path("../shared/phase-test/dev.json")
 
 # red faces right with 20 units of free way, green faces up
 START = np.array([[7.0, 12.0, -np.pi / 2], [20.0, 4.0, 0.0], [8.0, 20.0, 0.0], [24.0, 20.0, 0.0]])
-RADIUS = np.array([1.2, 0.8, 0.8, 0.8])
+SCENE = Scene(START, np.array([1.2, 0.8, 0.8, 0.8]))
 
 
 def driven(strengths: tuple[float, float], actions: list[tuple[Action, Action]]) -> np.ndarray:
-    world = PymunkWorld(Scene(START, RADIUS), strengths)
+    world = PymunkWorld(SCENE, strengths)
     return np.array([START, *(world.step((int(a), int(b))) for a, b in actions)])
 
 
-def estimate(trajectory: np.ndarray, first: int = 0, last: int | None = None) -> np.ndarray:
-    hits = driving_hits(trajectory, RADIUS)
-    return estimated_strength(hits, first, len(trajectory) - 1 if last is None else last)
+def estimate(
+    trajectory: np.ndarray, first: int = 0, last: int | None = None, scene: Scene = SCENE
+) -> np.ndarray:
+    windows = np.array([[first, len(trajectory) - 1 if last is None else last]])
+    return analytic_strengths(scene, Observation(trajectory), windows).mean[0]
 
 
 @pytest.mark.parametrize("level", STRENGTH_LEVELS)
@@ -64,8 +67,7 @@ def test_estimates_on_the_authors_videos_have_the_stated_error() -> None:
     errors = []
     for event in load_events(PHASE_TEST):
         assert event.truth is not None
-        hits = driving_hits(event.observation.trajectory, event.scene.radius)
-        found = estimated_strength(hits, 0, event.observation.n_frames - 1)
+        found = estimate(event.observation.trajectory, scene=event.scene)
         errors += list(found - [event.truth.strength_red, event.truth.strength_green])
     known = np.array(errors)[~np.isnan(errors)]
     assert len(known) >= 55

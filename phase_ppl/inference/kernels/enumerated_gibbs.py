@@ -47,10 +47,7 @@ class EnumeratedGibbs(MetropolisKernel):
     """Gibbs sampling of goals by simulating all, with Metropolis-Hastings for the rest.
 
     Draws one agent's goal from its conditional, then moves a random site as single_site_mh does.
-
-    Args:
-        program: the model of an event.
-        early_reject: stop the simulation of the second part once it cannot be accepted any more.
+    ``early_reject`` is about the second.
     """
 
     sims_per_step: ClassVar[int] = SIMS_PER_STEP

@@ -138,7 +138,6 @@ class Enumeration(ParticleKernel[WeightedState]):
     "exact". The particles share the work; the seeds vary slowest.
 
     Args:
-        program: the model of an event.
         strengths: grid of either agent's strength, newtons, weighted by the prior's density.
         noise_seeds: simulations of each hypothesis, with seeds of their own.
         max_simulations: more than these are refused.

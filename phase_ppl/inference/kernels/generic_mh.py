@@ -78,9 +78,8 @@ class RandomWalkMH(ProposalKernel):
     * a site of a user's own: drawn from its prior given the sites above it.
 
     Args:
-        program: the model of an event.
+        program, early_reject: as of every Metropolis-Hastings kernel.
         scale: standard deviation of a strength's step, newtons.
-        early_reject: stop a simulation once it cannot be accepted any more.
 
     Raises:
         InvalidSettingError: ``scale`` is no positive number.
@@ -173,11 +172,8 @@ class MixtureMH(LocalMH):
     ratio and the mixture leaves invariant what both leave invariant.
 
     Args:
-        program: the model of an event.
-        guide: see :class:`LocalMH`.
-        settings: see :class:`LocalMH`.
+        program, guide, settings, early_reject: as of :class:`LocalMH`.
         local_share: probability of a local move.
-        early_reject: stop a simulation once it cannot be accepted any more.
 
     Raises:
         InvalidSettingError: ``local_share`` is no number in [0, 1].

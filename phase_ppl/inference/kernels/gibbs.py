@@ -109,7 +109,6 @@ class GibbsKernel(ParticleKernel[WrappedState]):
     discrete site and one for the rest.
 
     Args:
-        program: the model of an event.
         step: standard deviation of the steps of real sites, in those of the prior.
 
     Raises:

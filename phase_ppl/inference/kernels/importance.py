@@ -9,9 +9,8 @@ from jax import random
 from jax.scipy.special import logsumexp
 
 from phase_ppl.inference.kernels.particle import ParticleKernel, WeightedState
-from phase_ppl.inference.proposals.tables import window_count
 from phase_ppl.inference.registry import register_kernel
-from phase_ppl.models.density import Program, Sites, log_density
+from phase_ppl.models.density import Sites, log_density
 
 
 @register_kernel(
@@ -27,21 +26,11 @@ class Importance(ParticleKernel[WeightedState]):
     Draws are independent, each weighing P(h) L / Q(h). Q is the even mixture of the guide's
     proposals over all windows and the whole observation; with the guide's share of the prior it
     covers whatever the prior does. Nothing is stopped early.
-
-    Args:
-        program: the model of an event.
-        guide: proposal program ``guide(window)``; the index after the last window stands for
-            the whole observation.
-        settings: the length of the windows.
     """
 
     validity = "consistent"
 
     initial_tries = 1
-
-    @property
-    def _n_windows(self) -> int:
-        return window_count(self.model.n_frames, self.settings.window) + 1
 
     def propose_initial(self, key: jax.Array) -> dict[str, jax.Array]:
         """Return a hypothesis from the mixture over windows."""
@@ -49,7 +38,7 @@ class Importance(ParticleKernel[WeightedState]):
 
     def _draw(self, key: jax.Array) -> tuple[dict[str, jax.Array], jax.Array]:
         key_window, key_sites = random.split(key)
-        window = random.randint(key_window, (), 0, self._n_windows)
+        window = random.randint(key_window, (), 0, self.n_windows + 1)
         return self.draw_guide(key_sites, window), window
 
     def start_one(
@@ -72,13 +61,9 @@ class Importance(ParticleKernel[WeightedState]):
         program = self.model
         seed = program.simulator_seed(key, sites)
         log_prior = program.log_prior(sites)
-        log_proposal = mixture_log_density(self.guide, sites, self._n_windows)
+        windows = jnp.arange(self.n_windows + 1)  # and the whole observation
+        by_window = jax.vmap(lambda window: log_density(self.guide, sites, window))(windows)
+        log_proposal = logsumexp(by_window) - np.log(len(windows))
         error = program.simulate(sites, log_prior, seed)
         log_weight = log_prior - log_proposal + program.relative_log_likelihood(error)
         return seed, jnp.where(jnp.isfinite(error).all(), log_weight, -jnp.inf)
-
-
-def mixture_log_density(guide: Program, sites: Sites, n_windows: int) -> jax.Array:
-    """Return the log density of the even mixture of ``guide(0)``, ..., ``guide(n_windows - 1)``."""
-    by_window = jax.vmap(lambda w: log_density(guide, sites, w))(jnp.arange(n_windows))
-    return logsumexp(by_window) - np.log(n_windows)

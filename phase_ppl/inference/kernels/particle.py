@@ -14,6 +14,7 @@ from jax import lax, random
 from numpyro.infer.mcmc import MCMCKernel
 from numpyro.util import is_prng_key
 
+from phase_ppl.inference.proposals.tables import window_count
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.density import NO_DENSITY, Program, draw
 from phase_ppl.models.program import EventProgram
@@ -42,12 +43,12 @@ class EventKernel(MCMCKernel, Generic[State]):
 
     Args:
         program: the model of an event; None until :meth:`bound_to` is called.
-        guide: proposal program ``guide(window)``, for kernels that need one.
+        guide: proposal program ``guide(window)``, for kernels that need one. Windows count by
+            their first frame; the index after the last one stands for the whole observation.
         settings: of SIMPLE, for kernels that need them; by default the paper's.
     """
 
     sample_field: ClassVar[str] = "z"
-    default_fields: ClassVar[tuple[str, ...]] = ("z",)
 
     def __init__(
         self,
@@ -95,6 +96,11 @@ class EventKernel(MCMCKernel, Generic[State]):
     def get_diagnostics_str(self, state: State) -> str:
         """Return the share of accepted proposals, for NumPyro's progress bar."""
         return f"acc. rate={float(jnp.mean(state.n_accepted / jnp.maximum(state.i, 1))):.2f}"
+
+    @property
+    def n_windows(self) -> int:
+        """How many windows the observation has."""
+        return window_count(self.model.n_frames, self.settings.window)
 
     def draw_guide(self, key: jax.Array, window: jax.Array | int) -> dict[str, jax.Array]:
         """Return a hypothesis from the guide."""

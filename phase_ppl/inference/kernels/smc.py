@@ -28,7 +28,6 @@ from numpyro.util import is_prng_key
 from phase_ppl.inference.kernels.generic_mh import PriorMH
 from phase_ppl.inference.kernels.local_mh import LocalMH
 from phase_ppl.inference.kernels.particle import ParticleKernel, as_batch_of_one
-from phase_ppl.inference.proposals.tables import window_count
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.density import Program, log_density
@@ -70,12 +69,6 @@ def tempered(program: EventProgram, temperature: jax.Array) -> EventProgram:
     # not dataclasses.replace: a model checks its prior anew, which compiled code cannot
     object.__setattr__(model, "likelihood", Tempered(program.model.likelihood, temperature))
     return EventProgram(model, program.bridge, program.n_frames, program.salt)
-
-
-def effective_share(log_weights: jax.Array) -> jax.Array:
-    """Return 1 / (n * sum of squared normalised weights), in (0, 1]; 0 without any weight."""
-    log_share = 2 * logsumexp(log_weights) - logsumexp(2 * log_weights)
-    return jnp.where(jnp.isfinite(log_share), jnp.exp(log_share), 0.0) / len(log_weights)
 
 
 def next_temperature(
@@ -185,9 +178,6 @@ class SMC(ParticleKernel[SMCState]):
     """Sequential Monte Carlo: a population cooled from the proposal to the posterior.
 
     Args:
-        program: the model of an event.
-        guide: proposal program ``guide(window)``.
-        settings: of SIMPLE.
         target: share of the population that a rise in temperature may leave effective; the
             lower, the fewer iterations reach the posterior, and the fewer distinct particles.
         move: name of the kernel that moves the particles.
@@ -225,18 +215,14 @@ class SMC(ParticleKernel[SMCState]):
 
     def propose_initial(self, key: jax.Array) -> dict[str, jax.Array]:
         """Return a hypothesis from what the whole observation shows."""
-        return self.draw_guide(key, self._whole)
-
-    @property
-    def _whole(self) -> int:
-        return window_count(self.model.n_frames, self.settings.window)
+        return self.draw_guide(key, self.n_windows)
 
     def start_one(
         self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]
     ) -> SMCState:
         """Simulate and weigh the first draw of one particle."""
         particle = self._mover(self.model).start_one(key, key_start, sites)
-        log_proposal = log_density(self.guide, sites, jnp.asarray(self._whole))
+        log_proposal = log_density(self.guide, sites, jnp.asarray(self.n_windows))
         log_likelihood = self.model.relative_log_likelihood(particle.step_error)
         log_weight = particle.log_prior - log_proposal + log_likelihood
         zero = jnp.zeros(())

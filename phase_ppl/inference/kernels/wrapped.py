@@ -226,9 +226,6 @@ class UniformKernel(EventKernel[WrappedState]):
 
     Subclasses work on all particles together.
 
-    Args:
-        program: the model of an event.
-
     Raises:
         InvalidSettingError: a site of the prior has no inverse distribution function.
     """
@@ -292,9 +289,6 @@ class Ensemble(UniformKernel):
     lines through the other. An iteration is a stretch or a differential evolution move by chance.
     The sampler evaluates a current point anew; the bridge answers that from its records.
 
-    Args:
-        program: the model of an event.
-
     Raises:
         InvalidSettingError: a site has no inverse distribution function; when started: there
             are fewer than twice as many chains as sites, so that they might move in a subspace.
@@ -343,7 +337,6 @@ class SampleAdaptive(UniformKernel):
     many as sites, below 0.015 with eight times as many. Hence "consistent", and hence the default.
 
     Args:
-        program: the model of an event.
         pool: points per particle; by default eight times the number of sites, the seed's
             included.
 
