@@ -31,7 +31,6 @@ from tests.inference.toy import (
     N_FRAMES,
     RED_GOALS,
     SETTINGS,
-    FloatArray,
     TableRunner,
     exact_posterior,
     few_goals,
@@ -68,16 +67,6 @@ def last_half(states: Any) -> dict[str, Any]:
     return {name: np.asarray(v)[len(v) // 2 :] for name, v in states.z.items()}
 
 
-def weighted_share(z: dict[str, Any], log_weight: Any) -> FloatArray:
-    """Return (red, green, alpha) the weight of each stated hypothesis."""
-    axes = ((z["goal_red"], RED_GOALS), (z["goal_green"], GREEN_GOALS), (z["alpha"], ALPHA_CODES))
-    share = np.zeros(EXACT.shape)
-    weight = np.exp(np.asarray(log_weight) - np.max(log_weight))
-    where = [np.searchsorted(codes, np.asarray(drawn).ravel()) for drawn, codes in axes]
-    np.add.at(share, tuple(where), weight.ravel())
-    return share / share.sum()
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", REACHES)
 def test_numpyros_samplers_reach_the_enumerated_posterior(name: str) -> None:
@@ -100,7 +89,7 @@ def test_numpyros_samplers_reach_the_enumerated_posterior(name: str) -> None:
 def test_importance_weights_lead_to_the_enumerated_posterior() -> None:
     program, bridge = table_program(TableRunner(ERRORS))
     states = run(Importance(program, table_guide(), SETTINGS), 100, keys(100))
-    assert total_variation(weighted_share(states.z, states.log_weight), EXACT) < 0.06
+    assert total_variation(visited_share(states.z, states.log_weight), EXACT) < 0.06
     assert total_variation(visited_share(states.z), EXACT) > 0.1
     assert len(bridge.records) == 100 * 101
     assert all(record.result.completed for record in bridge.records)
@@ -122,14 +111,14 @@ def test_large_population_is_close_to_the_enumerated_posterior() -> None:
     assert (temperature[-1] == 1).all()
     last = jax.tree.map(lambda leaf: leaf[-1], states)
     assert (last.log_weight == 0).all()
-    assert total_variation(weighted_share(last.z, last.log_weight), EXACT) < 0.06
+    assert total_variation(visited_share(last.z, last.log_weight), EXACT) < 0.06
 
 
 def test_population_before_temperature_one_carries_the_weight_that_is_left() -> None:
     states, _ = population()
     first = jax.tree.map(lambda leaf: leaf[0], states)
     assert 0 < first.temperature[0] < 1
-    assert total_variation(weighted_share(first.z, first.log_weight), EXACT) < 0.09
+    assert total_variation(visited_share(first.z, first.log_weight), EXACT) < 0.09
     left = 1 - float(first.temperature[0])
     expected = -left * 0.05 * np.asarray(first.particle.step_error).sum(axis=1)
     np.testing.assert_allclose(first.log_weight, expected, atol=1e-3)
@@ -168,7 +157,7 @@ def test_enumeration_visits_every_hypothesis_once_and_weighs_it() -> None:
         h = Hypothesis(*goals, ALPHAS[ALPHA_CODES[place[2]]])
         mass[h.effective_goals] = mass.get(h.effective_goals, 0.0) + share
     found: dict[tuple[int, int], float] = {}
-    log_prior = dict(zip(seen, [0.0] * 44, strict=True))
+    log_prior = {}
     grid = kernel._grid
     for row in range(grid.size):
         site = {name: values[row] for name, values in grid.sites.items()}

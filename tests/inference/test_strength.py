@@ -38,13 +38,6 @@ def test_free_forward_driving_gives_the_strength_away(level: float) -> None:
     np.testing.assert_array_equal(estimate(trajectory), [level, 750.0 - level])
 
 
-def test_resting_and_coasting_agents_give_nothing_away() -> None:
-    push = [(Action.UP, Action.STOP)] * 2
-    trajectory = driven((450.0, 450.0), [*push, *[(Action.NO_FORCE, Action.STOP)] * 6])
-    assert np.isnan(estimate(trajectory, first=3)).all()
-    assert np.isnan(estimate(trajectory)[1])
-
-
 def test_window_sees_only_its_own_frames() -> None:
     rest = [(Action.STOP, Action.STOP)] * 6
     trajectory = driven((300.0, 300.0), [*rest, *[(Action.UP, Action.STOP)] * 4])
@@ -52,13 +45,19 @@ def test_window_sees_only_its_own_frames() -> None:
     assert estimate(trajectory, 6, 10)[0] == 300
 
 
-def test_strength_between_the_levels_is_not_taken_for_a_level() -> None:
-    trajectory = driven((375.0, 375.0), [(Action.UP, Action.UP)] * 5)
-    assert np.isnan(estimate(trajectory)).all()
+PUSH, COAST = (Action.UP, Action.STOP), (Action.NO_FORCE, Action.STOP)
+NOTHING = {
+    "coasting": (450.0, [PUSH, PUSH, *[COAST] * 6], 3),
+    "between the levels": (375.0, [(Action.UP, Action.UP)] * 5, 0),
+    "two frames": (300.0, [(Action.UP, Action.UP)], 0),
+}
 
 
-def test_two_frames_give_nothing_away() -> None:
-    assert np.isnan(estimate(driven((300.0, 300.0), [(Action.UP, Action.UP)]))).all()
+@pytest.mark.parametrize(("strength", "actions", "first"), NOTHING.values(), ids=NOTHING)
+def test_no_strength_is_seen_where_none_shows(
+    strength: float, actions: list[tuple[Action, Action]], first: int
+) -> None:
+    assert np.isnan(estimate(driven((strength, strength), actions), first)).all()
 
 
 def test_estimates_on_the_authors_videos_have_the_stated_error() -> None:

@@ -47,7 +47,6 @@ class Grid(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Number of rows."""
         return len(self.log_prior)
 
 
@@ -195,7 +194,6 @@ class Enumeration(ParticleKernel[WeightedState]):
         return -(-self.n_simulations // chains) - 1
 
     def propose_initial(self, key: jax.Array) -> dict[str, jax.Array]:
-        """Return the first hypothesis."""
         return self._sites(jnp.zeros((), jnp.int32))
 
     def start_one(

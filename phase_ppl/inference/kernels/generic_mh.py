@@ -37,7 +37,6 @@ class PriorMH(ProposalKernel):
     proposes_from_prior = True
 
     def propose(self, key: jax.Array, state: MHState) -> tuple[dict[str, jax.Array], jax.Array]:
-        """Return a hypothesis from the prior."""
         sites = self.model.draw_prior(key)
         return sites, state.log_prior - self.model.log_prior(sites)
 
@@ -51,7 +50,6 @@ class SingleSiteMH(ProposalKernel):
     """
 
     def propose(self, key: jax.Array, state: MHState) -> tuple[dict[str, jax.Array], jax.Array]:
-        """Return the hypothesis with one site drawn anew."""
         return self.one_site_moved(key, state.z)
 
 
@@ -96,7 +94,6 @@ class RandomWalkMH(ProposalKernel):
         self._scale = positive_number("scale", scale)
 
     def propose(self, key: jax.Array, state: MHState) -> tuple[dict[str, jax.Array], jax.Array]:
-        """Return the hypothesis with one site moved."""
         moves: dict[str, SiteMove] = {ALPHA_SITE: _another_alpha}
         for holder, name in enumerate(GOAL_SITES):
             moves[name] = functools.partial(_nearby_goal, holder)

@@ -58,7 +58,6 @@ class RandomWalk(MCMCKernel):
         self.model, self._scale = model, scale
 
     def wrap_model(self, wrapper: Any) -> RandomWalk:
-        """Return a copy on a wrapped model."""
         wrapped = copy.copy(self)
         wrapped.model = wrapper(self.model)
         return wrapped
@@ -70,7 +69,6 @@ class RandomWalk(MCMCKernel):
     def init(
         self, rng_key: jax.Array, num_warmup: int, init_params: Any, args: Any, kwargs: Any
     ) -> WalkState:
-        """Return the state at ``init_params``."""
         return WalkState(init_params, self._log_density(init_params, kwargs), rng_key)
 
     def refresh(self, state: WalkState, args: Any, kwargs: Any) -> WalkState:
@@ -78,7 +76,6 @@ class RandomWalk(MCMCKernel):
         return state._replace(log_density=self._log_density(state.z, kwargs))
 
     def sample(self, state: WalkState, args: Any, kwargs: Any) -> WalkState:
-        """Propose a step; accept it by the ratio of densities."""
         key, key_step, key_coin, key_seed, key_accept = random.split(state.rng_key, 5)
         proposed = {}
         for number, (name, value) in enumerate(sorted(state.z.items())):
@@ -187,7 +184,6 @@ class GibbsKernel(ParticleKernel[WrappedState]):
     def start_one(
         self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]
     ) -> WrappedState:
-        """Simulate the initial hypothesis."""
         uniform = random.uniform(key_start)
         start = dict(sites)
         if self.model.model.noise == "fresh":
@@ -199,7 +195,6 @@ class GibbsKernel(ParticleKernel[WrappedState]):
         return WrappedState(none, sites, seed, error, inner, none > 0, none, key)
 
     def step_one(self, state: WrappedState) -> WrappedState:
-        """Update all sites."""
         key, key_inner, *key_blocks = random.split(state.rng_key, 4)
         gibbs = self._gibbs()
         gibbs.init(key_inner, 0, state.inner.z, (), {})  # makes it ready; simulates nothing

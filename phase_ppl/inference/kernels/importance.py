@@ -33,7 +33,6 @@ class Importance(ParticleKernel[WeightedState]):
     initial_tries = 1
 
     def propose_initial(self, key: jax.Array) -> dict[str, jax.Array]:
-        """Return a hypothesis from the mixture over windows."""
         return self._draw(key)[0]
 
     def _draw(self, key: jax.Array) -> tuple[dict[str, jax.Array], jax.Array]:
@@ -44,7 +43,6 @@ class Importance(ParticleKernel[WeightedState]):
     def start_one(
         self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]
     ) -> WeightedState:
-        """Simulate and weigh the first draw."""
         seed, log_weight = self._weighed(key_start, sites)
         possible = jnp.isfinite(log_weight)
         return WeightedState.before(key, sites, seed).after(key, sites, seed, log_weight, possible)

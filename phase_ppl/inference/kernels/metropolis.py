@@ -39,17 +39,13 @@ class MHState(NamedTuple):
     """State of one particle.
 
     Attributes:
-        i: iterations so far.
         z: site -> value, the current hypothesis with any further sites.
-        sim_seed: seed of its simulation.
         log_prior: its log prior density.
         memo: what else the kernel knows of it, see :meth:`MetropolisKernel.memo`.
         step_error: (time,) errors of its simulation, units; never simulated again.
         log_joint: log prior + log likelihood, in single precision.
         window: the window of the last proposal, by its first frame; -1 where it had none.
         accepted: whether the last proposal was accepted.
-        n_accepted: how many were.
-        rng_key: of the chain.
     """
 
     i: jax.Array
@@ -150,7 +146,6 @@ class MetropolisKernel(ParticleKernel[MHState]):
 
     @property
     def validity(self) -> Validity:
-        """Whether the stationary law is the posterior."""
         return "exact"
 
     def memo(self, sites: dict[str, jax.Array]) -> dict[str, jax.Array]:
@@ -164,7 +159,6 @@ class MetropolisKernel(ParticleKernel[MHState]):
     def start_one(
         self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]
     ) -> MHState:
-        """Simulate the initial hypothesis."""
         program = self.model
         seed = program.simulator_seed(key_start, sites)
         log_prior = program.log_prior(sites)
@@ -305,7 +299,6 @@ class ProposalKernel(MetropolisKernel):
         """Return a hypothesis z' and Hastings' correction, log q(z | z') - log q(z' | z)."""
 
     def step_one(self, state: MHState) -> MHState:
-        """Propose, simulate, accept or not."""
         key, key_propose, key_seed, key_accept = random.split(state.rng_key, 4)
         sites, log_hastings = self.propose(key_propose, state)
         move = self.move_to(sites, log_hastings, state, self.proposes_from_prior)

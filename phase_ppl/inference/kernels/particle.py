@@ -22,14 +22,20 @@ from phase_ppl.world.errors import InvalidSettingError
 
 
 class ParticleState(Protocol):
-    """Fields that every state of ours has."""
+    """Fields that every state of ours has, beside ``z`` and ``sim_seed``, see the registry.
+
+    Attributes:
+        i: iterations so far.
+        n_accepted: how many of them changed the hypothesis, or could be simulated.
+        rng_key: for the next iteration.
+    """
 
     @property
-    def rng_key(self) -> jax.Array: ...
+    def i(self) -> jax.Array: ...
     @property
     def n_accepted(self) -> jax.Array: ...
     @property
-    def i(self) -> jax.Array: ...
+    def rng_key(self) -> jax.Array: ...
 
 
 State = TypeVar("State", bound=ParticleState)
@@ -68,14 +74,12 @@ class EventKernel(MCMCKernel, Generic[State]):
 
     @property
     def model(self) -> EventProgram:
-        """The model of the event."""
         if self._program is None:
             raise InvalidSettingError(f"{type(self).__name__} has no program yet")
         return self._program
 
     @property
     def guide(self) -> Program:
-        """The proposal program."""
         if self._guide is None:
             raise InvalidSettingError(f"{type(self).__name__} needs a guide")
         return self._guide
@@ -86,7 +90,6 @@ class EventKernel(MCMCKernel, Generic[State]):
         model_args: tuple[Any, ...] = (),
         model_kwargs: dict[str, Any] | None = None,
     ) -> State:
-        """Return the state after one iteration."""
         return self._sample_fn(state)
 
     @abstractmethod
@@ -211,15 +214,11 @@ class WeightedState(NamedTuple):
     """State of a particle that draws anew in every iteration, each draw with a weight.
 
     Attributes:
-        i: iterations so far.
         z: site -> value, the hypothesis drawn last with any further sites; an earlier one, at
             weight 0, where the last could not be simulated.
-        sim_seed: seed of its simulation.
         log_weight: of the draw, -inf where it could not be simulated.
         window: the window it was drawn from, by its first frame; -1 where there is none.
         accepted: whether the last draw could be simulated.
-        n_accepted: how many could.
-        rng_key: of the particle.
     """
 
     i: jax.Array

@@ -129,7 +129,6 @@ class SMCState(NamedTuple):
     """State of the population; all arrays are (chain, ...).
 
     Attributes:
-        i: iterations so far.
         particle: state of the kernel that moves the particles.
         temperature: t, the same for all.
         log_weight: of the particles as draws from the posterior: what is left at t, up to a
@@ -220,7 +219,6 @@ class SMC(ParticleKernel[SMCState]):
     def start_one(
         self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]
     ) -> SMCState:
-        """Simulate and weigh the first draw of one particle."""
         particle = self._mover(self.model).start_one(key, key_start, sites)
         log_proposal = log_density(self.guide, sites, jnp.asarray(self.n_windows))
         log_likelihood = self.model.relative_log_likelihood(particle.step_error)
@@ -237,7 +235,6 @@ class SMC(ParticleKernel[SMCState]):
         )
 
     def step_one(self, state: SMCState) -> SMCState:
-        """Return a population of one after one iteration."""
         alone: SMCState = as_batch_of_one(self._step, state)
         return alone
 
