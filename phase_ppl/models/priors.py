@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import itertools
+from collections.abc import Callable
 from typing import Final, TypeVar
 
 import jax
@@ -50,7 +51,10 @@ PRIORS: Final = Registry[Program]("prior")
 
 
 def _ready_made(prior: AnyProgram) -> AnyProgram:
-    return PRIORS.register(prior.__name__, lambda program, _: program)(prior)
+    keep: Callable[[AnyProgram], AnyProgram] = PRIORS.register(
+        prior.__name__, lambda program, _: program
+    )
+    return keep(prior)
 
 
 @_ready_made

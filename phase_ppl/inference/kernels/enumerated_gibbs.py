@@ -56,8 +56,7 @@ class EnumeratedGibbs(MetropolisKernel):
         if not is_prng_key(state.rng_key):
             return super()._sample_fn(state)
         # a batch of one, by which the bridge tells a particle from the values of its goal
-        moved: MHState = as_batch_of_one(super()._sample_fn, state)
-        return moved
+        return as_batch_of_one(super()._sample_fn, state)
 
     def step_one(self, state: MHState) -> MHState:
         """Draw a goal, then propose another value of one site."""

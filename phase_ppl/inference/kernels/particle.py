@@ -136,8 +136,7 @@ class ParticleKernel(EventKernel[State]):
         start = self._init
         if not is_prng_key(rng_key):
             start = jax.vmap(start, in_axes=(0, None if init_params is None else 0))
-        state: State = jax.jit(start)(rng_key, init_params)
-        return state
+        return jax.jit(start)(rng_key, init_params)
 
     def _init(self, key: jax.Array, sites: dict[str, jax.Array] | None) -> State:
         key, key_sites, key_start = random.split(key, 3)
@@ -206,8 +205,7 @@ def _strongly_typed(state: State) -> State:
             return leaf
         return lax.convert_element_type(leaf, np.dtype(leaf.dtype))
 
-    stripped: State = jax.tree.map(strip, jax.tree.map(jnp.asarray, state))
-    return stripped
+    return jax.tree.map(strip, jax.tree.map(jnp.asarray, state))
 
 
 class WeightedState(NamedTuple):

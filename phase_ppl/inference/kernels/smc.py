@@ -235,8 +235,7 @@ class SMC(ParticleKernel[SMCState]):
         )
 
     def step_one(self, state: SMCState) -> SMCState:
-        alone: SMCState = as_batch_of_one(self._step, state)
-        return alone
+        return as_batch_of_one(self._step, state)
 
     def _sample_fn(self, state: SMCState) -> SMCState:
         return self.step_one(state) if is_prng_key(state.rng_key) else self._step(state)

@@ -164,8 +164,7 @@ class UniformKernel(EventKernel[WrappedState]):
     def init(self, rng_key: jax.Array, *_: Any, **__: Any) -> WrappedState:
         """Return the initial states of a batch of keys, or of one."""
         if is_prng_key(rng_key):
-            alone: WrappedState = as_batch_of_one(self.init, rng_key)
-            return alone
+            return as_batch_of_one(self.init, rng_key)
         keys = jax.vmap(lambda key: random.split(key, 3))(rng_key)
         # as likely as the prior makes them
         draw = functools.partial(random.logistic, shape=(self.dimensions,))
@@ -176,8 +175,7 @@ class UniformKernel(EventKernel[WrappedState]):
 
     def _sample_fn(self, state: WrappedState) -> WrappedState:
         if is_prng_key(state.rng_key):
-            alone: WrappedState = as_batch_of_one(self._sample_fn, state)
-            return alone
+            return as_batch_of_one(self._sample_fn, state)
         keys = jax.vmap(random.split)(state.rng_key)
         inner = self.advance(keys[:, 0], state.inner)
         moved = (self.points(inner) != self.points(state.inner)).any(axis=1)
@@ -192,7 +190,8 @@ class UniformKernel(EventKernel[WrappedState]):
 
     def _sites(self, point: jax.Array) -> dict[str, jax.Array]:
         """Return the hypothesis, with any further sites, that a point stands for."""
-        uniform, numbers, begin = _uniform(point), {}, 0
+        uniform, begin = _uniform(point), 0
+        numbers: dict[str, jax.Array] = {}
         for name, shape in self.model.model.sites.items():
             numbers[name] = uniform[begin : begin + math.prod(shape)].reshape(shape)
             begin += math.prod(shape)
