@@ -134,7 +134,7 @@ def _achieved(scene: Scene, goals: tuple[int, int], track: FloatArray) -> NDArra
     literals = [goal_literal(goal, agent) for agent, goal in enumerate(goals)]
     there = track[:, [literal.subject for literal in literals], :2]
     away = np.abs(there - scene.landmark_centres[[literal.target for literal in literals]])
-    return (away < scene.landmark_half_width).all(axis=-1).any(axis=0)
+    return np.asarray((away < scene.landmark_half_width).all(axis=-1).any(axis=0))
 
 
 def draw_events(n: int, seed: int, workers: int) -> list[Drawn]:

@@ -336,8 +336,8 @@ def train(events: Simulated, settings: TrainingSettings) -> tuple[StrengthNetwor
     """Return the trained network and the report on it."""
     torch = needs_torch()
     n_validation = len(events.strength) // 10
-    held_out = Simulated(*(column[:n_validation] for column in events))
-    used = Simulated(*(column[n_validation:] for column in events))
+    held_out = Simulated._make(column[:n_validation] for column in events)
+    used = Simulated._make(column[n_validation:] for column in events)
     examples = training_examples(used, settings.rounds, settings.seed)
     validation = validation_examples(held_out, settings.seed)
     centre = examples.features.mean(axis=0)
