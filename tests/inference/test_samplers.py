@@ -148,10 +148,10 @@ def test_enumeration_visits_every_hypothesis_once_and_weighs_it() -> None:
     kernel = Enumeration(program, strengths=[300.0, 400])
     assert kernel.n_simulations == 11 * 4
     assert kernel.n_iterations(16) == 2
-    start = compiled_quickly(lambda keys: kernel.init(keys, 0))(keys(16))
-    states = [start]
+    step = compiled_quickly(kernel.sample)
+    states = [compiled_quickly(lambda keys: kernel.init(keys, 0))(keys(16))]
     for _ in range(2):
-        states.append(compiled_quickly(kernel.sample)(states[-1]))
+        states.append(step(states[-1]))
     hypotheses = [record.result.hypothesis for record in bridge.records]
     assert len({(*h.effective_goals, *h.strengths) for h in hypotheses}) == len(hypotheses) == 44
     log_weight = np.array([state.log_weight for state in states])
