@@ -14,7 +14,6 @@ processes, so what is large is best loaded at the first prediction.
 from __future__ import annotations
 
 import dataclasses
-import functools
 import importlib.util
 import inspect
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -22,14 +21,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 from phase_ppl.analysis.summary import plain
 from phase_ppl.evaluation.answer import Predict
-from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
+from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.identity import qualified_name, source_hash, stable
-from phase_ppl.world.plugins import load_registered
+from phase_ppl.world.registry import Registry
 
 if TYPE_CHECKING:
     from phase_ppl.models.model import Model
-
-ENTRY_POINTS: Final = "phase_ppl.models"
 
 Factory = Callable[..., Predict]
 """``factory(**options)`` checks the options and returns the model."""
@@ -94,7 +91,9 @@ class ModelInfo:
         return self.factory(**options)
 
 
-_MODELS: Final[dict[str, ModelInfo]] = {}
+MODELS: Final = Registry[ModelInfo](
+    "model", package="phase_ppl.evaluation.models", entry_points="phase_ppl.models"
+)
 
 
 def register_model(
@@ -112,20 +111,26 @@ def register_model(
     Raises:
         InvalidSettingError: the name is taken by another factory.
     """
-
-    def register(factory: Factory) -> Factory:
-        known = _MODELS.get(name)
-        if known is not None and qualified_name(known.factory) != qualified_name(factory):
-            raise InvalidSettingError(
-                f"a model named {name!r} exists: {qualified_name(known.factory)}"
-            )
-        summary = (inspect.getdoc(factory) or "").split("\n")[0]
-        _MODELS[name] = ModelInfo(
+    return MODELS.register(
+        name,
+        lambda factory, summary: ModelInfo(
             name, factory, summary, parallel, tuple(needs), extra, more_options
-        )
-        return factory
+        ),
+    )
 
-    return register
+
+def available_models() -> list[str]:
+    """Return the names of all models, sorted."""
+    return MODELS.names()
+
+
+def model_info(name: str) -> ModelInfo:
+    """Return what is known of a model.
+
+    Raises:
+        UnknownNameError: there is no such model; the message names close matches.
+    """
+    return MODELS[name]
 
 
 def check_installed(what: str, needs: Sequence[str], extra: str | None) -> None:
@@ -148,28 +153,6 @@ def is_installed(module: str) -> bool:
         return importlib.util.find_spec(module) is not None
     except ModuleNotFoundError:  # of a submodule whose package is missing
         return False
-
-
-@functools.cache
-def _load_all() -> None:
-    load_registered("model", "phase_ppl.evaluation.models", ENTRY_POINTS)
-
-
-def available_models() -> list[str]:
-    """Return the names of all models, sorted."""
-    _load_all()
-    return sorted(_MODELS)
-
-
-def model_info(name: str) -> ModelInfo:
-    """Return what is known of a model.
-
-    Raises:
-        UnknownNameError: there is no such model; the message names close matches.
-    """
-    if name not in available_models():
-        raise unknown_name("model", name, available_models())
-    return _MODELS[name]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -19,25 +19,22 @@ default) and ``n_iterations(chains)``, of a kernel that decides its own length.
 from __future__ import annotations
 
 import dataclasses
-import functools
 import inspect
 from collections.abc import Callable, Sequence
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, TypeVar, get_args
 
 from numpyro.infer.hmc import HMC
 from numpyro.infer.mcmc import MCMCKernel
 
 from phase_ppl.models.program import EventProgram
-from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
-from phase_ppl.world.identity import qualified_name
-from phase_ppl.world.plugins import load_registered
+from phase_ppl.world.errors import InvalidSettingError, shown
+from phase_ppl.world.registry import Registry
 
 Validity = Literal["exact", "consistent", "approximate"]
 Keeps = Literal["all", "last", "start"]
 
-VALIDITIES: Final = ("exact", "consistent", "approximate")
-KEEPS: Final = ("all", "last", "start")
-ENTRY_POINTS: Final = "phase_ppl.kernels"
+VALIDITIES: Final = get_args(Validity)
+KEEPS: Final = get_args(Keeps)
 
 NEEDS: Final = ("guide", "settings")
 """What a factory can ask for beside the program: the bottom-up proposal program
@@ -90,6 +87,11 @@ class KernelInfo:
         Raises:
             InvalidSettingError: something that it needs is missing, or an option it does not have.
         """
+        registered = self.validity in VALIDITIES  # and so has said what it needs
+        for need in NEEDS:
+            if registered and (need in options) != (need in self.needs):
+                how = "missing" if need in self.needs else "got an unexpected"
+                raise InvalidSettingError(f"kernel {self.name!r}: {how} argument {need!r}")
         try:
             inspect.signature(self.factory).bind(program, **options)
         except TypeError as error:
@@ -105,7 +107,11 @@ class KernelInfo:
         return tuple(one.name for one in given if one.name not in NEEDS)
 
 
-_KERNELS: Final[dict[str, KernelInfo]] = {}
+KERNELS: Final = Registry[KernelInfo](
+    "kernel", package="phase_ppl.inference.kernels", entry_points="phase_ppl.kernels"
+)
+
+AnyFactory = TypeVar("AnyFactory", bound=Factory)
 
 
 def register_kernel(
@@ -118,8 +124,8 @@ def register_kernel(
     even_chains: bool = False,
     keeps: Keeps = "all",
     weighted: bool = False,
-) -> Callable[[Factory], Factory]:
-    """Return a decorator that makes a kernel factory known under ``name``.
+) -> Callable[[AnyFactory], AnyFactory]:
+    """Return a decorator that makes a kernel class, or a factory, known under ``name``.
 
     Arguments as the attributes of :class:`KernelInfo`.
 
@@ -134,15 +140,9 @@ def register_kernel(
         for entry in given:
             if entry not in allowed:
                 raise InvalidSettingError(f"kernel {name!r}: {entry!r} is none of {allowed}")
-
-    def register(factory: Factory) -> Factory:
-        known = _KERNELS.get(name)
-        if known is not None and qualified_name(known.factory) != qualified_name(factory):
-            raise InvalidSettingError(
-                f"a kernel named {name!r} exists: {qualified_name(known.factory)}"
-            )
-        summary = (inspect.getdoc(factory) or "").split("\n")[0]
-        _KERNELS[name] = KernelInfo(
+    return KERNELS.register(
+        name,
+        lambda factory, summary: KernelInfo(
             name,
             factory,
             validity,
@@ -153,21 +153,13 @@ def register_kernel(
             even_chains,
             keeps,
             weighted,
-        )
-        return factory
-
-    return register
-
-
-@functools.cache
-def _load_all() -> None:
-    load_registered("kernel", "phase_ppl.inference.kernels", ENTRY_POINTS)
+        ),
+    )
 
 
 def available_kernels() -> list[str]:
     """Return the names of all kernels, sorted."""
-    _load_all()
-    return sorted(_KERNELS)
+    return KERNELS.names()
 
 
 def kernel_info(name: str) -> KernelInfo:
@@ -176,9 +168,7 @@ def kernel_info(name: str) -> KernelInfo:
     Raises:
         UnknownNameError: there is no such kernel; the message names close matches.
     """
-    if name not in available_kernels():
-        raise unknown_name("kernel", name, available_kernels())
-    return _KERNELS[name]
+    return KERNELS[name]
 
 
 def described(kernel: str | Factory | MCMCKernel) -> KernelInfo:

@@ -8,7 +8,8 @@ is that of its draws.
 from __future__ import annotations
 
 import functools
-from typing import Final
+from collections.abc import Callable
+from typing import Final, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -23,7 +24,7 @@ from phase_ppl.models import sites
 from phase_ppl.models.density import Program
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, IMPOSSIBLE, SELF_REFERRING, OneOf
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.errors import InvalidSettingError, unknown_name
+from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.hypothesis import (
     ALPHAS,
     RELATION_TABLE,
@@ -31,6 +32,9 @@ from phase_ppl.world.hypothesis import (
     STRENGTH_LEVELS,
     STRENGTH_RANGE,
 )
+from phase_ppl.world.registry import Registry
+
+AnyProgram = TypeVar("AnyProgram", bound=Program)
 
 SOCIAL: Final = 0.1
 """Probability of a social goal under :func:`sparse_social`; 2/3 under :func:`uniform`."""
@@ -41,7 +45,17 @@ STRENGTH_CORRELATION: Final = 0.8
 _EDGE: Final = 1e-6
 """How close to 0 and 1 quantiles may come before their normal scores run away."""
 
+PRIORS: Final = Registry[Program]("prior")
 
+
+def _ready_made(prior: AnyProgram) -> AnyProgram:
+    keep: Callable[[AnyProgram], AnyProgram] = PRIORS.register(
+        prior.__name__, lambda program, _: program
+    )
+    return keep(prior)
+
+
+@_ready_made
 def uniform() -> None:
     """The paper's prior: goals alike, at most one agent with a social goal, strengths alike."""
     sites.goals()
@@ -49,6 +63,7 @@ def uniform() -> None:
     sites.strengths()
 
 
+@_ready_made
 def sparse_social() -> None:
     """Social goals are rare: one agent helps or hinders with probability 0.1, all four ways alike.
 
@@ -61,6 +76,7 @@ def sparse_social() -> None:
     sites.strengths()
 
 
+@_ready_made
 def no_social_goals() -> None:
     """Nobody helps or hinders: alpha is (0, 0) for certain. An ablation.
 
@@ -73,6 +89,7 @@ def no_social_goals() -> None:
     sites.strengths()
 
 
+@_ready_made
 def symmetric_alphas() -> None:
     """All five alphas alike: 1/5 each.
 
@@ -85,6 +102,7 @@ def symmetric_alphas() -> None:
     sites.strengths()
 
 
+@_ready_made
 def relation_first(
     friendly: float = 1 / 3, neutral: float = 1 / 3, adversarial: float = 1 / 3
 ) -> None:
@@ -135,6 +153,7 @@ def _relation_tables(probabilities: tuple[float, ...]) -> tuple[FloatArray, Floa
     return red, green, alpha
 
 
+@_ready_made
 def correlated_strengths() -> None:
     """The agents are about as strong as each other.
 
@@ -192,6 +211,7 @@ def _normal_score(strength: jax.Array) -> jax.Array:
     return ndtri(jnp.clip((strength - low) / (high - low), _EDGE, 1 - _EDGE))
 
 
+@_ready_made
 def strength_levels() -> None:
     """Strengths are one of the four levels of the original world, alike: 150, 300, 450, 600 N.
 
@@ -203,24 +223,9 @@ def strength_levels() -> None:
         numpyro.sample(name, OneOf(STRENGTH_LEVELS))
 
 
-PRIORS: Final[dict[str, Program]] = {
-    prior.__name__: prior
-    for prior in (
-        uniform,
-        sparse_social,
-        no_social_goals,
-        symmetric_alphas,
-        relation_first,
-        correlated_strengths,
-        strength_levels,
-    )
-}
-"""Name -> program."""
-
-
 def available() -> list[str]:
     """Return the names of the ready-made priors, sorted."""
-    return sorted(PRIORS)
+    return PRIORS.names()
 
 
 def named(name: str) -> Program:
@@ -229,6 +234,4 @@ def named(name: str) -> Program:
     Raises:
         UnknownNameError: there is none; the message names close matches.
     """
-    if name not in PRIORS:
-        raise unknown_name("prior", name, available())
     return PRIORS[name]

@@ -23,7 +23,7 @@ QUIET = ["--workers", "1", "--quiet"]
 def _models(monkeypatch: pytest.MonkeyPatch) -> None:
     """Give some models names."""
     registry.available_models()
-    monkeypatch.setattr(registry, "_MODELS", dict(registry._MODELS))
+    monkeypatch.setattr(registry.MODELS, "entries", dict(registry.MODELS.entries))
 
     def raises() -> Any:
         raise ValueError("not today")

@@ -106,7 +106,7 @@ def test_a_setting_of_a_named_model_that_nothing_can_use_stops_at_once(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     registry.available_models()
-    monkeypatch.setattr(registry, "_MODELS", dict(registry._MODELS))
+    monkeypatch.setattr(registry.MODELS, "entries", dict(registry.MODELS.entries))
 
     def fussy(scene: Any, observation: Any, seed: int) -> Any:
         raise InvalidSettingError("size=3 is too small")
@@ -119,7 +119,7 @@ def test_a_setting_of_a_named_model_that_nothing_can_use_stops_at_once(
 
 def test_an_odd_answer_of_a_named_model_stops_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     registry.available_models()
-    monkeypatch.setattr(registry, "_MODELS", dict(registry._MODELS))
+    monkeypatch.setattr(registry.MODELS, "entries", dict(registry.MODELS.entries))
     ppl.register_model("odd")(lambda: FailsAt(6, lambda: {"relation": "hostile"}))
     assert list(evaluate(model="odd").failures) == ["d"]
 
@@ -128,7 +128,7 @@ def test_options_that_are_no_plain_data_are_kept_as_text(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     registry.available_models()
-    monkeypatch.setattr(registry, "_MODELS", dict(registry._MODELS))
+    monkeypatch.setattr(registry.MODELS, "entries", dict(registry.MODELS.entries))
     ppl.register_model("any")(lambda **options: right)
     options = {"a": np.nan, "b": raises, "c": (1, np.float32(2))}
     evaluate(model="any", out=tmp_path, **options)

@@ -21,7 +21,7 @@ from tests.evaluation.toys import right, several, still, wrong
 def models(monkeypatch: pytest.MonkeyPatch) -> None:
     """Register models of a few lines for a while."""
     registry.available_models()
-    monkeypatch.setattr(registry, "_MODELS", dict(registry._MODELS))
+    monkeypatch.setattr(registry.MODELS, "entries", dict(registry.MODELS.entries))
 
     def stops_once(scene: Any, observation: Any, seed: int) -> Any:
         if Path("stop").exists():

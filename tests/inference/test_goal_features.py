@@ -8,7 +8,7 @@ from phase_ppl.inference.proposals.tables import bottom_up_tables, goal_weights,
 from phase_ppl.models.sites import ALPHA_PROBABILITIES, SELF_REFERRING
 from phase_ppl.world.goals import GOALS, N_GOALS, effective_goals, goal_index
 from phase_ppl.world.hypothesis import ALPHAS
-from phase_ppl.world.names import LANDMARKS
+from phase_ppl.world.names import AGENTS, LANDMARKS
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 
@@ -72,21 +72,12 @@ def test_features_do_not_depend_on_which_landmark_it_is() -> None:
     other = goal_features(scene, Observation(back), first, last)
     landmarks = SCENE.landmark_centres
     partner = [int(np.argmin(np.abs(landmarks - ([32, 24] - c)).sum(axis=1))) for c in landmarks]
-    for agent in (RED, GREEN):
-        for goal in range(N_GOALS):
-            if GOAL_PARTS.about_agent[agent, goal]:
-                np.testing.assert_allclose(one[0, agent, goal], other[0, agent, goal])
-                continue
-            twin = [
-                g
-                for g in range(N_GOALS)
-                if not GOAL_PARTS.about_agent[agent, g]
-                and GOAL_PARTS.kind[agent, g] == GOAL_PARTS.kind[agent, goal]
-                and GOAL_PARTS.subject[agent, g] == GOAL_PARTS.subject[agent, goal]
-                and GOAL_PARTS.landmark[agent, g] == partner[GOAL_PARTS.landmark[agent, goal]]
-            ]
-            assert len(twin) == 1
-            np.testing.assert_allclose(one[0, agent, goal], other[0, agent, twin[0]], atol=1e-9)
+    for number, goal in enumerate(GOALS):
+        twin = number
+        for name, place in zip(LANDMARKS, partner, strict=True):
+            if goal.endswith(name):
+                twin = goal_index(goal.removesuffix(name) + LANDMARKS[place])
+        np.testing.assert_allclose(one[0, :, number], other[0, :, twin], atol=1e-9)
 
 
 def test_one_frame_of_motion_is_enough() -> None:
@@ -96,32 +87,23 @@ def test_one_frame_of_motion_is_enough() -> None:
 
 @pytest.mark.parametrize("agent", [RED, GREEN])
 def test_an_agent_that_walks_to_a_landmark_and_stays_is_taken_to_want_that(agent: int) -> None:
-    name = ("red", "green")[agent]
-    walks = motion(**{f"_{agent}": (23.5, 19.5)})
-    landmark = [goal for goal in GOALS if goal.startswith(f"Get {name} agent to")]
-    best = most_probable(walks, agent)
-    assert best in landmark
-    assert best == min(
-        landmark,
-        key=lambda goal: float(
-            np.linalg.norm(
-                SCENE.landmark_centres[GOAL_PARTS.landmark[agent, goal_index(goal)]] - [23.5, 19.5]
-            )
-        ),
-    )
+    place = 23.5, 19.5
+    nearest = np.linalg.norm(SCENE.landmark_centres - place, axis=1).argmin()
+    wanted = f"Get {AGENTS[agent]} to {LANDMARKS[nearest]}"
+    assert most_probable(motion(**{f"_{agent}": place}), agent) == wanted
 
 
 def test_tables_are_those_of_the_joint_distribution() -> None:
     scores = np.random.default_rng(0).normal(0, 2, (2, N_GOALS))
-    tables = joint_logits(scores)
+    goal, alpha = joint_logits(scores)
     expected = np.zeros((N_GOALS, N_GOALS, len(ALPHAS)))
     for red, green, index in np.ndindex(expected.shape):
         if not (SELF_REFERRING[RED, red] or SELF_REFERRING[GREEN, green]):
             goals = effective_goals(red, green, ALPHAS[index])
             together = scores[RED, goals[0]] + scores[GREEN, goals[1]]
             expected[red, green, index] = ALPHA_PROBABILITIES[index] * np.exp(together)
-    alpha = np.array(ALPHA_PROBABILITIES) * np.exp(tables.alpha)
-    goal = np.exp(tables.goal - tables.goal.max(axis=-1, keepdims=True))
+    alpha = np.array(ALPHA_PROBABILITIES) * np.exp(alpha)
+    goal = np.exp(goal - goal.max(axis=-1, keepdims=True))
     goal /= goal.sum(axis=-1, keepdims=True)
     found = np.einsum("a,ar,ag->rga", alpha / alpha.sum(), goal[:, RED], goal[:, GREEN])
     np.testing.assert_allclose(found, expected / expected.sum(), atol=1e-12)

@@ -30,12 +30,9 @@ from phase_ppl.models import priors
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from tests.inference.toy import (
-    N_FRAMES,
-    SETTINGS,
     TableRunner,
     run,
     table_errors,
-    table_guide,
     table_program,
     total_variation,
 )
@@ -197,13 +194,3 @@ def test_an_option_that_cannot_be_is_refused(kernel: Any, options: Any, error: A
 def test_kernel_without_an_event_says_so() -> None:
     with pytest.raises(InvalidSettingError, match="LocalMH has no program"):
         _ = LocalMH().model
-
-
-def test_bound_copy_keeps_the_options() -> None:
-    program, _bridge = table_program(TableRunner(ERRORS))
-    bound = LocalMH(rule="paper").bound_to(program, table_guide(), SETTINGS)
-    assert bound.settings == SETTINGS
-    assert bound.validity == "approximate"
-    assert LocalMH(rule="window").validity == "exact"
-    assert bound.model is program
-    assert program.n_frames == N_FRAMES

@@ -6,40 +6,36 @@ import numpy as np
 import pytest
 
 from phase_ppl.dataset.load import load_events
-from phase_ppl.inference.proposals.strength import VALIDATION_SD, driving_hits, estimated_strength
+from phase_ppl.inference.proposals.strength import VALIDATION_SD, analytic_strengths
 from phase_ppl.physics.actions import Action
 from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS
+from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 
 PHASE_TEST = Path("../shared/phase-test/dev.json")
 
 # red faces right with 20 units of free way, green faces up
 START = np.array([[7.0, 12.0, -np.pi / 2], [20.0, 4.0, 0.0], [8.0, 20.0, 0.0], [24.0, 20.0, 0.0]])
-RADIUS = np.array([1.2, 0.8, 0.8, 0.8])
+SCENE = Scene(START, np.array([1.2, 0.8, 0.8, 0.8]))
 
 
 def driven(strengths: tuple[float, float], actions: list[tuple[Action, Action]]) -> np.ndarray:
-    world = PymunkWorld(Scene(START, RADIUS), strengths)
+    world = PymunkWorld(SCENE, strengths)
     return np.array([START, *(world.step((int(a), int(b))) for a, b in actions)])
 
 
-def estimate(trajectory: np.ndarray, first: int = 0, last: int | None = None) -> np.ndarray:
-    hits = driving_hits(trajectory, RADIUS)
-    return estimated_strength(hits, first, len(trajectory) - 1 if last is None else last)
+def estimate(
+    trajectory: np.ndarray, first: int = 0, last: int | None = None, scene: Scene = SCENE
+) -> np.ndarray:
+    windows = np.array([[first, len(trajectory) - 1 if last is None else last]])
+    return analytic_strengths(scene, Observation(trajectory), windows).mean[0]
 
 
 @pytest.mark.parametrize("level", STRENGTH_LEVELS)
 def test_free_forward_driving_gives_the_strength_away(level: float) -> None:
     trajectory = driven((level, 750.0 - level), [(Action.UP, Action.UP)] * 5)
     np.testing.assert_array_equal(estimate(trajectory), [level, 750.0 - level])
-
-
-def test_resting_and_coasting_agents_give_nothing_away() -> None:
-    push = [(Action.UP, Action.STOP)] * 2
-    trajectory = driven((450.0, 450.0), [*push, *[(Action.NO_FORCE, Action.STOP)] * 6])
-    assert np.isnan(estimate(trajectory, first=3)).all()
-    assert np.isnan(estimate(trajectory)[1])
 
 
 def test_window_sees_only_its_own_frames() -> None:
@@ -49,13 +45,19 @@ def test_window_sees_only_its_own_frames() -> None:
     assert estimate(trajectory, 6, 10)[0] == 300
 
 
-def test_strength_between_the_levels_is_not_taken_for_a_level() -> None:
-    trajectory = driven((375.0, 375.0), [(Action.UP, Action.UP)] * 5)
-    assert np.isnan(estimate(trajectory)).all()
+PUSH, COAST = (Action.UP, Action.STOP), (Action.NO_FORCE, Action.STOP)
+NOTHING = {
+    "coasting": (450.0, [PUSH, PUSH, *[COAST] * 6], 3),
+    "between the levels": (375.0, [(Action.UP, Action.UP)] * 5, 0),
+    "two frames": (300.0, [(Action.UP, Action.UP)], 0),
+}
 
 
-def test_two_frames_give_nothing_away() -> None:
-    assert np.isnan(estimate(driven((300.0, 300.0), [(Action.UP, Action.UP)]))).all()
+@pytest.mark.parametrize(("strength", "actions", "first"), NOTHING.values(), ids=NOTHING)
+def test_no_strength_is_seen_where_none_shows(
+    strength: float, actions: list[tuple[Action, Action]], first: int
+) -> None:
+    assert np.isnan(estimate(driven((strength, strength), actions), first)).all()
 
 
 def test_estimates_on_the_authors_videos_have_the_stated_error() -> None:
@@ -64,8 +66,7 @@ def test_estimates_on_the_authors_videos_have_the_stated_error() -> None:
     errors = []
     for event in load_events(PHASE_TEST):
         assert event.truth is not None
-        hits = driving_hits(event.observation.trajectory, event.scene.radius)
-        found = estimated_strength(hits, 0, event.observation.n_frames - 1)
+        found = estimate(event.observation.trajectory, scene=event.scene)
         errors += list(found - [event.truth.strength_red, event.truth.strength_green])
     known = np.array(errors)[~np.isnan(errors)]
     assert len(known) >= 55

@@ -189,12 +189,12 @@ def exact_characters(errors: FloatArray) -> Characters:
     )
 
 
-def visited_share(z: dict[str, NDArray[Any]]) -> FloatArray:
-    """Return (red, green, alpha) how often draws visit each stated hypothesis."""
+def visited_share(z: dict[str, NDArray[Any]], log_weight: Any = 0.0) -> FloatArray:
+    """Return (red, green, alpha) how often draws visit each stated hypothesis, by their weights."""
     axes = ((z["goal_red"], RED_GOALS), (z["goal_green"], GREEN_GOALS), (z["alpha"], ALPHA_CODES))
     share = np.zeros([len(codes) for _, codes in axes])
     where = [np.searchsorted(codes, np.asarray(drawn).ravel()) for drawn, codes in axes]
-    np.add.at(share, tuple(where), 1.0)
+    np.add.at(share, tuple(where), np.exp(np.ravel(log_weight) - np.max(log_weight)))
     return share / share.sum()
 
 

@@ -12,10 +12,8 @@ Families with variants take the variant's name as second argument.
 from __future__ import annotations
 
 import dataclasses
-import functools
-import inspect
 from collections.abc import Callable, Sequence
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -34,11 +32,9 @@ from phase_ppl.dataset.generation.situation import (
 from phase_ppl.world.errors import InvalidSettingError, unknown_name
 from phase_ppl.world.hypothesis import RELATION_OF_SCENARIO, SCENARIOS, scenario
 from phase_ppl.world.names import AGENTS, BLUE_ITEM, GREEN, PINK_ITEM, RED
-from phase_ppl.world.plugins import load_registered
+from phase_ppl.world.registry import Registry
 from phase_ppl.world.rooms import ROOMS_OF_RAY
 from phase_ppl.world.scene import Turning
-
-ENTRY_POINTS: Final = "phase_ppl.families"
 
 _TRIES: Final = 200
 """Draws that a layout may refuse before the family is said to be impossible."""
@@ -105,7 +101,7 @@ class Family:
         return drawn
 
 
-_FAMILIES: Final[dict[str, Family]] = {}
+FAMILIES: Final = Registry[Family]("family", entry_points="phase_ppl.families")
 
 
 def register_family(
@@ -131,30 +127,17 @@ def register_family(
     if not layouts or ":" in name:
         raise InvalidSettingError(f"family {name!r}: expected layouts, and a name without ':'")
 
-    def register(function: Callable[..., Situation]) -> Callable[..., Situation]:
-        known = _FAMILIES.get(name)
-        if known is not None and _origin(known.function) != _origin(function):
-            raise InvalidSettingError(f"a family named {name!r} exists: {_origin(known.function)}")
-        summary = (inspect.getdoc(function) or "").split("\n")[0]
-        _FAMILIES[name] = Family(name, function, scenario, tuple(layouts), tuple(variants), summary)
-        return function
-
-    return register
-
-
-def _origin(function: Any) -> str:
-    return f"{function.__module__}.{getattr(function, '__qualname__', function)}"
-
-
-@functools.cache
-def _load_all() -> None:
-    load_registered("family", None, ENTRY_POINTS)
+    return FAMILIES.register(
+        name,
+        lambda function, summary: Family(
+            name, function, scenario, tuple(layouts), tuple(variants), summary
+        ),
+    )
 
 
 def available_families() -> list[str]:
     """Return the names of all families, sorted."""
-    _load_all()
-    return sorted(_FAMILIES)
+    return FAMILIES.names()
 
 
 def family_and_variant(cell: str) -> tuple[Family, str | None]:
@@ -164,18 +147,13 @@ def family_and_variant(cell: str) -> tuple[Family, str | None]:
         UnknownNameError: there is no such family or variant; the message names close matches.
     """
     name, colon, variant = cell.partition(":")
-    if name not in available_families():
-        raise unknown_name("family", name, available_families())
-    family = _FAMILIES[name]
+    family = FAMILIES[name]
     if not family.variants and not colon:
         return family, None
     if variant not in family.variants:
         allowed = [f"{name}:{known}" for known in family.variants] or [name]
         raise unknown_name("variant", cell, allowed)
     return family, variant
-
-
-# --- one agent wants to get to the other, which wants to get away ---------------------------------
 
 
 @register_family("chasing", scenario="opposing")
@@ -195,9 +173,6 @@ def chasing(draw: Draw) -> Situation:
         ),
         (draw.strength(1, 2, 3), draw.strength(1, 2, 3)),
     )
-
-
-# --- two agents carry one item --------------------------------------------------------------------
 
 
 @register_family("collab", scenario="collaborative")
@@ -226,9 +201,6 @@ def collab(draw: Draw) -> Situation:
     )
 
 
-# --- two agents want one item at different landmarks ----------------------------------------------
-
-
 @register_family("compete", scenario="competing")
 def compete(draw: Draw) -> Situation:
     """Both want the same item, at landmarks of their own."""
@@ -249,8 +221,6 @@ def compete(draw: Draw) -> Situation:
         (draw.strength(1, 2, 3), draw.strength(1, 2, 3)),
     )
 
-
-# --- an agent is too large for the door to its item; the other brings it --------------------------
 
 NARROW_LAYOUTS = tuple(n for n, lengths in LAYOUTS.items() if 10 - NARROW in lengths)
 
@@ -273,9 +243,6 @@ def help_blocked(draw: Draw) -> Situation:
     )
 
 
-# --- an item is too heavy for one agent; the other comes to help ----------------------------------
-
-
 @register_family("help_lift", scenario="collaborative")
 def help_lift(draw: Draw) -> Situation:
     """A weak agent is with the item, a stronger one comes; both want the item at a landmark."""
@@ -296,9 +263,6 @@ def help_lift(draw: Draw) -> Situation:
     )
 
 
-# --- an item blocks an agent's door; the other moves it away --------------------------------------
-
-
 @register_family("help_move", scenario="collaborative", layouts=NARROW_LAYOUTS)
 def help_move(draw: Draw) -> Situation:
     """A large item stands before the door to an agent's landmark; a strong agent helps it."""
@@ -317,9 +281,6 @@ def help_move(draw: Draw) -> Situation:
         (draw.strength(3), draw.strength(0, 1)),
         at={BLUE_ITEM: SPOTS[before_door][int(np.argmin(away))]},
     )
-
-
-# --- an agent keeps the other from its goal -------------------------------------------------------
 
 
 @register_family("hinder", scenario="opposing", variants=("LMA", "LMO"))
@@ -345,9 +306,6 @@ def hinder(draw: Draw, variant: str) -> Situation:
         ),
         (draw.strength(1, 2, 3), draw.strength(1, 2, 3)),
     )
-
-
-# --- each agent minds its own business ------------------------------------------------------------
 
 
 @register_family("independent", scenario="independent", variants=("LMO+LMO", "LMO+LMA", "LMA+LMA"))

@@ -26,10 +26,10 @@ import numpy as np
 from jax import random
 from numpyro.util import is_prng_key
 
-from phase_ppl.inference.kernels.metropolis import MetropolisKernel, MHState, Move, moved_site
+from phase_ppl.inference.kernels.metropolis import MetropolisKernel, MHState
+from phase_ppl.inference.kernels.particle import as_batch_of_one
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.models.density import NO_DENSITY
-from phase_ppl.models.program import EventProgram
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, SELF_REFERRING
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS
@@ -42,12 +42,12 @@ _LOG_CHOICE: Final = np.where(np.array(ALPHAS) == 0, 0.0, -np.inf)
 """(alpha, agent) 0 where the agent acts on its own goal."""
 
 
+@register_kernel("enumerated_gibbs", validity="exact", sims_per_step=SIMS_PER_STEP)
 class EnumeratedGibbs(MetropolisKernel):
-    """Draws one agent's goal from its conditional, then moves a random site as single_site_mh does.
+    """Gibbs sampling of goals by simulating all, with Metropolis-Hastings for the rest.
 
-    Args:
-        program: the model of an event.
-        early_reject: stop the simulation of the second part once it cannot be accepted any more.
+    Draws one agent's goal from its conditional, then moves a random site as single_site_mh does.
+    ``early_reject`` is about the second.
     """
 
     sims_per_step: ClassVar[int] = SIMS_PER_STEP
@@ -56,22 +56,17 @@ class EnumeratedGibbs(MetropolisKernel):
         if not is_prng_key(state.rng_key):
             return super()._sample_fn(state)
         # a batch of one, by which the bridge tells a particle from the values of its goal
-        moved = super()._sample_fn(jax.tree.map(lambda leaf: leaf[None], state))
-        single: MHState = jax.tree.map(lambda leaf: leaf[0], moved)
-        return single
+        return as_batch_of_one(super()._sample_fn, state)
 
     def step_one(self, state: MHState) -> MHState:
         """Draw a goal, then propose another value of one site."""
         key, key_goal, key_site, key_seed, key_accept = random.split(state.rng_key, 5)
         drawn = self._goal_drawn(key_goal, state)
-        model = self.model.model
-        sites, log_hastings = moved_site(model.prior, key_site, drawn.z, tuple(model.sites))
-        log_prior = self.model.log_prior(sites)
-        known = self.log_known(log_prior, log_hastings, drawn)
-        move = Move(sites, log_prior, self.memo(sites), known)
-        settled = self.settle(move, drawn, key, key_seed, key_accept)
-        accepted = settled.accepted | (drawn.sim_seed != state.sim_seed)
-        return settled._replace(accepted=accepted, n_accepted=state.n_accepted + accepted)
+        sites, log_hastings = self.one_site_moved(key_site, drawn.z)
+        move = self.move_to(sites, log_hastings, drawn)
+        new = self.accept_reject(move, drawn, key, key_seed, key_accept)
+        accepted = new.accepted | (drawn.sim_seed != state.sim_seed)
+        return new._replace(accepted=accepted, n_accepted=state.n_accepted + accepted)
 
     def _goal_drawn(self, key: jax.Array, state: MHState) -> MHState:
         """Return the state after a draw of one agent's goal; its counters stay."""
@@ -112,9 +107,3 @@ class EnumeratedGibbs(MetropolisKernel):
             step_error=step_error[value],
             log_joint=log_prior[value] + by_frame[value].sum(),
         )
-
-
-@register_kernel("enumerated_gibbs", validity="exact", sims_per_step=SIMS_PER_STEP)
-def enumerated_gibbs(program: EventProgram, *, early_reject: bool = True) -> EnumeratedGibbs:
-    """Gibbs sampling of goals by simulating all, with Metropolis-Hastings for the rest."""
-    return EnumeratedGibbs(program, early_reject=early_reject)

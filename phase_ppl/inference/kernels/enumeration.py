@@ -13,7 +13,7 @@ from jax import random
 from numpy.typing import NDArray
 from numpyro.util import is_prng_key
 
-from phase_ppl.inference.kernels.particle import ParticleKernel, chosen
+from phase_ppl.inference.kernels.particle import ParticleKernel, WeightedState
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.models.density import NO_DENSITY, log_density
 from phase_ppl.models.effective import (
@@ -31,8 +31,6 @@ NEVER: Final = -60.0
 """Log prior, less the highest, below which a hypothesis is left out; NumPyro gives a probability
 of 0 some -87."""
 
-_KEPT = 8
-
 
 class Grid(NamedTuple):
     """Hypotheses that differ in effective goals or strengths.
@@ -48,7 +46,6 @@ class Grid(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Number of rows."""
         return len(self.log_prior)
 
 
@@ -69,7 +66,7 @@ def hypothesis_grid(model: Model, strengths: Sequence[float]) -> Grid:
             f"the prior's own sites {own} cannot be enumerated, only goals, alpha and strengths"
         )
     numbers = isinstance(strengths, Sequence) and not isinstance(strengths, str)
-    if not numbers or not strengths or not all(_is_strength(value) for value in strengths):
+    if not (numbers and strengths and all(0 < number_or_nan(s) < np.inf for s in strengths)):
         raise InvalidSettingError(
             f"strengths={shown(strengths)}, expected a few positive numbers, newtons"
         )
@@ -77,11 +74,7 @@ def hypothesis_grid(model: Model, strengths: Sequence[float]) -> Grid:
         return _grid(model.prior, tuple(float(value) for value in strengths))
 
 
-def _is_strength(value: Any) -> bool:
-    return 0 < number_or_nan(value) < np.inf
-
-
-@functools.lru_cache(_KEPT)
+@functools.lru_cache(8)
 def _grid(prior: Any, strengths: tuple[float, ...]) -> Grid:
     pairs = np.array(list(stated_hypotheses()), np.int64)
     forces = np.array([(red, green) for red in strengths for green in strengths], np.float32)
@@ -122,45 +115,27 @@ def _stated(prior: Any, pairs: NDArray[np.int64], force: NDArray[np.float32]) ->
     return stated[order[last_of_row]]
 
 
-# --- every hypothesis, one after the other: for simulators fast enough ----------------------------
-
 STRENGTHS: Final = (150.0, 300.0, 450.0, 600.0)
 """Grid of either agent's strength, newtons."""
 
 MAX_SIMULATIONS: Final = 50_000
 
 
-class EnumerationState(NamedTuple):
-    """State of one particle, which works through its share of the hypotheses.
+@register_kernel(
+    "enumerate",
+    validity="consistent",
+    chain_methods=("vectorized",),
+    keeps="start",
+    weighted=True,
+)
+class Enumeration(ParticleKernel[WeightedState]):
+    """Enumeration of all pairs of effective goals on a grid of strengths.
 
-    Attributes:
-        i: iterations so far.
-        z: site -> value, the hypothesis simulated last; an earlier one, at weight 0, where
-            that failed or all are done.
-        sim_seed: seed of its simulation.
-        log_weight: its log prior + log likelihood, less that without any error.
-        accepted: whether the iteration's simulation was completed.
-        n_accepted: how many were.
-        rng_key: of the particle.
-    """
-
-    i: jax.Array
-    z: dict[str, jax.Array]
-    sim_seed: jax.Array
-    log_weight: jax.Array
-    accepted: jax.Array
-    n_accepted: jax.Array
-    rng_key: jax.Array
-
-
-class Enumeration(ParticleKernel[EnumerationState]):
-    """Simulates all pairs of effective goals and strengths; each draw weighs P(h) L.
-
-    As good as its grid of strengths and, where the simulator is noisy, as its number of seeds:
-    hence "consistent" and not "exact". The particles share the work; the seeds vary slowest.
+    Every hypothesis is simulated, one after the other, and weighs P(h) L. As good as its grid of
+    strengths and, where the simulator is noisy, as its number of seeds: hence "consistent" and not
+    "exact". The particles share the work; the seeds vary slowest.
 
     Args:
-        program: the model of an event.
         strengths: grid of either agent's strength, newtons, weighted by the prior's density.
         noise_seeds: simulations of each hypothesis, with seeds of their own.
         max_simulations: more than these are refused.
@@ -173,6 +148,7 @@ class Enumeration(ParticleKernel[EnumerationState]):
     validity = "consistent"
     keeps = "start"
     weighted = True
+    initial_tries = 1
 
     def __init__(
         self,
@@ -217,36 +193,23 @@ class Enumeration(ParticleKernel[EnumerationState]):
         return -(-self.n_simulations // chains) - 1
 
     def propose_initial(self, key: jax.Array) -> dict[str, jax.Array]:
-        """Return the first hypothesis."""
         return self._sites(jnp.zeros((), jnp.int32))
-
-    def _initial_sites(self, key: jax.Array) -> dict[str, jax.Array]:
-        return self.propose_initial(key)
 
     def start_one(
         self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]
-    ) -> EnumerationState:
+    ) -> WeightedState:
         """Return a particle before its first hypothesis."""
-        none = jnp.zeros((), jnp.int32)
-        return EnumerationState(
-            i=none - 1,
-            z=sites,
-            sim_seed=none,
-            log_weight=jnp.full((), -jnp.inf),
-            accepted=jnp.array(False),
-            n_accepted=none,
-            rng_key=key,
-        )
+        return WeightedState.before(key, sites)
 
-    def init(self, *args: object, **kwargs: object) -> EnumerationState:
+    def init(self, *args: Any, **kwargs: Any) -> WeightedState:
         """Return the particles at their first hypotheses, simulated."""
-        return self._sample_fn(super().init(*args, **kwargs))  # type: ignore[arg-type]
+        return self._sample_fn(super().init(*args, **kwargs))
 
-    def step_one(self, state: EnumerationState) -> EnumerationState:
+    def step_one(self, state: WeightedState) -> WeightedState:
         """Simulate the next hypothesis of a single particle, which does all of them."""
         return self._simulated(state, state.i + 1)
 
-    def _sample_fn(self, state: EnumerationState) -> EnumerationState:
+    def _sample_fn(self, state: WeightedState) -> WeightedState:
         if is_prng_key(state.rng_key):
             return self.step_one(state)
         chains = len(state.i)
@@ -255,7 +218,7 @@ class Enumeration(ParticleKernel[EnumerationState]):
     def _sites(self, row: jax.Array) -> dict[str, jax.Array]:
         return {name: jnp.asarray(values)[row] for name, values in self._grid.sites.items()}
 
-    def _simulated(self, state: EnumerationState, number: jax.Array) -> EnumerationState:
+    def _simulated(self, state: WeightedState, number: jax.Array) -> WeightedState:
         """Simulate the hypothesis with this number, if there is one."""
         program = self.model
         key, key_seed = random.split(state.rng_key)
@@ -265,38 +228,6 @@ class Enumeration(ParticleKernel[EnumerationState]):
         log_prior = jnp.where(exists, program.log_prior(sites), -jnp.inf)
         seed = program.simulator_seed(key_seed, sites)
         error = program.simulate(sites, log_prior, seed)
-        done = jnp.isfinite(error).all()
+        # beside that without any error
         log_weight = jnp.asarray(self._grid.log_prior)[row] + program.relative_log_likelihood(error)
-        sites, seed = chosen(done, (sites, seed), (state.z, state.sim_seed))
-        return EnumerationState(
-            state.i + 1,
-            sites,
-            seed,
-            jnp.where(done, log_weight, -jnp.inf),
-            done,
-            state.n_accepted + done,
-            key,
-        )
-
-
-@register_kernel(
-    "enumerate",
-    validity="consistent",
-    chain_methods=("vectorized",),
-    keeps="start",
-    weighted=True,
-)
-def enumerate_hypotheses(
-    program: EventProgram,
-    *,
-    strengths: Sequence[float] = STRENGTHS,
-    noise_seeds: int = 1,
-    max_simulations: int = MAX_SIMULATIONS,
-) -> Enumeration:
-    """Enumeration of all pairs of effective goals on a grid of strengths."""
-    return Enumeration(
-        program,
-        strengths=strengths,
-        noise_seeds=noise_seeds,
-        max_simulations=max_simulations,
-    )
+        return state.after(key, sites, seed, log_weight, jnp.isfinite(error).all())

@@ -1,4 +1,4 @@
-"""Metropolis-Hastings with proposals from the prior."""
+"""Metropolis-Hastings that proposes from the prior, by small steps, or by a mixture of moves."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from jax import random
 from numpy.typing import NDArray
 
 from phase_ppl.inference.kernels.local_mh import LocalMH
-from phase_ppl.inference.kernels.metropolis import MHState, ProposalKernel, SiteMove, moved_site
+from phase_ppl.inference.kernels.metropolis import MHState, ProposalKernel, SiteMove, log_known
 from phase_ppl.inference.kernels.particle import chosen
 from phase_ppl.inference.proposals.guide import NEVER
 from phase_ppl.inference.registry import register_kernel
@@ -26,48 +26,32 @@ from phase_ppl.world.goals import N_GOALS, neighbouring_goals
 from phase_ppl.world.hypothesis import ALPHAS
 
 
+@register_kernel("prior_mh", validity="exact")
 class PriorMH(ProposalKernel):
-    """Independence sampler: each proposal is a fresh draw from the prior.
+    """Metropolis-Hastings with proposals from the prior.
 
-    Prior and proposal cancel, so that the acceptance ratio is that of the likelihoods.
+    An independence sampler: prior and proposal cancel, so that the acceptance ratio is that of
+    the likelihoods.
     """
 
     proposes_from_prior = True
 
     def propose(self, key: jax.Array, state: MHState) -> tuple[dict[str, jax.Array], jax.Array]:
-        """Return a hypothesis from the prior."""
         sites = self.model.draw_prior(key)
         return sites, state.log_prior - self.model.log_prior(sites)
 
 
-@register_kernel("prior_mh", validity="exact")
-def prior_mh(program: EventProgram, *, early_reject: bool = True) -> PriorMH:
-    """Metropolis-Hastings with proposals from the prior."""
-    return PriorMH(program, early_reject=early_reject)
-
-
-# --- metropolis-Hastings that proposes one site at a time from the prior --------------------------
-
-
+@register_kernel("single_site_mh", validity="exact")
 class SingleSiteMH(ProposalKernel):
-    """Draws a random site from its prior given the sites above it; all others stay.
+    """Metropolis-Hastings that proposes one site at a time from the prior.
 
-    A site of a user's own moves like any other, in whatever hierarchy it stands.
+    A random site is drawn from its prior given the sites above it; all others stay. A site of a
+    user's own moves like any other, in whatever hierarchy it stands.
     """
 
     def propose(self, key: jax.Array, state: MHState) -> tuple[dict[str, jax.Array], jax.Array]:
-        """Return the hypothesis with one site drawn anew."""
-        model = self.model.model
-        return moved_site(model.prior, key, state.z, tuple(model.sites))
+        return self.one_site_moved(key, state.z)
 
-
-@register_kernel("single_site_mh", validity="exact")
-def single_site_mh(program: EventProgram, *, early_reject: bool = True) -> SingleSiteMH:
-    """Metropolis-Hastings that proposes one site at a time from the prior."""
-    return SingleSiteMH(program, early_reject=early_reject)
-
-
-# --- metropolis-Hastings with small steps: to a similar goal, another relation,... ----------------
 
 LEAP: Final = 0.2
 """Share of goal proposals that come from the prior, so that goals which it leaves without
@@ -77,8 +61,11 @@ SCALE: Final = 60.0
 """Standard deviation of a step of a strength, newtons."""
 
 
+@register_kernel("random_walk_mh", validity="exact")
 class RandomWalkMH(ProposalKernel):
-    """Moves a random site by a small step; all others stay.
+    """Metropolis-Hastings with small steps: to a similar goal, another relation, a strength.
+
+    A random site moves, all others stay.
 
     * a goal: to one of those neighbours (:func:`phase_ppl.world.goals.neighbouring_goals`) that
       have prior mass; with probability :data:`LEAP`, or where there is none, to a goal from its
@@ -89,9 +76,8 @@ class RandomWalkMH(ProposalKernel):
     * a site of a user's own: drawn from its prior given the sites above it.
 
     Args:
-        program: the model of an event.
+        program, early_reject: as of every Metropolis-Hastings kernel.
         scale: standard deviation of a strength's step, newtons.
-        early_reject: stop a simulation once it cannot be accepted any more.
 
     Raises:
         InvalidSettingError: ``scale`` is no positive number.
@@ -108,14 +94,12 @@ class RandomWalkMH(ProposalKernel):
         self._scale = positive_number("scale", scale)
 
     def propose(self, key: jax.Array, state: MHState) -> tuple[dict[str, jax.Array], jax.Array]:
-        """Return the hypothesis with one site moved."""
-        model = self.model.model
         moves: dict[str, SiteMove] = {ALPHA_SITE: _another_alpha}
         for holder, name in enumerate(GOAL_SITES):
             moves[name] = functools.partial(_nearby_goal, holder)
         for name in STRENGTH_SITES:
             moves[name] = functools.partial(_reflected_step, self._scale)
-        return moved_site(model.prior, key, state.z, tuple(model.sites), moves)
+        return self.one_site_moved(key, state.z, moves)
 
 
 def _nearby_goal(
@@ -172,31 +156,21 @@ def _reflected_step(
     return new, 0.0
 
 
-@register_kernel("random_walk_mh", validity="exact")
-def random_walk_mh(
-    program: EventProgram, *, scale: float = SCALE, early_reject: bool = True
-) -> RandomWalkMH:
-    """Metropolis-Hastings with small steps: to a similar goal, another relation, a strength."""
-    return RandomWalkMH(program, scale=scale, early_reject=early_reject)
-
-
-# --- metropolis-Hastings that mixes SIMPLE's local moves with moves of single sites ---------------
-# Local moves find where the observation points; single sites move about there. The kind of a move
-# is drawn beforehand and independently of the state, so that each kind is accepted by its own
-# ratio and the mixture leaves invariant what both leave invariant.
-
 LOCAL_SHARE: Final = 0.5
 
 
+@register_kernel("mixture", validity="exact", needs=("guide", "settings"))
 class MixtureMH(LocalMH):
-    """Makes a local move (:class:`LocalMH`, exact rule), or draws one site from its prior.
+    """Metropolis-Hastings that mixes SIMPLE's local moves with moves of single sites.
+
+    Makes a local move (:class:`LocalMH`, exact rule), or draws one site from its prior. Local
+    moves find where the observation points; single sites move about there. The kind of a move is
+    drawn beforehand and independently of the state, so that each kind is accepted by its own
+    ratio and the mixture leaves invariant what both leave invariant.
 
     Args:
-        program: the model of an event.
-        guide: see :class:`LocalMH`.
-        settings: see :class:`LocalMH`.
+        program, guide, settings, early_reject: as of :class:`LocalMH`.
         local_share: probability of a local move.
-        early_reject: stop a simulation once it cannot be accepted any more.
 
     Raises:
         InvalidSettingError: ``local_share`` is no number in [0, 1].
@@ -218,33 +192,19 @@ class MixtureMH(LocalMH):
         """Make one of the two moves."""
         key, key_kind, *keys, key_seed, key_accept = random.split(state.rng_key, 7)
         key_window, key_local, key_site = keys
-        model = self.model.model
         local = random.bernoulli(key_kind, self._local_share)
         # both are proposed, which costs nothing, and one of them is simulated
         window, sites = self.propose_locally(key_window, key_local, state)
-        one_moved, log_hastings = moved_site(model.prior, key_site, state.z, tuple(model.sites))
+        one_moved, log_hastings = self.one_site_moved(key_site, state.z)
         sites = chosen(local, sites, one_moved)
         move = self.local_move(window, sites, state)
+        of_single = log_known(move.log_prior, log_hastings, state)
         after = move.log_after
-        known = self.log_known(move.log_prior, log_hastings, state)
         move = move._replace(
-            log_known=jnp.where(local, move.log_known, known),
+            log_known=jnp.where(local, move.log_known, of_single),
             log_after=lambda step_error: jnp.where(local, after(step_error), 0.0),
             log_bound=jnp.where(local, move.log_bound, 0.0),
             window=jnp.where(local, window, -1),
             log_proposal=jnp.where(local, move.log_proposal, jnp.nan),
         )
-        return self.settle(move, state, key, key_seed, key_accept)
-
-
-@register_kernel("mixture", validity="exact", needs=("guide", "settings"))
-def mixture(
-    program: EventProgram,
-    *,
-    guide: Program,
-    settings: SimpleSettings,
-    local_share: float = LOCAL_SHARE,
-    early_reject: bool = True,
-) -> MixtureMH:
-    """Metropolis-Hastings that mixes SIMPLE's local moves with moves of single sites."""
-    return MixtureMH(program, guide, settings, local_share=local_share, early_reject=early_reject)
+        return self.accept_reject(move, state, key, key_seed, key_accept)

@@ -17,7 +17,7 @@ from numpyro.infer.gibbs import DiscreteGibbs, Gibbs, discrete_latent_sites
 from numpyro.infer.mcmc import MCMCKernel
 
 from phase_ppl.inference.kernels.particle import ParticleKernel, chosen, log_uniform
-from phase_ppl.inference.kernels.wrapped import WrappedState, seed_of, settled
+from phase_ppl.inference.kernels.wrapped import WrappedState, seed_of
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.models.density import draw, trace_log_density
 from phase_ppl.models.program import EventProgram
@@ -58,7 +58,6 @@ class RandomWalk(MCMCKernel):
         self.model, self._scale = model, scale
 
     def wrap_model(self, wrapper: Any) -> RandomWalk:
-        """Return a copy on a wrapped model."""
         wrapped = copy.copy(self)
         wrapped.model = wrapper(self.model)
         return wrapped
@@ -70,7 +69,6 @@ class RandomWalk(MCMCKernel):
     def init(
         self, rng_key: jax.Array, num_warmup: int, init_params: Any, args: Any, kwargs: Any
     ) -> WalkState:
-        """Return the state at ``init_params``."""
         return WalkState(init_params, self._log_density(init_params, kwargs), rng_key)
 
     def refresh(self, state: WalkState, args: Any, kwargs: Any) -> WalkState:
@@ -78,7 +76,6 @@ class RandomWalk(MCMCKernel):
         return state._replace(log_density=self._log_density(state.z, kwargs))
 
     def sample(self, state: WalkState, args: Any, kwargs: Any) -> WalkState:
-        """Propose a step; accept it by the ratio of densities."""
         key, key_step, key_coin, key_seed, key_accept = random.split(state.rng_key, 5)
         proposed = {}
         for number, (name, value) in enumerate(sorted(state.z.items())):
@@ -99,15 +96,16 @@ class RandomWalk(MCMCKernel):
         return jnp.where(jnp.isnan(total), -jnp.inf, total)
 
 
+@register_kernel("gibbs", validity="exact", sims_per_step=4)
 class GibbsKernel(ParticleKernel[WrappedState]):
-    """Updates the discrete sites one by one, in random order, then the numbers and the seed.
+    """Gibbs sampling: random walks site by site.
 
-    A discrete site is proposed evenly from its other values, with the simulator's seed kept; the
+    Updates the discrete sites one by one, in random order, then the numbers and the seed. A
+    discrete site is proposed evenly from its other values, with the simulator's seed kept; the
     target is the joint law of hypothesis and seed. An iteration takes one simulation for each
     discrete site and one for the rest.
 
     Args:
-        program: the model of an event.
         step: standard deviation of the steps of real sites, in those of the prior.
 
     Raises:
@@ -183,14 +181,9 @@ class GibbsKernel(ParticleKernel[WrappedState]):
             draws = jax.vmap(lambda key: draw(self.model.model.prior, key))(keys)
             return {name: self._step * values.std(axis=0) for name, values in draws.items()}
 
-    def propose_initial(self, key: jax.Array) -> dict[str, jax.Array]:
-        """Return a hypothesis from the prior."""
-        return self.model.draw_prior(key)
-
     def start_one(
         self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]
     ) -> WrappedState:
-        """Simulate the initial hypothesis."""
         uniform = random.uniform(key_start)
         start = dict(sites)
         if self.model.model.noise == "fresh":
@@ -202,7 +195,6 @@ class GibbsKernel(ParticleKernel[WrappedState]):
         return WrappedState(none, sites, seed, error, inner, none > 0, none, key)
 
     def step_one(self, state: WrappedState) -> WrappedState:
-        """Update all sites."""
         key, key_inner, *key_blocks = random.split(state.rng_key, 4)
         gibbs = self._gibbs()
         gibbs.init(key_inner, 0, state.inner.z, (), {})  # makes it ready; simulates nothing
@@ -216,10 +208,4 @@ class GibbsKernel(ParticleKernel[WrappedState]):
         moved = jnp.stack([jnp.any(inner.z[n] != state.inner.z[n]) for n in inner.z]).any()
         seed = seed_of(self.model, inner.z.get(SEED_SITE, jnp.zeros(())), sites)
         error = self.model.simulate(sites, self.model.log_prior(sites), seed)
-        return settled(state, inner, moved, (sites, seed, error), key)
-
-
-@register_kernel("gibbs", validity="exact", sims_per_step=4)
-def gibbs(program: EventProgram, *, step: float = 0.5) -> GibbsKernel:
-    """Gibbs sampling: random walks site by site."""
-    return GibbsKernel(program, step=step)
+        return state.after(inner, moved, (sites, seed, error), key)

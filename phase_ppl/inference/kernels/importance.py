@@ -2,123 +2,15 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import random
 from jax.scipy.special import logsumexp
 
-from phase_ppl.inference.kernels.particle import ParticleKernel, chosen
-from phase_ppl.inference.proposals.tables import window_count
+from phase_ppl.inference.kernels.particle import ParticleKernel, WeightedState
 from phase_ppl.inference.registry import register_kernel
-from phase_ppl.inference.settings import SimpleSettings
-from phase_ppl.models.density import Program, Sites, log_density
-from phase_ppl.models.program import EventProgram
-
-
-class ImportanceState(NamedTuple):
-    """State of one particle.
-
-    Attributes:
-        i: iterations so far.
-        z: site -> value, the hypothesis drawn last with any further sites; an earlier one, at
-            weight 0, where the last could not be simulated.
-        sim_seed: seed of its simulation.
-        log_weight: log P + log L - log Q, less the log likelihood without any error.
-        window: the window it was drawn from, by its first frame.
-        accepted: whether the last draw could be simulated.
-        n_accepted: how many could.
-        rng_key: of the particle.
-    """
-
-    i: jax.Array
-    z: dict[str, jax.Array]
-    sim_seed: jax.Array
-    log_weight: jax.Array
-    window: jax.Array
-    accepted: jax.Array
-    n_accepted: jax.Array
-    rng_key: jax.Array
-
-
-class Importance(ParticleKernel[ImportanceState]):
-    """Independent draws from the guide, each weighing P(h) L / Q(h).
-
-    Q is the even mixture of the guide's proposals over all windows and the whole observation;
-    with the guide's share of the prior it covers whatever the prior does. Nothing is stopped
-    early.
-
-    Args:
-        program: the model of an event.
-        guide: proposal program ``guide(window)``; the index after the last window stands for
-            the whole observation.
-        settings: the length of the windows.
-    """
-
-    validity = "consistent"
-
-    @property
-    def _n_windows(self) -> int:
-        return window_count(self.model.n_frames, self.settings.window) + 1
-
-    def propose_initial(self, key: jax.Array) -> dict[str, jax.Array]:
-        """Return a hypothesis from the mixture over windows."""
-        return self._draw(key)[0]
-
-    def _initial_sites(self, key: jax.Array) -> dict[str, jax.Array]:
-        return self.propose_initial(key)  # one draw: the best of several has another density
-
-    def _draw(self, key: jax.Array) -> tuple[dict[str, jax.Array], jax.Array]:
-        key_window, key_sites = random.split(key)
-        window = random.randint(key_window, (), 0, self._n_windows)
-        return self.draw_guide(key_sites, window), window
-
-    def start_one(
-        self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]
-    ) -> ImportanceState:
-        """Simulate and weigh the first draw."""
-        seed, log_weight = self._weighed(key_start, sites)
-        possible = jnp.isfinite(log_weight)
-        none = jnp.zeros((), jnp.int32)
-        return ImportanceState(
-            none, sites, seed, log_weight, none - 1, possible, possible.astype(jnp.int32), key
-        )
-
-    def step_one(self, state: ImportanceState) -> ImportanceState:
-        """Draw once more, whatever was drawn before."""
-        key, key_sites, key_seed = random.split(state.rng_key, 3)
-        sites, window = self._draw(key_sites)
-        seed, log_weight = self._weighed(key_seed, sites)
-        possible = jnp.isfinite(log_weight)
-        sites, seed = chosen(possible, (sites, seed), (state.z, state.sim_seed))
-        return ImportanceState(
-            state.i + 1,
-            sites,
-            seed,
-            log_weight,
-            window.astype(jnp.int32),
-            possible,
-            state.n_accepted + possible,
-            key,
-        )
-
-    def _weighed(self, key: jax.Array, sites: Sites) -> tuple[jax.Array, jax.Array]:
-        """Simulate a draw; return the seed and the log weight, -inf where it is impossible."""
-        program = self.model
-        seed = program.simulator_seed(key, sites)
-        log_prior = program.log_prior(sites)
-        log_proposal = mixture_log_density(self.guide, sites, self._n_windows)
-        error = program.simulate(sites, log_prior, seed)
-        log_weight = log_prior - log_proposal + program.relative_log_likelihood(error)
-        return seed, jnp.where(jnp.isfinite(error).all(), log_weight, -jnp.inf)
-
-
-def mixture_log_density(guide: Program, sites: Sites, n_windows: int) -> jax.Array:
-    """Return the log density of the even mixture of ``guide(0)``, ..., ``guide(n_windows - 1)``."""
-    by_window = jax.vmap(lambda w: log_density(guide, sites, w))(jnp.arange(n_windows))
-    return logsumexp(by_window) - np.log(n_windows)
+from phase_ppl.models.density import Sites, log_density
 
 
 @register_kernel(
@@ -128,6 +20,48 @@ def mixture_log_density(guide: Program, sites: Sites, n_windows: int) -> jax.Arr
     keeps="start",
     weighted=True,
 )
-def importance(program: EventProgram, *, guide: Program, settings: SimpleSettings) -> Importance:
-    """Importance sampling from the guide's mixture over windows."""
-    return Importance(program, guide, settings)
+class Importance(ParticleKernel[WeightedState]):
+    """Importance sampling from the guide's mixture over windows.
+
+    Draws are independent, each weighing P(h) L / Q(h). Q is the even mixture of the guide's
+    proposals over all windows and the whole observation; with the guide's share of the prior it
+    covers whatever the prior does. Nothing is stopped early.
+    """
+
+    validity = "consistent"
+
+    initial_tries = 1
+
+    def propose_initial(self, key: jax.Array) -> dict[str, jax.Array]:
+        return self._draw(key)[0]
+
+    def _draw(self, key: jax.Array) -> tuple[dict[str, jax.Array], jax.Array]:
+        key_window, key_sites = random.split(key)
+        window = random.randint(key_window, (), 0, self.n_windows + 1)
+        return self.draw_guide(key_sites, window), window
+
+    def start_one(
+        self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]
+    ) -> WeightedState:
+        seed, log_weight = self._weighed(key_start, sites)
+        possible = jnp.isfinite(log_weight)
+        return WeightedState.before(key, sites, seed).after(key, sites, seed, log_weight, possible)
+
+    def step_one(self, state: WeightedState) -> WeightedState:
+        """Draw once more, whatever was drawn before."""
+        key, key_sites, key_seed = random.split(state.rng_key, 3)
+        sites, window = self._draw(key_sites)
+        seed, log_weight = self._weighed(key_seed, sites)
+        return state.after(key, sites, seed, log_weight, jnp.isfinite(log_weight), window)
+
+    def _weighed(self, key: jax.Array, sites: Sites) -> tuple[jax.Array, jax.Array]:
+        """Simulate a draw; return the seed and the log weight, -inf where it is impossible."""
+        program = self.model
+        seed = program.simulator_seed(key, sites)
+        log_prior = program.log_prior(sites)
+        windows = jnp.arange(self.n_windows + 1)  # and the whole observation
+        by_window = jax.vmap(lambda window: log_density(self.guide, sites, window))(windows)
+        log_proposal = logsumexp(by_window) - np.log(len(windows))
+        error = program.simulate(sites, log_prior, seed)
+        log_weight = log_prior - log_proposal + program.relative_log_likelihood(error)
+        return seed, jnp.where(jnp.isfinite(error).all(), log_weight, -jnp.inf)

@@ -27,7 +27,7 @@ sum_k r(k | e') Q(h | S_k) <= max_k Q(h | S_k) nor r(k | e') <= 1 can make up fo
 
 from __future__ import annotations
 
-from typing import Final, Literal
+from typing import Final, Literal, get_args
 
 import jax
 import jax.numpy as jnp
@@ -36,7 +36,7 @@ from jax import random
 from jax.scipy.special import logsumexp
 
 from phase_ppl.inference.kernels.metropolis import MetropolisKernel, MHState, Move
-from phase_ppl.inference.proposals.tables import window_count, window_length
+from phase_ppl.inference.proposals.tables import window_length
 from phase_ppl.inference.registry import Validity, register_kernel
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.density import Program, Sites, log_density
@@ -45,8 +45,7 @@ from phase_ppl.world.errors import unknown_name
 
 Rule = Literal["exact", "window", "paper"]
 
-RULES: Final = ("exact", "window", "paper")
-
+RULES: Final = get_args(Rule)
 EXACT_RULES: Final = ("exact", "window")
 
 
@@ -110,19 +109,17 @@ def log_after_bound(rule: Rule, log_proposal: jax.Array) -> jax.Array | float:
     return jnp.max(log_proposal) if rule == "exact" else 0.0
 
 
+@register_kernel("local_mh", validity="exact", needs=("guide", "settings"))
 class LocalMH(MetropolisKernel):
-    """SIMPLE's kernel; see the module for its rules.
+    """SIMPLE: Metropolis-Hastings with local, bottom-up proposals; the module has its rules.
 
     Args:
-        program: the model of an event.
-        guide: proposal program ``guide(window)`` over the prior's sites, with windows counted
-            by their first frame; the index after the last one stands for the whole observation
-            and makes the initial hypotheses.
+        program, early_reject: as of every Metropolis-Hastings kernel.
+        guide: proposal program over the prior's sites; that of the whole observation makes the
+            initial hypotheses.
         settings: eta and the length of the windows; by default the paper's.
         rule: "exact": Hastings' ratio with the window summed out; "window": with the window in
             it; "paper": the ratio as printed, which is biased.
-        early_reject: stop a simulation once it cannot be accepted any more; the chain is the
-            same with and without.
 
     Raises:
         UnknownNameError: there is no such rule.
@@ -147,29 +144,26 @@ class LocalMH(MetropolisKernel):
         """Whether the stationary law is the posterior: not with the printed rule."""
         return "exact" if self._rule in EXACT_RULES else "approximate"
 
-    @property
-    def _n_windows(self) -> int:
-        return window_count(self.model.n_frames, self.settings.window)
-
     def memo(self, sites: Sites) -> dict[str, jax.Array]:
         """Return (window,) log Q(sites | S_k)."""
-        windows = jnp.arange(self._n_windows)
+        windows = jnp.arange(self.n_windows)
         density = jax.vmap(lambda window: log_density(self.guide, sites, window))
         return {"log_proposal": density(windows)}
 
     def propose_initial(self, key: jax.Array) -> dict[str, jax.Array]:
         """Return a hypothesis from what the whole observation shows."""
-        return self.draw_guide(key, self._n_windows)
+        return self.draw_guide(key, self.n_windows)
 
     def log_initial_proposal(self, sites: Sites, log_prior: jax.Array) -> jax.Array:
         """Return log Q(sites | whole observation)."""
-        return log_density(self.guide, sites, self._n_windows)
+        return log_density(self.guide, sites, self.n_windows)
 
     def step_one(self, state: MHState) -> MHState:
         """Propose from a window that is simulated badly; accept by the rule."""
         key, key_window, key_sites, key_seed, key_accept = random.split(state.rng_key, 5)
         window, sites = self.propose_locally(key_window, key_sites, state)
-        return self.settle(self.local_move(window, sites, state), state, key, key_seed, key_accept)
+        move = self.local_move(window, sites, state)
+        return self.accept_reject(move, state, key, key_seed, key_accept)
 
     def propose_locally(
         self, key_window: jax.Array, key_sites: jax.Array, state: MHState
@@ -203,16 +197,3 @@ class LocalMH(MetropolisKernel):
     def _log_windows(self, step_error: jax.Array) -> jax.Array:
         length = window_length(self.model.n_frames, self.settings.window)
         return log_window_choice(step_error, self.settings.eta, length)
-
-
-@register_kernel("local_mh", validity="exact", needs=("guide", "settings"))
-def local_mh(
-    program: EventProgram,
-    *,
-    guide: Program,
-    settings: SimpleSettings,
-    rule: Rule = "exact",
-    early_reject: bool = True,
-) -> LocalMH:
-    """SIMPLE: Metropolis-Hastings with local, bottom-up proposals."""
-    return LocalMH(program, guide, settings, rule=rule, early_reject=early_reject)

@@ -16,8 +16,8 @@ cannot be accepted; the runner stops there. Decisions are the same with and with
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, ClassVar, NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -31,22 +31,21 @@ from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.density import NO_DENSITY, Program, Sites
 from phase_ppl.models.program import EventProgram
 
+_SLACK: Final = 0.01
+_RELATIVE_SLACK: Final = 1e-5
+
 
 class MHState(NamedTuple):
     """State of one particle.
 
     Attributes:
-        i: iterations so far.
         z: site -> value, the current hypothesis with any further sites.
-        sim_seed: seed of its simulation.
         log_prior: its log prior density.
         memo: what else the kernel knows of it, see :meth:`MetropolisKernel.memo`.
         step_error: (time,) errors of its simulation, units; never simulated again.
         log_joint: log prior + log likelihood, in single precision.
         window: the window of the last proposal, by its first frame; -1 where it had none.
         accepted: whether the last proposal was accepted.
-        n_accepted: how many were.
-        rng_key: of the chain.
     """
 
     i: jax.Array
@@ -88,6 +87,23 @@ class Move(NamedTuple):
     log_proposal: jax.Array | float = np.nan
 
 
+SiteMove = Callable[[jax.Array, Mapping[str, Any]], tuple[jax.Array, jax.Array | float]]
+"""``(key, site) -> (new value, Hastings' correction)``, where the site is that of a trace."""
+
+
+def _redrawn(key: jax.Array, site: Mapping[str, Any]) -> tuple[jax.Array, jax.Array | float]:
+    prior, value = site["fn"], site["value"]
+    new = prior.sample(key, site["kwargs"].get("sample_shape", ()))
+    return new, jnp.sum(prior.log_prob(value)) - jnp.sum(prior.log_prob(new))
+
+
+def log_known(log_prior: jax.Array, log_hastings: jax.Array | float, state: MHState) -> jax.Array:
+    """Return the log acceptance ratio without the likelihoods."""
+    known = log_prior - state.log_prior + log_hastings
+    # from a start without mass, whatever completes is accepted
+    return jnp.where(state.log_prior > NO_DENSITY, known, 0.0)
+
+
 def log_ratio(
     log_known: jax.Array,
     current: jax.Array,
@@ -107,7 +123,7 @@ def log_ratio(
 
 
 class MetropolisKernel(ParticleKernel[MHState]):
-    """Base of the family: a subclass says how it moves, by :meth:`settle`; or see below.
+    """Base of the family: a subclass makes a :class:`Move` and has :meth:`accept_reject` decide.
 
     Args:
         program: the model of an event; None until ``bound_to`` is called.
@@ -130,16 +146,11 @@ class MetropolisKernel(ParticleKernel[MHState]):
 
     @property
     def validity(self) -> Validity:
-        """Whether the stationary law is the posterior."""
         return "exact"
 
     def memo(self, sites: dict[str, jax.Array]) -> dict[str, jax.Array]:
         """Return what a kernel wants to know of a hypothesis again later; by default nothing."""
         return {}
-
-    def propose_initial(self, key: jax.Array) -> dict[str, jax.Array]:
-        """Return a hypothesis from the prior."""
-        return self.model.draw_prior(key)
 
     def log_initial_proposal(self, sites: Sites, log_prior: jax.Array) -> jax.Array | float:
         """Return the log density of :meth:`propose_initial`; NaN where it is not known."""
@@ -148,7 +159,6 @@ class MetropolisKernel(ParticleKernel[MHState]):
     def start_one(
         self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]
     ) -> MHState:
-        """Simulate the initial hypothesis."""
         program = self.model
         seed = program.simulator_seed(key_start, sites)
         log_prior = program.log_prior(sites)
@@ -169,15 +179,53 @@ class MetropolisKernel(ParticleKernel[MHState]):
             rng_key=key,
         )
 
-    def log_known(
-        self, log_prior: jax.Array, log_hastings: jax.Array | float, state: MHState
-    ) -> jax.Array:
-        """Return the log acceptance ratio without the likelihoods."""
-        known = log_prior - state.log_prior + log_hastings
-        # from a start without mass, whatever completes is accepted
-        return jnp.where(state.log_prior > NO_DENSITY, known, 0.0)
+    def move_to(
+        self,
+        sites: dict[str, jax.Array],
+        log_hastings: jax.Array | float,
+        state: MHState,
+        from_prior: bool = False,
+    ) -> Move:
+        """Return the move to a hypothesis, whose reversal does not depend on its simulation.
 
-    def settle(
+        Args:
+            sites: z', the hypothesis.
+            log_hastings: log q(z | z') - log q(z' | z).
+            state: the current state.
+            from_prior: whether it is a draw from the prior, whatever the state.
+        """
+        log_prior = self.model.log_prior(sites)
+        known = log_known(log_prior, log_hastings, state)
+        log_proposal = log_prior if from_prior else np.nan
+        return Move(sites, log_prior, self.memo(sites), known, log_proposal=log_proposal)
+
+    def one_site_moved(
+        self, key: jax.Array, sites: Sites, moves: Mapping[str, SiteMove] | None = None
+    ) -> tuple[dict[str, jax.Array], jax.Array]:
+        """Move one site, each as likely, while the others stay.
+
+        Args:
+            key: of all that is random.
+            sites: all latent sites.
+            moves: how sites move; those not named are drawn from their prior, given those above.
+
+        Returns:
+            The sites after it, and Hastings' correction log q(z | z') - log q(z' | z). The prior
+            of the sites below it in a hierarchy changes too, which is in the prior's ratio.
+        """
+        model, moves = self.model.model, moves or {}
+        trace = handlers.trace(handlers.substitute(model.prior, data=dict(sites))).get_trace()
+        key_which, *keys = random.split(key, 1 + len(model.sites))
+        which = random.randint(key_which, (), 0, len(model.sites))
+        proposed, corrections = dict(sites), []
+        for index, (name, key_site) in enumerate(zip(model.sites, keys, strict=True)):
+            new, correction = moves.get(name, _redrawn)(key_site, trace[name])
+            old = jnp.asarray(sites[name])
+            proposed[name] = jnp.where(which == index, jnp.asarray(new, old.dtype), old)
+            corrections.append(jnp.asarray(correction, jnp.float32))
+        return proposed, jnp.stack(corrections)[which]
+
+    def accept_reject(
         self,
         move: Move,
         state: MHState,
@@ -202,14 +250,14 @@ class MetropolisKernel(ParticleKernel[MHState]):
         ceiling: jax.Array | float = np.inf
         log_bound: jax.Array | float = np.inf
         if self._early_reject:
-            ceiling, log_bound = self.error_ceiling(floor), log_u - floor
+            ceiling, log_bound = self._error_ceiling(floor), log_u - floor
         step_error = program.simulate(
             move.sites, move.log_prior, seed, ceiling, move.log_proposal, log_bound
         )
         proposed = program.log_likelihood(step_error)
         ratio = log_ratio(move.log_known, current, proposed, move.log_after(step_error))
         accepted = log_u < ratio  # not a number, where both failed: rejected
-        new = state._replace(
+        moved = state._replace(
             z=move.sites,
             sim_seed=seed,
             log_prior=move.log_prior,
@@ -217,13 +265,25 @@ class MetropolisKernel(ParticleKernel[MHState]):
             step_error=step_error,
             log_joint=move.log_prior + proposed.sum(),
         )
-        return _kept(accepted, new, state)._replace(
+        return chosen(accepted, moved, state)._replace(
             i=state.i + 1,
             window=jnp.asarray(move.window, jnp.int32),
             accepted=accepted,
             n_accepted=state.n_accepted + accepted,
             rng_key=key,
         )
+
+    def _error_ceiling(self, log_floor: jax.Array) -> jax.Array:
+        """Return the summed error beyond which a proposal cannot be accepted, units.
+
+        Args:
+            log_floor: log likelihood that the proposal must reach. A little is allowed for
+                rounding, so that no simulation is stopped which would have been accepted.
+        """
+        floor = log_floor - _SLACK - _RELATIVE_SLACK * jnp.abs(log_floor)
+        # without a floor, as before a first completed simulation, there is no ceiling either
+        floor = jnp.where(jnp.isfinite(floor), floor, -jnp.inf)
+        return self.model.likelihood.max_total_error(floor, self.model.n_frames)
 
 
 class ProposalKernel(MetropolisKernel):
@@ -239,69 +299,7 @@ class ProposalKernel(MetropolisKernel):
         """Return a hypothesis z' and Hastings' correction, log q(z | z') - log q(z' | z)."""
 
     def step_one(self, state: MHState) -> MHState:
-        """Propose, simulate, accept or not."""
         key, key_propose, key_seed, key_accept = random.split(state.rng_key, 4)
         sites, log_hastings = self.propose(key_propose, state)
-        log_prior = self.model.log_prior(sites)
-        known = self.log_known(log_prior, log_hastings, state)
-        log_proposal = log_prior if self.proposes_from_prior else np.nan
-        move = Move(sites, log_prior, self.memo(sites), known, log_proposal=log_proposal)
-        return self.settle(move, state, key, key_seed, key_accept)
-
-
-def _kept(accepted: jax.Array, new: MHState, old: MHState) -> MHState:
-    """Return what belongs to the hypothesis of ``new`` where accepted, else of ``old``."""
-    fields = ("z", "sim_seed", "log_prior", "memo", "step_error", "log_joint")
-    values = chosen(
-        accepted,
-        {name: getattr(new, name) for name in fields},
-        {name: getattr(old, name) for name in fields},
-    )
-    return old._replace(**values)
-
-
-# --- moving one site of a hypothesis while the others stay ----------------------------------------
-# Changing a site also changes the prior of the sites below it in a hierarchy. That part is in the
-# prior's ratio, which the caller has; the corrections returned here are those of the proposal
-# alone, Hastings' log q(z | z') - log q(z' | z).
-
-SiteMove = Callable[[jax.Array, Mapping[str, Any]], tuple[jax.Array, jax.Array | float]]
-"""``(key, site) -> (new value, Hastings' correction)``, where the site is that of a trace."""
-
-
-def redrawn(key: jax.Array, site: Mapping[str, Any]) -> tuple[jax.Array, jax.Array | float]:
-    """Draw a site from its prior, given those above it in the program."""
-    prior, value = site["fn"], site["value"]
-    new = prior.sample(key, site["kwargs"].get("sample_shape", ()))
-    return new, jnp.sum(prior.log_prob(value)) - jnp.sum(prior.log_prob(new))
-
-
-def moved_site(
-    prior: Program,
-    key: jax.Array,
-    sites: Sites,
-    names: Sequence[str],
-    moves: Mapping[str, SiteMove] | None = None,
-) -> tuple[dict[str, jax.Array], jax.Array]:
-    """Move one site, chosen by chance.
-
-    Args:
-        prior: program over the sites.
-        key: of all that is random.
-        sites: all latent sites.
-        names: of those that may move, each as likely.
-        moves: how sites move; those not named are :func:`redrawn`.
-
-    Returns:
-        The sites after it, and Hastings' correction.
-    """
-    trace = handlers.trace(handlers.substitute(prior, data=dict(sites))).get_trace()
-    key_which, *keys = random.split(key, 1 + len(names))
-    which = random.randint(key_which, (), 0, len(names))
-    proposed, corrections = dict(sites), []
-    for index, (name, key_site) in enumerate(zip(names, keys, strict=True)):
-        new, correction = ({} if moves is None else moves).get(name, redrawn)(key_site, trace[name])
-        old = jnp.asarray(sites[name])
-        proposed[name] = jnp.where(which == index, jnp.asarray(new, old.dtype), old)
-        corrections.append(correction)
-    return proposed, jnp.stack([jnp.asarray(c, jnp.float32) for c in corrections])[which]
+        move = self.move_to(sites, log_hastings, state, self.proposes_from_prior)
+        return self.accept_reject(move, state, key, key_seed, key_accept)

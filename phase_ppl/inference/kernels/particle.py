@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import copy
 from abc import abstractmethod
-from typing import Any, ClassVar, Final, Generic, Protocol, Self, TypeVar
+from collections.abc import Callable
+from typing import Any, ClassVar, Generic, NamedTuple, Protocol, Self, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -13,47 +14,47 @@ from jax import lax, random
 from numpyro.infer.mcmc import MCMCKernel
 from numpyro.util import is_prng_key
 
+from phase_ppl.inference.proposals.tables import window_count
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.density import NO_DENSITY, Program, draw
 from phase_ppl.models.program import EventProgram
 from phase_ppl.world.errors import InvalidSettingError
 
-INITIAL_TRIES: Final = 16
-"""Initial hypotheses drawn per particle, of which the first with prior mass is taken."""
-
-_SLACK: Final = 0.01
-_RELATIVE_SLACK: Final = 1e-5
-
 
 class ParticleState(Protocol):
-    """Fields that every state of ours has."""
+    """Fields that every state of ours has, beside ``z`` and ``sim_seed``, see the registry.
+
+    Attributes:
+        i: iterations so far.
+        n_accepted: how many of them changed the hypothesis, or could be simulated.
+        rng_key: for the next iteration.
+    """
 
     @property
-    def rng_key(self) -> jax.Array: ...
+    def i(self) -> jax.Array: ...
     @property
     def n_accepted(self) -> jax.Array: ...
     @property
-    def i(self) -> jax.Array: ...
+    def rng_key(self) -> jax.Array: ...
 
 
 State = TypeVar("State", bound=ParticleState)
 
 
-class ParticleKernel(MCMCKernel, Generic[State]):
-    """Base of kernels that pay one simulation per particle and step.
+class EventKernel(MCMCKernel, Generic[State]):
+    """Base of our kernels: bound to the model of an event, and moving all particles together.
 
-    Subclasses say how one particle starts and moves; given a batch of keys, all particles do so
-    together and their simulations reach the runner in one call (``chain_method="vectorized"``).
-    States hold constrained values, so nothing is replayed after the run.
+    Their simulations reach the runner in one call (``chain_method="vectorized"``). States hold
+    constrained values, so nothing is replayed after the run.
 
     Args:
         program: the model of an event; None until :meth:`bound_to` is called.
-        guide: proposal program ``guide(window)``, for kernels that need one.
+        guide: proposal program ``guide(window)``, for kernels that need one. Windows count by
+            their first frame; the index after the last one stands for the whole observation.
         settings: of SIMPLE, for kernels that need them; by default the paper's.
     """
 
     sample_field: ClassVar[str] = "z"
-    default_fields: ClassVar[tuple[str, ...]] = ("z",)
 
     def __init__(
         self,
@@ -68,22 +69,53 @@ class ParticleKernel(MCMCKernel, Generic[State]):
     def bound_to(self, program: EventProgram, guide: Program, settings: SimpleSettings) -> Self:
         """Return a copy of this kernel, with its own options, for another event."""
         bound = copy.copy(self)
-        ParticleKernel.__init__(bound, program, guide, settings)
+        EventKernel.__init__(bound, program, guide, settings)
         return bound
 
     @property
     def model(self) -> EventProgram:
-        """The model of the event."""
         if self._program is None:
             raise InvalidSettingError(f"{type(self).__name__} has no program yet")
         return self._program
 
     @property
     def guide(self) -> Program:
-        """The proposal program."""
         if self._guide is None:
             raise InvalidSettingError(f"{type(self).__name__} needs a guide")
         return self._guide
+
+    def sample(
+        self,
+        state: State,
+        model_args: tuple[Any, ...] = (),
+        model_kwargs: dict[str, Any] | None = None,
+    ) -> State:
+        return self._sample_fn(state)
+
+    @abstractmethod
+    def _sample_fn(self, state: State) -> State:
+        """Move one particle or a batch; NumPyro looks for this name, to see if init is due."""
+
+    def get_diagnostics_str(self, state: State) -> str:
+        """Return the share of accepted proposals, for NumPyro's progress bar."""
+        return f"acc. rate={float(jnp.mean(state.n_accepted / jnp.maximum(state.i, 1))):.2f}"
+
+    @property
+    def n_windows(self) -> int:
+        """How many windows the observation has."""
+        return window_count(self.model.n_frames, self.settings.window)
+
+    def draw_guide(self, key: jax.Array, window: jax.Array | int) -> dict[str, jax.Array]:
+        """Return a hypothesis from the guide."""
+        return draw(self.guide, key, jnp.asarray(window))
+
+
+class ParticleKernel(EventKernel[State]):
+    """Base of kernels whose particles do not notice each other: how one starts, and moves."""
+
+    initial_tries: ClassVar[int] = 16
+    """Initial hypotheses drawn per particle, of which the first with prior mass is taken; 1 where
+    the draw is weighed, since the best of several has another density."""
 
     def init(
         self,
@@ -104,37 +136,24 @@ class ParticleKernel(MCMCKernel, Generic[State]):
         start = self._init
         if not is_prng_key(rng_key):
             start = jax.vmap(start, in_axes=(0, None if init_params is None else 0))
-        state: State = jax.jit(start)(rng_key, init_params)
-        return state
+        return jax.jit(start)(rng_key, init_params)
 
     def _init(self, key: jax.Array, sites: dict[str, jax.Array] | None) -> State:
         key, key_sites, key_start = random.split(key, 3)
         start = self._initial_sites(key_sites) if sites is None else sites
         return _strongly_typed(self.start_one(key, key_start, start))
 
-    def sample(
-        self,
-        state: State,
-        model_args: tuple[Any, ...] = (),
-        model_kwargs: dict[str, Any] | None = None,
-    ) -> State:
-        """Return the state after one iteration."""
-        return self._sample_fn(state)
-
     def _sample_fn(self, state: State) -> State:
-        """Move one particle or a batch; NumPyro looks for this name, to see if init is due."""
         return (self.step_one if is_prng_key(state.rng_key) else jax.vmap(self.step_one))(state)
-
-    def get_diagnostics_str(self, state: State) -> str:
-        """Return the share of accepted proposals, for NumPyro's progress bar."""
-        return f"acc. rate={float(jnp.mean(state.n_accepted / jnp.maximum(state.i, 1))):.2f}"
 
     def _initial_sites(self, key: jax.Array) -> dict[str, jax.Array]:
         """Return the first of some initial hypotheses that has prior mass.
 
         A window may suggest what a user's prior excludes; the last try is from the prior itself.
         """
-        keys = random.split(key, INITIAL_TRIES)
+        if self.initial_tries == 1:
+            return self.propose_initial(key)
+        keys = random.split(key, self.initial_tries)
         tries = jax.vmap(self.propose_initial)(keys[1:])
         last = self.model.draw_prior(keys[0])
         tries = {
@@ -144,9 +163,9 @@ class ParticleKernel(MCMCKernel, Generic[State]):
         possible = jax.vmap(self.model.log_prior)(tries) > NO_DENSITY
         return {name: values[jnp.argmax(possible)] for name, values in tries.items()}
 
-    @abstractmethod
     def propose_initial(self, key: jax.Array) -> dict[str, jax.Array]:
-        """Return a hypothesis to start from."""
+        """Return a hypothesis to start from; by default from the prior."""
+        return self.model.draw_prior(key)
 
     @abstractmethod
     def start_one(self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]) -> State:
@@ -162,22 +181,6 @@ class ParticleKernel(MCMCKernel, Generic[State]):
     def step_one(self, state: State) -> State:
         """Return the state of one particle after one iteration."""
 
-    def error_ceiling(self, log_floor: jax.Array) -> jax.Array:
-        """Return the summed error beyond which a proposal cannot be accepted, units.
-
-        Args:
-            log_floor: log likelihood that the proposal must reach. A little is allowed for
-                rounding, so that no simulation is stopped which would have been accepted.
-        """
-        floor = log_floor - _SLACK - _RELATIVE_SLACK * jnp.abs(log_floor)
-        # without a floor, as before a first completed simulation, there is no ceiling either
-        floor = jnp.where(jnp.isfinite(floor), floor, -jnp.inf)
-        return self.model.likelihood.max_total_error(floor, self.model.n_frames)
-
-    def draw_guide(self, key: jax.Array, window: jax.Array | int) -> dict[str, jax.Array]:
-        """Return a hypothesis from the guide."""
-        return draw(self.guide, key, jnp.asarray(window))
-
 
 def log_uniform(key: jax.Array) -> jax.Array:
     """Return the log of a uniform random number, never -inf."""
@@ -189,6 +192,11 @@ def chosen(accepted: jax.Array, new: Any, old: Any) -> Any:
     return jax.tree.map(lambda a, b: jnp.where(accepted, a, b), new, old)
 
 
+def as_batch_of_one(function: Callable[[Any], Any], tree: Any) -> Any:
+    """Return what a function of a batch makes of a single one, as a single one."""
+    return jax.tree.map(lambda leaf: leaf[0], function(jax.tree.map(lambda leaf: leaf[None], tree)))
+
+
 def _strongly_typed(state: State) -> State:
     """Strip weak types, with which the step would be compiled twice."""
 
@@ -197,5 +205,56 @@ def _strongly_typed(state: State) -> State:
             return leaf
         return lax.convert_element_type(leaf, np.dtype(leaf.dtype))
 
-    stripped: State = jax.tree.map(strip, jax.tree.map(jnp.asarray, state))
-    return stripped
+    return jax.tree.map(strip, jax.tree.map(jnp.asarray, state))
+
+
+class WeightedState(NamedTuple):
+    """State of a particle that draws anew in every iteration, each draw with a weight.
+
+    Attributes:
+        z: site -> value, the hypothesis drawn last with any further sites; an earlier one, at
+            weight 0, where the last could not be simulated.
+        log_weight: of the draw, -inf where it could not be simulated.
+        window: the window it was drawn from, by its first frame; -1 where there is none.
+        accepted: whether the last draw could be simulated.
+    """
+
+    i: jax.Array
+    z: dict[str, jax.Array]
+    sim_seed: jax.Array
+    log_weight: jax.Array
+    window: jax.Array
+    accepted: jax.Array
+    n_accepted: jax.Array
+    rng_key: jax.Array
+
+    @classmethod
+    def before(
+        cls, key: jax.Array, sites: dict[str, jax.Array], seed: jax.Array | int = 0
+    ) -> WeightedState:
+        """Return the state before the first draw."""
+        none = jnp.zeros((), jnp.int32)
+        seed = jnp.asarray(seed, jnp.int32)
+        return cls(none - 1, sites, seed, none - jnp.inf, none - 1, none > 0, none, key)
+
+    def after(
+        self,
+        key: jax.Array,
+        sites: dict[str, jax.Array],
+        seed: jax.Array,
+        log_weight: jax.Array,
+        simulated: jax.Array,
+        window: jax.Array | int = -1,
+    ) -> WeightedState:
+        """Return the state after a draw, and whether it could be simulated."""
+        sites, seed = chosen(simulated, (sites, seed), (self.z, self.sim_seed))
+        return WeightedState(
+            self.i + 1,
+            sites,
+            seed,
+            jnp.where(simulated, log_weight, -jnp.inf),
+            jnp.asarray(window, jnp.int32),
+            simulated,
+            self.n_accepted + simulated,
+            key,
+        )

@@ -16,7 +16,7 @@ L^(1 - t) that is left. The draws are the last population only.
 from __future__ import annotations
 
 import copy
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple, get_args
 
 import jax
 import jax.numpy as jnp
@@ -27,8 +27,7 @@ from numpyro.util import is_prng_key
 
 from phase_ppl.inference.kernels.generic_mh import PriorMH
 from phase_ppl.inference.kernels.local_mh import LocalMH
-from phase_ppl.inference.kernels.particle import ParticleKernel
-from phase_ppl.inference.proposals.tables import window_count
+from phase_ppl.inference.kernels.particle import ParticleKernel, as_batch_of_one
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.density import Program, log_density
@@ -70,12 +69,6 @@ def tempered(program: EventProgram, temperature: jax.Array) -> EventProgram:
     # not dataclasses.replace: a model checks its prior anew, which compiled code cannot
     object.__setattr__(model, "likelihood", Tempered(program.likelihood, temperature))
     return EventProgram(model, program.bridge, program.n_frames, program.salt)
-
-
-def effective_share(log_weights: jax.Array) -> jax.Array:
-    """Return 1 / (n * sum of squared normalised weights), in (0, 1]; 0 without any weight."""
-    log_share = 2 * logsumexp(log_weights) - logsumexp(2 * log_weights)
-    return jnp.where(jnp.isfinite(log_share), jnp.exp(log_share), 0.0) / len(log_weights)
 
 
 def next_temperature(
@@ -127,29 +120,15 @@ def systematic(key: jax.Array, log_weights: jax.Array) -> jax.Array:
     return jnp.where(equal, jnp.arange(n), jnp.clip(places, 0, n - 1))
 
 
-# --- sequential Monte Carlo: a population that is cooled from the proposal to the... --------------
-# The particles of a run are one population. They start as draws from what the whole observation
-# shows, with weights P / Q, and pass through the laws P(h) p(w) L(e)^t of hypothesis h and
-# simulator seed w, from t = 0 to the posterior at t = 1 (Del Moral, Doucet, Jasra 2006). Each
-# iteration
-#
-# 1. raises t as far as the stored errors allow: no simulation is needed to reweight; 2.
-# resamples, systematically; 3. moves every particle once by Metropolis-Hastings at that t: one
-# simulation each, which is stopped early as in the kernel that makes the move.
-#
-# From t = 1 on, iterations are moves only. A run that ends before has draws that carry the weight
-# L^(1 - t) that is left. The draws are the last population only.
-
 Move = Literal["local_mh", "prior_mh"]
 
-MOVES: Final = ("local_mh", "prior_mh")
+MOVES: Final = get_args(Move)
 
 
 class SMCState(NamedTuple):
     """State of the population; all arrays are (chain, ...).
 
     Attributes:
-        i: iterations so far.
         particle: state of the kernel that moves the particles.
         temperature: t, the same for all.
         log_weight: of the particles as draws from the posterior: what is left at t, up to a
@@ -170,33 +149,34 @@ class SMCState(NamedTuple):
 
     @property
     def z(self) -> dict[str, jax.Array]:
-        """Site -> (chain, ...) current hypotheses."""
         sites: dict[str, jax.Array] = self.particle.z
         return sites
 
     @property
     def sim_seed(self) -> Any:
-        """Seeds of their simulations."""
         return self.particle.sim_seed
 
     @property
     def accepted(self) -> Any:
-        """Whether each particle's last proposal was accepted."""
         return self.particle.accepted
 
     @property
     def n_accepted(self) -> Any:
-        """How many proposals were accepted on the way to each particle."""
         return self.particle.n_accepted
 
 
+@register_kernel(
+    "smc",
+    validity="consistent",
+    chain_methods=("vectorized",),
+    needs=("guide", "settings"),
+    keeps="last",
+    weighted=True,
+)
 class SMC(ParticleKernel[SMCState]):
-    """Tempered sequential Monte Carlo; see the module.
+    """Sequential Monte Carlo: a population cooled from the proposal to the posterior.
 
     Args:
-        program: the model of an event.
-        guide: proposal program ``guide(window)``.
-        settings: of SIMPLE.
         target: share of the population that a rise in temperature may leave effective; the
             lower, the fewer iterations reach the posterior, and the fewer distinct particles.
         move: name of the kernel that moves the particles.
@@ -209,6 +189,7 @@ class SMC(ParticleKernel[SMCState]):
     validity = "consistent"
     keeps = "last"
     weighted = True
+    initial_tries = 1
 
     def __init__(
         self,
@@ -233,21 +214,13 @@ class SMC(ParticleKernel[SMCState]):
 
     def propose_initial(self, key: jax.Array) -> dict[str, jax.Array]:
         """Return a hypothesis from what the whole observation shows."""
-        return self.draw_guide(key, self._whole)
-
-    @property
-    def _whole(self) -> int:
-        return window_count(self.model.n_frames, self.settings.window)
-
-    def _initial_sites(self, key: jax.Array) -> dict[str, jax.Array]:
-        return self.propose_initial(key)  # one draw: the best of several has another density
+        return self.draw_guide(key, self.n_windows)
 
     def start_one(
         self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]
     ) -> SMCState:
-        """Simulate and weigh the first draw of one particle."""
         particle = self._mover(self.model).start_one(key, key_start, sites)
-        log_proposal = log_density(self.guide, sites, jnp.asarray(self._whole))
+        log_proposal = log_density(self.guide, sites, jnp.asarray(self.n_windows))
         log_likelihood = self.model.relative_log_likelihood(particle.step_error)
         log_weight = particle.log_prior - log_proposal + log_likelihood
         zero = jnp.zeros(())
@@ -262,9 +235,7 @@ class SMC(ParticleKernel[SMCState]):
         )
 
     def step_one(self, state: SMCState) -> SMCState:
-        """Return a population of one after one iteration."""
-        whole = jax.tree.map(lambda leaf: leaf[None], state)
-        return jax.tree.map(lambda leaf: leaf[0], self._step(whole))
+        return as_batch_of_one(self._step, state)
 
     def _sample_fn(self, state: SMCState) -> SMCState:
         return self.step_one(state) if is_prng_key(state.rng_key) else self._step(state)
@@ -301,23 +272,3 @@ class SMC(ParticleKernel[SMCState]):
 
     def _log_likelihood(self, particle: Any) -> jax.Array:
         return jax.vmap(self.model.relative_log_likelihood)(particle.step_error)
-
-
-@register_kernel(
-    "smc",
-    validity="consistent",
-    chain_methods=("vectorized",),
-    needs=("guide", "settings"),
-    keeps="last",
-    weighted=True,
-)
-def smc(
-    program: EventProgram,
-    *,
-    guide: Program,
-    settings: SimpleSettings,
-    target: float = 0.5,
-    move: Move = "local_mh",
-) -> SMC:
-    """Sequential Monte Carlo: a population cooled from the proposal to the posterior."""
-    return SMC(program, guide, settings, target=target, move=move)

@@ -8,10 +8,10 @@ exp(-x)).
 
 from __future__ import annotations
 
-import copy
+import functools
 import math
 from abc import abstractmethod
-from typing import Any, ClassVar, Final, NamedTuple, Self
+from typing import Any, ClassVar, Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,11 +20,9 @@ from jax import random
 from numpyro import handlers
 from numpyro.infer import AIES, SA
 from numpyro.infer.ensemble import AIESState, EnsembleSamplerState
-from numpyro.infer.mcmc import MCMCKernel
-from numpyro.primitives import Messenger
 from numpyro.util import is_prng_key
 
-from phase_ppl.inference.kernels.particle import chosen
+from phase_ppl.inference.kernels.particle import EventKernel, as_batch_of_one, chosen
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.models.density import latent_sites
 from phase_ppl.models.program import EventProgram
@@ -42,102 +40,22 @@ _STEPS: Final = 2**16
 """Distinct values of a uniform number."""
 
 
-class At(NamedTuple):
-    """What a point stands for.
-
-    Attributes:
-        sites: site -> value.
-        seed: of the simulator.
-        error: (time,) of the simulation, units.
-        potential: - log density of the point, up to a constant.
-    """
-
-    sites: dict[str, jax.Array]
-    seed: jax.Array
-    error: jax.Array
-    potential: jax.Array
+Found = tuple[dict[str, jax.Array], jax.Array, jax.Array]
+"""What a point stands for: sites, seed, and the errors (time,) of the simulation, units."""
 
 
-class Uniformised:
-    """The model of an event over real vectors.
-
-    Args:
-        program: the model of an event.
-
-    Raises:
-        InvalidSettingError: a site of the prior has no inverse distribution function.
-    """
-
-    def __init__(self, program: EventProgram) -> None:
-        self.program = program
-        sizes = [math.prod(shape) for shape in program.model.sites.values()]
-        own_seed = program.model.noise == "fresh"
-        self.n_sites = sum(sizes)
-        self.dimensions = self.n_sites + own_seed
-        jax.eval_shape(self.sites, jax.ShapeDtypeStruct((self.dimensions,), jnp.float32))
-
-    def draw(self, key: jax.Array) -> jax.Array:
-        """Return a point (dimension,) by chance, as likely as the prior makes it."""
-        return random.logistic(key, (self.dimensions,))
-
-    def sites(self, point: jax.Array) -> dict[str, jax.Array]:
-        """Return the hypothesis, with any further sites, that a point stands for."""
-        with handlers.trace() as trace, FromUniform(self._uniform(point)):
-            self.program.model.prior()
-        return {name: site["value"] for name, site in latent_sites(trace).items()}
-
-    def __call__(self, point: jax.Array) -> At:
-        """Return what a point stands for, simulated."""
-        program, sites = self.program, self.sites(point)
-        # the site after the last is the seed's; with fixed noise there is none, and no need
-        seed = seed_of(program, self._uniform(point)[-1], sites)
-        log_prior = program.log_prior(sites)
-        error = program.simulate(sites, log_prior, seed)
-        # the density of u is the same everywhere, that of x is du/dx = u (1 - u)
-        volume = jax.nn.log_sigmoid(point) + jax.nn.log_sigmoid(-point)
-        potential = -program.relative_log_likelihood(error) - volume.sum()
-        potential = jnp.where(jnp.isfinite(potential), potential, IMPOSSIBLE)
-        return At(sites, seed, error, potential)
-
-    def potential(self, point: jax.Array) -> jax.Array:
-        """Return - log density of a point (dimension,), up to a constant."""
-        return self(point).potential
-
-    def _uniform(self, point: jax.Array) -> jax.Array:
-        # in steps: compiled code rounds the same sum differently in different places, and what
-        # was simulated must be known again when the sampler has moved there; once in some
-        # thousand iterations a step is missed, and simulated again
-        steps = jnp.minimum(jnp.floor(jax.nn.sigmoid(point) * _STEPS), _STEPS - 1)
-        return (steps + 0.5) / _STEPS
+def _uniform(point: jax.Array) -> jax.Array:
+    # in steps: compiled code rounds the same sum differently in different places, and what was
+    # simulated must be known again when the sampler has moved there; once in some thousand
+    # iterations a step is missed, and simulated again
+    steps = jnp.minimum(jnp.floor(jax.nn.sigmoid(point) * _STEPS), _STEPS - 1)
+    return (steps + 0.5) / _STEPS
 
 
 def seed_of(program: EventProgram, uniform: jax.Array, sites: dict[str, jax.Array]) -> jax.Array:
     """Return the simulator's seed for a number in [0, 1); with fixed noise it does not count."""
     number = jnp.floor(uniform * 2**SEED_BITS).astype(jnp.uint32)
     return program.simulator_seed(random.fold_in(random.key(0), number), sites)
-
-
-class FromUniform(Messenger):
-    """Effect handler that gives latent sites their values from uniform numbers, in turn.
-
-    Args:
-        uniform: (n,) numbers in (0, 1).
-    """
-
-    def __init__(self, uniform: jax.Array) -> None:
-        super().__init__(None)
-        self._uniform = uniform
-        self._used = 0
-
-    def process_message(self, msg: Any) -> None:
-        """Give the site its value, if it has none."""
-        if msg["type"] != "sample" or msg["is_observed"] or msg["value"] is not None:
-            return
-        shape = msg["fn"].shape()
-        begin, self._used = self._used, self._used + math.prod(shape)
-        msg["value"] = quantile(
-            msg["name"], msg["fn"], self._uniform[begin : self._used].reshape(shape)
-        )
 
 
 def quantile(name: str, distribution: Any, uniform: jax.Array) -> jax.Array:
@@ -179,21 +97,14 @@ def _discrete_quantile(distribution: Any, uniform: jax.Array) -> jax.Array:
     return value
 
 
-# --- numPyro's own samplers as kernels of ours: what their points stand for, simulated ------------
-
-
 class WrappedState(NamedTuple):
     """State of one particle, or of all.
 
     Attributes:
-        i: iterations so far.
         z: site -> value, the current hypothesis with any further sites.
-        sim_seed: seed of its simulation.
         step_error: (time,) errors of its simulation, units.
         inner: state of the sampler, with an entry per particle in every array.
         accepted: whether the sampler moved in the last iteration.
-        n_accepted: how often it did.
-        rng_key: of the particle.
     """
 
     i: jax.Array
@@ -205,100 +116,94 @@ class WrappedState(NamedTuple):
     n_accepted: jax.Array
     rng_key: jax.Array
 
+    def after(self, inner: Any, moved: jax.Array, found: Found, rng_key: jax.Array) -> WrappedState:
+        """Return the next state; what could not be simulated leaves the hypothesis as it was.
 
-def settled(
-    state: WrappedState,
-    inner: Any,
-    moved: jax.Array,
-    found: tuple[dict[str, jax.Array], jax.Array, jax.Array],
-    rng_key: jax.Array,
-) -> WrappedState:
-    """Return the next state; what could not be simulated leaves the hypothesis as it was.
-
-    Args:
-        state: the one before.
-        inner: the sampler's next state.
-        moved: whether the sampler moved.
-        found: sites, seed and error of its point; the bridge has simulated it already.
-        rng_key: for the next iteration.
-    """
-    moved &= jnp.isfinite(found[2]).all()
-    z, sim_seed, error = chosen(moved, found, (state.z, state.sim_seed, state.step_error))
-    n_accepted = state.n_accepted + moved
-    return WrappedState(state.i + 1, z, sim_seed, error, inner, moved, n_accepted, rng_key)
+        Args:
+            inner: the sampler's next state.
+            moved: whether the sampler moved.
+            found: what its point stands for; the bridge has simulated it already.
+            rng_key: for the next iteration.
+        """
+        moved &= jnp.isfinite(found[2]).all()
+        z, sim_seed, error = chosen(moved, found, (self.z, self.sim_seed, self.step_error))
+        n_accepted = self.n_accepted + moved
+        return WrappedState(self.i + 1, z, sim_seed, error, inner, moved, n_accepted, rng_key)
 
 
-class UniformKernel(MCMCKernel):
-    """Base of kernels that run a sampler of NumPyro on the uniformised model.
+class UniformKernel(EventKernel[WrappedState]):
+    """Base of kernels that run a sampler of NumPyro on the model as a function of real numbers.
 
     Subclasses work on all particles together.
-
-    Args:
-        program: the model of an event.
 
     Raises:
         InvalidSettingError: a site of the prior has no inverse distribution function.
     """
 
     validity: ClassVar[str] = "exact"
-    sample_field: ClassVar[str] = "z"
-    default_fields: ClassVar[tuple[str, ...]] = ("z",)
 
     def __init__(self, program: EventProgram | None = None) -> None:
-        self._uniform = None if program is None else Uniformised(program)
-
-    def bound_to(self, program: EventProgram) -> Self:
-        """Return a copy of this kernel, with its own options, for another event."""
-        bound = copy.copy(self)
-        UniformKernel.__init__(bound, program)
-        return bound
+        super().__init__(program)
+        if program is not None:  # refuses sites that it cannot draw
+            jax.eval_shape(self._sites, jax.ShapeDtypeStruct((self.dimensions,), jnp.float32))
 
     @property
-    def uniform(self) -> Uniformised:
-        """The model over real vectors."""
-        if self._uniform is None:
-            raise InvalidSettingError(f"{type(self).__name__} has no program yet")
-        return self._uniform
+    def dimensions(self) -> int:
+        """Numbers that make a point: those of the sites, and the seed's unless noise is fixed."""
+        shapes = self.model.model.sites.values()
+        return sum(map(math.prod, shapes)) + (self.model.model.noise == "fresh")
 
-    @property
-    def model(self) -> EventProgram:
-        """The model of the event."""
-        return self.uniform.program
+    def potential(self, point: jax.Array) -> jax.Array:
+        """Return - log density of a point (dimension,), up to a constant."""
+        error = self._simulated(point)[2]
+        # the density of u is the same everywhere, that of x is du/dx = u (1 - u)
+        volume = jax.nn.log_sigmoid(point) + jax.nn.log_sigmoid(-point)
+        potential = -self.model.relative_log_likelihood(error) - volume.sum()
+        return jnp.where(jnp.isfinite(potential), potential, IMPOSSIBLE)
 
     def init(self, rng_key: jax.Array, *_: Any, **__: Any) -> WrappedState:
         """Return the initial states of a batch of keys, or of one."""
         if is_prng_key(rng_key):
-            return jax.tree.map(lambda leaf: leaf[0], self.init(rng_key[None]))
+            return as_batch_of_one(self.init, rng_key)
         keys = jax.vmap(lambda key: random.split(key, 3))(rng_key)
-        inner = self.start(keys[:, 0], jax.vmap(self.uniform.draw)(keys[:, 1]))
-        at = self._at(inner)
+        # as likely as the prior makes them
+        draw = functools.partial(random.logistic, shape=(self.dimensions,))
+        inner = self.start(keys[:, 0], jax.vmap(draw)(keys[:, 1]))
+        found = jax.vmap(self._simulated)(self.points(inner))
         none = jnp.zeros(rng_key.shape, jnp.int32)
-        return WrappedState(none, at.sites, at.seed, at.error, inner, none > 0, none, keys[:, 2])
-
-    def sample(
-        self, state: WrappedState, model_args: Any = (), model_kwargs: Any = None
-    ) -> WrappedState:
-        """Return the states after one iteration."""
-        return self._sample_fn(state)
-
-    def get_diagnostics_str(self, state: WrappedState) -> str:
-        """Return the share of iterations that moved, for NumPyro's progress bar."""
-        return f"acc. rate={float(jnp.mean(state.n_accepted / jnp.maximum(state.i, 1))):.2f}"
+        return WrappedState(none, *found, inner, none > 0, none, keys[:, 2])
 
     def _sample_fn(self, state: WrappedState) -> WrappedState:
         if is_prng_key(state.rng_key):
-            whole = jax.tree.map(lambda leaf: leaf[None], state)
-            return jax.tree.map(lambda leaf: leaf[0], self._sample_fn(whole))
+            return as_batch_of_one(self._sample_fn, state)
         keys = jax.vmap(random.split)(state.rng_key)
         inner = self.advance(keys[:, 0], state.inner)
         moved = (self.points(inner) != self.points(state.inner)).any(axis=1)
-        at = self._at(inner)
-        found = at.sites, at.seed, at.error
-        return jax.vmap(settled)(state, inner, moved, found, keys[:, 1])
+        found = jax.vmap(self._simulated)(self.points(inner))  # the sampler has paid for it
+        return jax.vmap(WrappedState.after)(state, inner, moved, found, keys[:, 1])
 
-    def _at(self, inner: Any) -> At:
-        """Return what the points stand for; their simulations were paid for by the sampler."""
-        return jax.vmap(self.uniform)(self.points(inner))
+    def _simulated(self, point: jax.Array) -> Found:
+        program, sites = self.model, self._sites(point)
+        # the number after the sites' is the seed's; with fixed noise there is none, and no need
+        seed = seed_of(program, _uniform(point)[-1], sites)
+        return sites, seed, program.simulate(sites, program.log_prior(sites), seed)
+
+    def _sites(self, point: jax.Array) -> dict[str, jax.Array]:
+        """Return the hypothesis, with any further sites, that a point stands for."""
+        uniform, begin = _uniform(point), 0
+        numbers: dict[str, jax.Array] = {}
+        for name, shape in self.model.model.sites.items():
+            numbers[name] = uniform[begin : begin + math.prod(shape)].reshape(shape)
+            begin += math.prod(shape)
+
+        def value(site: dict[str, Any]) -> jax.Array | None:
+            name = site["name"]
+            free = name in numbers and site["value"] is None
+            return quantile(name, site["fn"], numbers[name]) if free else None
+
+        prior = handlers.substitute(self.model.model.prior, substitute_fn=value)
+        found = latent_sites(handlers.trace(prior).get_trace())
+        return {name: site["value"] for name, site in found.items()}
 
     @abstractmethod
     def start(self, keys: jax.Array, points: jax.Array) -> Any:
@@ -313,17 +218,13 @@ class UniformKernel(MCMCKernel):
         """Return (chain, dimension) the points at which the sampler is."""
 
 
-# --- affine-invariant ensemble sampling (Goodman, Weare 2010), NumPyro's, on the... ---------------
-
-
+@register_kernel("aies", validity="exact", chain_methods=("vectorized",), even_chains=True)
 class Ensemble(UniformKernel):
-    """The particles are an ensemble, each half of which moves along lines through the other.
+    """Affine-invariant ensemble sampling on the uniformised model.
 
-    An iteration is a stretch or a differential evolution move by chance. The sampler evaluates a
-    current point anew; the bridge answers that from its records.
-
-    Args:
-        program: the model of an event.
+    NumPyro's (Goodman, Weare 2010): the particles are an ensemble, each half of which moves along
+    lines through the other. An iteration is a stretch or a differential evolution move by chance.
+    The sampler evaluates a current point anew; the bridge answers that from its records.
 
     Raises:
         InvalidSettingError: a site has no inverse distribution function; when started: there
@@ -346,7 +247,7 @@ class Ensemble(UniformKernel):
         """Move one half of the ensemble, then the other."""
         with jax.ensure_compile_time_eval():  # it looks at its weights
             sampler = AIES(
-                potential_fn=self.uniform.potential,
+                potential_fn=self.potential,
                 moves={AIES.DEMove(): 0.5, AIES.StretchMove(): 0.5},
             )
         sampler.init(keys, 0, inner)
@@ -355,31 +256,23 @@ class Ensemble(UniformKernel):
         return sampler.sample(state, (), {}).z
 
     def points(self, inner: jax.Array) -> jax.Array:
-        """Return the points."""
         return inner
 
-
-@register_kernel("aies", validity="exact", chain_methods=("vectorized",), even_chains=True)
-def aies(program: EventProgram) -> Ensemble:
-    """Affine-invariant ensemble sampling on the uniformised model."""
-    return Ensemble(program)
-
-
-# --- sample Adaptive MCMC (Zhu 2019), NumPyro's, on the uniformised model -------------------------
 
 _POINTS_PER_SITE: Final = 8
 
 
+@register_kernel("sa", validity="consistent")
 class SampleAdaptive(UniformKernel):
-    """A pool of points per particle proposes a new one, which takes the place of another.
+    """Sample Adaptive MCMC on the uniformised model.
 
-    The draw of an iteration is a point of the pool by chance. The pool's points are simulated at
-    the start, and it takes many iterations to leave them behind. With few points NumPyro's
-    sampler is biased: on the toy of the tests by a total variation of 0.05 with twice as many as
-    sites, below 0.015 with eight times as many. Hence "consistent", and hence the default.
+    NumPyro's (Zhu 2019): a pool of points per particle proposes a new one, which takes the place of
+    another. The draw of an iteration is a point of the pool by chance. The pool's points are
+    simulated at the start, and it takes many iterations to leave them behind. With few points
+    NumPyro's sampler is biased: on the toy of the tests by a total variation of 0.05 with twice as
+    many as sites, below 0.015 with eight times as many. Hence "consistent", and hence the default.
 
     Args:
-        program: the model of an event.
         pool: points per particle; by default eight times the number of sites, the seed's
             included.
 
@@ -396,7 +289,7 @@ class SampleAdaptive(UniformKernel):
     @property
     def sims_at_start(self) -> int:
         """Simulations that the first pool of a particle takes."""
-        return _POINTS_PER_SITE * self.uniform.dimensions if self._pool is None else self._pool
+        return _POINTS_PER_SITE * self.dimensions if self._pool is None else self._pool
 
     def start(self, keys: jax.Array, points: jax.Array) -> Any:
         """Simulate pools around the points."""
@@ -418,16 +311,9 @@ class SampleAdaptive(UniformKernel):
         return sampler.sample(inner._replace(rng_key=keys), (), {})
 
     def points(self, inner: Any) -> jax.Array:
-        """Return the point of the pool that is the draw."""
         points: jax.Array = inner.z
         return points
 
     def _sampler(self, keys: jax.Array, points: jax.Array) -> tuple[SA, Any]:
-        sampler = SA(potential_fn=self.uniform.potential, adapt_state_size=self.sims_at_start)
+        sampler = SA(potential_fn=self.potential, adapt_state_size=self.sims_at_start)
         return sampler, sampler.init(keys, 0, points)
-
-
-@register_kernel("sa", validity="consistent")
-def sa(program: EventProgram, *, pool: int | None = None) -> SampleAdaptive:
-    """Sample Adaptive MCMC on the uniformised model."""
-    return SampleAdaptive(program, pool=pool)

@@ -20,7 +20,6 @@ from typing import Any, Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import loky
 import numpy as np
 import scipy.optimize
 from jax.scipy.special import logsumexp
@@ -29,12 +28,12 @@ from tqdm import tqdm
 
 from phase_ppl.dataset.generation.situation import agent_to, approach, item_to
 from phase_ppl.inference.proposals.goal_features import FEATURES, GOAL_PARTS, KINDS, goal_features
-from phase_ppl.inference.proposals.strength_training import draw_scene
+from phase_ppl.inference.proposals.strength_training import draw_scene, in_processes
 from phase_ppl.inference.proposals.tables import WEIGHTS_FILE, window_length
 from phase_ppl.models import priors
 from phase_ppl.models.effective import log_prior_of_effective
 from phase_ppl.models.sites import IMPOSSIBLE
-from phase_ppl.simulator.joint import JointSimulator, simulate
+from phase_ppl.simulator.joint import simulate
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.goals import N_GOALS, goal_literal, opposed_goal
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS, Hypothesis
@@ -91,13 +90,10 @@ def draw_goals(rng: np.random.Generator) -> tuple[str, tuple[int, int]]:
         return scenario, (red, green)
     if scenario == "opposing":
         about = rng.choice(3)
-        goal = (
-            _item_goal(rng)
-            if about == 0
-            else _self_goal(rng, first)
-            if about == 1
-            else approach(first)
-        )
+        if about == 0:
+            goal = _item_goal(rng)
+        else:
+            goal = _self_goal(rng, first) if about == 1 else approach(first)
         against = opposed_goal(goal, first)
         return scenario, (goal, against) if first == 0 else (against, goal)
     item = int(rng.choice((BLUE_ITEM, PINK_ITEM)))
@@ -135,20 +131,15 @@ def draw_event(seed: int, index: int) -> Drawn | None:
 
 def _achieved(scene: Scene, goals: tuple[int, int], track: FloatArray) -> NDArray[np.bool_]:
     """Return (agent,) whether its goal about a landmark was true in some frame."""
-    found = []
-    for agent, goal in enumerate(goals):
-        literal = goal_literal(goal, agent)
-        away = np.abs(track[:, literal.subject, :2] - scene.landmark_centres[literal.target])
-        found.append((away < scene.landmark_half_width).all(axis=1).any())
-    return np.array(found)
+    literals = [goal_literal(goal, agent) for agent, goal in enumerate(goals)]
+    there = track[:, [literal.subject for literal in literals], :2]
+    away = np.abs(there - scene.landmark_centres[[literal.target for literal in literals]])
+    return np.asarray((away < scene.landmark_half_width).all(axis=-1).any(axis=0))
 
 
 def draw_events(n: int, seed: int, workers: int) -> list[Drawn]:
     """Return the events among ``n`` draws that show what their goals say."""
-    JointSimulator().warm_up()
-    with loky.ProcessPoolExecutor(workers) as pool:
-        drawn = pool.map(functools.partial(draw_event, seed), range(n))
-        found = list(tqdm(drawn, total=n, desc="events", disable=None))
+    found = in_processes(functools.partial(draw_event, seed), n, workers)
     return [event for event in found if event is not None]
 
 
@@ -252,14 +243,13 @@ def main(arguments: list[str] | None = None) -> dict[str, Any]:
     options = parser.parse_args(arguments)
     events = draw_events(options.draws, options.seed, options.workers)
     data = examples(events, options.seed)
-    kept_back = np.arange(len(events)) % 10 == 0  # for validation
-    training = Examples(data.features[~kept_back], data.goals[~kept_back])
-    validation = Examples(data.features[kept_back], data.goals[kept_back])
-    weights = {
-        "window": learned(loss_of_windows, training),
-        "whole": learned(loss_of_whole, training),
+    kept_back = np.arange(len(events)) % 10 == 0
+    parts = {
+        name: Examples(data.features[chosen], data.goals[chosen])
+        for name, chosen in (("training", ~kept_back), ("validation", kept_back))
     }
     losses = {"window": loss_of_windows, "whole": loss_of_whole}
+    weights = {name: learned(loss, parts["training"]) for name, loss in losses.items()}
     report = {
         "command": "python -m phase_ppl.inference.proposals.goal_training",
         "draws": options.draws,
@@ -268,12 +258,10 @@ def main(arguments: list[str] | None = None) -> dict[str, Any]:
         "shares": SHARES,
         "loss": {
             name: {
-                part: float(
-                    losses[name](jnp.asarray(weights[name], jnp.float32), some.features, some.goals)
-                )
-                for part, some in (("training", training), ("validation", validation))
+                part: float(loss(jnp.asarray(weights[name], jnp.float32), *some))
+                for part, some in parts.items()
             }
-            for name in weights
+            for name, loss in losses.items()
         },
         "features": FEATURES,
         "kinds": KINDS,

@@ -171,18 +171,18 @@ class Replaced(Messenger):
         self._values = dict(given)
 
     def process_message(self, msg: Any) -> None:
-        """Replace the distribution if the message is about one of the sites."""
         if msg["type"] == "sample" and not msg["is_observed"] and msg["name"] in self._replace:
             msg["fn"] = self._replace[msg["name"]](msg["fn"], self._values)
 
     def postprocess_message(self, msg: Any) -> None:
-        """Remember the value that a site has got."""
         if msg["type"] == "sample":
             self._values[msg["name"]] = msg["value"]
 
 
 class Either(dist.Distribution):
     """The first of two scalar distributions if ``condition`` holds, else the second.
+
+    Its log density is -inf outside the support of whichever applies.
 
     Args:
         condition: a boolean, perhaps known only inside compiled code.
@@ -198,12 +198,10 @@ class Either(dist.Distribution):
         super().__init__((), ())
 
     def sample(self, key: jax.Array, sample_shape: tuple[int, ...] = ()) -> jax.Array:
-        """Draw from whichever applies."""
         first, second = (part.sample(key, sample_shape) for part in self._parts)
         return jnp.where(self._condition, first, second)
 
     def log_prob(self, value: jax.Array) -> jax.Array:
-        """Return the log density of whichever applies, -inf outside its support."""
         first, second = (
             jnp.where(part.support(value), part.log_prob(value), -jnp.inf) for part in self._parts
         )

@@ -20,6 +20,7 @@ from phase_ppl.physics.constants import FLOOR_FRICTION, STEP, mass
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS, STRENGTH_RANGE
+from phase_ppl.world.identity import qualified_name
 from phase_ppl.world.names import AGENTS
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
@@ -92,15 +93,6 @@ def quality(estimates: StrengthEstimates, strength: FloatArray) -> Quality:
     )
 
 
-# --- strengths read off the observed motion, by the analytic rule ---------------------------------
-# A free agent that drives forward accelerates by (F - 100 N) / m against the floor friction, so m
-# a + 100 is its strength F, and in the original world that is one of four levels. Three frames in
-# a row that hit a level nearly exactly give the strength away; an agent that is slowed by
-# something only seems weaker, so the largest hit counts.
-#
-# Frames are means over five substeps. Second differences of such means are those of the motion
-# itself as long as the acceleration is constant over all three frames.
-
 TOLERANCE: Final = 0.01
 """Relative deviation from a level that still counts as a hit."""
 
@@ -118,25 +110,26 @@ VALIDATION_SD: Final = 40.0
 def analytic_strengths(
     scene: Scene, observation: Observation, windows: NDArray[np.int64]
 ) -> StrengthEstimates:
-    """Return the level that each window gives away; none without free driving.
+    """Return the level that each window gives away by the analytic rule; none without free driving.
+
+    A free agent that drives forward accelerates by (F - 100 N) / m against the floor friction, so
+    m a + 100 is its strength F, and in the original world that is one of four levels. Three frames
+    in a row that hit a level nearly exactly give the strength away; an agent that is slowed by
+    something only seems weaker, so the largest hit counts. Frames are means over five substeps:
+    second differences of such means are those of the motion itself as long as the acceleration is
+    constant over all three frames.
 
     Arguments as for :class:`~phase_ppl.inference.proposals.strength.Estimator`.
     """
-    hits = driving_hits(observation.trajectory, scene.radius)
-    mean = np.array([estimated_strength(hits, first, last) for first, last in windows])
-    return StrengthEstimates(mean, np.where(np.isnan(mean), np.nan, VALIDATION_SD))
+    hits = _driving_hits(observation.trajectory, scene.radius)
+    inside = [hits[first : max(last - 1, first)] for first, last in windows]
+    largest = np.array([found.max(axis=0, initial=0.0) for found in inside])
+    mean = np.where(largest > 0, largest, np.nan)
+    return StrengthEstimates(mean, np.where(largest > 0, VALIDATION_SD, np.nan))
 
 
-def driving_hits(trajectory: FloatArray, radius: FloatArray) -> FloatArray:
-    """Return the level that each inner frame gives away, newtons, 0 where none.
-
-    Args:
-        trajectory: (time, entity, coord) with coord = x, y [units], angle [rad].
-        radius: (4,) sizes of the entities.
-
-    Returns:
-        (time - 2, agent): entry k rests on the frames k, k + 1, k + 2.
-    """
+def _driving_hits(trajectory: FloatArray, radius: FloatArray) -> FloatArray:
+    """Return (time - 2, agent) the level that frames k, k + 1, k + 2 give away; 0 where none."""
     levels = np.array(STRENGTH_LEVELS)
     hits = np.zeros((max(len(trajectory) - 2, 0), len(AGENTS)))
     for agent in range(len(AGENTS)):
@@ -162,24 +155,6 @@ def _driving_force(track: FloatArray, agent_mass: float) -> tuple[FloatArray, Fl
     return force, np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
 
 
-def estimated_strength(hits: FloatArray, first: int, last: int) -> FloatArray:
-    """Return (agent,) the estimate from the frames ``first`` to ``last``, NaN without free driving.
-
-    Args:
-        hits: what :func:`driving_hits` returned.
-        first, last: first and last frame of the window.
-    """
-    inside = hits[first : max(last - 1, first)]
-    largest = inside.max(axis=0, initial=0.0)
-    return np.where(largest > 0, largest, np.nan)
-
-
-# --- the paper's network of strengths, two hidden layers of 64 units (Appendix 4B), in... ---------
-# It says how strong an agent seems by a window, and how sure that is: the mean and the standard
-# deviation of a normal distribution that is cut to the range of strengths, which is what SIMPLE
-# proposes from. Where a window shows nothing the standard deviation is large and the distribution
-# close to uniform.
-
 HIDDEN: Final = 64
 """Units of each of the two hidden layers, as in the paper."""
 
@@ -203,7 +178,12 @@ FARTHEST: Final = 6.0
 
 
 class StrengthNetwork:
-    """A trained network; it is an estimator that ``SimpleSettings(strength=...)`` takes.
+    """The paper's network: two hidden layers of 64 units (Appendix 4B), an estimator.
+
+    It says how strong an agent seems by a window, and how sure that is: the mean and the standard
+    deviation of a normal distribution that is cut to the range of strengths, which is what SIMPLE
+    proposes from. Where a window shows nothing the standard deviation is large and the
+    distribution close to uniform. ``SimpleSettings(strength=...)`` takes one of one's own.
 
     Args:
         weights: arrays by name, see :data:`SHAPES`.
@@ -213,7 +193,17 @@ class StrengthNetwork:
     """
 
     def __init__(self, weights: dict[str, NDArray[Any]]) -> None:
-        self._weights = {name: _checked(weights, name) for name in SHAPES}
+        for name, shape in SHAPES.items():
+            if name not in weights:
+                raise InvalidSettingError(f"the array {name} is missing")
+            array = weights[name]
+            if array.shape != shape:
+                raise InvalidSettingError(f"{name} has shape {array.shape}, expected {shape}")
+            if array.dtype.kind != "f" or not np.isfinite(array).all():
+                raise InvalidSettingError(f"{name} holds something else than finite numbers")
+        if not (weights["scale"] > 0).all():
+            raise InvalidSettingError("scale holds a number that is not positive")
+        self._weights = {name: weights[name].astype(np.float64) for name in SHAPES}
 
     @classmethod
     def load(cls, file: str | Path) -> StrengthNetwork:
@@ -262,22 +252,6 @@ def shipped_network() -> StrengthNetwork:
     file = resources.files(__package__) / "strength_weights.npz"
     with resources.as_file(file) as path:
         return StrengthNetwork.load(path)
-
-
-def _checked(weights: dict[str, NDArray[Any]], name: str) -> FloatArray:
-    if name not in weights:
-        raise InvalidSettingError(f"the array {name} is missing")
-    array = weights[name]
-    if array.shape != SHAPES[name]:
-        raise InvalidSettingError(f"{name} has shape {array.shape}, expected {SHAPES[name]}")
-    if array.dtype.kind != "f" or not np.isfinite(array).all():
-        raise InvalidSettingError(f"{name} holds something else than finite numbers")
-    if name == "scale" and not (array > 0).all():
-        raise InvalidSettingError("scale holds a number that is not positive")
-    return array.astype(np.float64)
-
-
-# --- the estimators of strengths by name ----------------------------------------------------------
 
 
 def network_strengths(
@@ -330,9 +304,8 @@ def estimated_strengths(
         UnknownNameError, InvalidSettingError: no such estimator, or an answer that is of another
             shape or no normal distribution.
     """
-    mean, sd = (np.asarray(part, float) for part in strength_estimator(strength)(
-        scene, observation, windows
-    ))  # fmt: skip
+    found = strength_estimator(strength)(scene, observation, windows)
+    mean, sd = (np.asarray(part, float) for part in found)
     wanted = (len(windows), len(AGENTS))
     if mean.shape != wanted or sd.shape != wanted:
         raise InvalidSettingError(
@@ -353,7 +326,4 @@ def estimated_strengths(
 
 def estimator_name(strength: str | Estimator) -> str:
     """Return a name for the settings that a run records."""
-    if isinstance(strength, str):
-        return strength
-    named = strength if hasattr(strength, "__qualname__") else type(strength)
-    return f"{named.__module__}.{named.__qualname__}"  # type: ignore[union-attr]
+    return strength if isinstance(strength, str) else qualified_name(strength)

@@ -1,4 +1,10 @@
-"""Events to train the network of strengths on, simulated in drawn scenes.
+"""Training the network of strengths.
+
+    python -m phase_ppl.inference.proposals.strength_training FOLDER
+
+Simulates events (or reads them from --events-file), blurs them with jitter, cuts windows of all
+lengths, trains, and writes FOLDER/strength_weights.npz and the report beside it,
+strength_weights.json. Needs the extra ``neural`` (PyTorch).
 
 The scenes have the layouts, sizes and start positions of PHASE. Goals and relations are drawn so
 that the agents mostly have something to do; PHASE's own families of events are narrower.
@@ -7,11 +13,13 @@ that the agents mostly have something to do; PHASE's own families of events are 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import dataclasses
 import functools
 import json
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeVar
 
 import loky
 import numpy as np
@@ -46,6 +54,8 @@ from phase_ppl.world.names import (
 )
 from phase_ppl.world.scene import TURNINGS, Scene
 
+Result = TypeVar("Result")
+
 SIZE_SHARES: Final = (0.55, 0.16, 0.11, 0.18)
 """How often PHASE's sizes are drawn: about as often as there."""
 
@@ -73,11 +83,6 @@ class Simulated(NamedTuple):
     trajectory: NDArray[np.float32]
     radius: FloatArray
     strength: FloatArray
-
-    def part(self, first: int, last: int | None) -> Simulated:
-        """Return the events from ``first`` to before ``last``, or to the end."""
-        chosen = slice(first, last)
-        return Simulated(self.trajectory[chosen], self.radius[chosen], self.strength[chosen])
 
 
 def draw_scene(rng: np.random.Generator) -> Scene:
@@ -121,7 +126,15 @@ def _own_goal(rng: np.random.Generator, holder: int) -> int:
     return literal_goal(Literal(Predicate.ON, subject, int(rng.integers(len(LANDMARKS))), True))
 
 
-def simulate_event(seed: int, frames: int, index: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+def in_processes(draw: Callable[[int], Result], n: int, workers: int) -> list[Result]:
+    """Return ``draw(0)``, ..., ``draw(n - 1)``, each of which simulates an event."""
+    JointSimulator().warm_up()
+    with contextlib.ExitStack() as stack:
+        run = map if workers == 1 else stack.enter_context(loky.ProcessPoolExecutor(workers)).map
+        return list(tqdm(run(draw, range(n)), total=n, desc="events", disable=None))
+
+
+def _simulated(seed: int, frames: int, index: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return trajectory, sizes and strengths of one drawn event."""
     rng = np.random.default_rng([seed, index])
     scene, hypothesis = draw_scene(rng), draw_hypothesis(rng)
@@ -131,14 +144,7 @@ def simulate_event(seed: int, frames: int, index: int) -> tuple[FloatArray, Floa
 
 def simulate_events(n: int, frames: int, seed: int, workers: int = 1) -> Simulated:
     """Return ``n`` drawn events, the same for any number of workers."""
-    JointSimulator().warm_up()
-    one = functools.partial(simulate_event, seed, frames)
-    if workers == 1:
-        found = [one(index) for index in tqdm(range(n), desc="events", disable=None)]
-    else:
-        with loky.ProcessPoolExecutor(workers) as pool:
-            running = pool.map(one, range(n))
-            found = list(tqdm(running, total=n, desc="events", disable=None))
+    found = in_processes(functools.partial(_simulated, seed, frames), n, workers)
     trajectory, radius, strength = zip(*found, strict=True)
     return Simulated(np.array(trajectory, np.float32), np.array(radius), np.array(strength))
 
@@ -162,7 +168,7 @@ def cached_events(file: Path, n: int, frames: int, seed: int, workers: int = 1) 
     return events
 
 
-# --- windows of simulated events, blurred and cut, that the network learns from -------------------
+# --- examples: windows of events, blurred and cut ------------------------------------------------
 
 LARGEST_JITTER: Final = 0.35
 """Of the positions in the training, units."""
@@ -215,12 +221,8 @@ def training_examples(events: Simulated, rounds: int, seed: int) -> Examples:
     is estimated, and windows are short ones, those of SIMPLE's length and all of a cut.
     """
     parts = []
-    for round_, index in tqdm(
-        np.ndindex(rounds, len(events.strength)),
-        desc="examples",
-        total=rounds * len(events.strength),
-        disable=None,
-    ):
+    cuts = list(np.ndindex(rounds, len(events.strength)))
+    for round_, index in tqdm(cuts, desc="examples", disable=None):
         rng = np.random.default_rng([seed, 1, round_, index])
         trajectory = events.trajectory[index].astype(np.float64)
         if rng.random() < 0.5:
@@ -231,7 +233,7 @@ def training_examples(events: Simulated, rounds: int, seed: int) -> Examples:
         trajectory = blurred(trajectory, jitter, rng, 2 * ANGLE_SHARE * rng.random())
         windows = _drawn_windows(len(trajectory), rng)
         parts.append(_of_windows(events, index, trajectory, windows, jitter))
-    return _together(parts)
+    return Examples(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def validation_examples(events: Simulated, seed: int) -> Examples:
@@ -250,7 +252,7 @@ def validation_examples(events: Simulated, seed: int) -> Examples:
             found = _of_windows(events, index, trajectory, np.array(windows), jitter)
             lengths = np.repeat(VALIDATION_LENGTHS, len(AGENTS))
             parts.append(found._replace(length=lengths))
-    return _together(parts)
+    return Examples(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def _drawn_jitter(rng: np.random.Generator) -> float:
@@ -290,17 +292,7 @@ def _of_windows(
     )
 
 
-def _together(parts: list[Examples]) -> Examples:
-    return Examples(*(np.concatenate(column) for column in zip(*parts, strict=True)))
-
-
-# --- training the network of strengths ------------------------------------------------------------
-# python -m phase_ppl.inference.proposals.strength_training FOLDER
-#
-# Simulates events (or reads them from --events-file), blurs them with jitter, cuts windows of all
-# lengths, trains, and writes FOLDER/strength_weights.npz and the report
-# beside it, strength_weights.json. Needs the
-# extra ``neural`` (PyTorch).
+# --- training -----------------------------------------------------------------------------------
 
 _HALF_LOG_2PI: Final = 0.5 * np.log(2 * np.pi)
 
@@ -344,7 +336,8 @@ def train(events: Simulated, settings: TrainingSettings) -> tuple[StrengthNetwor
     """Return the trained network and the report on it."""
     torch = needs_torch()
     n_validation = len(events.strength) // 10
-    used, held_out = events.part(n_validation, None), events.part(0, n_validation)
+    held_out = Simulated._make(column[:n_validation] for column in events)
+    used = Simulated._make(column[n_validation:] for column in events)
     examples = training_examples(used, settings.rounds, settings.seed)
     validation = validation_examples(held_out, settings.seed)
     centre = examples.features.mean(axis=0)
@@ -407,10 +400,10 @@ def _fit(
         curves["validation"].append(round(loss, 4))
         if loss < best:
             best = loss
-            linear = [layer for layer in net if hasattr(layer, "weight")]
             kept = [
                 (layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy())
-                for layer in linear
+                for layer in net
+                if hasattr(layer, "weight")
             ]
     return curves, kept
 

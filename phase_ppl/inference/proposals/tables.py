@@ -22,11 +22,10 @@ from __future__ import annotations
 
 import functools
 import importlib.resources
-from typing import Final, Literal, NamedTuple
+from typing import Final, Literal, NamedTuple, get_args
 
 import jax
 import numpy as np
-from numpy.typing import NDArray
 
 from phase_ppl.inference.proposals.goal_features import GOAL_PARTS, goal_features
 from phase_ppl.inference.proposals.strength import DEFAULT_ESTIMATOR, Estimator, estimated_strengths
@@ -38,71 +37,11 @@ from phase_ppl.world.names import AGENTS, Predicate
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 
-
-class JointLogits(NamedTuple):
-    """Unnormalised log probabilities of stated goals and alpha.
-
-    Attributes:
-        goal: (..., alpha, agent, goal) of the stated goals, given alpha.
-        alpha: (..., alpha) beside the prior's.
-    """
-
-    goal: FloatArray
-    alpha: FloatArray
-
-
-def joint_logits(scores: FloatArray) -> JointLogits:
-    """Return the tables that scores (..., agent, goal) of effective goals make."""
-    goal = np.where(SELF_REFERRING, IMPOSSIBLE, 0.0)
-    goal = np.broadcast_to(goal, (*scores.shape[:-2], len(ALPHAS), *goal.shape)).copy()
-    for index in range(len(ALPHAS)):
-        for agent in range(len(AGENTS)):
-            for actor, acted_on in enumerate(_FOLLOWED[index]):
-                if _SOURCE[index][actor] == agent:
-                    goal[..., index, agent, :] += scores[..., actor, :][..., acted_on]
-    goal = np.where(SELF_REFERRING, IMPOSSIBLE, goal)
-    evidence = np.logaddexp.reduce(goal, axis=-1).sum(axis=-1)
-    return JointLogits(goal, evidence - evidence.max(axis=-1, keepdims=True))
-
-
-def _source(alpha: tuple[int, int]) -> tuple[int, ...]:
-    """Return, per agent, whose stated goal it acts on."""
-    return tuple(agent if alpha[agent] == 0 else 1 - agent for agent in range(len(AGENTS)))
-
-
-def _followed(alpha: tuple[int, int]) -> tuple[NDArray[np.int64], ...]:
-    """Return, per agent, its effective goal for every stated goal of the one it acts on."""
-    pairs = np.array([effective_goals(goal, goal, alpha) for goal in range(N_GOALS)])
-    return tuple(pairs[:, agent] for agent in range(len(AGENTS)))
-
-
-_SOURCE: Final = [_source(alpha) for alpha in ALPHAS]
-_FOLLOWED: Final = [_followed(alpha) for alpha in ALPHAS]
-
-
-# --- what a window of the observation says about goals and strengths (paper, Appendix 4B) ---------
-# Computed once per event, in NumPy, in one of two forms.
-#
-# "learned". Goals are scored by :mod:`~phase_ppl.inference.proposals.goal_features`, which also
-# see what the agent itself did, and proposed together with alpha
-# (:mod:`~phase_ppl.inference.proposals.tables`). The weights of the features were learned from
-# simulated events. Strengths are estimated from the whole observation.
-#
-# "paper". A goal is proposed for a window from t1 to t2 in proportion to exp(-gamma (2 d(t2) -
-# d(t1)) / 28.28): it is likely if it is nearly achieved at the end (d(t2) small) or has come
-# closer (d(t1) - d(t2) large); alpha comes from the prior. The paper prints the opposite sign,
-# which its text contradicts; ``sign="printed"`` keeps it.
-#
-# d is the distance of the goal's own entity: of the item for a goal about an item, of the named
-# agent for a goal about an agent at a landmark, between the agents for "get to". For a goal to be
-# *away* it is the distance to the set of places that are away: max(0, R - distance), with R the
-# diagonal of the arena. A smaller R leaves many goals at distance 0 that nobody works for.
-
 Sign = Literal["intended", "printed"]
 Form = Literal["learned", "paper"]
 
-SIGNS: Final = ("intended", "printed")
-FORMS: Final = ("learned", "paper")
+SIGNS: Final = get_args(Sign)
+FORMS: Final = get_args(Form)
 
 WEIGHTS_FILE: Final = "goal_weights.npz"
 """Weights of the features, (kind, feature): ``window`` and ``whole``."""
@@ -162,16 +101,42 @@ def bottom_up_tables(
     windows = np.column_stack([first, last])
     estimates = estimated_strengths(strength, scene, observation, windows)
     if form == "learned":
-        joint = joint_logits(_scores(scene, observation, first, last))
+        goal, alpha = joint_logits(_scores(scene, observation, first, last))
         # an agent is as strong in one window as in another: the whole observation says it best
         strength_of_all, sd_of_all = (np.broadcast_to(part[-1], part.shape) for part in estimates)
-        return BottomUpTables(joint.goal, strength_of_all, sd_of_all, joint.alpha)
+        return BottomUpTables(goal, strength_of_all, sd_of_all, alpha)
     distance = goal_distances(scene, observation)
     x0, x1, y0, y1 = scene.arena
     unit = float(np.hypot(x1 - x0, y1 - y0))
     closeness = gamma * (2 * distance[last] - distance[first]) / unit
     logits = closeness if sign == "printed" else -closeness
     return BottomUpTables(np.where(SELF_REFERRING, IMPOSSIBLE, logits), *estimates)
+
+
+_EFFECTIVE: Final = [
+    np.array([effective_goals(goal, goal, alpha) for goal in range(N_GOALS)]).T for alpha in ALPHAS
+]
+"""Per alpha, (agent, goal) what an agent does for each stated goal of the one it acts on."""
+
+
+def joint_logits(scores: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return unnormalised log probabilities of stated goals and alpha.
+
+    Args:
+        scores: (..., agent, goal) of effective goals.
+
+    Returns:
+        (..., alpha, agent, goal) of the stated goals given alpha; (..., alpha) beside the prior's.
+    """
+    goal = np.where(SELF_REFERRING, IMPOSSIBLE, 0.0)
+    goal = np.broadcast_to(goal, (*scores.shape[:-2], len(ALPHAS), *goal.shape)).copy()
+    for index, alpha in enumerate(ALPHAS):
+        for agent, effective in enumerate(_EFFECTIVE[index]):
+            owner = agent if alpha[agent] == 0 else 1 - agent  # of the goal that it acts on
+            goal[..., index, owner, :] += scores[..., agent, :][..., effective]
+    goal = np.where(SELF_REFERRING, IMPOSSIBLE, goal)
+    evidence = np.logaddexp.reduce(goal, axis=-1).sum(axis=-1)
+    return goal, evidence - evidence.max(axis=-1, keepdims=True)
 
 
 def _scores(scene: Scene, observation: Observation, first: IntArray, last: IntArray) -> FloatArray:

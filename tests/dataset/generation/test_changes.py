@@ -88,7 +88,7 @@ def test_ids_are_moved_only_where_the_rules_of_the_family_hold() -> None:
 
 def test_places_have_to_be_in_the_rooms_of_the_family(monkeypatch: pytest.MonkeyPatch) -> None:
     available = families.available_families()
-    monkeypatch.setattr(families, "_FAMILIES", dict(families._FAMILIES))
+    monkeypatch.setattr(families.FAMILIES, "entries", dict(families.FAMILIES.entries))
     assert "elsewhere" not in available
     goal = "Get red agent to blue lm"
 
