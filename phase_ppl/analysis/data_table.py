@@ -166,7 +166,7 @@ def data_table(here: Statistics, beside: Statistics = PHASE) -> str:
 
     Arguments as for :func:`rows`.
     """
-    lines = [*_about(here), "", _line("", _clipped(here["name"], 21), _clipped(beside["name"], 16))]
+    lines = [*_about(here), "", _line("", clipped(here["name"], 21), clipped(beside["name"], 16))]
     heading = ""
     shown = rows(here, beside)
     for row in shown:
@@ -211,7 +211,7 @@ def _row_line(row: Row) -> str:
     here = f"{count:>7} {number(row.value, row):>6}{margin}"
     other_count = "" if row.other_n is None else str(row.other_n)
     other = f"{other_count:>7} {other_text(row):>8}"
-    return _line(f"  {_clipped(row.label, 37)}", here, other, "*" if row.stands_out else "")
+    return _line(f"  {clipped(row.label, 37)}", here, other, "*" if row.stands_out else "")
 
 
 def other_text(row: Row) -> str:
@@ -265,12 +265,13 @@ def _draws(here: Statistics) -> list[str]:
     lines = ["", f"{'draws':<28}{'kept':>6}{'of':>6}{'share':>7}  why not"]
     for cell, draw in here["draws"].items():
         share = "" if draw["share"] is None else f"{draw['share']:.2f}"
-        start = f"  {_clipped(cell, 25):<26}{draw['kept']:>6}{draw['tried']:>6}{share:>7}  "
+        start = f"  {clipped(cell, 25):<26}{draw['kept']:>6}{draw['tried']:>6}{share:>7}  "
         why = ", ".join(f"{reason} {n}" for reason, n in draw["reasons"].items())
         indent = " " * len(start)
         lines += textwrap.wrap(start + why, WIDTH, subsequent_indent=indent) or [start.rstrip()]
     return lines
 
 
-def _clipped(text: str, length: int) -> str:
+def clipped(text: str, length: int) -> str:
+    """Return a text of at most so many characters."""
     return text if len(text) <= length else text[: length - 1] + "…"
