@@ -23,6 +23,8 @@ from phase_ppl.analysis.weights import Rows
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidSettingError, QueryError, shown, unknown_name
+from phase_ppl.world.goals import GOALS
+from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.names import AGENTS
 
 Definition = Callable[["Named"], bool | int | float | str]
@@ -468,6 +470,19 @@ class Hypotheses:
             size = self._effective_size * float(self._rows.weights[rows].sum())
             error = np.fmax(error, float(estimate.sd(values, weights)) / math.sqrt(size + 1))
         return Estimate(number, float(error))
+
+
+def hypothesis_record(best: Hypothesis) -> dict[str, Any]:
+    """Return a hypothesis as plain data; ``goal_*`` are the effective goals."""
+    record = best.to_dict()
+    red, green = best.effective_goals
+    return {
+        "goal_red": GOALS[red],
+        "goal_green": GOALS[green],
+        "stated_goal_red": record.pop("goal_red"),
+        "stated_goal_green": record.pop("goal_green"),
+        **record,
+    }
 
 
 def _distinct(names: tuple[str, ...]) -> tuple[str, ...]:

@@ -14,12 +14,12 @@ import xarray as xr
 
 from phase_ppl.analysis._arviz import arviz_data
 from phase_ppl.analysis.diagnostics import diagnostics
-from phase_ppl.analysis.hypotheses import Hypotheses
+from phase_ppl.analysis.hypotheses import Hypotheses, hypothesis_record
 from phase_ppl.analysis.over_time import over_time
 from phase_ppl.analysis.quantities import (
     ScenarioFunction,
+    derived_codes,
     own_quantity,
-    part_codes,
     quantities,
     relation_codes,
 )
@@ -41,7 +41,6 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidSettingError, unknown_name
 from phase_ppl.world.files import existing_file
-from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
 from phase_ppl.world.scene import Scene
 
@@ -101,8 +100,7 @@ class Posterior(Hypotheses):
         tree = self._kept
         rows = WEIGHTINGS[name](tree)
         columns = dict(rows.values)
-        goals = columns["goal_red"], columns["goal_green"]
-        columns |= relation_codes(*goals, scenario) | part_codes(*goals)
+        columns |= derived_codes(columns["goal_red"], columns["goal_green"], scenario)
         known = quantities()
         for site in [name for name in columns if name not in known]:
             known[site], columns[site] = own_quantity(tree, site, columns[site])
@@ -173,15 +171,10 @@ class Posterior(Hypotheses):
         with alpha, strengths, ``log_joint``, ``relation`` and ``scenario``.
         """
         best = self.map()
-        record = best.to_dict()
-        red, green = best.effective_goals
-        codes = relation_codes(np.array([red]), np.array([green]), self._scenario)
+        red, green = (np.array([goal]) for goal in best.effective_goals)
+        codes = relation_codes(red, green, self._scenario)
         return {
-            "goal_red": GOALS[red],
-            "goal_green": GOALS[green],
-            "stated_goal_red": record.pop("goal_red"),
-            "stated_goal_green": record.pop("goal_green"),
-            **record,
+            **hypothesis_record(best),
             "log_joint": float(self._log_joint().max()),
             **{name: self._quantities[name].categories()[int(c[0])] for name, c in codes.items()},
         }

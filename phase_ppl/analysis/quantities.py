@@ -201,7 +201,7 @@ def own_quantity(
 
 
 def _part_codes(goal: int, holder: int) -> tuple[int, ...]:
-    """Return the codes of the ``GOAL_PARTS`` of a goal that the agent ``holder`` has."""
+    """Return the codes of the parts of a goal that the agent ``holder`` has."""
     literal = goal_literal(goal, holder)
     sign = 0 if literal.positive else 1
     if literal.predicate is Predicate.TOUCH:
@@ -250,3 +250,10 @@ def relation_codes(
         codes = np.array([table[pair] for pair in pairs], np.int64)
     relation_of = np.array([RELATIONS.index(RELATION_OF_SCENARIO[name]) for name in SCENARIOS])
     return {"relation": relation_of[codes], "scenario": codes}
+
+
+def derived_codes(
+    goal_red: NDArray[Any], goal_green: NDArray[Any], scenario: ScenarioFunction | None = None
+) -> dict[str, NDArray[np.int64]]:
+    """Return the codes of all that follows from pairs of effective goals, arrays (row,)."""
+    return relation_codes(goal_red, goal_green, scenario) | part_codes(goal_red, goal_green)

@@ -12,16 +12,19 @@ from typing import Any, Final
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from phase_ppl.analysis.estimate import Jackknife
-from phase_ppl.analysis.hypotheses import Hypotheses
+from phase_ppl.analysis.hypotheses import Hypotheses, hypothesis_record
+from phase_ppl.analysis.over_time import by_label
 from phase_ppl.analysis.quantities import (
     ScenarioFunction,
-    part_codes,
+    derived_codes,
     quantities,
     relation_codes,
 )
-from phase_ppl.analysis.stepwise_table import SCHEMAS, STRENGTHS, Table, brought_up, check, why
+from phase_ppl.analysis.query import conditions
+from phase_ppl.analysis.stepwise_table import SCHEMAS, STRENGTHS, Table, brought_up, check
 from phase_ppl.analysis.summary import plain, wrapped
 from phase_ppl.analysis.tree import kept_scene
 from phase_ppl.analysis.weights import log_sum_exp
@@ -30,7 +33,7 @@ from phase_ppl.dataset.hdf5 import netcdf_bytes, read_netcdf, root_attribute
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.files import check_output, existing_file, write_bytes
-from phase_ppl.world.goals import GOALS, N_GOALS
+from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
 from phase_ppl.world.names import ENTITIES
 from phase_ppl.world.scene import Scene
@@ -109,8 +112,7 @@ class StepwisePosterior(Hypotheses):
             raise InvalidSettingError(f"frame={frame!r}, expected a number in 0..{last}")
         rows = self._table.rows(self._frame)
         columns = dict(rows.values)
-        goals = columns["goal_red"], columns["goal_green"]
-        columns |= relation_codes(*goals, scenario) | part_codes(*goals)
+        columns |= derived_codes(columns["goal_red"], columns["goal_green"], scenario)
         super().__init__(quantities(), dataclasses.replace(rows, values=columns))
 
     def _jackknife(self, share: float) -> Jackknife | None:
@@ -239,18 +241,13 @@ class StepwisePosterior(Hypotheses):
         red, green = (codes.ravel() for codes in np.indices((N_GOALS, N_GOALS)))
         codes = {"goal_red": red, "goal_green": green}
         codes |= relation_codes(red, green, self._scenario)
-        known = quantities()
         time = self._found["time"].values[: self._frame + 1]
-        result = xr.Dataset(
-            coords={"time": ("time", time, {"units": "s"})}, attrs={"filtering": FILTERING}
-        )
         flat = masses.reshape(len(masses), -1)
-        for name, column in codes.items():
-            labels = list(known[name].categories())
-            table = np.stack([flat[:, column == code].sum(axis=1) for code in range(len(labels))])
-            result[name] = (("time", f"{name}_is"), table.T)
-            result = result.assign_coords({f"{name}_is": labels})
-        return result
+
+        def summed(indicators: NDArray[np.bool_]) -> FloatArray:
+            return np.stack([flat[:, which].sum(axis=1) for which in indicators.T], axis=1)
+
+        return by_label(time, codes, summed).assign_attrs(filtering=FILTERING)
 
     def why(self, event: str, over: str | None = None) -> xr.Dataset:
         """Return which frames speak for ``event``, and against what.
@@ -268,7 +265,26 @@ class StepwisePosterior(Hypotheses):
             QueryError, UnknownNameError: it cannot be read, or names something unknown.
             InvalidSettingError: one of them is impossible under the prior.
         """
-        return why(self._found, self._table, self._frame, event, over, self._scenario)
+        columns = self._table.columns()
+        columns |= derived_codes(columns["goal_red"], columns["goal_green"], self._scenario)
+        wanted = _satisfied(columns, event)
+        other = ~wanted if over is None else _satisfied(columns, over)
+        odds = np.empty(self._frame + 1)
+        for t in range(self._frame + 1):
+            log_mass = self._table.log_mass(t).ravel()
+            with np.errstate(invalid="ignore"):
+                odds[t] = log_sum_exp(log_mass[wanted]) - log_sum_exp(log_mass[other])
+        if not np.isfinite(odds[0]):
+            possible = np.isfinite(log_sum_exp(self._table.log_mass(0).ravel()[wanted]))
+            raise InvalidSettingError(
+                f"{over if possible else event} is impossible under the prior: there are no odds"
+            )
+        time = self._found["time"].values[: self._frame + 1]
+        return xr.Dataset(
+            {"log_odds": ("time", odds), "change": ("time", np.diff(odds, prepend=odds[0]))},
+            coords={"time": ("time", time, {"units": "s"})},
+            attrs={"event": event, "over": over or f"not {event}"},
+        )
 
     @property
     def scene(self) -> Scene:
@@ -324,16 +340,7 @@ class StepwisePosterior(Hypotheses):
 
     def map_record(self) -> dict[str, Any]:
         """Return :meth:`map` as plain data; ``goal_*`` are the effective goals."""
-        best = self.map()
-        record = best.to_dict()
-        red, green = best.effective_goals
-        return {
-            "goal_red": GOALS[red],
-            "goal_green": GOALS[green],
-            "stated_goal_red": record.pop("goal_red"),
-            "stated_goal_green": record.pop("goal_green"),
-            **record,
-        }
+        return hypothesis_record(self.map())
 
     def __str__(self) -> str:
         found, cost = self.diagnostics(), self.cost
@@ -421,6 +428,15 @@ def _frames(frames: list[int]) -> str:
     if len(frames) > _NAMED:
         return f"{len(frames)} frames ({named}, ...)"
     return f"frame{'s' if len(frames) > 1 else ''} {named}"
+
+
+def _satisfied(columns: Mapping[str, NDArray[np.float64]], text: str) -> NDArray[np.bool_]:
+    """Return which hypotheses fulfil conditions in words."""
+    known = quantities()
+    found = np.ones(len(next(iter(columns.values()))), bool)
+    for name, wanted in conditions(known, text).items():
+        found &= known[name].satisfied(columns[name], wanted)
+    return found
 
 
 def is_stepwise(path: str | os.PathLike[str]) -> bool:
