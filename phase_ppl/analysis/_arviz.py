@@ -53,10 +53,6 @@ def arviz_data(tree: xr.DataTree, scenario: ScenarioFunction | None = None) -> A
     depend on the draws and say nothing; :meth:`~phase_ppl.analysis.posterior.Posterior.diagnostics`
     has some that do.
 
-    Args:
-        tree: of draws.
-        scenario: as in :class:`~phase_ppl.analysis.posterior.Posterior`.
-
     Returns:
         An ``arviz.InferenceData`` where ArviZ is older than 1, otherwise an
         :class:`xarray.DataTree`, with the groups ``posterior``, ``posterior_predictive``,

@@ -63,26 +63,19 @@ VALUES: Final[Mapping[str, Mapping[str, str]]] = {
 class Row(NamedTuple):
     """One figure of two sets.
 
-    Attributes:
-        heading: of the group of rows it belongs to.
-        key: name in the statistics, with the label where it is a count: "relation/friendly".
-        label: what it is called.
-        n: how many in the first set, where they are counted.
-        value: in the first set.
-        margin: half of its 95 % interval, or None.
-        other_n, other: in the other set, or None; two numbers are bounds.
-        stands_out: whether the two differ by more than chance explains.
+    The key is its name in the statistics, with the label where it is a count:
+    "relation/friendly".
     """
 
     heading: str
     key: str
     label: str
-    n: int | None
+    n: int | None  # how many in the first set, where they are counted
     value: float
-    margin: float | None
+    margin: float | None  # half of the 95 % interval
     other_n: int | None
-    other: float | tuple[float, float] | None
-    stands_out: bool
+    other: float | tuple[float, float] | None  # in the other set; two numbers are bounds
+    stands_out: bool  # whether the two differ by more than chance explains
 
 
 def rows(here: Statistics, beside: Statistics = PHASE) -> list[Row]:
@@ -117,10 +110,8 @@ def _table_rows(
             other, other_count = beside["shares"].get(label, 0.0), beside["counts"].get(label, 0)
             differs = shares_differ(share, here["units"], other, beside["units"])
         _, error = _cautious(share, here["units"])
-        found.append(
-            Row(heading, f"{name}/{label}", label, count, share, Z * error, other_count, other,
-                differs)
-        )  # fmt: skip
+        key, margin = f"{name}/{label}", Z * error
+        found.append(Row(heading, key, label, count, share, margin, other_count, other, differs))
     return found
 
 
@@ -158,15 +149,13 @@ def _value_row(
     return Row(heading, name, label, None, here["value"], margin, None, other, differs)
 
 
-# --- in words ----------------------------------------------------------------------------------
-
-
 def data_table(here: Statistics, beside: Statistics = PHASE) -> str:
-    """Return the statistics of a set beside those of another as text of at most 88 columns.
-
-    Arguments as for :func:`rows`.
-    """
-    lines = [*_about(here), "", _line("", clipped(here["name"], 21), clipped(beside["name"], 16))]
+    """Return the statistics of a set beside those of another as text of at most 88 columns."""
+    lines = [
+        *textwrap.wrap(about(here), WIDTH),
+        "",
+        _line("", clipped(here["name"], 21), clipped(beside["name"], 16)),
+    ]
     heading = ""
     shown = rows(here, beside)
     for row in shown:
@@ -185,19 +174,19 @@ def data_table(here: Statistics, beside: Statistics = PHASE) -> str:
     return "\n".join([*lines, *_goals(here), *_draws(here)])
 
 
-def _about(here: Statistics) -> list[str]:
-    words = f"{here['name']}: {counted(here['events'], 'event')}"
+def about(here: Statistics) -> str:
+    """Return of how many events the statistics are, and what is not known of these."""
+    words = f"{here['name']}: {_counted(here['events'], 'event')}"
     if here["units"] != here["events"]:
         words += f", {here['units']} without copies"
     if here["without_truth"]:
         words += f", {here['without_truth']} without truth"
     if here["without_strength"]:
-        words += f", {counted(here['without_strength'], 'agent')} of unknown strength"
-    return textwrap.wrap(words, WIDTH)
+        words += f", {_counted(here['without_strength'], 'agent')} of unknown strength"
+    return words
 
 
-def counted(n: int, noun: str) -> str:
-    """Return such as "1 event" or "2 events"."""
+def _counted(n: int, noun: str) -> str:
     return f"{n} {noun}{'' if n == 1 else 's'}"
 
 

@@ -61,13 +61,7 @@ def sd(values: FloatArray, weights: FloatArray) -> FloatArray:
 
 
 def shares(codes: NDArray[np.int64], weights: FloatArray, size: int = 0) -> FloatArray:
-    """Return (..., code) the sums of weights of every code.
-
-    Args:
-        codes: (row,) 0 and up.
-        weights: (..., row).
-        size: number of codes, at least; there are as many as occur.
-    """
+    """Return (..., code) the sums of weights (..., row) of every code (row,), at least ``size``."""
     size = max(size, int(codes.max()) + 1)
     sums = [np.bincount(codes, some, size) for some in weights.reshape(-1, len(codes))]
     return np.array(sums, np.float64).reshape(*weights.shape[:-1], size)
@@ -81,13 +75,7 @@ def entropy(mass: FloatArray) -> FloatArray:
 
 
 def shortest_interval(values: FloatArray, weights: FloatArray, prob: float) -> tuple[float, float]:
-    """Return the shortest [low, high] between weighted values that holds mass ``prob``.
-
-    Args:
-        values: (row,) ascending.
-        weights: (row,) of any sum.
-        prob: share of the weights.
-    """
+    """Return the shortest [low, high] between ascending values that holds ``prob`` of the mass."""
     cumulative = np.cumsum(weights)
     before = cumulative - weights
     # the tolerance keeps 0.9 of ten equal draws at nine of them
@@ -220,8 +208,7 @@ def leaving_out(
     None of a single group, or where without one of the sets nothing would be left.
 
     Args:
-        weights: (row,) non-negative.
-        groups: (row,) of which group of chains each row is.
+        weights: (row,) non-negative; ``groups``: (row,) of which group of chains each row is.
         halves: masks (row,) of the first and the last half of the draws, if they are compared.
         share: of the groups, see :func:`sets_to_leave_out`.
     """
@@ -246,8 +233,7 @@ def with_unseen(mass: ArrayLike, error: ArrayLike, size: float) -> FloatArray:
     from p. It vanishes as n grows.
 
     Args:
-        mass: probabilities p.
-        error: their errors, as far as the chains show them.
+        mass: probabilities p; ``error``: as far as the chains show it.
         size: n, the number of independent draws that they are worth; NaN: not known.
     """
     p = np.asarray(mass, np.float64)
@@ -259,9 +245,7 @@ def with_unseen(mass: ArrayLike, error: ArrayLike, size: float) -> FloatArray:
 def sets_to_leave_out(n_groups: int, share: float = 0.0) -> tuple[NDArray[np.bool_], float]:
     """Return (set, group) which groups to leave out, and the factor of :class:`Jackknife`.
 
-    Args:
-        n_groups: at least 2.
-        share: of the groups that a random set has; every single group where it comes to one.
+    A random set has a ``share`` of the groups; where that comes to one, sets are single groups.
     """
     size = int(n_groups * share)
     if size < 2:
@@ -273,24 +257,15 @@ def sets_to_leave_out(n_groups: int, share: float = 0.0) -> tuple[NDArray[np.boo
 def doubt(probabilities: FloatArray, without: Jackknife, results: FloatArray) -> float:
     """Return how probable it is that another label than the first of the highest leads in truth.
 
-    See :class:`Mode`.
-
-    Args:
-        probabilities: (label,).
-        without: sets of chains.
-        results: (set, label) the probabilities under each set's weights.
+    See :class:`Mode`. Probabilities are (label,), results (set, label) those without each set.
     """
     leading = int(probabilities.argmax())
-    lead = np.delete(probabilities[leading] - probabilities, leading)
-    error = without.error(np.delete(results[:, [leading]] - results, leading, axis=1), lead)
-    chances = [
-        _chance_of_less_than_nothing(ahead, spread)
-        for ahead, spread in zip(lead.tolist(), error.tolist(), strict=True)
-    ]
-    return max(chances, default=0.0)
-
-
-def _chance_of_less_than_nothing(mean: float, sd: float) -> float:
-    if sd > 0:
-        return 0.5 * math.erfc(mean / (math.sqrt(2) * sd))
-    return 0.5 if mean <= ROUNDING else 0.0
+    leads = np.delete(probabilities[leading] - probabilities, leading)
+    errors = without.error(np.delete(results[:, [leading]] - results, leading, axis=1), leads)
+    chances = [0.0]
+    for lead, error in zip(leads.tolist(), errors.tolist(), strict=True):
+        if error > 0:
+            chances.append(0.5 * math.erfc(lead / (math.sqrt(2) * error)))
+        else:
+            chances.append(0.5 if lead <= ROUNDING else 0.0)
+    return max(chances)

@@ -40,10 +40,6 @@ def over_time(tree: xr.DataTree, scenario: ScenarioFunction | None = None) -> xr
     known it is that of weights ``"visited"``: every pair of effective goals weighs its prior times
     the mean likelihood of its simulations. Nothing is simulated.
 
-    Args:
-        tree: of draws.
-        scenario: as in :class:`~phase_ppl.analysis.posterior.Posterior`.
-
     Returns:
         ``goal_red``, ``goal_green``, ``relation``, ``scenario``: probabilities (time, label),
         with the labels of ``goal_red`` in ``goal_red_is`` and so on; ``time`` in seconds. The
@@ -77,10 +73,8 @@ def by_label(
 ) -> xr.Dataset:
     """Return probabilities (time, label) of each of :data:`FOLLOWED`.
 
-    Args:
-        time: in seconds.
-        codes: quantity -> (row,) codes of the hypotheses.
-        masses: (row, label) which hypotheses have a label -> (time, label) what they weigh.
+    ``codes`` are (row,) of the hypotheses; ``masses`` makes of (row, label), which of them have a
+    label, (time, label) what these weigh.
     """
     result = xr.Dataset(coords={"time": ("time", time, {"units": "s"})})
     known = quantities()

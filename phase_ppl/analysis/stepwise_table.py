@@ -101,11 +101,7 @@ def effective_pairs() -> IntArray:
 
 
 class Table:
-    """All hypotheses of a reading and their log masses at any frame.
-
-    Args:
-        found: the reading.
-    """
+    """All hypotheses of a reading and their log masses at any frame."""
 
     def __init__(self, found: xr.Dataset) -> None:
         self._weight = float(found.attrs["weight"])
@@ -131,9 +127,7 @@ class Table:
     def log_mass(self, frame: int, weight: float | None = None) -> FloatArray:
         """Return the log masses, shaped as ``log_prior``, given the frames up to ``frame``.
 
-        Args:
-            frame: the last one that counts.
-            weight: of each frame; None: the likelihood's.
+        Each counts by ``weight``, by default the likelihood's.
         """
         weight = self._weight if weight is None else weight
         return self._masses(frame, weight * self._so_far[frame])
@@ -200,11 +194,7 @@ class Table:
 
 
 def log_prior_of_pairs(log_prior: FloatArray) -> FloatArray:
-    """Return (goal_red, goal_green) log prior masses of pairs of effective goals.
-
-    Args:
-        log_prior: of hypotheses, as in a reading.
-    """
+    """Return (goal_red, goal_green) log prior masses of pairs of effective goals."""
     found = np.full(N_GOALS**2, -np.inf)
     of_stated = np.logaddexp.reduce(log_prior.reshape(*log_prior.shape[:3], -1), axis=-1)
     np.logaddexp.at(found, effective_pairs().ravel(), of_stated.ravel())

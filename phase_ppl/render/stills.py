@@ -98,11 +98,7 @@ def strip(
 def draw_strip(
     what: Drawable, n: int = 6, scene: Scene | None = None, fields_of_view: bool = False
 ) -> Image.Image:
-    """Return the picture that :func:`strip` writes: panels 300 pixels wide, 36 rows below.
-
-    Raises:
-        InvalidSettingError, InvalidEventError: as :func:`strip`.
-    """
+    """Return the picture that :func:`strip` writes: panels 300 pixels wide, 36 rows below."""
     scene, trajectory = scene_and_trajectory(what, scene)
     if not 1 <= n <= len(trajectory):
         raise InvalidSettingError(f"n={n}, expected one of 1..{len(trajectory)}")

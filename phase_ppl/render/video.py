@@ -42,11 +42,7 @@ MAX_GIF_FPS: Final = 50
 
 
 def encode_mp4(frames: Iterable[Image.Image], path: Path, fps: float) -> None:
-    """Write RGB frames of one even size as H.264 (yuv420p) into ``path``.
-
-    Raises:
-        OSError: there is no ffmpeg, or it failed; the message is its last word.
-    """
+    """Write RGB frames of one even size as H.264 (yuv420p); OSError: ffmpeg's last word."""
     codec = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "18", "-movflags", "+faststart"]
     _encode(frames, fps, [*codec, str(path)])
 
@@ -57,10 +53,7 @@ def encode_gif(
     """Write RGB frames of one size as a GIF that repeats for ever into ``path``.
 
     All frames share one palette, of colours in ``samples``; there is no dithering, which would
-    put noise on plain areas. Of each frame only what changed is stored.
-
-    Raises:
-        OSError: there is no ffmpeg, or it failed; the message is its last word.
+    put noise on plain areas. Of each frame only what changed is stored. OSError: as above.
     """
     with tempfile.TemporaryDirectory() as folder:
         palette = Path(folder) / "palette.png"
@@ -127,8 +120,6 @@ def _start(size: tuple[int, int], fps: float, result: Sequence[str]) -> subproce
         start_new_session=True,  # Ctrl-C is for Python, which then ends ffmpeg
     )
 
-
-# --- animations: an event, or what was observed beside what was predicted, as MP4 or GIF ----------
 
 FRAMES_PER_SECOND: Final = 20
 FRAMES_PER_STEP: Final = 5
@@ -287,11 +278,7 @@ def videos(
 
 
 def _names(events: Sequence[Event]) -> list[str]:
-    """Return a file name for each event: its id, where it is fit for one.
-
-    Raises:
-        InvalidEventError: two events have the same id.
-    """
+    """Return a file name for each event: its id, where it is fit for one."""
     ids = Counter(event.id for event in events)
     twice = next((name for name, n in ids.items() if n > 1), None)
     if twice is not None:

@@ -11,8 +11,8 @@ import numpy as np
 from phase_ppl.analysis.data_table import (
     Row,
     Statistics,
+    about,
     clipped,
-    counted,
     goal_grid,
     number,
     other_text,
@@ -122,14 +122,10 @@ def data_card(
 
 
 def _heading(figure: Figure, here: Statistics, beside: Statistics) -> None:
-    words = counted(here["events"], "event")
-    if here["units"] != here["events"]:
-        words += f", {here['units']} without copies"
-    if here["without_truth"]:
-        words += f", {here['without_truth']} without truth"
-    name, other = (clipped(of["name"], 24) for of in (here, beside))
+    words = about({**here, "name": clipped(here["name"], 24)})
     style: dict[str, Any] = {"x": 0.012, "ha": "left", "fontsize": 9}
-    figure.suptitle(f"{name}: {words}", color=HERE, weight="bold", **style)
+    figure.suptitle(words, color=HERE, weight="bold", **style)
+    other = clipped(beside["name"], 24)
     note = f"in grey: {other}; * differs by more than chance explains (95 %)"
     figure.supxlabel(note, color=GREY, **style)
 
