@@ -16,8 +16,8 @@ from phase_ppl.world.hypothesis import Hypothesis
 from .factory import BLUE_TO_RED, PINK_TO_BLUE, Simulation, hypothesis, make_tree, random_tree
 
 
-def initial(h: Hypothesis, seed: int, **options: float) -> Simulation:
-    return Simulation(h, seed, iteration=0, **options)  # type: ignore[arg-type]
+def initial(h: Hypothesis, seed: int) -> Simulation:
+    return Simulation(h, seed, iteration=0)
 
 
 def proposed(h: Hypothesis, seed: int, **options: object) -> Simulation:
