@@ -29,13 +29,15 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
-from typing import Any, Final, NamedTuple, NoReturn
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final, NamedTuple, NoReturn, TypeVar
 
 import numpy as np
 
 from phase_ppl.analysis.quantities import Quantity
 from phase_ppl.world.errors import QueryError, UnknownNameError, shown, unknown_name
+
+T = TypeVar("T")
 
 QUESTIONS: Final = ("P", "E", "sd", "H", "mode", "top", "hdi")
 """What can be asked; ``top`` and ``hdi`` may be followed by a number."""
@@ -130,18 +132,20 @@ class _Parser:
     def query(self) -> Query:
         question = self._question()
         number = self._share_or_count(question)
-        closing = self._bracket()
-        names, event, given = (), (), ()
+        closing = next((_CLOSING[sign] for sign in _CLOSING if self._take(sign)), None)
+        names: tuple[Word, ...] = ()
+        event: tuple[Condition, ...] = ()
+        given: tuple[Condition, ...] = ()
         if question == "P":
             names, event = self._names_or_event()
         elif question == "H":
-            names = self._names()
+            names = self._listed(self._name)
         else:
             names = (self._name(),)
         bar = self._take("|")
         given_at = self._skip()
         if bar:
-            given = self._conditions(self._condition())
+            given = self._listed(self._condition)
         self._end(closing, bar, lists=bool(given) or question in ("P", "H"))
         return Query(question, number, names, event, given, given_at)
 
@@ -169,34 +173,22 @@ class _Parser:
             self._fail("a share in (0, 1] or percent, as in hdi 94% strength_red", start)
         return number
 
-    def _bracket(self) -> str | None:
-        for opening in "([":
-            if self._take(opening):
-                return _CLOSING[opening]
-        return None
-
     def _names_or_event(self) -> tuple[tuple[Word, ...], tuple[Condition, ...]]:
         name = self._name()
         self._skip()
         if _OPERATOR.match(self._text, self._at):
-            return (), self._conditions(self._condition(name))
-        names = self._names(name)
+            return (), self._listed(self._condition, self._condition(name))
+        names = self._listed(self._name, name)
         place = self._skip()
         if _OPERATOR.match(self._text, place):
             self._fail("names only or conditions only; what is given comes after '|'", place)
         return names, ()
 
-    def _names(self, first: Word | None = None) -> tuple[Word, ...]:
-        names = [first or self._name()]
+    def _listed(self, one: Callable[[], T], first: T | None = None) -> tuple[T, ...]:
+        found = [one() if first is None else first]
         while self._take(","):
-            names.append(self._name())
-        return tuple(names)
-
-    def _conditions(self, first: Condition) -> tuple[Condition, ...]:
-        conditions = [first]
-        while self._take(","):
-            conditions.append(self._condition())
-        return tuple(conditions)
+            found.append(one())
+        return tuple(found)
 
     def _condition(self, name: Word | None = None) -> Condition:
         name = name or self._name()
@@ -206,20 +198,15 @@ class _Parser:
             return Condition(name, Word(operator, start), labels=(self._label(name.text),))
         if operator == "in":
             if self._take("{"):
-                return Condition(name, Word("in {", start), labels=self._labels(name.text))
+                labels = self._listed(lambda: self._label(name.text))
+                self._expect("}", "',' or '}'")
+                return Condition(name, Word("in {", start), labels=labels)
             if self._take("["):
                 return Condition(name, Word("in [", start), numbers=self._interval())
             self._fail("{ and labels, or [ and an interval's ends, after 'in'")
         if operator:
             return Condition(name, Word(operator, start), numbers=(self._number("a number"),))
         self._fail(f"=, !=, <, <=, >, >= or in after {shown(name.text)}")
-
-    def _labels(self, name: str) -> tuple[Word, ...]:
-        labels = [self._label(name)]
-        while self._take(","):
-            labels.append(self._label(name))
-        self._expect("}", "',' or '}'")
-        return tuple(labels)
 
     def _interval(self) -> tuple[float, float]:
         start = self._skip()

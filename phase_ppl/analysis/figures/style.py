@@ -74,7 +74,8 @@ def dressed(axes: Axes, title: str, note: str = "", *, x: str = "", y: str = "")
     """Leave the left and lower axis only; write a title, a note below it, and labels of axes."""
     bare(axes)
     axes.set_title(title, fontsize=NORMAL + 1, loc="left", color=INK, pad=14 if note else 6)
-    axes.text(0, 1.02, note, transform=axes.transAxes, fontsize=SMALL, color=GREY)
+    if note:
+        axes.text(0, 1.02, note, transform=axes.transAxes, fontsize=SMALL, color=GREY)
     axes.set_xlabel(x, fontsize=NORMAL, color=INK, labelpad=2)
     axes.set_ylabel(y, fontsize=NORMAL, color=INK)
 
