@@ -8,7 +8,7 @@ import re
 import subprocess
 import tempfile
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, Final
@@ -186,7 +186,11 @@ def video(
         return drawn[0] if compare is None else _beside(drawn, captions)
 
     with atomic_output(path, SUFFIXES) as part:
-        frames = _with_progress(map(draw, range(n_frames)), n_frames, progress)
+        frames: Iterable[Image.Image] = map(draw, range(n_frames))
+        if progress:
+            from tqdm import tqdm
+
+            frames = tqdm(frames, total=n_frames, unit="frame")
         if as_gif:
             chosen = np.linspace(0, n_frames - 1, min(_SAMPLES, n_frames)).round().astype(int)
             encode_gif(frames, part, fps, samples=map(draw, chosen))
@@ -205,17 +209,6 @@ def _beside(drawn: list[Image.Image], captions: tuple[str, str]) -> Image.Image:
     for index, text in enumerate(captions):
         write_centred(picture, text, (index + 0.5) * PANEL, _CAPTION_Y, _CAPTION_SIZE)
     return picture
-
-
-def _with_progress(
-    frames: Iterator[Image.Image], total: int, progress: bool
-) -> Iterable[Image.Image]:
-    if not progress:
-        return frames
-    from tqdm import tqdm
-
-    bar: Iterable[Image.Image] = tqdm(frames, total=total, unit="frame")
-    return bar
 
 
 # --- videos of a whole set of events, in parallel -------------------------------------------------
