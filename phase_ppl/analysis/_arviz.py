@@ -14,7 +14,7 @@ from phase_ppl.analysis.diagnostics import (
     MIN_DRAWS,
     arviz_module,
     categorical_draws,
-    r_hat,
+    chain_halves,
     scalars,
 )
 from phase_ppl.analysis.quantities import ScenarioFunction, quantities
@@ -111,7 +111,7 @@ def _posterior(tree: xr.DataTree, scenario: ScenarioFunction | None) -> xr.Datas
             label: indicator
             for label, indicator in indicators.items()
             # of fewer draws ArviZ does not look for it either
-            if len(indicator[0]) < MIN_DRAWS or np.isfinite(r_hat(indicator.astype(float), "split"))
+            if len(indicator[0]) < MIN_DRAWS or np.ptp(chain_halves(indicator), axis=1).any()
         }
         left_out[name] = [label for label in indicators if label not in usable]
         if usable:

@@ -53,7 +53,7 @@ def r_hat(values: FloatArray, method: Literal["rank", "split"] = "rank") -> floa
     """
     if not _varies(values):
         return math.nan
-    halves = _halves(values)
+    halves = chain_halves(values)
     if not np.ptp(halves, axis=1).any():  # the variance of equal numbers may be rounded to above 0
         return math.inf if np.ptp(halves) > 0 else math.nan
     chains = values if len(values) > 1 else halves
@@ -94,7 +94,7 @@ def _varies(values: FloatArray) -> bool:
     return bool(np.ptp(values) > np.finfo(float).eps * np.abs(values).max())
 
 
-def _halves(values: FloatArray) -> FloatArray:
+def chain_halves(values: FloatArray) -> FloatArray:
     """Return (2 chains, draw // 2) the first and second half of every chain."""
     half = values.shape[1] // 2
     return np.concatenate([values[:, :half], values[:, -half:]]).astype(float)
