@@ -16,7 +16,9 @@ def texts_apart(figure: Figure) -> int:
         found += [*axes.texts, axes._left_title]  # type: ignore[attr-defined]
         legend = axes.get_legend()
         found += [] if legend is None else legend.get_texts()
-        for axis in (axes.xaxis, axes.yaxis) if axes.axison else ():
+        if not axes.axison:
+            continue
+        for axis in (axes.xaxis, axes.yaxis):
             low, high = sorted(axis.get_view_interval())
             found += [t.label1 for t in axis.get_major_ticks() if low <= t.get_loc() <= high]
             found.append(axis.label)

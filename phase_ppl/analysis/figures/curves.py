@@ -157,7 +157,10 @@ def training_curves(
         f"SocialGNN, {report['settings']['variant']}: {len(members)} "
         f"network{'' if len(members) == 1 else 's'}, {events['train']} training and "
         f"{events['validation']} validation events",
-        **{"x": 0.012, "ha": "left", "fontsize": NORMAL + 1, "color": INK},
+        x=0.012,
+        ha="left",
+        fontsize=NORMAL + 1,
+        color=INK,
     )
     longest = max(len(member["curves"]["training"]) for member in members)
     for axes, (title, lines) in zip(figure.subplots(1, 2), _CURVES.items(), strict=True):
@@ -166,7 +169,7 @@ def training_curves(
             for number, member in enumerate(members):
                 values = member["curves"][name]
                 epochs = np.arange(1, len(values) + 1)
-                style = {"color": colour, "label": None if number else label}
+                style: dict[str, Any] = {"color": colour, "label": None if number else label}
                 axes.plot(epochs, values, lw=0.9, alpha=0.75, **style)
                 if name != "training":
                     kept = member["best_epoch"]
