@@ -6,8 +6,8 @@ from phase_ppl.analysis import plots as _plots
 from phase_ppl.analysis.comparison import Comparison as Comparison
 from phase_ppl.analysis.estimate import Estimate as Estimate
 from phase_ppl.analysis.figures.film import watch_film as watch_film
-from phase_ppl.analysis.load import load_posterior as load_posterior
 from phase_ppl.analysis.posterior import Posterior as Posterior
+from phase_ppl.analysis.posterior import load_posterior as load_posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior as StepwisePosterior
 from phase_ppl.closed_loop.hidden_state import Tracking as Tracking
 from phase_ppl.dataset.events_netcdf import event_dataset as event_dataset

@@ -1,17 +1,22 @@
-"""The one place that knows ArviZ, of which two generations are supported: 0.22+ and 1.x."""
+"""The draws in ArviZ's form, of which two generations are supported: 0.22+ and 1.x."""
 
 from __future__ import annotations
 
 import importlib.metadata
 import json
-import warnings
 from typing import Any, Final
 
 import numpy as np
 import xarray as xr
 
-from phase_ppl.analysis import diagnostics
-from phase_ppl.analysis.diagnostics import MASS, categorical_draws, scalars
+from phase_ppl.analysis.diagnostics import (
+    MASS,
+    MIN_DRAWS,
+    arviz_module,
+    categorical_draws,
+    chain_halves,
+    scalars,
+)
 from phase_ppl.analysis.quantities import ScenarioFunction, quantities
 from phase_ppl.analysis.tree import SIMULATED, log_weight_of_draws
 from phase_ppl.world.errors import InvalidSettingError
@@ -48,10 +53,6 @@ def arviz_data(tree: xr.DataTree, scenario: ScenarioFunction | None = None) -> A
     depend on the draws and say nothing; :meth:`~phase_ppl.analysis.posterior.Posterior.diagnostics`
     has some that do.
 
-    Args:
-        tree: of draws.
-        scenario: as in :class:`~phase_ppl.analysis.posterior.Posterior`.
-
     Returns:
         An ``arviz.InferenceData`` where ArviZ is older than 1, otherwise an
         :class:`xarray.DataTree`, with the groups ``posterior``, ``posterior_predictive``,
@@ -75,13 +76,7 @@ def arviz_data(tree: xr.DataTree, scenario: ScenarioFunction | None = None) -> A
         data = xr.DataTree.from_dict(groups)
         data.attrs = dict(tree.attrs)
         return data
-    with warnings.catch_warnings():
-        # announces ArviZ 1, with which this works too
-        warnings.simplefilter("ignore", FutureWarning)
-        import arviz
-
-        make: Any = arviz.InferenceData
-        return make(attrs=dict(tree.attrs), **groups)
+    return arviz_module().InferenceData(attrs=dict(tree.attrs), **groups)
 
 
 def _replicated(tree: xr.DataTree) -> xr.Dataset | None:
@@ -112,7 +107,12 @@ def _posterior(tree: xr.DataTree, scenario: ScenarioFunction | None) -> xr.Datas
             for code, label in enumerate(quantities()[name].categories())
             if (codes == code).mean() > MASS
         }
-        usable = {k: v for k, v in indicators.items() if _has_r_hat(v.astype(float))}
+        usable = {
+            label: indicator
+            for label, indicator in indicators.items()
+            # of fewer draws ArviZ does not look for it either
+            if len(indicator[0]) < MIN_DRAWS or np.ptp(chain_halves(indicator), axis=1).any()
+        }
         left_out[name] = [label for label in indicators if label not in usable]
         if usable:
             dim = f"{name}_is"
@@ -120,9 +120,3 @@ def _posterior(tree: xr.DataTree, scenario: ScenarioFunction | None) -> xr.Datas
             result = result.assign_coords({dim: list(usable)})
     result.attrs["left_out"] = json.dumps({k: v for k, v in left_out.items() if v})
     return result
-
-
-def _has_r_hat(indicator: np.ndarray[Any, np.dtype[np.float64]]) -> bool:
-    if indicator.shape[1] < diagnostics.MIN_DRAWS:  # ArviZ does not look for it either
-        return True
-    return bool(np.isfinite(diagnostics.split_r_hat(indicator)))

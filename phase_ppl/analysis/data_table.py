@@ -63,26 +63,19 @@ VALUES: Final[Mapping[str, Mapping[str, str]]] = {
 class Row(NamedTuple):
     """One figure of two sets.
 
-    Attributes:
-        heading: of the group of rows it belongs to.
-        key: name in the statistics, with the label where it is a count: "relation/friendly".
-        label: what it is called.
-        n: how many in the first set, where they are counted.
-        value: in the first set.
-        margin: half of its 95 % interval, or None.
-        other_n, other: in the other set, or None; two numbers are bounds.
-        stands_out: whether the two differ by more than chance explains.
+    The key is its name in the statistics, with the label where it is a count:
+    "relation/friendly".
     """
 
     heading: str
     key: str
     label: str
-    n: int | None
+    n: int | None  # how many in the first set, where they are counted
     value: float
-    margin: float | None
+    margin: float | None  # half of the 95 % interval
     other_n: int | None
-    other: float | tuple[float, float] | None
-    stands_out: bool
+    other: float | tuple[float, float] | None  # in the other set; two numbers are bounds
+    stands_out: bool  # whether the two differ by more than chance explains
 
 
 def rows(here: Statistics, beside: Statistics = PHASE) -> list[Row]:
@@ -117,10 +110,8 @@ def _table_rows(
             other, other_count = beside["shares"].get(label, 0.0), beside["counts"].get(label, 0)
             differs = shares_differ(share, here["units"], other, beside["units"])
         _, error = _cautious(share, here["units"])
-        found.append(
-            Row(heading, f"{name}/{label}", label, count, share, Z * error, other_count, other,
-                differs)
-        )  # fmt: skip
+        key, margin = f"{name}/{label}", Z * error
+        found.append(Row(heading, key, label, count, share, margin, other_count, other, differs))
     return found
 
 
@@ -158,15 +149,13 @@ def _value_row(
     return Row(heading, name, label, None, here["value"], margin, None, other, differs)
 
 
-# --- in words ----------------------------------------------------------------------------------
-
-
 def data_table(here: Statistics, beside: Statistics = PHASE) -> str:
-    """Return the statistics of a set beside those of another as text of at most 88 columns.
-
-    Arguments as for :func:`rows`.
-    """
-    lines = [*_about(here), "", _line("", _clipped(here["name"], 21), _clipped(beside["name"], 16))]
+    """Return the statistics of a set beside those of another as text of at most 88 columns."""
+    lines = [
+        *textwrap.wrap(about(here), WIDTH),
+        "",
+        _line("", clipped(here["name"], 21), clipped(beside["name"], 16)),
+    ]
     heading = ""
     shown = rows(here, beside)
     for row in shown:
@@ -185,19 +174,19 @@ def data_table(here: Statistics, beside: Statistics = PHASE) -> str:
     return "\n".join([*lines, *_goals(here), *_draws(here)])
 
 
-def _about(here: Statistics) -> list[str]:
-    words = f"{here['name']}: {counted(here['events'], 'event')}"
+def about(here: Statistics) -> str:
+    """Return of how many events the statistics are, and what is not known of these."""
+    words = f"{here['name']}: {_counted(here['events'], 'event')}"
     if here["units"] != here["events"]:
         words += f", {here['units']} without copies"
     if here["without_truth"]:
         words += f", {here['without_truth']} without truth"
     if here["without_strength"]:
-        words += f", {counted(here['without_strength'], 'agent')} of unknown strength"
-    return textwrap.wrap(words, WIDTH)
+        words += f", {_counted(here['without_strength'], 'agent')} of unknown strength"
+    return words
 
 
-def counted(n: int, noun: str) -> str:
-    """Return such as "1 event" or "2 events"."""
+def _counted(n: int, noun: str) -> str:
     return f"{n} {noun}{'' if n == 1 else 's'}"
 
 
@@ -211,7 +200,7 @@ def _row_line(row: Row) -> str:
     here = f"{count:>7} {number(row.value, row):>6}{margin}"
     other_count = "" if row.other_n is None else str(row.other_n)
     other = f"{other_count:>7} {other_text(row):>8}"
-    return _line(f"  {_clipped(row.label, 37)}", here, other, "*" if row.stands_out else "")
+    return _line(f"  {clipped(row.label, 37)}", here, other, "*" if row.stands_out else "")
 
 
 def other_text(row: Row) -> str:
@@ -265,12 +254,13 @@ def _draws(here: Statistics) -> list[str]:
     lines = ["", f"{'draws':<28}{'kept':>6}{'of':>6}{'share':>7}  why not"]
     for cell, draw in here["draws"].items():
         share = "" if draw["share"] is None else f"{draw['share']:.2f}"
-        start = f"  {_clipped(cell, 25):<26}{draw['kept']:>6}{draw['tried']:>6}{share:>7}  "
+        start = f"  {clipped(cell, 25):<26}{draw['kept']:>6}{draw['tried']:>6}{share:>7}  "
         why = ", ".join(f"{reason} {n}" for reason, n in draw["reasons"].items())
         indent = " " * len(start)
         lines += textwrap.wrap(start + why, WIDTH, subsequent_indent=indent) or [start.rstrip()]
     return lines
 
 
-def _clipped(text: str, length: int) -> str:
+def clipped(text: str, length: int) -> str:
+    """Return a text of at most so many characters."""
     return text if len(text) <= length else text[: length - 1] + "…"

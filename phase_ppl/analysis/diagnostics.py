@@ -1,12 +1,13 @@
-"""How the chains went, in numbers; :mod:`~phase_ppl.analysis.diagnostics` says it in words."""
+"""How the chains went: numbers (R-hat and effective sizes by ArviZ), and a verdict in words."""
 
 from __future__ import annotations
 
 import itertools
 import json
 import math
-from collections.abc import Callable, Mapping
-from typing import Any, Final
+import warnings
+from collections.abc import Mapping
+from typing import Any, Final, Literal
 
 import numpy as np
 import pandas as pd
@@ -29,51 +30,62 @@ MIN_DRAWS_WITHIN: Final = 10
 MIN_CHAINS_BETWEEN: Final = 4
 """Chains below which no effective sample size is taken from the spread between them."""
 
-_TAIL: Final = 0.05
+_TAIL: Final = (0.05, 0.95)
 
 
-def r_hat(values: FloatArray) -> float:
-    """Return the rank-normalised split R-hat of (chain, draw) numbers: 1 where chains have mixed.
+def arviz_module() -> Any:
+    """Return ArviZ, which is slow to import."""
+    with warnings.catch_warnings():
+        # announces ArviZ 1, with which this works too
+        warnings.simplefilter("ignore", FutureWarning)
+        import arviz
 
-    The larger one of bulk and tail. NaN where it does not exist: fewer than four draws, a value
-    that is not finite, or all values the same.
+        return arviz
+
+
+def r_hat(values: FloatArray, method: Literal["rank", "split"] = "rank") -> float:
+    """Return the split R-hat of (chain, draw) numbers: 1 where chains have mixed.
+
+    Rank-normalised, the larger one of bulk and tail; or by ``"split"`` of the numbers as they
+    are, as for indicators. Of a single chain the halves are the chains. Infinite where all
+    spread is between halves of chains. NaN where it does not exist: fewer than four draws, a
+    value that is not finite, or all values the same.
     """
     if not _varies(values):
         return math.nan
-    halves = _halves(values)
-    folded = np.abs(halves - np.median(halves))
-    return max(_ratio(_normal_ranks(halves)), _ratio(_normal_ranks(folded)))
+    halves = chain_halves(values)
+    if not np.ptp(halves, axis=1).any():  # the variance of equal numbers may be rounded to above 0
+        return math.inf if np.ptp(halves) > 0 else math.nan
+    chains = values if len(values) > 1 else halves
+    if chains.shape[1] < MIN_DRAWS:
+        return math.nan
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return float(arviz_module().rhat(chains, method=method))
 
 
-def split_r_hat(values: FloatArray) -> float:
-    """Return the split R-hat of (chain, draw) numbers as they are, as for indicators; or NaN."""
-    return _ratio(_halves(values)) if _varies(values) else math.nan
+def ess(values: FloatArray, method: Literal["bulk", "tail", "mean"]) -> float:
+    """Return the effective number of (chain, draw) numbers; NaN as for :func:`r_hat`.
 
-
-def ess_bulk(values: FloatArray) -> float:
-    """Return the effective number of draws for the centre of (chain, draw) numbers; or NaN."""
-    return _effective(values, _normal_ranks) if _varies(values) else math.nan
-
-
-def ess_tail(values: FloatArray) -> float:
-    """Return the effective number of draws for the 5 % and 95 % quantiles, the lower; or NaN."""
+    For the centre (bulk), for the 5 % and 95 % quantiles, the lower (tail), or for the mean. Of
+    chains too short for autocorrelations, where the usual estimate hardly depends on the draws,
+    it follows from the spread between the chains, if there are enough.
+    """
     if not _varies(values):
         return math.nan
-    low, high = np.quantile(values, (_TAIL, 1 - _TAIL))
-    return min(
-        _effective(values, lambda chains: (chains <= low).astype(float)),
-        _effective(values, lambda chains: (chains <= high).astype(float)),
-    )
+    if values.shape[1] >= MIN_DRAWS_WITHIN:
+        options = {"prob": _TAIL} if method == "tail" else {}
+        return float(arviz_module().ess(values, method=method, **options))
+    if method == "tail":
+        low, high = (_ess_between((values <= q).astype(float)) for q in np.quantile(values, _TAIL))
+        return min(low, high)
+    return _ess_between(_normal_ranks(values) if method == "bulk" else values)
 
 
-def ess_mean(values: FloatArray) -> float:
-    """Return the effective number of draws for the mean of (chain, draw) numbers; or NaN."""
-    return _effective(values) if _varies(values) else math.nan
-
-
-def mcse_mean(values: FloatArray) -> float:
+def mcse(values: FloatArray) -> float:
     """Return the Monte-Carlo standard error of the mean of (chain, draw) numbers; or NaN."""
-    return float(values.std(ddof=1)) / math.sqrt(ess_mean(values)) if _varies(values) else math.nan
+    return (
+        float(values.std(ddof=1)) / math.sqrt(ess(values, "mean")) if _varies(values) else math.nan
+    )
 
 
 def _varies(values: FloatArray) -> bool:
@@ -82,7 +94,7 @@ def _varies(values: FloatArray) -> bool:
     return bool(np.ptp(values) > np.finfo(float).eps * np.abs(values).max())
 
 
-def _halves(values: FloatArray) -> FloatArray:
+def chain_halves(values: FloatArray) -> FloatArray:
     """Return (2 chains, draw // 2) the first and second half of every chain."""
     half = values.shape[1] // 2
     return np.concatenate([values[:, :half], values[:, -half:]]).astype(float)
@@ -91,74 +103,22 @@ def _halves(values: FloatArray) -> FloatArray:
 def _normal_ranks(values: FloatArray) -> FloatArray:
     """Return the values' ranks, of equals the mean, as quantiles of the normal distribution."""
     ranks = pd.Series(values.ravel()).rank().to_numpy()
-    shares = (ranks - 3 / 8) / (values.size + 1 / 4)
-    quantiles: FloatArray = scipy.special.ndtri(shares)
+    quantiles: FloatArray = scipy.special.ndtri((ranks - 3 / 8) / (values.size + 1 / 4))
     return quantiles.reshape(values.shape)
 
 
-def _ratio(chains: FloatArray) -> float:
-    """Return R-hat; infinite where all spread is between chains, NaN where there is none."""
-    n = chains.shape[1]
-    between = chains.mean(axis=1).var(ddof=1)
-    if np.ptp(chains, axis=1).any():  # of equal numbers the variance may be rounded to above 0
-        within = chains.var(axis=1, ddof=1).mean()
-        return float(np.sqrt(between / within + (n - 1) / n))
-    return math.inf if between > 0 else math.nan
-
-
-def _effective(
-    values: FloatArray, view: Callable[[FloatArray], FloatArray] = lambda chains: chains
-) -> float:
-    """Return the effective sample size of what ``view`` makes of the chains."""
-    long = values.shape[1] >= MIN_DRAWS_WITHIN
-    chains = view(_halves(values) if long else values)
+def _ess_between(chains: FloatArray) -> float:
+    """Return the effective sample size that the spread between the chains' means tells."""
     if np.ptp(chains) < np.finfo(float).resolution:
         return float(chains.size)
-    most = chains.size * math.log10(chains.size)  # of chains that alternate
-    if long:
-        return chains.size / max(_autocorrelation_time(chains), chains.size / most)
     if len(chains) < MIN_CHAINS_BETWEEN:
         return math.nan
     squared_error = chains.mean(axis=1).var(ddof=1) / len(chains)
     variance = chains.var(ddof=1)
-    return float(variance / max(squared_error, variance / most))
+    return float(variance / max(squared_error, variance / (chains.size * math.log10(chains.size))))
 
 
-def _autocorrelation_time(chains: FloatArray) -> float:
-    """Return the sum of the autocorrelations, by Geyer's initial monotone sequence."""
-    n = chains.shape[1]
-    covariance = _autocovariance(chains).mean(axis=0)
-    within = covariance[0] * n / (n - 1)
-    total = covariance[0] + chains.mean(axis=1).var(ddof=1)
-    rho = 1 - (within - covariance) / total
-    rho[0] = 1.0
-    kept = np.zeros(n)
-    kept[:2] = rho[:2]
-    even, odd, t = 1.0, rho[1], 1
-    while t < n - 3 and even + odd > 0:
-        even, odd = rho[t + 1], rho[t + 2]
-        if even + odd >= 0:
-            kept[t + 1], kept[t + 2] = even, odd
-        t += 2
-    last = t - 2
-    if even > 0:
-        kept[last + 1] = even
-    for t in range(1, last - 1, 2):  # sums of pairs must not grow
-        before = kept[t - 1] + kept[t]
-        if kept[t + 1] + kept[t + 2] > before:
-            kept[t + 1] = kept[t + 2] = before / 2
-    return float(-1 + 2 * kept[: last + 1].sum() + kept[last + 1 : last + 2].sum())
-
-
-def _autocovariance(chains: FloatArray) -> FloatArray:
-    """Return (chain, lag) autocovariances, divided by the number of draws at every lag."""
-    n = chains.shape[1]
-    deviation = chains - chains.mean(axis=1, keepdims=True)
-    spectrum = np.fft.rfft(deviation, 2 * n, axis=1)
-    return np.fft.irfft(spectrum * spectrum.conj(), 2 * n, axis=1)[:, :n] / n
-
-
-# --- in words, whether a posterior can be trusted -------------------------------------------------
+# --- in words, whether a posterior can be trusted --------------------------------------------
 
 AGREED: Final = 0.8
 """Share of particles with the same leading goal from which on they are said to agree."""
@@ -184,23 +144,30 @@ _NAMED: Final = 2
 
 
 def verdict(found: Mapping[str, Any]) -> str:
-    """Return in a few sentences whether the posterior with these diagnostics can be trusted.
+    """Return in a few sentences whether a posterior with these diagnostics can be trusted.
 
     What speaks most against it comes first. Only where nothing does, this is said.
-
-    Args:
-        found: what :func:`phase_ppl.analysis.diagnostics.diagnostics` returns.
     """
     weighted = found["weighted_draws_ess"] is not None
-    signs = [
-        *_biased(found),
-        *([] if weighted else _acceptance(found["acceptance_rate"])),
-        *_few(found),
-        *([_weighted(found)] if weighted else _disagreement(found)),
-        *([] if weighted else _mixing(found)),
-        *([] if weighted else _other_leaders(found["categories"])),
-        *_untried(found),
-    ]
+    signs = _biased(found)
+    if not weighted:
+        signs += _acceptance(found["acceptance_rate"])
+    size = found["effective_size"]
+    if size is not None and size < FEW_DRAWS:
+        signs.append(
+            f"The goals are no surer than by {size:.1f} independent draws: single simulations "
+            "decide, and another run may well differ."
+        )
+    if weighted:
+        signs.append(_weighted(found))
+    else:
+        signs += _disagreement(found) + _mixing(found) + _other_leaders(found["categories"])
+    untried = found["untried"]
+    if untried is not None and untried >= UNTRIED:
+        signs.append(
+            f"Pairs of goals with {untried:.2f} of the prior's mass were never simulated, and "
+            "count as impossible."
+        )
     simulations = found["simulations"]
     if simulations["failed"]:
         signs.append(f"{simulations['failed']} of {simulations['total']} simulations failed.")
@@ -229,26 +196,6 @@ def _biased(found: Mapping[str, Any]) -> list[str]:
             "long it runs."
         )
     return sentences
-
-
-def _few(found: Mapping[str, Any]) -> list[str]:
-    size = found["effective_size"]
-    if size is None or size >= FEW_DRAWS:
-        return []
-    return [
-        f"The goals are no surer than by {size:.1f} independent draws: single simulations decide, "
-        "and another run may well differ."
-    ]
-
-
-def _untried(found: Mapping[str, Any]) -> list[str]:
-    untried = found["untried"]
-    if untried is None or untried < UNTRIED:
-        return []
-    return [
-        f"Pairs of goals with {untried:.2f} of the prior's mass were never simulated, and count "
-        "as impossible."
-    ]
 
 
 def _margin(found: Mapping[str, Any]) -> str:
@@ -356,7 +303,7 @@ def _weighted(found: Mapping[str, Any]) -> str:
     return f"{text}: so few decide that another run may well differ." if ess < FEW else f"{text}."
 
 
-# --- how the chains went, in numbers; verdict says it in words ------------------------------------
+# --- in numbers ------------------------------------------------------------------------------
 
 MASS: Final = 0.02
 """Share of the draws, or probability, from which on a category is reported."""
@@ -396,7 +343,7 @@ def diagnostics(
     * ``untried``: prior mass of the pairs of effective goals without a completed simulation; None
       where the file does not hold the prior of pairs.
     * ``scalars``: of the log joint, total error, strengths and real sites of the user's own,
-      ``r_hat``, ``ess_bulk`` and ``ess_tail`` (:mod:`phase_ppl.analysis.diagnostics`).
+      ``r_hat``, ``ess_bulk`` and ``ess_tail``.
     * ``categories``: of goals, relation and scenario, each category whose ``probability`` under
       the weighting or ``share`` of the draws exceeds 2 %, most probable first, with ``ess``,
       ``mcse`` (standard error of the share) and split ``r_hat`` of its indicator.
@@ -416,8 +363,7 @@ def diagnostics(
 
     Args:
         tree: of draws.
-        weights: name of the weighting in use.
-        rows: its table, with relation and scenario.
+        weights: name of the weighting in use; ``rows``: its table, with relation and scenario.
         errors: of the leading goals' probabilities, by name of the goal.
         effective_size: see above; NaN: not known.
         scenario: as in :class:`~phase_ppl.analysis.posterior.Posterior`.
@@ -445,7 +391,9 @@ def diagnostics(
         "acceptance_by_iteration": [float(rate) for rate in accepted.mean(axis=0)],
         "acceptance_rate": float(accepted.mean()),
         "move_rate": float((pair[:, 1:] != pair[:, :-1]).mean()) if n_draws > 1 else None,
-        "distinct_hypotheses": _n_distinct([posterior[name].values for name in HYPOTHESIS]),
+        "distinct_hypotheses": len(
+            set(zip(*(posterior[name].values.ravel().tolist() for name in HYPOTHESIS), strict=True))
+        ),
         "distinct_goal_pairs": len(np.unique(pair)),
         "effective_rows": float(1 / (rows.weights**2).sum()),
         "weighted_draws_ess": (
@@ -458,7 +406,12 @@ def diagnostics(
         "effective_size": _finite(effective_size),
         "untried": _finite(untried(tree)),
         "scalars": {
-            name: _convergence_of_scalar(values, weighted) for name, values in scalars(tree).items()
+            name: {
+                "r_hat": None if weighted else _finite(r_hat(values)),
+                "ess_bulk": None if weighted else _finite(ess(values, "bulk")),
+                "ess_tail": None if weighted else _finite(ess(values, "tail")),
+            }
+            for name, values in scalars(tree).items()
         },
         "categories": {
             name: _categories(name, codes, draw_weights, rows, weighted)
@@ -498,17 +451,6 @@ def categorical_draws(
     return {"goal_red": red, "goal_green": green, **shaped}
 
 
-def _convergence_of_scalar(values: FloatArray, weighted: bool) -> dict[str, float | None]:
-    measures = {
-        "r_hat": r_hat,
-        "ess_bulk": ess_bulk,
-        "ess_tail": ess_tail,
-    }
-    return {
-        name: None if weighted else _finite(measure(values)) for name, measure in measures.items()
-    }
-
-
 def _categories(
     name: str,
     codes: NDArray[np.int64],
@@ -524,18 +466,12 @@ def _categories(
         if max(probability[code], share[code]) <= MASS:
             continue
         indicator = (codes == code).astype(float)
-        measures = {
-            "ess": ess_mean,
-            "mcse": mcse_mean,
-            "r_hat": split_r_hat,
-        }
         found[labels[code]] = {
             "probability": float(probability[code]),
             "share": float(share[code]),
-            **{
-                key: None if weighted else _finite(measure(indicator))
-                for key, measure in measures.items()
-            },
+            "ess": None if weighted else _finite(ess(indicator, "mean")),
+            "mcse": None if weighted else _finite(mcse(indicator)),
+            "r_hat": None if weighted else _finite(r_hat(indicator, "split")),
         }
     return found
 
@@ -585,10 +521,6 @@ def _between_chain_tv(by_chain: FloatArray, shares: FloatArray) -> dict[str, flo
     if not distances:
         return None
     return {"mean": float(np.mean(distances)), "max": max(distances)}
-
-
-def _n_distinct(columns: list[NDArray[Any]]) -> int:
-    return len(set(zip(*(column.reshape(-1).tolist() for column in columns), strict=True)))
 
 
 def _simulation_costs(tree: xr.DataTree, n_frames: int) -> dict[str, Any]:

@@ -27,18 +27,14 @@ enumerated (``benchmarks/estimates.py``).
 from __future__ import annotations
 
 import dataclasses
-import functools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from phase_ppl.analysis.quantities import Quantity
-from phase_ppl.analysis.weights import Rows
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.errors import InvalidSettingError, unknown_name
 
 ROUNDING: Final = 1e-12
 """What is smaller, as a share of what was summed up, is left over from rounding."""
@@ -65,13 +61,7 @@ def sd(values: FloatArray, weights: FloatArray) -> FloatArray:
 
 
 def shares(codes: NDArray[np.int64], weights: FloatArray, size: int = 0) -> FloatArray:
-    """Return (..., code) the sums of weights of every code.
-
-    Args:
-        codes: (row,) 0 and up.
-        weights: (..., row).
-        size: number of codes, at least; there are as many as occur.
-    """
+    """Return (..., code) the sums of weights (..., row) of every code (row,), at least ``size``."""
     size = max(size, int(codes.max()) + 1)
     sums = [np.bincount(codes, some, size) for some in weights.reshape(-1, len(codes))]
     return np.array(sums, np.float64).reshape(*weights.shape[:-1], size)
@@ -85,13 +75,7 @@ def entropy(mass: FloatArray) -> FloatArray:
 
 
 def shortest_interval(values: FloatArray, weights: FloatArray, prob: float) -> tuple[float, float]:
-    """Return the shortest [low, high] between weighted values that holds mass ``prob``.
-
-    Args:
-        values: (row,) ascending.
-        weights: (row,) of any sum.
-        prob: share of the weights.
-    """
+    """Return the shortest [low, high] between ascending values that holds ``prob`` of the mass."""
     cumulative = np.cumsum(weights)
     before = cumulative - weights
     # the tolerance keeps 0.9 of ten equal draws at nine of them
@@ -101,31 +85,6 @@ def shortest_interval(values: FloatArray, weights: FloatArray, prob: float) -> t
     best = int(np.argmin(ends - starts))
     return float(starts[best]), float(ends[best])
 
-
-# --- results with their Monte-Carlo errors --------------------------------------------------------
-# A statistic is computed anew without some of the chains (the jackknife); how much the results
-# differ tells how much it would differ between runs: error^2 = (n - d) / d * mean squared
-# deviation from their mean, where sets of d of n chains are left out. These are all single chains
-# (d = 1), but for intervals random thirds, since ends of intervals jump from draw to draw and
-# single chains would make too much of it. Two things are added that chains do not show by
-# differing from each other:
-#
-# * Chains that still move away from where they began. Where draws count equally, the squared
-# difference of the statistic between the first and the last half of the draws, as far as it is
-# beyond chance. Of chains that have settled this makes errors too large, by up to two thirds. *
-# What few draws need not have shown. Fifteen particles that agree do not make a goal impossible:
-# the error of a probability is at least that of Jeffreys' posterior after as many independent
-# draws as the run is worth (:func:`with_unseen`).
-#
-# So an error is
-#
-# * unknown (NaN) with one chain, or where without one of the sets nothing is left to condition
-# on; * too small where all chains began at the same wrong place and none has left it; * too small
-# for kernels whose chains exchange states (smc, sa, aies), and too large for ``enumerate``, whose
-# chains share out the hypotheses and do not sample them.
-#
-# How often an answer lies within 1.96 errors of the exact one was measured on worlds that can be
-# enumerated (``benchmarks/estimates.py``).
 
 N_SETS: Final = 30
 """Random sets of chains that are left out."""
@@ -249,8 +208,7 @@ def leaving_out(
     None of a single group, or where without one of the sets nothing would be left.
 
     Args:
-        weights: (row,) non-negative.
-        groups: (row,) of which group of chains each row is.
+        weights: (row,) non-negative; ``groups``: (row,) of which group of chains each row is.
         halves: masks (row,) of the first and the last half of the draws, if they are compared.
         share: of the groups, see :func:`sets_to_leave_out`.
     """
@@ -275,8 +233,7 @@ def with_unseen(mass: ArrayLike, error: ArrayLike, size: float) -> FloatArray:
     from p. It vanishes as n grows.
 
     Args:
-        mass: probabilities p.
-        error: their errors, as far as the chains show them.
+        mass: probabilities p; ``error``: as far as the chains show it.
         size: n, the number of independent draws that they are worth; NaN: not known.
     """
     p = np.asarray(mass, np.float64)
@@ -288,9 +245,7 @@ def with_unseen(mass: ArrayLike, error: ArrayLike, size: float) -> FloatArray:
 def sets_to_leave_out(n_groups: int, share: float = 0.0) -> tuple[NDArray[np.bool_], float]:
     """Return (set, group) which groups to leave out, and the factor of :class:`Jackknife`.
 
-    Args:
-        n_groups: at least 2.
-        share: of the groups that a random set has; every single group where it comes to one.
+    A random set has a ``share`` of the groups; where that comes to one, sets are single groups.
     """
     size = int(n_groups * share)
     if size < 2:
@@ -302,182 +257,15 @@ def sets_to_leave_out(n_groups: int, share: float = 0.0) -> tuple[NDArray[np.boo
 def doubt(probabilities: FloatArray, without: Jackknife, results: FloatArray) -> float:
     """Return how probable it is that another label than the first of the highest leads in truth.
 
-    See :class:`Mode`.
-
-    Args:
-        probabilities: (label,).
-        without: sets of chains.
-        results: (set, label) the probabilities under each set's weights.
+    See :class:`Mode`. Probabilities are (label,), results (set, label) those without each set.
     """
     leading = int(probabilities.argmax())
-    lead = np.delete(probabilities[leading] - probabilities, leading)
-    error = without.error(np.delete(results[:, [leading]] - results, leading, axis=1), lead)
-    chances = [
-        _chance_of_less_than_nothing(ahead, spread)
-        for ahead, spread in zip(lead.tolist(), error.tolist(), strict=True)
-    ]
-    return max(chances, default=0.0)
-
-
-def _chance_of_less_than_nothing(mean: float, sd: float) -> float:
-    if sd > 0:
-        return 0.5 * math.erfc(mean / (math.sqrt(2) * sd))
-    return 0.5 if mean <= ROUNDING else 0.0
-
-
-# --- rows of hypotheses with weights: names, conditions, and how far answers differ by... ---------
-
-_LISTED: Final = 5
-"""Labels that a message names at most, the most probable first."""
-
-
-class WeightedRows:
-    """Rows of hypotheses with weights, and what every question about them needs.
-
-    Args:
-        quantities: by name.
-        rows: the table; its values are codes or numbers of every quantity.
-        groups: (row,) of which group of chains each row is, 0 and up; None: nothing was drawn in
-            chains.
-        halves: masks (row,) of the first and the last half of the draws, if these are to agree.
-    """
-
-    def __init__(
-        self,
-        quantities: Mapping[str, Quantity],
-        rows: Rows,
-        groups: NDArray[np.int64] | None = None,
-        halves: Sequence[NDArray[np.bool_]] = (),
-    ) -> None:
-        self._quantities = dict(quantities)
-        self._rows = rows
-        self._groups = groups
-        self._halves = tuple(halves)
-        self._jackknives: dict[float, Jackknife | None] = {}
-        self._own: set[str] = set()  # quantities that the user defined
-
-    def _quantity(self, name: str) -> Quantity:
-        if name not in self._quantities:
-            raise unknown_name("quantity", name, self._quantities)
-        return self._quantities[name]
-
-    def _distinct(self, names: tuple[str, ...]) -> tuple[str, ...]:
-        if not names:
-            raise InvalidSettingError("name a quantity, as in joint('goal_red', 'goal_green')")
-        for place, name in enumerate(names):
-            if name in names[:place]:
-                raise InvalidSettingError(f"{name!r} is named twice: expected different quantities")
-        return names
-
-    def _numbers(self, name: str) -> FloatArray:
-        return self._quantity(name).numbers(self._rows.values[name])
-
-    def _satisfied(self, conditions: Mapping[str, Any]) -> NDArray[np.bool_]:
-        result = np.ones(len(self._rows.weights), bool)
-        for name, wanted in conditions.items():
-            result &= self._quantity(name).satisfied(self._rows.values[name], wanted)
-        return result
-
-    def why_impossible(self, given: Mapping[str, Any]) -> str:
-        """Return why nothing can be conditioned on ``given``, and what could be instead.
-
-        Args:
-            given: quantity -> value, together of probability 0.
-        """
-        why = "it has probability 0 in this posterior"
-        for name, wanted in given.items():
-            quantity, values = self._quantity(name), self._rows.values[name]
-            if self._rows.weights[quantity.satisfied(values, wanted)].sum() > 0:
-                continue
-            has_mass = values[self._rows.weights > 0]
-            if quantity.labels is None:
-                return f"{why}, where {name} is between {has_mass.min():g} and {has_mass.max():g}"
-            mass = np.bincount(values, self._rows.weights, len(quantity.labels))
-            likely = np.argsort(-mass, kind="stable")[: np.count_nonzero(mass)]
-            listed = ", ".join(repr(quantity.labels[code]) for code in likely[:_LISTED])
-            more = len(likely) - _LISTED
-            return f"{why}, where {name} is {listed}" + (f" and {more} more" if more > 0 else "")
-        return f"{why}, though each of these alone has more"
-
-    def _jackknife(self, share: float) -> Jackknife | None:
-        """Return one that leaves out random sets with a share of the chains, or single ones."""
-        if share not in self._jackknives:
-            self._jackknives[share] = (
-                None
-                if self._groups is None
-                else leaving_out(self._rows.weights, self._groups, self._halves, share)
-            )
-        return self._jackknives[share]
-
-    @functools.cached_property
-    def _effective_size(self) -> float:
-        """The number of independent draws that would be as sure of both goals; NaN if unknown.
-
-        The least over the goals of sum p (1 - p) / sum of squared errors; as many as there are
-        chains, where all of these say the same. No more than the weights are worth (Kish), unless
-        there are more chains: that leaving out any of these changes nothing proves no more.
-        """
-        without = self._jackknife(0.0)
-        if without is None or self._groups is None:
-            return math.nan
-        sizes = []
-        for name in ("goal_red", "goal_green"):
-            codes = self._rows.values[name]
-            mass = shares(codes, self._rows.weights)
-            error = without.error(shares(codes, without.weights), mass)
-            spread, variance = float((error**2).sum()), float((mass * (1 - mass)).sum())
-            if spread > 0 and variance > ROUNDING:
-                sizes.append(variance / spread)
-        chains = float(len(np.unique(self._rows.index["chain"])))
-        worth = float(1 / (self._rows.weights**2).sum())
-        return min(min(sizes, default=chains), max(chains, worth))
-
-    def _error_of_share(
-        self, mass: FloatArray | float, error: FloatArray, given: float = 1.0
-    ) -> FloatArray:
-        """Return errors of probabilities that allow for what so few draws need not have shown.
-
-        Args:
-            mass: the probabilities.
-            error: by which they differ between chains.
-            given: probability of what they are conditioned on.
-        """
-        return with_unseen(mass, error, self._effective_size * given)
-
-    def _weighed(
-        self, given: Mapping[str, Any] | None, share: float = 0.0
-    ) -> tuple[NDArray[np.bool_], FloatArray, Jackknife | None]:
-        """Return which rows fulfil ``given``, and of these the weights, sum 1.
-
-        Third, those without sets with a ``share`` of the chains; None where unknown.
-        """
-        rows = self._satisfied(given or {})
-        weights = self._rows.weights[rows]
-        total = weights.sum()
-        if not total > 0:
-            raise InvalidSettingError(
-                f"cannot condition on {dict(given or {})}: {self.why_impossible(given or {})}"
-            )
-        without = self._jackknife(share)
-        return rows, weights / total, None if without is None else without.only(rows)
-
-    def _number(
-        self,
-        statistic: Callable[[NDArray[Any], FloatArray], FloatArray],
-        values: NDArray[Any],
-        given: Mapping[str, Any] | None,
-    ) -> Estimate:
-        """Return ``statistic`` of values (row,) and weights (..., row), with its error."""
-        rows, weights, without = self._weighed(given)
-        values = values[rows]
-        number = float(statistic(values, weights))
-        if without is None:
-            return Estimate(number)
-        error = without.error(statistic(values, without.weights), number)
-        if statistic is share:
-            error = self._error_of_share(number, error, float(self._rows.weights[rows].sum()))
-        elif statistic is mean:
-            # a few draws that agree by chance do not make it sure
-            size = self._effective_size * float(self._rows.weights[rows].sum())
-            error = np.fmax(error, float(sd(values, weights)) / math.sqrt(size + 1))
-        return Estimate(number, float(error))
+    leads = np.delete(probabilities[leading] - probabilities, leading)
+    errors = without.error(np.delete(results[:, [leading]] - results, leading, axis=1), leads)
+    chances = [0.0]
+    for lead, error in zip(leads.tolist(), errors.tolist(), strict=True):
+        if error > 0:
+            chances.append(0.5 * math.erfc(lead / (math.sqrt(2) * error)))
+        else:
+            chances.append(0.5 if lead <= ROUNDING else 0.0)
+    return max(chances)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import keyword
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Final, Self
 
 import numpy as np
@@ -14,24 +15,490 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from phase_ppl.analysis import estimate
-from phase_ppl.analysis.estimate import Estimate, Mode, WeightedRows, doubt
+from phase_ppl.analysis.estimate import Estimate, Jackknife, Mode, doubt, leaving_out, with_unseen
 from phase_ppl.analysis.quantities import Quantity
+from phase_ppl.analysis.query import understood
+from phase_ppl.analysis.summary import LABEL, bars
+from phase_ppl.analysis.weights import Rows
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import whole_number
-from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
+from phase_ppl.world.errors import InvalidSettingError, QueryError, shown, unknown_name
+from phase_ppl.world.goals import GOALS
+from phase_ppl.world.hypothesis import Hypothesis
+from phase_ppl.world.names import AGENTS
 
 Definition = Callable[["Named"], bool | int | float | str]
 """(hypothesis in plain names) -> its value."""
 
 RESERVED: Final = frozenset(
-    (
-        *("given", "self", "weight", "chain", "draw", "simulation"),
-        *("error", "bound", "probability"),
-    )
+    ("given", "self", "weight", "chain", "draw", "simulation", "error", "bound", "probability")
 )
 """Names that are taken by arguments, columns and coordinates of results."""
 
+HDI_PROBABILITY: Final = 0.94
+"""Mass of the intervals that summaries report."""
+
+N_TOP: Final = 3
+"""Number of labels that ``top`` returns where nothing else is asked for."""
+
+LEFT_OUT_OF_INTERVALS: Final = 1 / 3
+"""Share of the chains that is left out at a time to see how ends of intervals vary."""
+
+MOST_CELLS: Final = 10_000_000
+"""Size of a joint table above which it is refused."""
+
+GOALS_OF: Final = dict(zip(AGENTS, ("goal_red", "goal_green"), strict=True))
+STRENGTHS_OF: Final = dict(zip(AGENTS, ("strength_red", "strength_green"), strict=True))
+"""Agent -> the quantity that is its goal, its strength."""
+
 _SHOWN: Final = ("goal_red", "goal_green", "alpha", "strength_red", "strength_green")
 """What a message says of a hypothesis."""
+
+_LISTED: Final = 5
+"""Labels that a message names at most, the most probable first."""
+
+
+class Hypotheses:
+    """A weighted table of hypotheses, and what one can ask it.
+
+    Every result carries its Monte-Carlo error as ``.error``: numbers are floats with an error,
+    arrays have a coordinate ``error`` beside their values (``.drop_vars("error")`` leaves it
+    out). Arithmetic computes no new errors: numbers lose theirs, arrays keep the old ones. How
+    errors are found, and when they are NaN, is in :mod:`phase_ppl.analysis.estimate`.
+
+    Every question takes ``given``, what to condition on: quantity -> value, where a value is a
+    label, a list of labels of which any will do, or for numbers an interval (low, high).
+    :mod:`phase_ppl.analysis.quantities` lists the quantities. All questions raise
+    UnknownNameError, which names close matches, where there is no such quantity or label, and
+    InvalidSettingError where a quantity has not what is asked for, or ``given`` has probability 0.
+
+    Args:
+        quantities: by name.
+        rows: the table; its values are codes or numbers of every quantity.
+        groups: (row,) of which group of chains each row is, 0 and up; None: nothing was drawn in
+            chains.
+        halves: masks (row,) of the first and the last half of the draws, if these are to agree.
+    """
+
+    def __init__(
+        self,
+        quantities: Mapping[str, Quantity],
+        rows: Rows,
+        groups: NDArray[np.int64] | None = None,
+        halves: Sequence[NDArray[np.bool_]] = (),
+    ) -> None:
+        self._quantities = dict(quantities)
+        self._rows = rows
+        self._groups = groups
+        self._halves = tuple(halves)
+        self._jackknives: dict[float, Jackknife | None] = {}
+        self._own: set[str] = set()  # quantities that the user defined
+
+    @property
+    def quantities(self) -> dict[str, tuple[str, ...] | None]:
+        """What one can ask for: quantity -> its labels, None for a real number."""
+        return {name: quantity.labels for name, quantity in self._quantities.items()}
+
+    def define(self, name: str, function: Definition) -> Self:
+        """Add a quantity of your own, to be asked for like any other; return the posterior.
+
+        Args:
+            name: of the quantity. One that was defined before may be defined anew.
+            function: hypothesis -> a truth value, a whole number or a string, for a quantity
+                with categories (of which those of numbers have means too), or a real number. It
+                is called at once, once per distinct hypothesis, which offers the quantities by
+                name, as in ``h.goal_red`` (:class:`phase_ppl.analysis.hypotheses.Named`).
+
+        A function cannot be written to a file: define it again after :meth:`Posterior.load`.
+
+        Example:
+            ``post.define("same_goal", lambda h: h.goal_red == h.goal_green)``, then
+            ``post.probability(same_goal=True)``
+
+        Raises:
+            InvalidSettingError: the name is taken or no name; or the function raises, or returns
+                NaN, something else or values of several kinds. The message names the hypothesis.
+        """
+        _check_name(name, self._quantities.keys() - self._own)
+        others = {key: quantity for key, quantity in self._quantities.items() if key != name}
+        quantity, column = _defined(name, function, others, self._rows.values)
+        self._quantities = {**others, name: quantity}
+        self._rows = dataclasses.replace(self._rows, values={**self._rows.values, name: column})
+        self._own.add(name)
+        return self
+
+    def marginal(self, name: str, *, given: Mapping[str, Any] | None = None) -> xr.DataArray:
+        """Return the probability of every label of a quantity with categories, sum 1."""
+        return self.joint(name, given=given)
+
+    def joint(self, *names: str, given: Mapping[str, Any] | None = None) -> xr.DataArray:
+        """Return the joint probability of quantities with categories, a dim for each.
+
+        Raises:
+            InvalidSettingError: twice the same name, no name, or too large a table.
+        """
+        labels = [self._quantity(name).categories() for name in _distinct(names)]
+        shape = tuple(map(len, labels))
+        if math.prod(shape) > MOST_CELLS:
+            raise InvalidSettingError(
+                f"the joint of {', '.join(names)} has {math.prod(shape)} entries, "
+                f"at most {MOST_CELLS} are possible: ask for fewer quantities"
+            )
+        rows, weights, without = self._weighed(given)
+        codes = np.ravel_multi_index([self._rows.values[name][rows] for name in names], shape)
+        occupied, codes = np.unique(codes, return_inverse=True)
+        mass = estimate.shares(codes, weights)
+        table = np.zeros(shape)
+        table.flat[occupied] = mass
+        error = np.full(shape, np.nan if without is None else 0.0)
+        if without is not None:
+            error.flat[occupied] = without.error(estimate.shares(codes, without.weights), mass)
+            error = self._error_of_share(table, error, rows)
+        coords: dict[str, Any] = dict(zip(names, map(list, labels), strict=True))
+        return xr.DataArray(
+            table, {**coords, "error": (names, error)}, dims=names, name="probability"
+        )
+
+    def probability(self, given: Mapping[str, Any] | None = None, **event: Any) -> Estimate:
+        """Return P(event | given).
+
+        Args:
+            given: quantity -> value, what to condition on.
+            **event: quantity -> value. A value is a label, a list of labels of which any will
+                do, or for a strength an interval (low, high) in newtons.
+
+        Example:
+            ``post.probability(relation="friendly", given={"goal_red": "get to green agent"})``
+
+        Raises:
+            InvalidSettingError: no event, or a bad interval.
+        """
+        if not event:
+            raise InvalidSettingError("name the event, as in probability(relation='friendly')")
+        return self._number(estimate.share, self._satisfied(event), given)
+
+    def top(
+        self, name: str, n: int = N_TOP, *, given: Mapping[str, Any] | None = None
+    ) -> list[tuple[str, Estimate]]:
+        """Return the ``n`` (from 1) most probable labels of a quantity, ties in label order."""
+        n = whole_number("n", n)
+        marginal = self.marginal(name, given=given)
+        order = np.argsort(-marginal.values, kind="stable")[:n]
+        labels, errors = marginal[name].values, marginal["error"].values
+        return [(str(labels[i]), Estimate(marginal.values[i], errors[i])) for i in order]
+
+    def mode(self, name: str, *, given: Mapping[str, Any] | None = None) -> Mode:
+        """Return the most probable label of a quantity, the first in label order of equals.
+
+        Its ``.error`` is the probability that another label leads in truth.
+        """
+        labels = self._quantity(name).categories()
+        rows, weights, without = self._weighed(given)
+        codes, size = self._rows.values[name][rows], len(labels)
+        mass = estimate.shares(codes, weights, size)
+        label = labels[int(mass.argmax())]
+        if without is None:
+            return Mode(label)
+        return Mode(label, doubt(mass, without, estimate.shares(codes, without.weights, size)))
+
+    def entropy(self, *names: str, given: Mapping[str, Any] | None = None) -> Estimate:
+        """Return the entropy, in nats, of the joint distribution of quantities with categories.
+
+        It is that of the weights; of few draws it comes out too low.
+        """
+        codes = np.zeros(len(self._rows.weights), np.int64)
+        for name in _distinct(names):
+            size = len(self._quantity(name).categories())
+            _, codes = np.unique(codes * size + self._rows.values[name], return_inverse=True)
+        return self._number(_entropy_of_codes, codes, given)
+
+    def mean(self, name: str, *, given: Mapping[str, Any] | None = None) -> Estimate:
+        """Return the mean of a quantity with numbers, such as a strength in newtons."""
+        return self._number(estimate.mean, self._numbers(name), given)
+
+    def sd(self, name: str, *, given: Mapping[str, Any] | None = None) -> Estimate:
+        """Return the standard deviation of a quantity with numbers."""
+        return self._number(estimate.sd, self._numbers(name), given)
+
+    def hdi(
+        self,
+        name: str,
+        prob: float = HDI_PROBABILITY,
+        *,
+        given: Mapping[str, Any] | None = None,
+    ) -> xr.DataArray:
+        """Return the shortest interval with probability ``prob`` of a quantity with numbers.
+
+        Returns:
+            dim ``bound``: lower, upper, with their errors.
+
+        Raises:
+            InvalidSettingError: ``prob`` is not in (0, 1].
+        """
+        if not 0 < prob <= 1:
+            raise InvalidSettingError(f"prob={prob} must lie in (0, 1]")
+        values = self._numbers(name)
+        rows, weights, without = self._weighed(given, LEFT_OUT_OF_INTERVALS)
+        levels, codes = np.unique(values[rows], return_inverse=True)
+        bounds = estimate.shortest_interval(levels, estimate.shares(codes, weights), prob)
+        error = np.full(2, np.nan)
+        if without is not None:
+            masses = estimate.shares(codes, without.weights)
+            error = without.error(
+                [estimate.shortest_interval(levels, mass, prob) for mass in masses], bounds
+            )
+        coords = {"bound": ["lower", "upper"], "error": ("bound", error)}
+        return xr.DataArray(list(bounds), coords, dims="bound", name=name)
+
+    def query(self, question: str) -> Any:
+        """Return the answer to a question in words, such as ``"P(relation=friendly)"``.
+
+        :mod:`phase_ppl.analysis.query` has the grammar. The answer is that of the method that
+        asks the same:
+
+        ============================ =========================================
+        P(conditions)                :meth:`probability`, a number
+        P(name), P(name, name)       :meth:`marginal`, :meth:`joint`
+        E, sd, H                     :meth:`mean`, :meth:`sd`, :meth:`entropy`
+        mode, top, hdi               the method of this name
+        ============================ =========================================
+
+        Raises:
+            QueryError: it cannot be read, names what does not exist, asks for what a quantity
+                does not have, or conditions on what has probability 0; the message points at
+                the place.
+        """
+        query, event, given = understood(question, self._quantities)
+        if given and not self.probability(**given) > 0:
+            reason = f"cannot condition on this: {self._why_impossible(given)}"
+            raise QueryError(reason, question, query.given_at)
+        if event:
+            return self.probability(given, **event)
+        names, number = [name.text for name in query.names], query.number
+        try:
+            match query.question:
+                case "P":
+                    return self.joint(*names, given=given)
+                case "H":
+                    return self.entropy(*names, given=given)
+                case "top":
+                    return self.top(names[0], N_TOP if number is None else int(number), given=given)
+                case "hdi":
+                    return self.hdi(names[0], number or HDI_PROBABILITY, given=given)
+                case _:
+                    ask = {"E": self.mean, "sd": self.sd, "mode": self.mode}[query.question]
+                    return ask(names[0], given=given)
+        except InvalidSettingError as error:  # too large a table
+            raise QueryError(str(error), question, query.names[0].at) from None
+
+    def to_dataframe(self) -> pd.DataFrame:
+        """Return one row per draw (or visited hypothesis): labels, numbers, ``weight``.
+
+        Columns of quantities from :meth:`define` hold what the function returned.
+        """
+        columns: dict[str, Any] = dict(self._rows.index)
+        for name, quantity in self._quantities.items():
+            entries = self._rows.values[name]
+            if quantity.labels is not None:
+                own = name in self._own and quantity.values is not None
+                entries = np.array(quantity.values if own else quantity.labels)[entries]
+            columns[name] = entries
+        return pd.DataFrame({**columns, "weight": self._rows.weights})
+
+    # --- in short ------------------------------------------------------------------------------
+
+    def _answers(self) -> dict[str, Any]:
+        """Return what summaries have of goals, relation, scenario and strengths, with errors."""
+        names = (*GOALS_OF.values(), "relation", "scenario")
+        tables = {name: self.marginal(name) for name in names}
+        numbers: dict[str, dict[str, tuple[float, float]]] = {}
+        for agent, name in STRENGTHS_OF.items():
+            mean, sd, interval = self.mean(name), self.sd(name), self.hdi(name)
+            low, high = zip(interval.values, interval["error"].values, strict=True)
+            numbers[agent] = {
+                "mean": (float(mean), mean.error),
+                "sd": (float(sd), sd.error),
+                "hdi_low": low,
+                "hdi_high": high,
+            }
+
+        def told(part: int) -> dict[str, Any]:
+            """Return the values, or their errors."""
+            found = {
+                name: dict(
+                    zip(
+                        table[name].values.tolist(),
+                        (table["error"] if part else table).values.tolist(),
+                        strict=True,
+                    )
+                )
+                for name, table in tables.items()
+            }
+            return {
+                "goals": {agent: found[name] for agent, name in GOALS_OF.items()},
+                "relation": found["relation"],
+                "scenario": found["scenario"],
+                "strengths": {
+                    agent: {key: pair[part] for key, pair in pairs.items()}
+                    for agent, pairs in numbers.items()
+                },
+            }
+
+        return {**told(0), "errors": told(1)}
+
+    def _answer_lines(self) -> list[str]:
+        """Return the lines of a table about goals, relation, scenario and strengths."""
+        lines: list[str] = []
+        for agent, name in GOALS_OF.items():
+            lines += bars(agent, [entry for entry in self.top(name, 3) if entry[1] > 0])
+        lines += bars("relation", self.top("relation", 3))
+        lines += bars("scenario", self.top("scenario", 4))
+        for agent, name in STRENGTHS_OF.items():
+            low, high = self.hdi(name).values
+            text = f"{agent}: {self.mean(name)} N (94 % interval {low:.0f} to {high:.0f} N)"
+            lines.append(f"{'strength' if agent == AGENTS[0] else '':<{LABEL}}{text}")
+        return lines
+
+    # --- rows, conditions, and how far answers differ between chains ---------------------------
+
+    def _quantity(self, name: str) -> Quantity:
+        if name not in self._quantities:
+            raise unknown_name("quantity", name, self._quantities)
+        return self._quantities[name]
+
+    def _numbers(self, name: str) -> FloatArray:
+        return self._quantity(name).numbers(self._rows.values[name])
+
+    def _satisfied(self, conditions: Mapping[str, Any]) -> NDArray[np.bool_]:
+        result = np.ones(len(self._rows.weights), bool)
+        for name, wanted in conditions.items():
+            result &= self._quantity(name).satisfied(self._rows.values[name], wanted)
+        return result
+
+    def _why_impossible(self, given: Mapping[str, Any]) -> str:
+        """Return why nothing can be conditioned on ``given``, and what could be instead."""
+        why = "it has probability 0 in this posterior"
+        for name, wanted in given.items():
+            quantity, values = self._quantity(name), self._rows.values[name]
+            if self._rows.weights[quantity.satisfied(values, wanted)].sum() > 0:
+                continue
+            has_mass = values[self._rows.weights > 0]
+            if quantity.labels is None:
+                return f"{why}, where {name} is between {has_mass.min():g} and {has_mass.max():g}"
+            mass = np.bincount(values, self._rows.weights, len(quantity.labels))
+            likely = np.argsort(-mass, kind="stable")[: np.count_nonzero(mass)]
+            listed = ", ".join(repr(quantity.labels[code]) for code in likely[:_LISTED])
+            more = len(likely) - _LISTED
+            return f"{why}, where {name} is {listed}" + (f" and {more} more" if more > 0 else "")
+        return f"{why}, though each of these alone has more"
+
+    def _jackknife(self, share: float) -> Jackknife | None:
+        """Return one that leaves out random sets with a share of the chains, or single ones."""
+        if share not in self._jackknives:
+            self._jackknives[share] = (
+                None
+                if self._groups is None
+                else leaving_out(self._rows.weights, self._groups, self._halves, share)
+            )
+        return self._jackknives[share]
+
+    @functools.cached_property
+    def _effective_size(self) -> float:
+        """The number of independent draws that would be as sure of both goals; NaN if unknown.
+
+        The least over the goals of sum p (1 - p) / sum of squared errors; as many as there are
+        chains, where all of these say the same. No more than the weights are worth (Kish), unless
+        there are more chains: that leaving out any of these changes nothing proves no more.
+        """
+        without = self._jackknife(0.0)
+        if without is None or self._groups is None:
+            return math.nan
+        sizes = []
+        for name in GOALS_OF.values():
+            codes = self._rows.values[name]
+            mass = estimate.shares(codes, self._rows.weights)
+            error = without.error(estimate.shares(codes, without.weights), mass)
+            spread, variance = float((error**2).sum()), float((mass * (1 - mass)).sum())
+            if spread > 0 and variance > estimate.ROUNDING:
+                sizes.append(variance / spread)
+        chains = float(len(np.unique(self._rows.index["chain"])))
+        worth = float(1 / (self._rows.weights**2).sum())
+        return min(min(sizes, default=chains), max(chains, worth))
+
+    def _error_of_share(
+        self, mass: FloatArray | float, error: FloatArray, rows: NDArray[np.bool_]
+    ) -> FloatArray:
+        """Return errors of probabilities given ``rows``, with what few draws need not show."""
+        return with_unseen(
+            mass, error, self._effective_size * float(self._rows.weights[rows].sum())
+        )
+
+    def _weighed(
+        self, given: Mapping[str, Any] | None, share: float = 0.0
+    ) -> tuple[NDArray[np.bool_], FloatArray, Jackknife | None]:
+        """Return which rows fulfil ``given``, and of these the weights, sum 1.
+
+        Third, those without sets with a ``share`` of the chains; None where unknown.
+        """
+        rows = self._satisfied(given or {})
+        weights = self._rows.weights[rows]
+        total = weights.sum()
+        if not total > 0:
+            raise InvalidSettingError(
+                f"cannot condition on {dict(given or {})}: {self._why_impossible(given or {})}"
+            )
+        without = self._jackknife(share)
+        return rows, weights / total, None if without is None else without.only(rows)
+
+    def _number(
+        self,
+        statistic: Callable[[NDArray[Any], FloatArray], FloatArray],
+        values: NDArray[Any],
+        given: Mapping[str, Any] | None,
+    ) -> Estimate:
+        """Return ``statistic`` of values (row,) and weights (..., row), with its error."""
+        rows, weights, without = self._weighed(given)
+        values = values[rows]
+        number = float(statistic(values, weights))
+        if without is None:
+            return Estimate(number)
+        error = without.error(statistic(values, without.weights), number)
+        if statistic is estimate.share:
+            error = self._error_of_share(number, error, rows)
+        elif statistic is estimate.mean:
+            # a few draws that agree by chance do not make it sure
+            size = self._effective_size * float(self._rows.weights[rows].sum())
+            error = np.fmax(error, float(estimate.sd(values, weights)) / math.sqrt(size + 1))
+        return Estimate(number, float(error))
+
+
+def hypothesis_record(best: Hypothesis) -> dict[str, Any]:
+    """Return a hypothesis as plain data; ``goal_*`` are the effective goals."""
+    record = best.to_dict()
+    red, green = best.effective_goals
+    return {
+        "goal_red": GOALS[red],
+        "goal_green": GOALS[green],
+        "stated_goal_red": record.pop("goal_red"),
+        "stated_goal_green": record.pop("goal_green"),
+        **record,
+    }
+
+
+def _distinct(names: tuple[str, ...]) -> tuple[str, ...]:
+    if not names:
+        raise InvalidSettingError("name a quantity, as in joint('goal_red', 'goal_green')")
+    for place, name in enumerate(names):
+        if name in names[:place]:
+            raise InvalidSettingError(f"{name!r} is named twice: expected different quantities")
+    return names
+
+
+def _entropy_of_codes(codes: NDArray[np.int64], weights: FloatArray) -> FloatArray:
+    return estimate.entropy(estimate.shares(codes, weights))
+
+
+# --- quantities of the user's own ------------------------------------------------------------
 
 
 class Named:
@@ -44,10 +511,7 @@ class Named:
     __slots__ = ("_columns", "_quantities", "_row")
 
     def __init__(
-        self,
-        quantities: Mapping[str, Quantity],
-        columns: Mapping[str, NDArray[Any]],
-        row: int,
+        self, quantities: Mapping[str, Quantity], columns: Mapping[str, NDArray[Any]], row: int
     ) -> None:
         self._quantities = quantities
         self._columns = columns
@@ -65,13 +529,7 @@ class Named:
         return ", ".join(f"{name}={getattr(self, name)!r}" for name in _SHOWN)
 
 
-def check_name(name: object, taken: Iterable[str]) -> None:
-    """Raise InvalidSettingError if a quantity cannot be called ``name``.
-
-    Args:
-        name: asked for.
-        taken: names that cannot be given anew.
-    """
+def _check_name(name: object, taken: Iterable[str]) -> None:
     if not isinstance(name, str) or not name.isidentifier() or keyword.iskeyword(name):
         raise InvalidSettingError(
             f"a quantity cannot be called {shown(name)}: expected a name as of a Python variable"
@@ -82,7 +540,7 @@ def check_name(name: object, taken: Iterable[str]) -> None:
         raise InvalidSettingError(f"{name!r} is a reserved name: choose another")
 
 
-def defined(
+def _defined(
     name: str,
     function: Definition,
     quantities: Mapping[str, Quantity],
@@ -90,12 +548,8 @@ def defined(
 ) -> tuple[Quantity, NDArray[Any]]:
     """Return the quantity that ``function`` defines, and its column as codes or numbers.
 
-    The function is called once per distinct hypothesis. Truth values, whole numbers and strings
-    are categories, in order of their values; numbers that are not all whole are real.
-
-    Raises:
-        InvalidSettingError: it raises, or returns NaN, an infinity, something else or values of
-            several kinds; the message names the hypothesis.
+    Truth values, whole numbers and strings are categories, in order of their values; numbers
+    that are not all whole are real.
     """
     if not callable(function):
         raise InvalidSettingError(
@@ -137,242 +591,3 @@ def _value(name: str, function: Definition, view: Named) -> bool | int | float |
     raise InvalidSettingError(
         f"{name} is {shown(found)} for {view!r}: expected a truth value, a number or a string"
     )
-
-
-# --- A weighted table of hypotheses, and what one can ask it --------------------------------------
-
-HDI_PROBABILITY: Final = 0.94
-"""Mass of the intervals that summaries report."""
-
-N_TOP: Final = 3
-"""Number of labels that ``top`` returns where nothing else is asked for."""
-
-LEFT_OUT_OF_INTERVALS: Final = 1 / 3
-"""Share of the chains that is left out at a time to see how ends of intervals vary."""
-
-MOST_CELLS: Final = 10_000_000
-"""Size of a joint table above which it is refused."""
-
-
-class Hypotheses(WeightedRows):
-    """A weighted table of hypotheses, and what one can ask it.
-
-    Every result carries its Monte-Carlo error as ``.error``: numbers are floats with an error,
-    arrays have a coordinate ``error`` beside their values (``.drop_vars("error")`` leaves it
-    out). Arithmetic computes no new errors: numbers lose theirs, arrays keep the old ones. How
-    errors are found, and when they are NaN, is in :mod:`phase_ppl.analysis.estimate`.
-
-    Every question takes ``given``, what to condition on: quantity -> value, where a value is a
-    label, a list of labels of which any will do, or for numbers an interval (low, high).
-    :mod:`phase_ppl.analysis.quantities` lists the quantities.
-    """
-
-    @property
-    def quantities(self) -> dict[str, tuple[str, ...] | None]:
-        """What one can ask for: quantity -> its labels, None for a real number."""
-        return {name: quantity.labels for name, quantity in self._quantities.items()}
-
-    def define(self, name: str, function: Definition) -> Self:
-        """Add a quantity of your own, to be asked for like any other; return the posterior.
-
-        Args:
-            name: of the quantity. One that was defined before may be defined anew.
-            function: hypothesis -> a truth value, a whole number or a string, for a quantity
-                with categories (of which those of numbers have means too), or a real number. It
-                is called at once, once per distinct hypothesis, which offers the quantities by
-                name, as in ``h.goal_red`` (:class:`phase_ppl.analysis.hypotheses.Named`).
-
-        A function cannot be written to a file: define it again after :meth:`Posterior.load`.
-
-        Example:
-            ``post.define("same_goal", lambda h: h.goal_red == h.goal_green)``, then
-            ``post.probability(same_goal=True)``
-
-        Raises:
-            InvalidSettingError: the name is taken or no name; or the function raises, or returns
-                NaN, something else or values of several kinds. The message names the hypothesis.
-        """
-        check_name(name, self._quantities.keys() - self._own)
-        others = {key: quantity for key, quantity in self._quantities.items() if key != name}
-        quantity, column = defined(name, function, others, self._rows.values)
-        self._quantities = {**others, name: quantity}
-        self._rows = dataclasses.replace(self._rows, values={**self._rows.values, name: column})
-        self._own.add(name)
-        return self
-
-    def marginal(self, name: str, *, given: Mapping[str, Any] | None = None) -> xr.DataArray:
-        """Return the probability of every value of a quantity with categories.
-
-        Returns:
-            Probabilities over the labels (goal strings and so on), sum 1, with their errors.
-
-        Raises:
-            UnknownNameError: no such quantity; the message names close matches.
-            InvalidSettingError: the quantity is a real number, or ``given`` has probability 0.
-        """
-        return self.joint(name, given=given)
-
-    def joint(self, *names: str, given: Mapping[str, Any] | None = None) -> xr.DataArray:
-        """Return the joint probability of quantities with categories, a dim for each.
-
-        Raises:
-            UnknownNameError, InvalidSettingError: as :meth:`marginal`; or twice the same name, no
-                name, or too large a table.
-        """
-        labels = [self._quantity(name).categories() for name in self._distinct(names)]
-        shape = tuple(map(len, labels))
-        if math.prod(shape) > MOST_CELLS:
-            raise InvalidSettingError(
-                f"the joint of {', '.join(names)} has {math.prod(shape)} entries, "
-                f"at most {MOST_CELLS} are possible: ask for fewer quantities"
-            )
-        rows, weights, without = self._weighed(given)
-        codes = np.ravel_multi_index([self._rows.values[name][rows] for name in names], shape)
-        occupied, codes = np.unique(codes, return_inverse=True)
-        mass = estimate.shares(codes, weights)
-        table = np.zeros(shape)
-        table.flat[occupied] = mass
-        error = np.full(shape, np.nan if without is None else 0.0)
-        if without is not None:
-            error.flat[occupied] = without.error(estimate.shares(codes, without.weights), mass)
-            error = self._error_of_share(table, error, float(self._rows.weights[rows].sum()))
-        coords: dict[str, Any] = dict(zip(names, map(list, labels), strict=True))
-        return xr.DataArray(
-            table, {**coords, "error": (names, error)}, dims=names, name="probability"
-        )
-
-    def probability(self, given: Mapping[str, Any] | None = None, **event: Any) -> Estimate:
-        """Return P(event | given).
-
-        Args:
-            given: quantity -> value, what to condition on.
-            **event: quantity -> value. A value is a label, a list of labels of which any will
-                do, or for a strength an interval (low, high) in newtons.
-
-        Example:
-            ``post.probability(relation="friendly", given={"goal_red": "get to green agent"})``
-
-        Raises:
-            UnknownNameError: an unknown quantity or value; the message names close matches.
-            InvalidSettingError: no event, a bad interval, or ``given`` has probability 0.
-        """
-        if not event:
-            raise InvalidSettingError("name the event, as in probability(relation='friendly')")
-        return self._number(estimate.share, self._satisfied(event), given)
-
-    def top(
-        self, name: str, n: int = N_TOP, *, given: Mapping[str, Any] | None = None
-    ) -> list[tuple[str, Estimate]]:
-        """Return the ``n`` most probable labels of a quantity, ties in label order.
-
-        Raises:
-            UnknownNameError, InvalidSettingError: as :meth:`marginal`; or ``n`` below 1.
-        """
-        n = whole_number("n", n)
-        marginal = self.marginal(name, given=given)
-        order = np.argsort(-marginal.values, kind="stable")[:n]
-        labels, errors = marginal[name].values, marginal["error"].values
-        return [(str(labels[i]), Estimate(marginal.values[i], errors[i])) for i in order]
-
-    def mode(self, name: str, *, given: Mapping[str, Any] | None = None) -> Mode:
-        """Return the most probable label of a quantity, the first in label order of equals.
-
-        Its ``.error`` is the probability that another label leads in truth.
-
-        Raises:
-            UnknownNameError, InvalidSettingError: as :meth:`marginal`.
-        """
-        labels = self._quantity(name).categories()
-        rows, weights, without = self._weighed(given)
-        codes, size = self._rows.values[name][rows], len(labels)
-        mass = estimate.shares(codes, weights, size)
-        label = labels[int(mass.argmax())]
-        if without is None:
-            return Mode(label)
-        return Mode(label, doubt(mass, without, estimate.shares(codes, without.weights, size)))
-
-    def entropy(self, *names: str, given: Mapping[str, Any] | None = None) -> Estimate:
-        """Return the entropy, in nats, of the joint distribution of quantities with categories.
-
-        It is that of the weights; of few draws it comes out too low.
-
-        Raises:
-            UnknownNameError, InvalidSettingError: as :meth:`marginal`; or twice the same name.
-        """
-        codes = np.zeros(len(self._rows.weights), np.int64)
-        for name in self._distinct(names):
-            size = len(self._quantity(name).categories())
-            _, codes = np.unique(codes * size + self._rows.values[name], return_inverse=True)
-        rows, weights, without = self._weighed(given)
-        number = float(estimate.entropy(estimate.shares(codes[rows], weights)))
-        if without is None:
-            return Estimate(number)
-        numbers = estimate.entropy(estimate.shares(codes[rows], without.weights))
-        return Estimate(number, float(without.error(numbers, number)))
-
-    def mean(self, name: str, *, given: Mapping[str, Any] | None = None) -> Estimate:
-        """Return the mean of a quantity with numbers, such as a strength in newtons."""
-        return self._number(estimate.mean, self._numbers(name), given)
-
-    def sd(self, name: str, *, given: Mapping[str, Any] | None = None) -> Estimate:
-        """Return the standard deviation of a quantity with numbers."""
-        return self._number(estimate.sd, self._numbers(name), given)
-
-    def hdi(
-        self,
-        name: str,
-        prob: float = HDI_PROBABILITY,
-        *,
-        given: Mapping[str, Any] | None = None,
-    ) -> xr.DataArray:
-        """Return the shortest interval with probability ``prob`` of a quantity with numbers.
-
-        Returns:
-            dim ``bound``: lower, upper, with their errors.
-
-        Raises:
-            UnknownNameError: no such quantity.
-            InvalidSettingError: the quantity has no numbers, ``prob`` is not in (0, 1], or
-                ``given`` has probability 0.
-        """
-        if not 0 < prob <= 1:
-            raise InvalidSettingError(f"prob={prob} must lie in (0, 1]")
-        values = self._numbers(name)
-        rows, weights, without = self._weighed(given, LEFT_OUT_OF_INTERVALS)
-        levels, codes = np.unique(values[rows], return_inverse=True)
-        bounds = estimate.shortest_interval(levels, estimate.shares(codes, weights), prob)
-        error = np.full(2, np.nan)
-        if without is not None:
-            masses = estimate.shares(codes, without.weights)
-            error = without.error(
-                [estimate.shortest_interval(levels, mass, prob) for mass in masses], bounds
-            )
-        coords = {"bound": ["lower", "upper"], "error": ("bound", error)}
-        return xr.DataArray(list(bounds), coords, dims="bound", name=name)
-
-    def query(self, question: str) -> Any:
-        """Return the answer to a question in words, such as ``"P(relation=friendly)"``.
-
-        The answer is that of the method that asks the same, as :mod:`phase_ppl.analysis.query`
-        says, which also has the grammar.
-
-        Raises:
-            QueryError: it cannot be read or answered; the message points at the place.
-        """
-        from phase_ppl.analysis.query import answer
-
-        return answer(self, self._quantities, question)
-
-    def to_dataframe(self) -> pd.DataFrame:
-        """Return one row per draw (or visited hypothesis): labels, numbers, ``weight``.
-
-        Columns of quantities from :meth:`define` hold what the function returned.
-        """
-        columns: dict[str, Any] = dict(self._rows.index)
-        for name, quantity in self._quantities.items():
-            entries = self._rows.values[name]
-            if quantity.labels is not None:
-                own = name in self._own and quantity.values is not None
-                entries = np.array(quantity.values if own else quantity.labels)[entries]
-            columns[name] = entries
-        return pd.DataFrame({**columns, "weight": self._rows.weights})

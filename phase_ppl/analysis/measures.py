@@ -10,7 +10,7 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.diagnostics import ess_mean
+from phase_ppl.analysis.diagnostics import ess
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.tree import array
 from phase_ppl.world.arrays import FloatArray
@@ -95,7 +95,7 @@ def efficiency(post: Posterior) -> dict[str, float]:
       of effective goals changed.
     * ``distinct``: hypotheses among the draws.
     * ``ess_per_simulation``: effective sample size of the log joint
-      (:func:`phase_ppl.analysis.diagnostics.ess_mean`), per simulation; of weighted draws, 1 / the
+      (:func:`phase_ppl.analysis.diagnostics.ess`), per simulation; of weighted draws, 1 / the
       sum of their squared weights.
     * ``simulations``, their ``frames``, and ``seconds`` of wall time.
     """
@@ -117,7 +117,7 @@ def _effective_sample_size(post: Posterior, found: Mapping[str, Any]) -> float:
     weight = post.to_dataframe()["weight"].to_numpy()
     if not np.allclose(weight, weight[0]):
         return float(found["effective_rows"])
-    return ess_mean(array(post.tree, "sample_stats", "log_joint").astype(float))
+    return ess(array(post.tree, "sample_stats", "log_joint").astype(float), "mean")
 
 
 def curve(post: Posterior, reference: Marginals, truth: Truth | None) -> pd.DataFrame:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from typing import Final
 
 import numpy as np
@@ -39,10 +40,6 @@ def over_time(tree: xr.DataTree, scenario: ScenarioFunction | None = None) -> xr
     known it is that of weights ``"visited"``: every pair of effective goals weighs its prior times
     the mean likelihood of its simulations. Nothing is simulated.
 
-    Args:
-        tree: of draws.
-        scenario: as in :class:`~phase_ppl.analysis.posterior.Posterior`.
-
     Returns:
         ``goal_red``, ``goal_green``, ``relation``, ``scenario``: probabilities (time, label),
         with the labels of ``goal_red`` in ``goal_red_is`` and so on; ``time`` in seconds. The
@@ -65,13 +62,26 @@ def over_time(tree: xr.DataTree, scenario: ScenarioFunction | None = None) -> xr
     codes = {goal: simulations[goal].values[rows] for goal in FOLLOWED[:2]}
     codes |= relation_codes(codes["goal_red"], codes["goal_green"], scenario)
     time = array(tree, "observed_data", "time")
-    coords = {"time": ("time", time, {"units": "s"})}
-    known_quantities = quantities()
-    result = xr.Dataset(coords=coords, attrs={"hindsight": HINDSIGHT, "weights": name})
+    result = by_label(time, codes, lambda indicators: weights.T @ indicators)
+    return result.assign_attrs(hindsight=HINDSIGHT, weights=name)
+
+
+def by_label(
+    time: NDArray[np.float64],
+    codes: Mapping[str, NDArray[np.int64]],
+    masses: Callable[[NDArray[np.bool_]], FloatArray],
+) -> xr.Dataset:
+    """Return probabilities (time, label) of each of :data:`FOLLOWED`.
+
+    ``codes`` are (row,) of the hypotheses; ``masses`` makes of (row, label), which of them have a
+    label, (time, label) what these weigh.
+    """
+    result = xr.Dataset(coords={"time": ("time", time, {"units": "s"})})
+    known = quantities()
     for name in FOLLOWED:
-        labels = list(known_quantities[name].categories())
+        labels = list(known[name].categories())
         indicators = codes[name][:, None] == np.arange(len(labels))
-        result[name] = (("time", f"{name}_is"), weights.T @ indicators)
+        result[name] = (("time", f"{name}_is"), masses(indicators))
         result = result.assign_coords({f"{name}_is": labels})
     return result
 

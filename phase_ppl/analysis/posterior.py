@@ -5,25 +5,26 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from phase_ppl.analysis._arviz import arviz_data
 from phase_ppl.analysis.diagnostics import diagnostics
-from phase_ppl.analysis.hypotheses import Hypotheses
+from phase_ppl.analysis.hypotheses import Hypotheses, hypothesis_record
 from phase_ppl.analysis.over_time import over_time
 from phase_ppl.analysis.quantities import (
     ScenarioFunction,
+    derived_codes,
     own_quantity,
-    part_codes,
     quantities,
     relation_codes,
 )
-from phase_ppl.analysis.summary import summary, table
+from phase_ppl.analysis.stepwise_posterior import StepwisePosterior, is_stepwise
+from phase_ppl.analysis.summary import plain, wrapped
 from phase_ppl.analysis.tree import (
     SIMULATED,
     array,
@@ -39,59 +40,9 @@ from phase_ppl.analysis.weights import WEIGHTINGS, chain_groups, halves
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidSettingError, unknown_name
-from phase_ppl.world.goals import GOALS
+from phase_ppl.world.files import existing_file
 from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
 from phase_ppl.world.scene import Scene
-
-
-def log_joint(tree: xr.DataTree) -> NDArray[np.float64]:
-    """Return (simulation,) log prior + log likelihood, -inf where not completed."""
-    usable = array(tree, "simulations", "completed") & ~array(tree, "simulations", "failed")
-    values = array(tree, "simulations", "log_prior_effective") + array(
-        tree, "simulations", "log_likelihood"
-    )
-    return np.where(usable & ~np.isnan(values), values, -np.inf).astype(np.float64)
-
-
-def best_simulation(tree: xr.DataTree) -> int:
-    """Return the completed simulation with the highest log joint, the first of equals.
-
-    Raises:
-        InvalidSettingError: none was completed.
-    """
-    values = log_joint(tree)
-    if not np.isfinite(values).any():
-        raise InvalidSettingError("no simulation was completed, so there is no best hypothesis")
-    return int(np.argmax(values))
-
-
-def hypothesis_of(tree: xr.DataTree, simulation: int) -> Hypothesis:
-    """Return the hypothesis, with its stated goals, that a simulation was made for."""
-    row = tree["simulations"].dataset.isel(simulation=simulation)
-    return Hypothesis(
-        goal_red=int(row["stated_goal_red"]),
-        goal_green=int(row["stated_goal_green"]),
-        alpha=ALPHAS[int(row["alpha"])],
-        strength_red=float(row["strength_red"]),
-        strength_green=float(row["strength_green"]),
-    )
-
-
-def replay(tree: xr.DataTree) -> NDArray[np.float64]:
-    """Return the stored trajectory (time, entity, coord) of the best hypothesis.
-
-    That of the best simulation if a chain accepted it, otherwise that of the draw with the
-    highest log joint, since only draws keep their trajectories.
-    """
-    is_best = simulation_of_draw(tree) == best_simulation(tree)
-    draws = array(tree, "sample_stats", "log_joint")
-    chosen = is_best if is_best.any() else draws == draws.max()
-    chain, draw = np.argwhere(chosen)[0]
-    trajectory = array(tree, SIMULATED, "trajectory")[chain, draw]
-    return np.asarray(trajectory, np.float64)
-
-
-# --- the posterior over goals, relation and strengths, and what one can ask it --------------------
 
 
 class Posterior(Hypotheses):
@@ -149,8 +100,7 @@ class Posterior(Hypotheses):
         tree = self._kept
         rows = WEIGHTINGS[name](tree)
         columns = dict(rows.values)
-        goals = columns["goal_red"], columns["goal_green"]
-        columns |= relation_codes(*goals, scenario) | part_codes(*goals)
+        columns |= derived_codes(columns["goal_red"], columns["goal_green"], scenario)
         known = quantities()
         for site in [name for name in columns if name not in known]:
             known[site], columns[site] = own_quantity(tree, site, columns[site])
@@ -205,7 +155,14 @@ class Posterior(Hypotheses):
         ones, as the simulator takes them; ``.effective_goals``, ``.relation`` and ``.scenario``
         give the rest. The simulator is noisy, so this is the best single simulation.
         """
-        return hypothesis_of(self._tree, best_simulation(self._tree))
+        row = self._tree["simulations"].dataset.isel(simulation=self._best_simulation())
+        return Hypothesis(
+            goal_red=int(row["stated_goal_red"]),
+            goal_green=int(row["stated_goal_green"]),
+            alpha=ALPHAS[int(row["alpha"])],
+            strength_red=float(row["strength_red"]),
+            strength_green=float(row["strength_green"]),
+        )
 
     def map_record(self) -> dict[str, Any]:
         """Return :meth:`map` as plain data.
@@ -213,20 +170,28 @@ class Posterior(Hypotheses):
         ``goal_*`` are the effective goals and ``stated_goal_*`` the stated ones, as everywhere;
         with alpha, strengths, ``log_joint``, ``relation`` and ``scenario``.
         """
-        row = best_simulation(self._tree)
-        best = hypothesis_of(self._tree, row)
-        record = best.to_dict()
-        red, green = best.effective_goals
-        codes = relation_codes(np.array([red]), np.array([green]), self._scenario)
+        best = self.map()
+        red, green = (np.array([goal]) for goal in best.effective_goals)
+        codes = relation_codes(red, green, self._scenario)
         return {
-            "goal_red": GOALS[red],
-            "goal_green": GOALS[green],
-            "stated_goal_red": record.pop("goal_red"),
-            "stated_goal_green": record.pop("goal_green"),
-            **record,
-            "log_joint": float(log_joint(self._tree)[row]),
+            **hypothesis_record(best),
+            "log_joint": float(self._log_joint().max()),
             **{name: self._quantities[name].categories()[int(c[0])] for name, c in codes.items()},
         }
+
+    def _log_joint(self) -> FloatArray:
+        """Return (simulation,) log prior + log likelihood, -inf where not completed."""
+        simulations = self._tree["simulations"].dataset
+        usable = simulations["completed"].values & ~simulations["failed"].values
+        values = (simulations["log_prior_effective"] + simulations["log_likelihood"]).values
+        return np.where(usable & ~np.isnan(values), values, -np.inf).astype(np.float64)
+
+    def _best_simulation(self) -> int:
+        """Return the completed simulation with the highest log joint, the first of equals."""
+        values = self._log_joint()
+        if not np.isfinite(values).any():
+            raise InvalidSettingError("no simulation was completed, so there is no best hypothesis")
+        return int(np.argmax(values))
 
     def replay(self) -> FloatArray:
         """Return the stored simulation (time, entity, [x, y, angle]) of the best hypothesis.
@@ -234,7 +199,10 @@ class Posterior(Hypotheses):
         That of :meth:`map` if a chain accepted it. Only trajectories of draws are kept, so
         otherwise that of the draw with the highest log joint. Nothing is simulated again.
         """
-        return replay(self._tree)
+        is_best = simulation_of_draw(self._tree) == self._best_simulation()
+        draws = array(self._tree, "sample_stats", "log_joint")
+        chain, draw = np.argwhere(is_best if is_best.any() else draws == draws.max())[0]
+        return np.asarray(array(self._tree, SIMULATED, "trajectory")[chain, draw], np.float64)
 
     @property
     def scene(self) -> Scene:
@@ -297,12 +265,84 @@ class Posterior(Hypotheses):
         return cls(read_tree(path), weights, burn_in=burn_in, scenario=scenario)
 
     def summary(self) -> dict[str, Any]:
-        """Return the posterior as plain data, fit for JSON (numbers that do not exist: None)."""
-        return summary(self)
+        """Return the posterior in JSON's types; numbers that do not exist are None.
+
+        Keys: ``goals`` (agent -> all 36 goals), ``relation``, ``scenario``, ``strengths`` (agent
+        -> mean, sd, hdi_low, hdi_high in newtons), ``errors`` (of each of these, in the same
+        form), ``map``, ``diagnostics``, ``settings``, ``cost``.
+        """
+        record = {
+            **self._answers(),
+            "map": self.map_record(),
+            "diagnostics": self.diagnostics(),
+            "settings": self.settings,
+            "cost": self.cost,
+        }
+        return {name: plain(value) for name, value in record.items()}
 
     def __str__(self) -> str:
-        return table(self)
+        found = self.diagnostics()
+        head = (
+            f"{self.event_id}: {found['particles']} particles x {found['iterations']} iterations, "
+            f"{found['kernel']}, weights {found['weights']}"
+        )
+        if self.burn_in and self.weights == "count":
+            head += f", after a burn-in of {self.burn_in}"
+        fit = (
+            f"the best draw stays {found['best_error_per_frame']:.2f} units per frame from the "
+            "observation (all four entities together)"
+        )
+        lines = [*wrapped("posterior", head), *wrapped("verdict", found["verdict"]), ""]
+        lines += [*self._answer_lines(), ""]
+        return "\n".join([*lines, *wrapped("fit", fit), *wrapped("cost", _cost(self.cost, found))])
 
     def __repr__(self) -> str:
         chains, draws = array(self._tree, "posterior", "goal_red").shape
         return f"<Posterior of {self.event_id}: {chains} x {draws} draws, weights {self.weights!r}>"
+
+
+def _cost(cost: Mapping[str, Any], found: Mapping[str, Any]) -> str:
+    simulations = found["simulations"]
+    words = f"{simulations['total']} simulations"
+    if isinstance(cost.get("frames"), int):
+        words += f", {cost['frames']} frames"
+    if cost.get("budget"):
+        words += f" (of a budget of {cost['budget']}),"
+    if isinstance(cost.get("seconds"), int | float):
+        words += f" in {cost['seconds']:.0f} s"
+    if isinstance(cost.get("workers"), int):
+        words += f" on {cost['workers']} worker{'' if cost['workers'] == 1 else 's'}"
+    if isinstance(cost.get("seconds_overhead"), int | float):
+        words += f", {cost['seconds_overhead']:.0f} s of it beside the simulations"
+    if simulations["aborted"]:
+        words += (
+            f"; {simulations['aborted']} stopped early, which saved "
+            f"{found['frames_saved_share']:.0%} of the frames"
+        )
+    else:
+        words += "; none stopped early"
+    words += f"; {cost.get('failures', simulations['failed'])} failed"
+    return f"{words}, {cost['retries']} run again" if cost.get("retries") else words
+
+
+def load_posterior(
+    path: str | os.PathLike[str], weights: str | None = None
+) -> Posterior | StepwisePosterior:
+    """Read a posterior that was saved, sampled or read step by step.
+
+    Args:
+        path: the .nc file.
+        weights: of the draws of a sampled one; by default those it was saved with.
+
+    Raises:
+        InvalidEventError: there is no such file, or it is damaged or of another kind.
+        InvalidSettingError: weights for one that has no draws.
+        UnknownNameError: there are no such weights.
+    """
+    if not is_stepwise(existing_file(path)):
+        return Posterior.load(path, weights)
+    if weights is not None:
+        raise InvalidSettingError(
+            f"weights={weights!r}: {path} was read step by step and has no draws to be weighted"
+        )
+    return StepwisePosterior.load(path)

@@ -59,10 +59,8 @@ GOAL_PARTS: Final[Mapping[str, tuple[str, ...]]] = {
 class Quantity:
     """A column of the table of hypotheses.
 
-    Attributes:
-        name: how users call it.
-        labels: the values it can take, in order of their codes; None for a real number.
-        values: what the labels stand for, such as the pair (1, 0); None: the labels themselves.
+    Its labels are the values it can take, in order of their codes, None for a real number; its
+    values are what labels stand for, such as the pair (1, 0), None: the labels themselves.
     """
 
     name: str
@@ -125,12 +123,7 @@ class Quantity:
         return self.labels
 
     def satisfied(self, values: NDArray[Any], wanted: object) -> NDArray[np.bool_]:
-        """Return which rows fulfil ``wanted``.
-
-        Args:
-            values: (row,) codes or numbers.
-            wanted: a label, or several of which any will do; (low, high) for numbers.
-        """
+        """Return which codes or numbers are ``wanted``: a label, some labels, or (low, high)."""
         if self.labels is not None and not (self.numeric and isinstance(wanted, tuple)):
             if isinstance(wanted, tuple) and all(isinstance(w, str | tuple) for w in wanted):
                 wanted = list(wanted)
@@ -176,11 +169,6 @@ def own_quantity(
     What is not real is a category: its labels are the attribute ``flag_meanings`` (JSON, by
     code) where the tree has one, otherwise all values that occur.
 
-    Args:
-        tree: a tree of draws.
-        name: of the site.
-        values: (row,) its values in the table of hypotheses.
-
     Raises:
         InvalidEventError: a value that ``flag_meanings`` has no label for.
     """
@@ -201,7 +189,7 @@ def own_quantity(
 
 
 def _part_codes(goal: int, holder: int) -> tuple[int, ...]:
-    """Return the codes of the ``GOAL_PARTS`` of a goal that the agent ``holder`` has."""
+    """Return the codes of the parts of a goal that the agent ``holder`` has."""
     literal = goal_literal(goal, holder)
     sign = 0 if literal.positive else 1
     if literal.predicate is Predicate.TOUCH:
@@ -234,9 +222,7 @@ def relation_codes(
 ) -> dict[str, NDArray[np.int64]]:
     """Return the codes of ``relation`` and ``scenario`` of pairs of effective goals.
 
-    Args:
-        goal_red, goal_green: (row,) goal codes.
-        scenario: replaces the paper's scenario of two goals; the relation follows from it.
+    ``scenario`` replaces the paper's scenario of two goals; the relation follows from it.
 
     Raises:
         UnknownNameError: ``scenario`` returns something that is no scenario.
@@ -250,3 +236,10 @@ def relation_codes(
         codes = np.array([table[pair] for pair in pairs], np.int64)
     relation_of = np.array([RELATIONS.index(RELATION_OF_SCENARIO[name]) for name in SCENARIOS])
     return {"relation": relation_of[codes], "scenario": codes}
+
+
+def derived_codes(
+    goal_red: NDArray[Any], goal_green: NDArray[Any], scenario: ScenarioFunction | None = None
+) -> dict[str, NDArray[np.int64]]:
+    """Return the codes of all that follows from pairs of effective goals, arrays (row,)."""
+    return relation_codes(goal_red, goal_green, scenario) | part_codes(goal_red, goal_green)

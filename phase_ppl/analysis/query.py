@@ -1,4 +1,4 @@
-"""Questions in words: the grammar, and which method of a posterior answers what.
+"""Questions in words: their grammar, and what their words mean.
 
 ::
 
@@ -27,23 +27,17 @@ none. A quantity's name may be quoted too.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import re
-from collections.abc import Mapping, Sequence
-from typing import Any, Final, NamedTuple, NoReturn
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final, NamedTuple, NoReturn, TypeVar
 
 import numpy as np
 
-from phase_ppl.analysis.hypotheses import HDI_PROBABILITY, N_TOP, Hypotheses
 from phase_ppl.analysis.quantities import Quantity
-from phase_ppl.world.errors import (
-    InvalidSettingError,
-    QueryError,
-    UnknownNameError,
-    shown,
-    unknown_name,
-)
+from phase_ppl.world.errors import QueryError, UnknownNameError, shown, unknown_name
+
+T = TypeVar("T")
 
 QUESTIONS: Final = ("P", "E", "sd", "H", "mode", "top", "hdi")
 """What can be asked; ``top`` and ``hdi`` may be followed by a number."""
@@ -66,16 +60,8 @@ class Word(NamedTuple):
     at: int
 
 
-@dataclasses.dataclass(frozen=True)
-class Condition:
-    """What a quantity is to be.
-
-    Attributes:
-        name: of the quantity.
-        operator: "=", "!=", "<", "<=", ">", ">=", or "in {" and "in [".
-        labels: after "=", "!=" and "in {".
-        numbers: one after "<" and its like, two after "in [".
-    """
+class Condition(NamedTuple):
+    """What a quantity is to be: labels after =, != and "in {"; one number after <, two in [ ]."""
 
     name: Word
     operator: Word
@@ -83,17 +69,10 @@ class Condition:
     numbers: tuple[float, ...] = ()
 
 
-@dataclasses.dataclass(frozen=True)
-class Query:
-    """What is asked.
+class Query(NamedTuple):
+    """What is asked, one of :data:`QUESTIONS`: of quantities by name, or for P of an event.
 
-    Attributes:
-        question: one of :data:`QUESTIONS`.
-        number: of ``top`` and ``hdi``, a share for ``hdi``; None: the default.
-        names: quantities asked for; empty where ``event`` is.
-        event: of P(event).
-        given: what to condition on.
-        given_at: index of the first character of ``given``.
+    The number is that of ``top`` and ``hdi``, a share for ``hdi``; None: the default.
     """
 
     question: str
@@ -104,12 +83,36 @@ class Query:
     given_at: int
 
 
-def parse(text: str) -> Query:
-    """Return what ``text`` asks.
+def understood(
+    text: str, quantities: Mapping[str, Quantity]
+) -> tuple[Query, dict[str, Any], dict[str, Any]]:
+    """Return what ``text`` asks, its event and what is given, these as quantity -> value.
 
     Raises:
-        QueryError: it breaks the grammar; the message points at the place.
+        QueryError: it breaks the grammar, names what does not exist, or asks for what a quantity
+            does not have; the message points at the place.
     """
+    query = _parsed(text)
+    meaning = _Meaning(quantities, text)
+    for place, name in enumerate(query.names):
+        meaning.check_asked(query.question, name, query.names[:place])
+    return query, meaning.conditions(query.event), meaning.conditions(query.given)
+
+
+def conditions(quantities: Mapping[str, Quantity], text: str) -> Mapping[str, Any]:
+    """Return conditions in words, such as ``"relation=friendly"``, as quantity -> value.
+
+    Raises:
+        QueryError: they cannot be read, or name what does not exist.
+    """
+    question = f"P({text})"
+    query = _parsed(question)
+    if not query.event or query.given:
+        raise QueryError("expected conditions, such as relation=friendly", question, 2)
+    return _Meaning(quantities, question).conditions(query.event)
+
+
+def _parsed(text: str) -> Query:
     if not isinstance(text, str):
         raise QueryError(f"a question is text, not {shown(text)}", "", 0)
     if len(text) > LONGEST:
@@ -129,20 +132,20 @@ class _Parser:
     def query(self) -> Query:
         question = self._question()
         number = self._share_or_count(question)
-        closing = self._bracket()
+        closing = next((_CLOSING[sign] for sign in _CLOSING if self._take(sign)), None)
         names: tuple[Word, ...] = ()
         event: tuple[Condition, ...] = ()
+        given: tuple[Condition, ...] = ()
         if question == "P":
             names, event = self._names_or_event()
         elif question == "H":
-            names = self._names()
+            names = self._listed(self._name)
         else:
             names = (self._name(),)
-        given: tuple[Condition, ...] = ()
         bar = self._take("|")
         given_at = self._skip()
         if bar:
-            given = self._conditions(self._condition())
+            given = self._listed(self._condition)
         self._end(closing, bar, lists=bool(given) or question in ("P", "H"))
         return Query(question, number, names, event, given, given_at)
 
@@ -170,34 +173,22 @@ class _Parser:
             self._fail("a share in (0, 1] or percent, as in hdi 94% strength_red", start)
         return number
 
-    def _bracket(self) -> str | None:
-        for opening in "([":
-            if self._take(opening):
-                return _CLOSING[opening]
-        return None
-
     def _names_or_event(self) -> tuple[tuple[Word, ...], tuple[Condition, ...]]:
         name = self._name()
         self._skip()
         if _OPERATOR.match(self._text, self._at):
-            return (), self._conditions(self._condition(name))
-        names = self._names(name)
+            return (), self._listed(self._condition, self._condition(name))
+        names = self._listed(self._name, name)
         place = self._skip()
         if _OPERATOR.match(self._text, place):
             self._fail("names only or conditions only; what is given comes after '|'", place)
         return names, ()
 
-    def _names(self, first: Word | None = None) -> tuple[Word, ...]:
-        names = [first or self._name()]
+    def _listed(self, one: Callable[[], T], first: T | None = None) -> tuple[T, ...]:
+        found = [one() if first is None else first]
         while self._take(","):
-            names.append(self._name())
-        return tuple(names)
-
-    def _conditions(self, first: Condition) -> tuple[Condition, ...]:
-        conditions = [first]
-        while self._take(","):
-            conditions.append(self._condition())
-        return tuple(conditions)
+            found.append(one())
+        return tuple(found)
 
     def _condition(self, name: Word | None = None) -> Condition:
         name = name or self._name()
@@ -207,20 +198,15 @@ class _Parser:
             return Condition(name, Word(operator, start), labels=(self._label(name.text),))
         if operator == "in":
             if self._take("{"):
-                return Condition(name, Word("in {", start), labels=self._labels(name.text))
+                labels = self._listed(lambda: self._label(name.text))
+                self._expect("}", "',' or '}'")
+                return Condition(name, Word("in {", start), labels=labels)
             if self._take("["):
                 return Condition(name, Word("in [", start), numbers=self._interval())
             self._fail("{ and labels, or [ and an interval's ends, after 'in'")
         if operator:
             return Condition(name, Word(operator, start), numbers=(self._number("a number"),))
         self._fail(f"=, !=, <, <=, >, >= or in after {shown(name.text)}")
-
-    def _labels(self, name: str) -> tuple[Word, ...]:
-        labels = [self._label(name)]
-        while self._take(","):
-            labels.append(self._label(name))
-        self._expect("}", "',' or '}'")
-        return tuple(labels)
 
     def _interval(self) -> tuple[float, float]:
         start = self._skip()
@@ -321,87 +307,6 @@ class _Parser:
     def _fail(self, expected: str, at: int | None = None) -> NoReturn:
         place = self._skip() if at is None else at
         raise QueryError(f"expected {expected}", self._text, place)
-
-
-# --- questions in words: the grammar, and which method of a posterior answers what ----------------
-# ::
-#
-# question = asked [ "|" conditions ] asked = "P" conditions probability | "P" names probabilities
-# of all values, of all combinations | "E" name | "sd" name mean, standard deviation of numbers |
-# "hdi" [ share ] name shortest interval with this share, 0.9 or 90% | "mode" name most probable
-# value | "top" [ number ] name the most probable values | "H" names entropy, nats names = name {
-# "," name } conditions = condition { "," condition } all of them hold condition = name "=" value
-# | name "!=" value | name "in" "{" value { "," value } "}" any of them | name "in" "[" number ","
-# number "]" ends included | name ( "<" | "<=" | ">" | ">=" ) number
-#
-# What follows the first word may stand in round or square brackets: ``P(relation=friendly)``,
-# ``E[strength_red | relation=friendly]``, ``top 3 goal_red``. "|" reads "given". Values are
-# written as they are, ``goal_red = Get blue item to red lm``, in any case and spacing; with
-# quotes, single or double, where they hold one of ``, | = < > ! ( ) [ ] { }`` or a quote.
-# ``alpha=(1, 0)`` needs none. A quantity's name may be quoted too.
-
-
-def answer(post: Hypotheses, quantities: Mapping[str, Quantity], text: str) -> Any:
-    """Return the answer of ``post`` to the question ``text``.
-
-    ============================ =======================================================
-    P(conditions)                :meth:`Hypotheses.probability`, a number
-    P(name), P(name, name)       :meth:`Hypotheses.marginal`, :meth:`Hypotheses.joint`
-    E, sd, H                     :meth:`Hypotheses.mean`, :meth:`~.sd`, :meth:`~.entropy`
-    mode, top, hdi               the method of this name
-    ============================ =======================================================
-
-    Args:
-        post: whom to ask.
-        quantities: that it has.
-        text: the question.
-
-    Raises:
-        QueryError: the question breaks the grammar, names what does not exist, asks for what a
-            quantity does not have, or conditions on what has probability 0.
-    """
-    query = parse(text)
-    meaning = _Meaning(quantities, text)
-    for place, name in enumerate(query.names):
-        meaning.check_asked(query.question, name, query.names[:place])
-    event, given = meaning.conditions(query.event), meaning.conditions(query.given)
-    if given and not post.probability(**given) > 0:
-        reason = f"cannot condition on this: {post.why_impossible(given)}"
-        raise QueryError(reason, text, query.given_at)
-    try:
-        return _ask(post, query, event, given)
-    except InvalidSettingError as error:  # too large a table
-        raise QueryError(str(error), text, query.names[0].at) from None
-
-
-def conditions(quantities: Mapping[str, Quantity], text: str) -> Mapping[str, Any]:
-    """Return conditions in words, such as ``"relation=friendly"``, as quantity -> value.
-
-    Raises:
-        QueryError: they cannot be read, or name what does not exist.
-    """
-    question = f"P({text})"
-    query = parse(question)
-    if not query.event or query.given:
-        reason = "expected conditions, such as relation=friendly"
-        raise QueryError(reason, question, 2)
-    return _Meaning(quantities, question).conditions(query.event)
-
-
-def _ask(post: Hypotheses, query: Query, event: Mapping[str, Any], given: Mapping[str, Any]) -> Any:
-    if event:
-        return post.probability(given, **event)
-    names = [name.text for name in query.names]
-    if query.question == "P":
-        return post.joint(*names, given=given)
-    if query.question == "H":
-        return post.entropy(*names, given=given)
-    if query.question == "top":
-        return post.top(names[0], N_TOP if query.number is None else int(query.number), given=given)
-    if query.question == "hdi":
-        return post.hdi(names[0], query.number or HDI_PROBABILITY, given=given)
-    ask = {"E": post.mean, "sd": post.sd, "mode": post.mode}[query.question]
-    return ask(names[0], given=given)
 
 
 class _Meaning:

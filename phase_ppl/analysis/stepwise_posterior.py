@@ -3,79 +3,40 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from phase_ppl.analysis.estimate import Jackknife
-from phase_ppl.analysis.hypotheses import Hypotheses
+from phase_ppl.analysis.hypotheses import Hypotheses, hypothesis_record
+from phase_ppl.analysis.over_time import by_label
 from phase_ppl.analysis.quantities import (
     ScenarioFunction,
-    part_codes,
+    derived_codes,
     quantities,
     relation_codes,
 )
-from phase_ppl.analysis.stepwise_diagnostics import diagnostics
-from phase_ppl.analysis.stepwise_table import SCHEMAS, STRENGTHS, Table, brought_up, check, why
-from phase_ppl.analysis.summary import answer_lines, answers, plain, wrapped
+from phase_ppl.analysis.query import conditions
+from phase_ppl.analysis.stepwise_table import SCHEMAS, STRENGTHS, Table, brought_up, check
+from phase_ppl.analysis.summary import plain, wrapped
 from phase_ppl.analysis.tree import kept_scene
 from phase_ppl.analysis.weights import log_sum_exp
+from phase_ppl.dataset.generation.situation import overlaps
 from phase_ppl.dataset.hdf5 import netcdf_bytes, read_netcdf, root_attribute
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.files import check_output, existing_file, write_bytes
-from phase_ppl.world.goals import GOALS, N_GOALS
+from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
+from phase_ppl.world.names import ENTITIES
 from phase_ppl.world.scene import Scene
-
-
-def stepwise_summary(post: StepwisePosterior) -> dict[str, Any]:
-    """Return ``post`` in JSON's types.
-
-    Keys: ``goals``, ``relation``, ``scenario``, ``strengths``, ``errors`` as of sampled ones;
-    ``map``, ``log_evidence`` (nats), ``diagnostics``, ``frame``, ``settings``, ``cost``.
-    """
-    record = {
-        **answers(post),
-        "map": post.map_record(),
-        "log_evidence": post.log_evidence,
-        "diagnostics": post.diagnostics(),
-        "frame": post.frame,
-        "settings": post.settings,
-        "cost": post.cost,
-    }
-    return {name: plain(value) for name, value in record.items()}
-
-
-def stepwise_table(post: StepwisePosterior) -> str:
-    """Return ``post`` as a table of at most 88 columns."""
-    found = post.diagnostics()
-    head = f"{post.event_id}: read step by step, {found['frames']} frames; all hypotheses, "
-    seeds = found["planner_seeds"]
-    head += f"{seeds} sets of searches" if seeds > 1 else "one set of searches"
-    lines = [*wrapped("posterior", head), *wrapped("verdict", found["verdict"]), ""]
-    lines += [*answer_lines(post), ""]
-    lines += wrapped(
-        "evidence", f"log p(video) = {post.log_evidence:.1f} nats, every frame counted in full"
-    )
-    if found["weight"] != 1:
-        words = f"in the probabilities above a frame counts {found['weight']:g} (tempered)"
-        lines += wrapped("weight", words)
-    return "\n".join([*lines, *wrapped("cost", _cost(post.cost, found["frames"]))])
-
-
-def _cost(cost: dict[str, Any], n: int) -> str:
-    words = f"{cost['searches']} searches, {cost['searches'] / max(1, n - 1):.0f} a step"
-    if isinstance(cost.get("seconds"), int | float):
-        words += f", in {cost['seconds']:.1f} s; the video lasts {cost['video_seconds']:.1f} s"
-    return words
-
-
-# --- the posterior of the closed-loop likelihood: summed over all hypotheses, at every... ---------
 
 FILTERING: Final = (
     "Filtering: what can be believed at each frame from the frames so far; later frames change "
@@ -83,6 +44,31 @@ FILTERING: Final = (
     "the video, is known from the start."
 )
 """Goes with every result over time."""
+
+UNEXPLAINED: Final = 17.0
+"""Nats below a perfect match, after the best pair of actions, from which on a frame counts as
+explained by no action: one body some 3 units from where it could be. 41 real videos without noise
+have none (16 at most); of the model's own videos, whose positions have noise of heavy tails, 3 %
+of the frames come to as much (``benchmarks/stepwise.py calibration``)."""
+
+SURPRISE: Final = 4.1
+"""Nats by which what was done was less probable than one sure action, beyond what is unexplained;
+the model's own videos have ``SURPRISING`` of their frames above it
+(``benchmarks/stepwise.py calibration``)."""
+
+SURPRISING: Final = 0.1
+_TOO_SURPRISING: Final = 0.5
+"""Share of such frames from which on the agents are said not to do what any goals make likely."""
+
+SHRUNK: Final = 0.8
+"""Part of their size with which bodies must meet to be said to lie on each other: in contact they
+press into each other a little."""
+
+DISAGREE: Final = 0.1
+"""Standard error of a leading probability from which on the sets of searches disagree."""
+
+_NAMED: Final = 3
+"""Frames that a verdict names."""
 
 
 class StepwisePosterior(Hypotheses):
@@ -120,15 +106,13 @@ class StepwisePosterior(Hypotheses):
         check(found)
         self._found, self._scenario = found, scenario
         self._table = Table(found)
-        self._diagnostics: dict[str, Any] | None = None
         last = self._table.n_frames - 1
         self._frame = last if frame is None else frame
         if not 0 <= self._frame <= last:
             raise InvalidSettingError(f"frame={frame!r}, expected a number in 0..{last}")
         rows = self._table.rows(self._frame)
         columns = dict(rows.values)
-        goals = columns["goal_red"], columns["goal_green"]
-        columns |= relation_codes(*goals, scenario) | part_codes(*goals)
+        columns |= derived_codes(columns["goal_red"], columns["goal_green"], scenario)
         super().__init__(quantities(), dataclasses.replace(rows, values=columns))
 
     def _jackknife(self, share: float) -> Jackknife | None:
@@ -208,9 +192,29 @@ class StepwisePosterior(Hypotheses):
         ``overlapping_frames``, in which bodies lie on each other or in a wall; and ``verdict``, in
         words, the worst sign first.
         """
-        if self._diagnostics is None:
-            self._diagnostics = diagnostics(self)
-        return self._diagnostics
+        found = self._found.isel(time=slice(None, self._frame + 1))
+        unexplained = np.array(found["unexplained"].values, float)
+        surprise = self.surprise() - unexplained
+        leading = {name: self.top(name, 1)[0] for name in ("goal_red", "goal_green", "relation")}
+        known = np.isfinite(surprise[1:])
+        result = {
+            "frames": self._frame + 1,
+            "planner_seeds": self.planner_seeds,
+            "weight": float(found.attrs["weight"]),
+            "leading": {
+                name: {"label": label, "probability": float(share), "error": share.error}
+                for name, (label, share) in leading.items()
+            },
+            "surprise_median": float(np.median(surprise[1:])) if known.any() else None,
+            "surprise_reference": SURPRISE,
+            "surprising_share": float((surprise[1:] > SURPRISE).mean()) if known.any() else None,
+            "unexplained_most": float(unexplained[1:].max()) if known.any() else None,
+            "unexplained_frames": np.flatnonzero(unexplained > UNEXPLAINED).tolist(),
+            "overlapping_frames": _overlapping(
+                self.observed(), found["radius"].values, found["walls"].values
+            ),
+        }
+        return {**result, "verdict": _verdict(result)}
 
     def map(self) -> Hypothesis:
         """Return the most probable hypothesis; its goals are the stated ones."""
@@ -237,18 +241,13 @@ class StepwisePosterior(Hypotheses):
         red, green = (codes.ravel() for codes in np.indices((N_GOALS, N_GOALS)))
         codes = {"goal_red": red, "goal_green": green}
         codes |= relation_codes(red, green, self._scenario)
-        known = quantities()
         time = self._found["time"].values[: self._frame + 1]
-        result = xr.Dataset(
-            coords={"time": ("time", time, {"units": "s"})}, attrs={"filtering": FILTERING}
-        )
         flat = masses.reshape(len(masses), -1)
-        for name, column in codes.items():
-            labels = list(known[name].categories())
-            table = np.stack([flat[:, column == code].sum(axis=1) for code in range(len(labels))])
-            result[name] = (("time", f"{name}_is"), table.T)
-            result = result.assign_coords({f"{name}_is": labels})
-        return result
+
+        def summed(indicators: NDArray[np.bool_]) -> FloatArray:
+            return np.stack([flat[:, which].sum(axis=1) for which in indicators.T], axis=1)
+
+        return by_label(time, codes, summed).assign_attrs(filtering=FILTERING)
 
     def why(self, event: str, over: str | None = None) -> xr.Dataset:
         """Return which frames speak for ``event``, and against what.
@@ -266,7 +265,26 @@ class StepwisePosterior(Hypotheses):
             QueryError, UnknownNameError: it cannot be read, or names something unknown.
             InvalidSettingError: one of them is impossible under the prior.
         """
-        return why(self._found, self._table, self._frame, event, over, self._scenario)
+        columns = self._table.columns()
+        columns |= derived_codes(columns["goal_red"], columns["goal_green"], self._scenario)
+        wanted = _satisfied(columns, event)
+        other = ~wanted if over is None else _satisfied(columns, over)
+        odds = np.empty(self._frame + 1)
+        for t in range(self._frame + 1):
+            log_mass = self._table.log_mass(t).ravel()
+            with np.errstate(invalid="ignore"):
+                odds[t] = log_sum_exp(log_mass[wanted]) - log_sum_exp(log_mass[other])
+        if not np.isfinite(odds[0]):
+            possible = np.isfinite(log_sum_exp(self._table.log_mass(0).ravel()[wanted]))
+            raise InvalidSettingError(
+                f"{over if possible else event} is impossible under the prior: there are no odds"
+            )
+        time = self._found["time"].values[: self._frame + 1]
+        return xr.Dataset(
+            {"log_odds": ("time", odds), "change": ("time", np.diff(odds, prepend=odds[0]))},
+            coords={"time": ("time", time, {"units": "s"})},
+            attrs={"event": event, "over": over or f"not {event}"},
+        )
 
     @property
     def scene(self) -> Scene:
@@ -304,27 +322,121 @@ class StepwisePosterior(Hypotheses):
             raise InvalidEventError(f"{source}: {error}") from None
 
     def summary(self) -> dict[str, Any]:
-        """Return the posterior as plain data, fit for JSON."""
-        return stepwise_summary(self)
+        """Return the posterior in JSON's types.
+
+        Keys: ``goals``, ``relation``, ``scenario``, ``strengths``, ``errors`` as of sampled ones;
+        ``map``, ``log_evidence`` (nats), ``diagnostics``, ``frame``, ``settings``, ``cost``.
+        """
+        record = {
+            **self._answers(),
+            "map": self.map_record(),
+            "log_evidence": self.log_evidence,
+            "diagnostics": self.diagnostics(),
+            "frame": self.frame,
+            "settings": self.settings,
+            "cost": self.cost,
+        }
+        return {name: plain(value) for name, value in record.items()}
 
     def map_record(self) -> dict[str, Any]:
         """Return :meth:`map` as plain data; ``goal_*`` are the effective goals."""
-        best = self.map()
-        record = best.to_dict()
-        red, green = best.effective_goals
-        return {
-            "goal_red": GOALS[red],
-            "goal_green": GOALS[green],
-            "stated_goal_red": record.pop("goal_red"),
-            "stated_goal_green": record.pop("goal_green"),
-            **record,
-        }
+        return hypothesis_record(self.map())
 
     def __str__(self) -> str:
-        return stepwise_table(self)
+        found, cost = self.diagnostics(), self.cost
+        seeds = found["planner_seeds"]
+        searched = f"{seeds} sets of searches" if seeds > 1 else "one set of searches"
+        head = (
+            f"{self.event_id}: read step by step, {found['frames']} frames; all hypotheses, "
+            f"{searched}"
+        )
+        lines = [*wrapped("posterior", head), *wrapped("verdict", found["verdict"]), ""]
+        lines += [*self._answer_lines(), ""]
+        evidence = f"log p(video) = {self.log_evidence:.1f} nats, every frame counted in full"
+        lines += wrapped("evidence", evidence)
+        if found["weight"] != 1:
+            words = f"in the probabilities above a frame counts {found['weight']:g} (tempered)"
+            lines += wrapped("weight", words)
+        steps = max(1, found["frames"] - 1)
+        words = f"{cost['searches']} searches, {cost['searches'] / steps:.0f} a step"
+        if isinstance(cost.get("seconds"), int | float):
+            seconds, lasts = cost["seconds"], cost["video_seconds"]
+            words += f", in {seconds:.1f} s; the video lasts {lasts:.1f} s"
+        return "\n".join([*lines, *wrapped("cost", words)])
 
     def __repr__(self) -> str:
         return f"<StepwisePosterior of {self.event_id} after frame {self._frame}>"
+
+
+def _overlapping(trajectory: FloatArray, radius: FloatArray, walls: FloatArray) -> list[int]:
+    """Return the frames in which bodies lie on each other, or in a wall."""
+    small = SHRUNK * radius
+    near = np.full(len(trajectory), len(walls) > 0)
+    for one, other in itertools.combinations(range(len(ENTITIES)), 2):
+        apart = np.hypot(*(trajectory[:, one, :2] - trajectory[:, other, :2]).T)
+        # an agent reaches 3 radii from its origin at most
+        near |= apart < 3 * (radius[one] + radius[other])
+    return [t for t in np.flatnonzero(near).tolist() if overlaps(trajectory[t], small, walls)]
+
+
+def _verdict(found: Mapping[str, Any]) -> str:
+    """Return in a few sentences whether the posterior can be trusted, the worst sign first."""
+    n = found["frames"] - 1
+    signs = []
+    if found["unexplained_frames"]:
+        signs.append(
+            f"No action explains {_frames(found['unexplained_frames'])}: a body is where nothing "
+            "could have put it. The probabilities hold only for a video that this is not."
+        )
+    if found["overlapping_frames"]:
+        signs.append(
+            f"Bodies lie on each other or in a wall in {_frames(found['overlapping_frames'])}, "
+            "which bodies of this world cannot: what they do there says little of goals."
+        )
+    share = found["surprising_share"]
+    if share is not None and share > _TOO_SURPRISING:
+        signs.append(
+            f"{share:.0%} of the frames surprise whatever the goals, where the model's own videos "
+            f"have {SURPRISING:.0%}: these agents act otherwise than it expects."
+        )
+    errors = {name: one["error"] for name, one in found["leading"].items()}
+    worst = max(errors, key=lambda name: np.nan_to_num(errors[name]))
+    if found["planner_seeds"] > 1 and errors[worst] > DISAGREE:
+        signs.append(
+            f"The {found['planner_seeds']} sets of searches disagree on {worst} (standard error "
+            f"{errors[worst]:.2f}): use more, planner_seeds={2 * found['planner_seeds']}."
+        )
+    if found["planner_seeds"] == 1 and n:
+        signs.append(
+            "With one set of searches nothing tells how much of this is the planner's chance."
+        )
+    if found["surprising_share"] is None and n:
+        signs.append("Nothing was kept that would tell whether the model expects such a video.")
+    if n == 0:
+        signs.append("Nothing was seen but the start: this is the prior.")
+    if not signs:
+        signs.append(
+            f"Actions explain every frame, {1 - share:.0%} of them are such as the model expects, "
+            f"and the {found['planner_seeds']} sets of searches agree (largest standard error of "
+            f"a leading probability: {errors[worst]:.2g})."
+        )
+    return " ".join(signs)
+
+
+def _frames(frames: list[int]) -> str:
+    named = ", ".join(map(str, frames[:_NAMED]))
+    if len(frames) > _NAMED:
+        return f"{len(frames)} frames ({named}, ...)"
+    return f"frame{'s' if len(frames) > 1 else ''} {named}"
+
+
+def _satisfied(columns: Mapping[str, NDArray[np.float64]], text: str) -> NDArray[np.bool_]:
+    """Return which hypotheses fulfil conditions in words."""
+    known = quantities()
+    found = np.ones(len(next(iter(columns.values()))), bool)
+    for name, wanted in conditions(known, text).items():
+        found &= known[name].satisfied(columns[name], wanted)
+    return found
 
 
 def is_stepwise(path: str | os.PathLike[str]) -> bool:

@@ -3,23 +3,15 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.quantities import (
-    ScenarioFunction,
-    part_codes,
-    quantities,
-    relation_codes,
-)
-from phase_ppl.analysis.query import conditions
 from phase_ppl.analysis.weights import Rows, log_sum_exp
 from phase_ppl.world.arrays import FloatArray, IntArray
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
+from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.goals import N_GOALS, effective_goals
 from phase_ppl.world.hypothesis import ALPHAS
 
@@ -109,11 +101,7 @@ def effective_pairs() -> IntArray:
 
 
 class Table:
-    """All hypotheses of a reading and their log masses at any frame.
-
-    Args:
-        found: the reading.
-    """
+    """All hypotheses of a reading and their log masses at any frame."""
 
     def __init__(self, found: xr.Dataset) -> None:
         self._weight = float(found.attrs["weight"])
@@ -139,9 +127,7 @@ class Table:
     def log_mass(self, frame: int, weight: float | None = None) -> FloatArray:
         """Return the log masses, shaped as ``log_prior``, given the frames up to ``frame``.
 
-        Args:
-            frame: the last one that counts.
-            weight: of each frame; None: the likelihood's.
+        Each counts by ``weight``, by default the likelihood's.
         """
         weight = self._weight if weight is None else weight
         return self._masses(frame, weight * self._so_far[frame])
@@ -161,15 +147,18 @@ class Table:
     def rows(self, frame: int) -> Rows:
         """Return the hypotheses that have any mass to speak of, at a frame."""
         kept, weights = self._kept(frame)
-        pairs = effective_pairs()[kept[:3]]
-        red, green = np.unravel_index(pairs, (N_GOALS, N_GOALS))
-        values = dict(zip(STATED, kept[:3], strict=True))
+        return Rows(self.columns(kept), weights, {"hypothesis": np.arange(len(weights))})
+
+    def columns(self, places: tuple[IntArray, ...] | None = None) -> dict[str, NDArray[Any]]:
+        """Return codes and strengths of the hypotheses at some places of ``log_prior``, or all."""
+        if places is None:
+            places = tuple(column.ravel() for column in np.indices(self._log_prior.shape))
+        red, green = np.unravel_index(effective_pairs()[places[:3]], (N_GOALS, N_GOALS))
+        values: dict[str, NDArray[Any]] = dict(zip(STATED, places[:3], strict=True))
         values |= {"goal_red": red, "goal_green": green}
-        values |= {
-            name: levels[codes]
-            for name, levels, codes in zip(STRENGTHS, self._levels, kept[3:], strict=True)
-        }
-        return Rows(values, weights, {"hypothesis": np.arange(len(weights))})
+        for name, levels, codes in zip(STRENGTHS, self._levels, places[3:], strict=True):
+            values[name] = levels[codes]
+        return values
 
     def weights_without(self, frame: int) -> FloatArray:
         """Return (planner_seed, row) weights of :meth:`rows` without each set of searches."""
@@ -205,76 +194,8 @@ class Table:
 
 
 def log_prior_of_pairs(log_prior: FloatArray) -> FloatArray:
-    """Return (goal_red, goal_green) log prior masses of pairs of effective goals.
-
-    Args:
-        log_prior: of hypotheses, as in a reading.
-    """
+    """Return (goal_red, goal_green) log prior masses of pairs of effective goals."""
     found = np.full(N_GOALS**2, -np.inf)
     of_stated = np.logaddexp.reduce(log_prior.reshape(*log_prior.shape[:3], -1), axis=-1)
     np.logaddexp.at(found, effective_pairs().ravel(), of_stated.ravel())
     return found.reshape(N_GOALS, N_GOALS)
-
-
-# --- which frames speak for one thing over another ------------------------------------------------
-
-
-def why(
-    found: xr.Dataset,
-    table: Table,
-    frame: int,
-    event: str,
-    over: str | None,
-    scenario: ScenarioFunction | None,
-) -> xr.Dataset:
-    """Return the log odds of ``event`` over ``over`` by frame, and what each frame changes.
-
-    See :meth:`phase_ppl.analysis.stepwise_posterior.StepwisePosterior.why`.
-
-    Args:
-        found, table: what was read.
-        frame: the last one that is counted.
-        event, over, scenario: as there.
-    """
-    columns = _columns(found, scenario)
-    wanted = _satisfied(columns, event)
-    other = ~wanted if over is None else _satisfied(columns, over)
-    odds = np.empty(frame + 1)
-    for t in range(frame + 1):
-        log_mass = table.log_mass(t).ravel()
-        with np.errstate(invalid="ignore"):
-            odds[t] = log_sum_exp(log_mass[wanted]) - log_sum_exp(log_mass[other])
-    if not np.isfinite(odds[0]):
-        impossible = (
-            event if not np.isfinite(log_sum_exp(table.log_mass(0).ravel()[wanted])) else over
-        )
-        raise InvalidSettingError(f"{impossible} is impossible under the prior: there are no odds")
-    time = found["time"].values[: frame + 1]
-    return xr.Dataset(
-        {"log_odds": ("time", odds), "change": ("time", np.diff(odds, prepend=odds[0]))},
-        coords={"time": ("time", time, {"units": "s"})},
-        attrs={"event": event, "over": over or f"not {event}"},
-    )
-
-
-def _satisfied(columns: Mapping[str, NDArray[np.float64]], text: str) -> NDArray[np.bool_]:
-    known = quantities()
-    found = np.ones(len(next(iter(columns.values()))), bool)
-    for name, wanted in conditions(known, text).items():
-        found &= known[name].satisfied(columns[name], wanted)
-    return found
-
-
-def _columns(
-    found: xr.Dataset, scenario: ScenarioFunction | None
-) -> dict[str, NDArray[np.float64]]:
-    """Return every quantity of all hypotheses, in the order of the raveled masses."""
-    shape = found["log_prior"].shape
-    codes = [column.ravel() for column in np.indices(shape)]
-    columns = dict(zip(STATED, codes, strict=False))
-    for name, column in zip(STRENGTHS, codes[len(STATED) :], strict=True):
-        columns[name] = found[name].values[column]
-    pairs = effective_pairs()[tuple(codes[: len(STATED)])]
-    columns["goal_red"], columns["goal_green"] = np.unravel_index(pairs, (N_GOALS, N_GOALS))
-    goals = columns["goal_red"], columns["goal_green"]
-    return columns | relation_codes(*goals, scenario) | part_codes(*goals)

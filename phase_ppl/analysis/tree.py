@@ -103,20 +103,18 @@ def check_tree(tree: xr.DataTree) -> None:
         missing = [name for name in variables if name not in dataset.variables]
         if missing:
             raise InvalidEventError(f"group {group!r} of the tree of draws lacks {missing}")
-        for name, dims in variables.items():
-            if dims is not None and dataset[name].dims != dims:
-                raise InvalidEventError(
-                    f"{group}/{name} has dimensions {dataset[name].dims}, expected {dims}"
-                )
-    for group, optional in OPTIONAL.items():
-        dataset = tree[group].dataset
-        for name, dims in optional.items():
-            if name in dataset and dataset[name].dims != dims:
+        for name, dims in {**variables, **OPTIONAL.get(group, {})}.items():
+            if dims is not None and name in dataset and dataset[name].dims != dims:
                 raise InvalidEventError(
                     f"{group}/{name} has dimensions {dataset[name].dims}, expected {dims}"
                 )
     _check_sizes(tree)
-    _check_codes(tree)
+    limits = {**dict.fromkeys(SITES[:4], N_GOALS), "alpha": len(ALPHAS)}
+    for group in ("posterior", "simulations"):
+        for name, limit in limits.items():
+            codes = array(tree, group, name)
+            if codes.size and (codes.min() < 0 or codes.max() >= limit):
+                raise InvalidEventError(f"{group}/{name} has codes outside 0..{limit - 1}")
 
 
 def _check_sizes(tree: xr.DataTree) -> None:
@@ -137,15 +135,6 @@ def _check_sizes(tree: xr.DataTree) -> None:
         have = array(tree, group, name).shape
         if have != want:
             raise InvalidEventError(f"{group}/{name} has shape {have}, expected {want}")
-
-
-def _check_codes(tree: xr.DataTree) -> None:
-    limits = {**dict.fromkeys(SITES[:4], N_GOALS), "alpha": len(ALPHAS)}
-    for group in ("posterior", "simulations"):
-        for name, limit in limits.items():
-            codes = array(tree, group, name)
-            if codes.size and (codes.min() < 0 or codes.max() >= limit):
-                raise InvalidEventError(f"{group}/{name} has codes outside 0..{limit - 1}")
 
 
 def array(tree: xr.DataTree, group: str, name: str) -> NDArray[Any]:
@@ -249,23 +238,16 @@ def _up_to_date(tree: xr.DataTree) -> xr.DataTree:
         return tree
     groups = {name: node.to_dataset() for name, node in tree.children.items()}
     simulated = groups.pop("posterior_predictive")
-    radial = _RADIAL.fullmatch(_likelihood_of(tree))
+    try:
+        likelihood = str(json.loads(tree.attrs["settings"])["model"]["likelihood"])
+    except (KeyError, TypeError, ValueError):
+        likelihood = ""
+    radial = _RADIAL.fullmatch(likelihood)
     if radial is not None:
         simulated.attrs["beta"] = float(radial[1])
     newer = xr.DataTree.from_dict({**groups, SIMULATED: simulated})
     newer.attrs = {**tree.attrs, "schema": SCHEMA}
     return newer
-
-
-def _likelihood_of(tree: xr.DataTree) -> str:
-    """Return how the settings of a run describe its likelihood."""
-    try:
-        return str(json.loads(tree.attrs["settings"])["model"]["likelihood"])
-    except (KeyError, TypeError, ValueError):
-        return ""
-
-
-# --- the scene of an event, as files of posteriors keep it ----------------------------------------
 
 
 def kept_scene(kept: xr.Dataset) -> Scene:

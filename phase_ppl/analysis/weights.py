@@ -119,21 +119,13 @@ def halves(tree: xr.DataTree, name: str, rows: Rows) -> tuple[NDArray[np.bool_],
 
 
 def count(tree: xr.DataTree) -> Rows:
-    """Return all draws, weighted as the kernel says: equally, but for weighted draws.
-
-    Raises:
-        InvalidSettingError: all weights are zero.
-    """
+    """Return all draws, weighted as the kernel says: equally, but for weighted draws."""
     values, index = _draws(tree)
     return Rows(values, normalised(log_weight_of_draws(tree).reshape(-1)), index)
 
 
 def likelihood(tree: xr.DataTree) -> Rows:
-    """Return all draws, each weighted by its own likelihood.
-
-    Raises:
-        InvalidEventError: a draw rests on no simulation of the tree.
-    """
+    """Return all draws, each weighted by its own likelihood."""
     values, index = _draws(tree)
     simulation = simulation_of_draw(tree).reshape(-1)
     if (simulation < 0).any():
@@ -152,9 +144,6 @@ def visited(tree: xr.DataTree) -> Rows:
     The likelihood of a pair of effective goals is the mean over its simulations, in which a run
     that was stopped early counts as 0: an under-estimate by no more than
     :func:`aborted_mass_bound`.
-
-    Raises:
-        InvalidSettingError: no simulation was completed.
     """
     table = evaluations(tree)
     weighed = table[table["completed"]]
@@ -169,12 +158,7 @@ def visited(tree: xr.DataTree) -> Rows:
 
 
 def importance(tree: xr.DataTree) -> Rows:
-    """Return every completed simulation of known proposal density, by P(h) L / Q(h), truncated.
-
-    Raises:
-        InvalidSettingError: the kernel's proposals have no density that is known, or no
-            simulation was completed.
-    """
+    """Return every completed simulation of known proposal density, by P(h) L / Q(h), truncated."""
     if not has_proposals(tree):
         raise InvalidSettingError(
             f"weights 'importance' need the density of each proposal, which kernel "
@@ -208,10 +192,7 @@ def log_reciprocal_proposal(
 ) -> FloatArray:
     """Return (simulation,) log 1 / (Q(h) P(it was not stopped)); NaN where Q is not known.
 
-    Args:
-        tree: of draws.
-        log_likelihood: (simulation,) at best, as far as it was needed; by default of the whole
-            simulations.
+    The log likelihood is that at best, as far as it was needed; by default of whole simulations.
     """
     simulations = tree["simulations"].dataset
     if "log_proposal" not in simulations:
@@ -301,4 +282,7 @@ WEIGHTINGS: Final[Mapping[str, Callable[[xr.DataTree], Rows]]] = {
     "visited": visited,
     "likelihood": likelihood,
 }
-"""Name of a weighting -> the function that makes the table."""
+"""Name of a weighting -> the function that makes the table.
+
+They raise InvalidSettingError where nothing has weight, or the kernel's proposals have no density
+that is known, and InvalidEventError where a draw rests on no simulation of the tree."""

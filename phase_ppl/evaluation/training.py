@@ -214,7 +214,7 @@ def _finish(
     progress: bool | None,
 ) -> dict[str, Any]:
     """Put the networks together, score them, write the report and draw the curves."""
-    from phase_ppl.analysis.figures.training import training_curves
+    from phase_ppl.analysis.figures.curves import training_curves
 
     variant = settings.variant
     members = [store.load(folder / MEMBERS / f"{seed}.npz").members[0] for seed in seeds]

@@ -98,9 +98,7 @@ def _cross(first: FloatArray, second: FloatArray) -> FloatArray:
     return np.asarray(first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0])
 
 
-# --- one frame in the look of the PHASE animations ------------------------------------------------
-# 640 x 480 pixels, 20 per unit, white; landmarks are filled squares, walls black lines 5 pixels
-# wide, items discs, agents trapezoids with two eyes at the short side, their front. y points up.
+# --- one frame ---------------------------------------------------------------------------------
 
 Colour = tuple[int, int, int]
 Pixels = NDArray[np.uint8]
@@ -371,18 +369,12 @@ def write_centred(picture: Image.Image, text: str, x: float, y: float, size: flo
     ImageDraw.Draw(picture).text((x, y), text, fill=_TEXT_COLOUR, font=font, anchor="mm")
 
 
-# --- what is drawn: an event, an observation or bare trajectories, and the poses... ---------------
-
 Drawable = Event | Observation | ArrayLike
 """Anything with trajectories; all but an event need a scene beside them."""
 
 
 def scene_and_trajectory(what: Drawable, scene: Scene | None) -> tuple[Scene, FloatArray]:
-    """Return the scene and the (time, entity, coord) trajectory to draw.
-
-    Args:
-        what: an event, an observation, or an array (time, entity, coord) with coord = x, y, angle.
-        scene: drawn instead of the event's own; needed for anything but an event.
+    """Return the scene, by default the event's own, and the (time, entity, coord) trajectory.
 
     Raises:
         InvalidSettingError: no scene.

@@ -43,17 +43,12 @@ def image(
     *,
     fields_of_view: bool = False,
 ) -> None:
-    """Write one frame as a 640 x 480 PNG.
+    """Write one frame, -1 the last one, as a 640 x 480 PNG.
 
-    Args:
-        what: an event, an observation, or an array (time, entity, coord) of x, y, angle.
-        frame: index of the frame; -1 is the last one.
-        path: the file, ending in ".png".
-        scene: walls, landmarks and sizes; needed unless ``what`` is an event.
-        fields_of_view: whether to show what each agent can see, by the rule of the simulator.
+    ``what``, ``scene`` and ``fields_of_view`` are those of :func:`phase_ppl.render.video`.
 
     Raises:
-        OutputError: another file ending, or the file cannot be written.
+        OutputError: the file does not end in ".png", or cannot be written.
         InvalidSettingError: no such frame, or no scene.
         InvalidEventError: a trajectory of another shape, or not finite.
     """
@@ -76,17 +71,11 @@ def strip(
 ) -> None:
     """Write a film strip as PNG: ``n`` frames from first to last, evenly spaced.
 
-    Lines show the ways since the picture before; the time below is simulated seconds.
-
-    Args:
-        what: an event, an observation, or an array (time, entity, coord) of x, y, angle.
-        path: the file, ending in ".png".
-        n: how many frames, at most all.
-        scene: walls, landmarks and sizes; needed unless ``what`` is an event.
-        fields_of_view: whether to show what each agent can see, by the rule of the simulator.
+    Lines show the ways since the picture before; the time below is simulated seconds. ``what``,
+    ``scene`` and ``fields_of_view`` are those of :func:`phase_ppl.render.video`.
 
     Raises:
-        OutputError: another file ending, or the file cannot be written.
+        OutputError: the file does not end in ".png", or cannot be written.
         InvalidSettingError: ``n`` is not in 1..T, or no scene.
         InvalidEventError: a trajectory of another shape, or not finite.
     """
@@ -98,11 +87,7 @@ def strip(
 def draw_strip(
     what: Drawable, n: int = 6, scene: Scene | None = None, fields_of_view: bool = False
 ) -> Image.Image:
-    """Return the picture that :func:`strip` writes: panels 300 pixels wide, 36 rows below.
-
-    Raises:
-        InvalidSettingError, InvalidEventError: as :func:`strip`.
-    """
+    """Return the picture that :func:`strip` writes: panels 300 pixels wide, 36 rows below."""
     scene, trajectory = scene_and_trajectory(what, scene)
     if not 1 <= n <= len(trajectory):
         raise InvalidSettingError(f"n={n}, expected one of 1..{len(trajectory)}")

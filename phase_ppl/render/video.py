@@ -8,7 +8,7 @@ import re
 import subprocess
 import tempfile
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, Final
@@ -42,11 +42,7 @@ MAX_GIF_FPS: Final = 50
 
 
 def encode_mp4(frames: Iterable[Image.Image], path: Path, fps: float) -> None:
-    """Write RGB frames of one even size as H.264 (yuv420p) into ``path``.
-
-    Raises:
-        OSError: there is no ffmpeg, or it failed; the message is its last word.
-    """
+    """Write RGB frames of one even size as H.264 (yuv420p); OSError: ffmpeg's last word."""
     codec = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "18", "-movflags", "+faststart"]
     _encode(frames, fps, [*codec, str(path)])
 
@@ -57,10 +53,7 @@ def encode_gif(
     """Write RGB frames of one size as a GIF that repeats for ever into ``path``.
 
     All frames share one palette, of colours in ``samples``; there is no dithering, which would
-    put noise on plain areas. Of each frame only what changed is stored.
-
-    Raises:
-        OSError: there is no ffmpeg, or it failed; the message is its last word.
+    put noise on plain areas. Of each frame only what changed is stored. OSError: as above.
     """
     with tempfile.TemporaryDirectory() as folder:
         palette = Path(folder) / "palette.png"
@@ -128,8 +121,6 @@ def _start(size: tuple[int, int], fps: float, result: Sequence[str]) -> subproce
     )
 
 
-# --- animations: an event, or what was observed beside what was predicted, as MP4 or GIF ----------
-
 FRAMES_PER_SECOND: Final = 20
 FRAMES_PER_STEP: Final = 5
 """At 20 frames per second a planner step is shown for 0.25 s, three times its simulated time."""
@@ -195,7 +186,11 @@ def video(
         return drawn[0] if compare is None else _beside(drawn, captions)
 
     with atomic_output(path, SUFFIXES) as part:
-        frames = _with_progress(map(draw, range(n_frames)), n_frames, progress)
+        frames: Iterable[Image.Image] = map(draw, range(n_frames))
+        if progress:
+            from tqdm import tqdm
+
+            frames = tqdm(frames, total=n_frames, unit="frame")
         if as_gif:
             chosen = np.linspace(0, n_frames - 1, min(_SAMPLES, n_frames)).round().astype(int)
             encode_gif(frames, part, fps, samples=map(draw, chosen))
@@ -214,17 +209,6 @@ def _beside(drawn: list[Image.Image], captions: tuple[str, str]) -> Image.Image:
     for index, text in enumerate(captions):
         write_centred(picture, text, (index + 0.5) * PANEL, _CAPTION_Y, _CAPTION_SIZE)
     return picture
-
-
-def _with_progress(
-    frames: Iterator[Image.Image], total: int, progress: bool
-) -> Iterable[Image.Image]:
-    if not progress:
-        return frames
-    from tqdm import tqdm
-
-    bar: Iterable[Image.Image] = tqdm(frames, total=total, unit="frame")
-    return bar
 
 
 # --- videos of a whole set of events, in parallel -------------------------------------------------
@@ -287,11 +271,7 @@ def videos(
 
 
 def _names(events: Sequence[Event]) -> list[str]:
-    """Return a file name for each event: its id, where it is fit for one.
-
-    Raises:
-        InvalidEventError: two events have the same id.
-    """
+    """Return a file name for each event: its id, where it is fit for one."""
     ids = Counter(event.id for event in events)
     twice = next((name for name, n in ids.items() if n > 1), None)
     if twice is not None:

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
 import phase_ppl
 from phase_ppl.analysis.data_table import Row, data_table, goal_grid, rows, shares_differ
@@ -20,6 +19,8 @@ from phase_ppl.world.goals import GOALS, is_self_referring
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
+
+from .pages import texts_apart
 
 SIZES = (0.8, 1.01, 1.2, 1.6)
 
@@ -158,31 +159,6 @@ def test_the_grid_has_every_goal_once() -> None:
 
 
 # --- the figure --------------------------------------------------------------------------------
-
-
-def texts_apart(figure: Figure) -> int:
-    """Return the number of texts; fail where one leaves the page or covers another."""
-    figure.canvas.draw()
-    found = list(figure.texts)
-    for axes in figure.axes:
-        found += [*axes.texts, axes._left_title]  # type: ignore[attr-defined]
-        if axes.axison:
-            for place, labels, ends in (
-                (0, axes.get_xticklabels(), axes.get_xlim()),
-                (1, axes.get_yticklabels(), axes.get_ylim()),
-            ):
-                found += [t for t in labels if min(ends) <= t.get_position()[place] <= max(ends)]
-            found.append(axes.xaxis.label)
-    boxes = [(text.get_text(), text.get_window_extent()) for text in found if text.get_text()]
-    width, height = figure.canvas.get_width_height()
-    for text, box in boxes:
-        assert box.x0 >= 0, text
-        assert box.y0 >= 0, text
-        assert box.x1 <= width, text
-        assert box.y1 <= height, text
-    for (text, box), (other_text, other) in itertools.combinations(boxes, 2):
-        assert not box.overlaps(other), (text, other_text)
-    return len(boxes)
 
 
 def test_no_text_of_a_card_leaves_the_page_or_covers_another(generated: dict[str, Any]) -> None:

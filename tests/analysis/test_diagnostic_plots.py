@@ -17,6 +17,7 @@ from phase_ppl.world.errors import OutputError
 from phase_ppl.world.goals import GOALS
 
 from .factory import Simulation, hypothesis, make_tree, random_tree
+from .pages import texts_apart
 
 
 def many_goals(n_chains: int, n_draws: int, n_goals: int = 20) -> Posterior:
@@ -28,18 +29,6 @@ def many_goals(n_chains: int, n_draws: int, n_goals: int = 20) -> Posterior:
     return Posterior(make_tree(simulations, draws.tolist()))
 
 
-def boxes(figure: Figure) -> list[tuple[str, object]]:
-    figure.canvas.draw()
-    texts = [*figure.texts, *(t for legend in figure.legends for t in legend.get_texts())]
-    for axes in figure.axes:
-        texts += [*axes.texts, axes._left_title, axes.xaxis.label, axes.yaxis.label]  # type: ignore[attr-defined]
-        for axis in (axes.xaxis, axes.yaxis):
-            low, high = sorted(axis.get_view_interval())
-            texts += [t.label1 for t in axis.get_major_ticks() if low <= t.get_loc() <= high]
-    shown = [t for t in texts if t.get_text() and t.get_visible()]
-    return [(t.get_text(), t.get_window_extent()) for t in shown]
-
-
 @pytest.mark.parametrize("shape", [(15, 6), (4, 500), (1, 1), (2, 3)])
 @pytest.mark.parametrize(
     "draw",
@@ -49,15 +38,7 @@ def boxes(figure: Figure) -> list[tuple[str, object]]:
 def test_no_text_leaves_the_page_or_covers_another(
     shape: tuple[int, int], draw: Callable[[Posterior], Figure]
 ) -> None:
-    figure = draw(many_goals(*shape))
-    width, height = figure.canvas.get_width_height()
-    found = boxes(figure)
-    assert len(found) > 5
-    for i, (text, box) in enumerate(found):
-        assert 0 <= box.x0 < box.x1 <= width, text  # type: ignore[attr-defined]
-        assert 0 <= box.y0 < box.y1 <= height, text  # type: ignore[attr-defined]
-        for other_text, other in found[i + 1 :]:
-            assert not box.overlaps(other), (text, other_text)  # type: ignore[attr-defined]
+    assert texts_apart(draw(many_goals(*shape))) > 5
 
 
 def image(axes: Axes) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:

@@ -14,6 +14,7 @@ from phase_ppl.world.errors import OutputError
 from phase_ppl.world.goals import GOALS
 
 from .factory import BLUE_TO_RED, PINK_TO_BLUE, Simulation, hypothesis, make_tree, random_tree
+from .pages import texts_apart
 
 
 @pytest.fixture(scope="module")
@@ -47,26 +48,7 @@ def test_no_text_leaves_the_page_or_covers_another() -> None:
     simulations = [
         Simulation(hypothesis(*goals), i) for i, goals in enumerate(zip(red, green, strict=True))
     ]
-    figure = plots.posterior(Posterior(make_tree(simulations, [list(range(6))])))
-    figure.canvas.draw()
-    boxes = []
-    for axes in figure.axes:
-        texts = [*axes.texts, axes._left_title]  # type: ignore[attr-defined]
-        if axes.axison:
-            texts += [*axes.get_yticklabels(), *axes.get_xticklabels(), axes.xaxis.label]
-        legend = axes.get_legend()
-        texts += [] if legend is None else legend.get_texts()
-        boxes += [(t.get_text(), t.get_window_extent()) for t in texts if t.get_text()]
-    assert len(boxes) > 50
-    width, height = figure.canvas.get_width_height()
-    for text, box in boxes:
-        assert box.x0 >= 0, text
-        assert box.y0 >= 0, text
-        assert box.x1 <= width, text
-        assert box.y1 <= height, text
-    for i, (text, box) in enumerate(boxes):
-        for other_text, other in boxes[i + 1 :]:
-            assert not box.overlaps(other), (text, other_text)
+    assert texts_apart(plots.posterior(Posterior(make_tree(simulations, [list(range(6))])))) > 50
 
 
 def test_figure_is_written_as_png_and_pdf(tmp_path: Path) -> None:

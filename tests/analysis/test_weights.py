@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -30,7 +31,8 @@ from .factory import (
 
 A = hypothesis(BLUE_TO_RED)
 B = hypothesis(PINK_TO_BLUE)
-C = hypothesis("Get pink item to red lm")
+PINK_TO_RED = "Get pink item to red lm"
+C = hypothesis(PINK_TO_RED)
 LOG = math.log
 
 
@@ -84,29 +86,39 @@ def test_likelihood_refuses_a_draw_that_rests_on_no_simulation() -> None:
         Posterior(tree, "likelihood")
 
 
-def test_visited_weighs_goal_pairs_by_prior_times_mean_likelihood_of_their_runs() -> None:
-    simulations = [
-        Simulation(A, 1, LOG(0.2), LOG(0.5)),
-        Simulation(A, 2, LOG(0.2), LOG(0.1)),
-        Simulation(B, 3, LOG(0.1), LOG(0.4)),
-        Simulation(C, 4, LOG(0.5), LOG(0.2)),
-    ]
+@pytest.mark.parametrize(
+    ("simulations", "expected"),
+    [
+        # A: 0.2 (0.5 + 0.1) / 2 = 0.06, B: 0.04, C: 0.10; how often a chain stayed does not count
+        (
+            [
+                Simulation(A, 1, LOG(0.2), LOG(0.5)),
+                Simulation(A, 2, LOG(0.2), LOG(0.1)),
+                Simulation(B, 3, LOG(0.1), LOG(0.4)),
+                Simulation(C, 4, LOG(0.5), LOG(0.2)),
+            ],
+            {BLUE_TO_RED: 0.3, PINK_TO_BLUE: 0.2, PINK_TO_RED: 0.5},
+        ),
+        # a repeated seed of a hypothesis counts once
+        (
+            [
+                Simulation(A, 1, 0.0, LOG(0.5)),
+                Simulation(A, 1, 0.0, LOG(0.5)),
+                Simulation(A, 2, 0.0, LOG(0.1)),
+                Simulation(B, 3, 0.0, LOG(0.3)),
+            ],
+            {BLUE_TO_RED: 0.5, PINK_TO_BLUE: 0.5},
+        ),
+        # one outside the prior has no weight
+        ([Simulation(A, 1), Simulation(B, 2, log_prior=-math.inf)], {BLUE_TO_RED: 1.0}),
+    ],
+    ids=["by prior and mean likelihood", "repeated", "outside the prior"],
+)
+def test_visited_weighs_goal_pairs_by_prior_times_mean_likelihood_of_their_runs(
+    simulations: list[Simulation], expected: dict[str, float]
+) -> None:
     post = Posterior(make_tree(simulations, [[0, 0, 0]]), "visited")
-    # A: 0.2 (0.5 + 0.1) / 2 = 0.06, B: 0.04, C: 0.10; how often a chain stayed does not count
-    assert goal_probabilities(post) == pytest.approx(
-        {BLUE_TO_RED: 0.3, PINK_TO_BLUE: 0.2, "Get pink item to red lm": 0.5}
-    )
-
-
-def test_visited_counts_a_repeated_seed_of_a_hypothesis_once() -> None:
-    simulations = [
-        Simulation(A, 1, 0.0, LOG(0.5)),
-        Simulation(A, 1, 0.0, LOG(0.5)),
-        Simulation(A, 2, 0.0, LOG(0.1)),
-        Simulation(B, 3, 0.0, LOG(0.3)),
-    ]
-    post = Posterior(make_tree(simulations, [[0]]), "visited")
-    assert goal_probabilities(post) == pytest.approx({BLUE_TO_RED: 0.5, PINK_TO_BLUE: 0.5})
+    assert goal_probabilities(post) == pytest.approx(expected)
 
 
 def test_visited_averages_over_strengths_alphas_and_seeds_of_a_pair() -> None:
@@ -183,12 +195,6 @@ def test_weights_survive_log_densities_far_below_the_smallest_float(weights: str
     assert goal_probabilities(post) == pytest.approx({BLUE_TO_RED: 0.25, PINK_TO_BLUE: 0.75})
 
 
-def test_visited_gives_a_hypothesis_outside_the_prior_no_weight() -> None:
-    simulations = [Simulation(A, 1), Simulation(B, 2, log_prior=-math.inf)]
-    post = Posterior(make_tree(simulations, [[0]]), "visited")
-    assert goal_probabilities(post) == {BLUE_TO_RED: 1.0}
-
-
 def test_visited_needs_a_completed_simulation() -> None:
     tree = make_tree([Simulation(A, 1, completed=False)], [[0]])
     assert aborted_mass_bound(tree) == 1.0
@@ -220,47 +226,50 @@ def test_weights_that_cannot_be_normalised_are_refused(bad: list[float]) -> None
         normalised(np.array(bad))
 
 
-def proposed(tree: xr.DataTree, log_proposal: list[float], log_bound: list[float]) -> xr.DataTree:
-    """Return the tree with the densities by which its simulations were proposed."""
+def proposed(
+    tree: xr.DataTree, log_proposal: list[float], log_bound: float = math.inf, again: float = 0.0
+) -> xr.DataTree:
+    """Return the tree with the densities by which its simulations were proposed.
+
+    All but the first have the bound, and were asked for again with this density.
+    """
+    n = len(log_proposal)
     simulations = tree["simulations"].to_dataset()
-    for name, values in (
-        ("log_proposal", log_proposal),
-        ("log_bound", log_bound),
-        ("log_again", [-math.inf] * len(log_proposal)),
-    ):
-        simulations[name] = ("simulation", np.array(values))
+    simulations["log_proposal"] = "simulation", np.array(log_proposal)
+    simulations["log_bound"] = "simulation", np.array([math.inf, *[log_bound] * (n - 1)])
+    with np.errstate(divide="ignore"):
+        simulations["log_again"] = "simulation", np.log([0.0, *[again] * (n - 1)])
     tree["simulations"] = xr.DataTree(simulations)
     return tree
 
 
-def test_importance_weighs_by_prior_times_likelihood_over_proposal() -> None:
-    simulations = [
-        Simulation(A, 0, LOG(0.2), LOG(0.5)),
-        Simulation(B, 1, LOG(0.2), LOG(0.5), iteration=1),
-        Simulation(C, 2, LOG(0.1), LOG(0.9), completed=False, iteration=1),
-        Simulation(C, 3, LOG(0.1), LOG(0.9), failed=True, iteration=1),
-    ]
-    tree = proposed(
-        make_tree(simulations, [[0, 1]]), [LOG(0.5), LOG(0.25), 0.0, 0.0], [math.inf] * 4
-    )
-    found = goal_probabilities(Posterior(tree, "importance"))
-    assert found == pytest.approx({BLUE_TO_RED: 1 / 3, PINK_TO_BLUE: 2 / 3})
+TENTHS = [Simulation(A, 0, 0.0, LOG(0.1)), Simulation(B, 1, 0.0, LOG(0.1), iteration=1)]
 
 
-def test_what_could_have_been_stopped_weighs_more_by_how_likely_that_was() -> None:
-    simulations = [
-        Simulation(A, 0, 0.0, LOG(0.1)),
-        Simulation(B, 1, 0.0, LOG(0.1), iteration=1),  # completed with probability 0.1 / 0.2
-    ]
-    tree = proposed(make_tree(simulations, [[0, 1]]), [0.0, 0.0], [math.inf, -LOG(0.2)])
-    found = goal_probabilities(Posterior(tree, "importance"))
-    assert found == pytest.approx({BLUE_TO_RED: 1 / 3, PINK_TO_BLUE: 2 / 3})
-
-
-def test_a_request_that_was_answered_again_counts_again() -> None:
-    simulations = [Simulation(A, 0), Simulation(B, 1, iteration=1)]
-    tree = proposed(make_tree(simulations, [[0, 1]]), [0.0, 0.0], [math.inf] * 2)
-    tree["simulations"].dataset["log_again"].values[1] = 0.0
+@pytest.mark.parametrize(
+    ("simulations", "options"),
+    [
+        # by prior times likelihood over proposal; what was stopped or failed does not count
+        (
+            [
+                Simulation(A, 0, LOG(0.2), LOG(0.5)),
+                Simulation(B, 1, LOG(0.2), LOG(0.5), iteration=1),
+                Simulation(C, 2, LOG(0.1), LOG(0.9), completed=False, iteration=1),
+                Simulation(C, 3, LOG(0.1), LOG(0.9), failed=True, iteration=1),
+            ],
+            {"log_proposal": [LOG(0.5), LOG(0.25), 0.0, 0.0]},
+        ),
+        # completed with probability 0.1 / 0.2, so it counts twice
+        (TENTHS, {"log_proposal": [0.0, 0.0], "log_bound": -LOG(0.2)}),
+        # what was answered again counts again
+        (TENTHS, {"log_proposal": [0.0, 0.0], "again": 1.0}),
+    ],
+    ids=["by proposal", "could have been stopped", "answered again"],
+)
+def test_importance_makes_up_for_how_simulations_came_about(
+    simulations: list[Simulation], options: dict[str, Any]
+) -> None:
+    tree = proposed(make_tree(simulations, [[0, 1]]), **options)
     found = goal_probabilities(Posterior(tree, "importance"))
     assert found == pytest.approx({BLUE_TO_RED: 1 / 3, PINK_TO_BLUE: 2 / 3})
 
@@ -276,7 +285,7 @@ def test_importance_is_refused_where_proposals_have_no_density() -> None:
     tree = make_tree([Simulation(A), Simulation(B, 1, iteration=1)], [[0, 1]])
     with pytest.raises(InvalidSettingError, match="density of each proposal"):
         Posterior(tree, "importance")
-    unknown = proposed(tree, [0.0, math.nan], [math.inf] * 2)
+    unknown = proposed(tree, [0.0, math.nan])
     with pytest.raises(InvalidSettingError, match="'count' counts its draws"):
         Posterior(unknown, "importance")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import subprocess
+from collections.abc import Callable
 from pathlib import Path
 
 import imageio_ffmpeg
@@ -151,22 +152,20 @@ def test_an_interrupted_video_leaves_the_old_one_and_nothing_else(
     assert list(tmp_path.iterdir()) == [target]
 
 
-def test_without_an_encoder_the_error_says_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def no_encoder() -> str:
+    raise RuntimeError("No ffmpeg exe could be found.")
+
+
+@pytest.mark.parametrize(
+    ("encoder", "said"),
+    [(no_encoder, "No ffmpeg"), (lambda: "false", "the video encoder failed")],
+    ids=["absent", "fails"],
+)
+def test_an_encoder_that_is_not_there_or_fails_is_reported_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, encoder: Callable[[], str], said: str
 ) -> None:
-    def absent() -> str:
-        raise RuntimeError("No ffmpeg exe could be found.")
-
-    monkeypatch.setattr(imageio_ffmpeg, "get_ffmpeg_exe", absent)
-    with pytest.raises(OutputError, match=r"cannot write .*event.mp4: No ffmpeg"):
-        video(make_event(), tmp_path / "event.mp4")
-
-
-def test_an_encoder_that_fails_is_reported_in_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(imageio_ffmpeg, "get_ffmpeg_exe", lambda: "false")
-    with pytest.raises(OutputError, match=r"event.mp4: the video encoder failed") as raised:
+    monkeypatch.setattr(imageio_ffmpeg, "get_ffmpeg_exe", encoder)
+    with pytest.raises(OutputError, match=rf"cannot write .*event.mp4: {said}") as raised:
         video(make_event(), tmp_path / "event.mp4")
     assert "\n" not in str(raised.value)
     assert list(tmp_path.iterdir()) == []
@@ -189,18 +188,12 @@ def test_what_is_no_trajectory_is_refused(tmp_path: Path, trajectory: object) ->
 
 
 @pytest.mark.parametrize(
-    ("setting", "value"),
-    [
-        ("fps", 0),
-        ("fps", -1),
-        ("fps", float("nan")),
-        ("frames_per_step", 0),
-        ("frames_per_step", 1.5),
-    ],
+    "setting", [{"fps": 0}, {"fps": -1}, {"fps": float("nan")}, {"frames_per_step": 1.5}]
 )
-def test_speeds_must_be_positive(tmp_path: Path, setting: str, value: float) -> None:
-    with pytest.raises(InvalidSettingError, match=f"{setting}={value}"):
-        video(make_event(), tmp_path / "event.mp4", **{setting: value})  # type: ignore[arg-type]
+def test_speeds_must_be_positive(tmp_path: Path, setting: dict[str, float]) -> None:
+    ((name, value),) = setting.items()
+    with pytest.raises(InvalidSettingError, match=f"{name}={value}"):
+        video(make_event(), tmp_path / "event.mp4", **setting)  # type: ignore[arg-type]
 
 
 def test_one_frame_is_written_as_picture(tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Literal
 
 import numpy as np
 
@@ -14,16 +14,16 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-
 FORMATS: Final = (".png", ".pdf", ".svg")
 """File name endings a figure can be written with."""
 
 INK: Final = "#222222"
+GREY: Final = "#666666"
+"""Colours of text: of what is shown, of what explains it."""
 
 SMALL: Final = 7.5
 NORMAL: Final = 8.5
 """Font sizes, points."""
-
 
 COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#9a4c8f", "#8a6d00", "#56a0d3", "#444444")
 """Colours of lines, to be told apart without seeing red and green apart."""
@@ -38,12 +38,12 @@ OTHER: Final = "#d0d0d0"
 """Colour of what has none of its own."""
 
 
-def new_figure(width: float, height: float) -> Figure:
+def new_figure(width: float, height: float, layout: Literal["constrained"] | None = None) -> Figure:
     """Return an empty white figure, inches, that belongs to no global state."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width, height), facecolor="white")
+    figure = Figure(figsize=(width, height), facecolor="white", layout=layout)
     FigureCanvasAgg(figure)
     return figure
 
@@ -70,21 +70,41 @@ def bare(axes: Axes, *more: str) -> None:
     axes.tick_params(labelsize=SMALL + 0.5, width=0.7, length=3, colors=INK)
 
 
+def dressed(axes: Axes, title: str, note: str = "", *, x: str = "", y: str = "") -> None:
+    """Leave the left and lower axis only; write a title, a note below it, and labels of axes."""
+    bare(axes)
+    axes.set_title(title, fontsize=NORMAL + 1, loc="left", color=INK, pad=14 if note else 6)
+    if note:
+        axes.text(0, 1.02, note, transform=axes.transAxes, fontsize=SMALL, color=GREY)
+    axes.set_xlabel(x, fontsize=NORMAL, color=INK, labelpad=2)
+    axes.set_ylabel(y, fontsize=NORMAL, color=INK)
+
+
+def in_shares(axes: Axes) -> None:
+    """Let the vertical axis go from 0 to 1, with faint lines."""
+    axes.set_ylim(0, 1.02)
+    axes.set_yticks([0, 0.5, 1], ["0", "0.5", "1"])
+    faint_lines(axes)
+
+
+def faint_lines(axes: Axes) -> None:
+    """Draw faint horizontal lines below all else."""
+    axes.grid(axis="y", color="#e6e6e6", lw=0.6)
+    axes.set_axisbelow(True)
+
+
 def direct_labels(
-    axes: Axes,
-    ends: Sequence[tuple[float, float, str, str]],
-    *,
-    gap: float = 0.065,
+    axes: Axes, ends: Sequence[tuple[float, str, str]], *, gap: float = 0.065
 ) -> None:
     """Write each line's name beside its end, moved apart where they would touch.
 
     Args:
         axes: with final limits.
-        ends: x and y of the end, name, colour.
+        ends: y of the end, name, colour.
         gap: least distance of two names, as a share of the axis.
     """
     low, high = axes.get_ylim()
-    wanted = np.array([(end[1] - low) / (high - low) for end in ends])
+    wanted = np.array([(y - low) / (high - low) for y, _, _ in ends])
     order = np.argsort(wanted)
     places = wanted[order].copy()
     for _ in range(200):
@@ -93,10 +113,10 @@ def direct_labels(
             push = (gap - gaps[i]) / 2
             places[i] -= push
             places[i + 1] += push
-        lift = max(0.0, 0.02 - places[0])
-        places[0] += lift
+        places[0] += max(0.0, 0.02 - places[0])
     for place, i in zip(places, order, strict=True):
-        _, _, name, colour = ends[i]
+        _, name, colour = ends[i]
+        line = {"arrowstyle": "-", "color": colour, "lw": 0.7, "relpos": (0, 0.5)}
         axes.annotate(
             name,
             (1.0, wanted[i]),
@@ -107,8 +127,5 @@ def direct_labels(
             fontsize=NORMAL,
             color=colour,
             annotation_clip=False,
-            arrowprops={
-                **{"arrowstyle": "-", "color": colour, "lw": 0.7},
-                **{"shrinkA": 0, "shrinkB": 0, "relpos": (0, 0.5)},
-            },
+            arrowprops={**line, "shrinkA": 0, "shrinkB": 0},
         )

@@ -12,8 +12,7 @@ import numpy as np
 
 from phase_ppl.analysis import plots
 from phase_ppl.analysis.hypotheses import HDI_PROBABILITY
-from phase_ppl.analysis.load import load_posterior
-from phase_ppl.analysis.posterior import Posterior
+from phase_ppl.analysis.posterior import Posterior, load_posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.evaluation.agreement import at
 from phase_ppl.evaluation.comparison.comparison import ModelComparison

@@ -1,9 +1,10 @@
-"""The figure of a comparison: how good each kernel is after ever more simulations or frames."""
+"""Curves: how good kernels are after ever more simulations, and how a network was trained."""
 
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING, Final
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import pandas as pd
@@ -11,11 +12,13 @@ import pandas as pd
 from phase_ppl.analysis.comparison import DISTANCES, Comparison
 from phase_ppl.analysis.figures.style import (
     COLOURS,
+    GREY,
     INK,
     NORMAL,
     SMALL,
-    bare,
     direct_labels,
+    dressed,
+    faint_lines,
     new_figure,
     written,
 )
@@ -25,7 +28,6 @@ from phase_ppl.world.errors import unknown_name
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
 
 STYLES: Final = ("-", (0, (5, 1.6)), (0, (1.2, 1.2)))
 """Lines of the kernels, for those beyond the colours."""
@@ -50,7 +52,7 @@ def comparison(
     *,
     measures: tuple[str, ...] = ("tv_goals", "p_goals"),
 ) -> Figure:
-    """Draw measures of accuracy against simulations, a line per kernel.
+    """Draw measures of accuracy against simulations, a line per kernel; 4.6 inches a panel.
 
     Against frames, where the budget was of frames. Lines are means over repeats, bands their
     standard errors. A kernel that keeps its last population only is a point with a bar. A dashed
@@ -59,67 +61,53 @@ def comparison(
 
     Args:
         c: what to draw.
-        path: where to write the figure as well, as .png, .pdf or .svg.
+        path: where to write the figure as well.
         measures: a panel for each, of :data:`HEADINGS`; those without values are left out.
-
-    Returns:
-        A matplotlib figure, 4.6 inches wide for each panel.
 
     Raises:
         UnknownNameError: there is no such measure.
-        OutputError: the figure cannot be written there, or the ending is another.
     """
     for name in measures:
         if name not in HEADINGS:
             raise unknown_name("measure", name, HEADINGS)
     drawn = [name for name in measures if c.curve[name].notna().any()]
-    figure = new_figure(4.6 * len(drawn), 3.6)
-    grid = figure.add_gridspec(
-        1, len(drawn), left=0.62 / (4.6 * len(drawn)), right=1 - 1.15 / (4.6 * len(drawn)),
-        top=0.86, bottom=0.185, wspace=1.75 / 2.9,
-    )  # fmt: skip
-    for panel, name in enumerate(drawn):
-        axes = figure.add_subplot(grid[panel])
-        _panel(axes, c, name)
-        title, label = HEADINGS[name]
-        axes.set_title(title, fontsize=NORMAL + 1, loc="left", color=INK, pad=14)
-        axes.text(0, 1.02, label, transform=axes.transAxes, fontsize=SMALL + 0.5, color="#666666")
+    figure = new_figure(4.6 * len(drawn), 3.6, "constrained")
+    for axes, name in zip(figure.subplots(1, len(drawn), squeeze=False)[0], drawn, strict=True):
+        _compared(axes, c, name)
     repeats = c.runs.groupby("kernel").size()
     words = f"{repeats.min()}" if repeats.min() == repeats.max() else "several"
     note = f"{c.settings['event']}: mean and standard error of {words} runs each"
-    figure.text(0.62 / (4.6 * len(drawn)), 0.025, note, fontsize=SMALL, color="#666666")
+    figure.supxlabel(note, x=0.01, ha="left", fontsize=SMALL, color=GREY)
     return written(figure, path)
 
 
-def _panel(axes: Axes, c: Comparison, name: str) -> None:
+def _compared(axes: Axes, c: Comparison, name: str) -> None:
     unit = "frames" if str(c.settings["budget"]).endswith("frames") else "simulations"
-    ends: list[tuple[float, float, str, str]] = []
+    ends: list[tuple[float, str, str]] = []
+    furthest = 0.0
     for place, kernel in enumerate(c.kernels):
         colour, style = COLOURS[place % len(COLOURS)], STYLES[place // len(COLOURS) % len(STYLES)]
-        rows = c.curve[c.curve["kernel"] == kernel]
-        x, mean, error = _mean_curve(rows, name, unit)
+        x, mean, error = _mean_curve(c.curve[c.curve["kernel"] == kernel], name, unit)
         if len(x) == 1:
             axes.errorbar(x, mean, error, fmt="o", ms=4, color=colour, capsize=2, lw=1.2)
         else:
             axes.fill_between(x, mean - error, mean + error, color=colour, alpha=0.16, lw=0)
             axes.plot(x, mean, color=colour, ls=style, lw=1.8, solid_capstyle="round")
-        ends.append((float(x[-1]), float(mean[-1]), kernel, colour))
+        ends.append((float(mean[-1]), kernel, colour))
+        furthest = max(furthest, float(x[-1]))
     own_error = c.reference_error(name) if name in DISTANCES else None
     if own_error is not None:
         axes.axhspan(0, own_error, color="#eeeeee", lw=0, zorder=0)
         note = "within the reference's own error"
-        axes.text(0.015, 0.02, note, transform=axes.transAxes, fontsize=SMALL, color="#777777")
+        axes.text(0.015, 0.02, note, transform=axes.transAxes, fontsize=SMALL, color=GREY)
     reference = c.settings["reference"].get("truth", {}).get(name)
     if reference is not None:
-        axes.axhline(reference, color="#777777", lw=0.9, ls=(0, (4, 3)), zorder=1)
-        ends.append((0.0, reference, "reference", "#777777"))
-    bare(axes)
-    axes.set_xlabel("simulated frames" if unit == "frames" else unit, fontsize=NORMAL, color=INK)
-    axes.set_xlim(0, max(end[0] for end in ends) * 1.02)
-    top = axes.get_ylim()[1]
-    axes.set_ylim(0, min(1.02, max(top, 0.05)))
-    axes.grid(axis="y", color="#e6e6e6", lw=0.6)
-    axes.set_axisbelow(True)
+        axes.axhline(reference, color=GREY, lw=0.9, ls=(0, (4, 3)), zorder=1)
+        ends.append((reference, "reference", GREY))
+    dressed(axes, *HEADINGS[name], x="simulated frames" if unit == "frames" else unit)
+    axes.set_xlim(0, furthest * 1.02)
+    axes.set_ylim(0, min(1.02, max(axes.get_ylim()[1], 0.05)))
+    faint_lines(axes)
     direct_labels(axes, ends)
 
 
@@ -130,10 +118,65 @@ def _mean_curve(
 
     Every run counts at each number of simulations with what it had by then.
     """
-    runs = [(run[unit].to_numpy(float), run[name].to_numpy(float))
-            for _, run in rows.groupby("repeat")]  # fmt: skip
+    repeats = [run for _, run in rows.groupby("repeat")]
+    runs = [(run[unit].to_numpy(float), run[name].to_numpy(float)) for run in repeats]
     begin, end = max(x[0] for x, _ in runs), max(x[-1] for x, _ in runs)
     at = np.unique(np.linspace(begin, end, _POINTS)) if end > begin else np.array([end])
     values = np.array([y[np.searchsorted(x, at, side="right") - 1] for x, y in runs])
     spread = values.std(axis=0, ddof=1) / np.sqrt(len(runs)) if len(runs) > 1 else 0.0 * at
     return at, values.mean(axis=0), spread
+
+
+# --- a training --------------------------------------------------------------------------------
+
+_CURVES: Final = {
+    "Loss": {
+        "training": (COLOURS[0], "training events"),
+        "validation": (COLOURS[1], "validation events"),
+    },
+    "Right answers on the validation events": {
+        "relation": (COLOURS[2], "relation"),
+        "goals": (COLOURS[3], "goals"),
+    },
+}
+"""Title of a panel -> curve -> its colour and name."""
+
+
+def training_curves(
+    report: Mapping[str, Any], path: str | os.PathLike[str] | None = None
+) -> Figure:
+    """Draw the curves of all networks of a training, 7.5 x 3 inches; a dot: the epoch kept.
+
+    Args:
+        report: what :func:`phase_ppl.train_socialgnn` returns.
+        path: where to write the figure as well.
+    """
+    figure = new_figure(7.5, 3, "constrained")
+    members, events = report["members"], report["data"]["events"]
+    figure.suptitle(
+        f"SocialGNN, {report['settings']['variant']}: {len(members)} "
+        f"network{'' if len(members) == 1 else 's'}, {events['train']} training and "
+        f"{events['validation']} validation events",
+        x=0.012,
+        ha="left",
+        fontsize=NORMAL + 1,
+        color=INK,
+    )
+    longest = max(len(member["curves"]["training"]) for member in members)
+    for axes, (title, lines) in zip(figure.subplots(1, 2), _CURVES.items(), strict=True):
+        for name in [name for name in lines if name in members[0]["curves"]]:
+            colour, label = lines[name]
+            for number, member in enumerate(members):
+                values = member["curves"][name]
+                epochs = np.arange(1, len(values) + 1)
+                style: dict[str, Any] = {"color": colour, "label": None if number else label}
+                axes.plot(epochs, values, lw=0.9, alpha=0.75, **style)
+                if name != "training":
+                    kept = member["best_epoch"]
+                    axes.plot(kept, values[kept - 1], "o", ms=4, color=colour, mec="white", mew=0.6)
+        dressed(axes, title, x="epoch")
+        axes.set_xlim(1, max(longest, 2))
+        axes.set_ylim(0, 1.02 if "relation" in lines else None)
+        faint_lines(axes)
+        axes.legend(frameon=False, fontsize=SMALL + 0.5)
+    return written(figure, path)

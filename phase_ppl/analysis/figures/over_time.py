@@ -1,0 +1,164 @@
+"""Figures of a posterior over time, and of which frames speak for one thing over another."""
+
+from __future__ import annotations
+
+import os
+import textwrap
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+import xarray as xr
+
+from phase_ppl.analysis.figures.style import (
+    COLOURS,
+    GREY,
+    INK,
+    MANY_COLOURS,
+    NORMAL,
+    OTHER,
+    SMALL,
+    direct_labels,
+    dressed,
+    in_shares,
+    new_figure,
+    written,
+)
+from phase_ppl.render.frames import Painter, panel
+from phase_ppl.world.hypothesis import RELATIONS
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from phase_ppl.analysis.posterior import Posterior
+    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+
+PANELS: Final = {
+    "goal_red": "Goal of the red agent",
+    "goal_green": "Goal of the green agent",
+    "relation": "Relation",
+}
+"""Quantity -> title of its panel."""
+
+_LINES: Final = 5
+"""Lines of a panel; what else there is, is one more."""
+
+_SEEN: Final = 0.1
+"""Probability that a goal must reach at some time to have a line."""
+
+_RELATION_COLOURS: Final = dict(zip(RELATIONS, ("#009e73", GREY, "#d55e00"), strict=True))
+_LINE_HEIGHT: Final = 0.095
+"""Of a label, as a share of a panel's height."""
+
+_NOTES: Final = {
+    "hindsight": "Hindsight, not belief at the time: hypotheses proposed from the whole video, "
+    "weighted by how well they explain it up to each frame.",
+    "filtering": "What can be believed at each frame from the frames so far.",
+}
+
+_STILLS: Final = 5
+_APART: Final = 4
+"""Frames between two stills, at least."""
+
+
+def over_time(
+    post: Posterior | StepwisePosterior, path: str | os.PathLike[str] | None = None
+) -> Figure:
+    """Draw how the probabilities of goals and relation grow out of the video, 7.5 x 6.6 inches.
+
+    In hindsight, or as they could be believed at the time: see ``over_time`` of the posterior.
+    Both agents' goals share their colours.
+
+    Raises:
+        InvalidEventError, InvalidSettingError: there is no such posterior over time.
+    """
+    found = post.over_time()
+    figure = new_figure(7.5, 6.6, "constrained")
+    figure.suptitle(post.event_id, x=0.012, ha="left", fontsize=10, color=INK)
+    note = next(words for kind, words in _NOTES.items() if kind in found.attrs)
+    figure.supxlabel(textwrap.fill(note, 120), x=0.012, ha="left", fontsize=SMALL + 0.3, color=GREY)
+    shown = {name: _leading(found[name]) for name in ("goal_red", "goal_green")}
+    goals = list(dict.fromkeys(goal for goals in shown.values() for goal in goals))
+    colours = dict(zip(goals, MANY_COLOURS, strict=False)) | _RELATION_COLOURS
+    shown["relation"] = list(_RELATION_COLOURS)
+    panels = figure.subplots(3, 1, sharex=True, height_ratios=(5, 5, 4))
+    for axes, (name, title) in zip(panels, PANELS.items(), strict=True):
+        dressed(axes, title, x="time [s]" if axes is panels[-1] else "")
+        _panel(axes, found[name], shown[name], colours)
+    return written(figure, path)
+
+
+def _leading(marginal: xr.DataArray) -> list[str]:
+    """Return the labels that are ever probable, the highest at any time first, at most five."""
+    peak = marginal.max("time").values
+    order = np.argsort(-peak, kind="stable")[:_LINES]
+    labels = marginal[f"{marginal.name}_is"].values
+    return [str(labels[i]) for i in order if peak[i] >= _SEEN]
+
+
+def _panel(axes: Axes, marginal: xr.DataArray, labels: list[str], colours: dict[str, str]) -> None:
+    dim = f"{marginal.name}_is"
+    time = marginal["time"].values
+    ends = []
+    for label in labels:
+        values = marginal.sel({dim: label}).values
+        axes.plot(time, values, color=colours[label], lw=1.8, solid_capstyle="round", zorder=3)
+        ends.append((float(values[-1]), label, colours[label]))
+    rest = np.clip(1 - marginal.sel({dim: labels}).sum(dim).values, 0, 1)
+    if rest.max() >= _SEEN / 2:
+        axes.fill_between(time, rest, color=OTHER, alpha=0.6, lw=0, zorder=1)
+        ends.append((float(rest[-1]), "all other goals", GREY))
+    axes.set_xlim(time[0], time[-1])
+    in_shares(axes)
+    direct_labels(axes, ends, gap=_LINE_HEIGHT)
+
+
+def why(
+    post: StepwisePosterior,
+    event: str,
+    over: str | None = None,
+    path: str | os.PathLike[str] | None = None,
+) -> Figure:
+    """Draw the log odds of ``event`` over ``over`` by frame, and the frames that decided.
+
+    8 x 5.6 inches. Arguments and errors are those of
+    :meth:`phase_ppl.analysis.stepwise_posterior.StepwisePosterior.why`.
+    """
+    found = post.why(event, over)
+    time, change = found["time"].values, found["change"].values
+    figure = new_figure(8, 5.6, "constrained")
+    title = f"{post.event_id}\n{found.attrs['event']}  over  {found.attrs['over']}"
+    figure.suptitle(title, x=0.012, ha="left", fontsize=NORMAL + 1, color=INK)
+    upper, lower = figure.subfigures(2, 1, height_ratios=(2, 1))
+    odds, steps = upper.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+    odds.plot(time, found["log_odds"].values, color=INK, lw=1.8)
+    dressed(odds, "", y="log odds [nats]")
+    width = float(time[1] - time[0]) if len(time) > 1 else 1.0
+    colours = [COLOURS[2] if step > 0 else COLOURS[1] for step in change]
+    steps.bar(time, change, width=width, color=colours)
+    steps.set_xlim(time[0] - width, time[-1] + width)
+    dressed(steps, "", x="time [s]", y="change by\neach frame")
+    for axes in (odds, steps):
+        axes.axhline(0, color="#999999", lw=0.8)
+    painter, poses = Painter(post.scene), post.observed()
+    stills = lower.subplots(1, _STILLS)
+    for still in stills:
+        still.set_axis_off()
+    for still, frame in zip(stills, _deciding(change), strict=False):
+        still.imshow(np.asarray(panel(painter.draw(poses[frame]))))
+        words = f"{time[frame]:.1f} s: {change[frame]:+.2f}"
+        still.set_title(words, fontsize=NORMAL, color=colours[frame], pad=2)
+        for axes in (odds, steps):
+            axes.axvline(time[frame], color="#bbbbbb", lw=0.7, ls=":", zorder=0)
+    return written(figure, path)
+
+
+def _deciding(change: np.ndarray) -> list[int]:
+    """Return the frames of the greatest changes, not too near each other, in their order."""
+    chosen: list[int] = []
+    for frame in np.argsort(-np.abs(change), kind="stable"):
+        if all(abs(int(frame) - other) >= _APART for other in chosen):
+            chosen.append(int(frame))
+        if len(chosen) == _STILLS:
+            break
+    return sorted(chosen)
