@@ -1,16 +1,26 @@
-"""From a file's bytes to a JSON object, or one line that says why not."""
+"""From a file's bytes to a JSON object and the fields in it, or one line that says why not."""
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
 import re
 from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, NoReturn
+from typing import Any, Final, NoReturn, TypeVar
 
-from phase_ppl.world.errors import InvalidEventError, shown
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    InvalidSettingError,
+    UnknownNameError,
+    shown,
+    unknown_name,
+)
+
+T = TypeVar("T")
 
 MAX_BYTES: Final = 512 * 2**20
 """Largest event file that is read."""
@@ -139,3 +149,89 @@ def _finite(token: str) -> float:
     if not math.isfinite(value):
         raise InvalidEventError(f"holds {token[:40]}, expected finite numbers")
     return value
+
+
+# --- fields ----------------------------------------------------------------------------------
+
+_WORDS = {dict: "an object", list: "a list", str: "a string", int: "a whole number"}
+
+
+def require(record: Mapping[str, Any], name: str, kind: type[T], where: str = "") -> T:
+    """Return ``record[name]``, which must be there and of JSON type ``kind``.
+
+    Args:
+        record: the JSON object.
+        name: the wanted field.
+        kind: dict, list, str or int.
+        where: path of ``record`` in the file, for the error message.
+
+    Raises:
+        InvalidEventError: the field is missing or of another type.
+    """
+    path = f"{where}.{name}" if where else name
+    if name not in record:
+        raise InvalidEventError(f"has no {path}")
+    value = record[name]
+    if not isinstance(value, kind) or isinstance(value, bool):
+        raise InvalidEventError(f"{path} is {shown(value)}, expected {_WORDS[kind]}")
+    return value
+
+
+def optional(record: Mapping[str, Any], name: str, kind: type[T], where: str = "") -> T | None:
+    """Return ``record[name]`` as :func:`require` does, or None where it is missing or null."""
+    return None if record.get(name) is None else require(record, name, kind, where)
+
+
+def only(record: Mapping[str, Any], allowed: Sequence[str], where: str) -> None:
+    """Raise UnknownNameError if ``record`` has a field that is none of ``allowed``."""
+    for name in record:
+        if name not in allowed:
+            raise unknown_name(f"field of {where}", name, allowed)
+
+
+def per_name(record: Mapping[str, Any], names: Sequence[str], where: str) -> list[Any]:
+    """Return the values of an object whose fields are exactly ``names``, in that order.
+
+    Raises:
+        InvalidEventError: a name is missing.
+        UnknownNameError: another name is there.
+    """
+    only(record, names, where)
+    missing = [name for name in names if name not in record]
+    if missing:
+        raise InvalidEventError(f"{where} has no {' and no '.join(missing)}")
+    return [record[name] for name in names]
+
+
+def event_id(record: Mapping[str, Any], where: str = "") -> str:
+    """Return the field ``id``: a string that can be printed."""
+    name = require(record, "id", str, where)
+    if not name.strip() or not name.isprintable():
+        raise InvalidEventError(f"id is {shown(name)}, expected printable text")
+    return name
+
+
+def check_ids(ids: Sequence[str]) -> None:
+    """Raise InvalidEventError if there are no ids, or one is there twice."""
+    if not ids:
+        raise InvalidEventError("holds no videos: the list is empty")
+    seen: set[str] = set()
+    for name in ids:
+        if name in seen:
+            raise InvalidEventError(f"holds two videos with the id {shown(name)}")
+        seen.add(name)
+
+
+# --- files -----------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def naming(path: str | os.PathLike[str], video: str | None = None) -> Iterator[None]:
+    """Put the file, and the video where there is one, in front of an error's message."""
+    try:
+        yield
+    except (InvalidEventError, InvalidSettingError, UnknownNameError) as error:
+        where = str(path) if video is None or video == Path(path).stem else f"{path}, video {video}"
+        # a wrong value in a file is the file's fault, not that of a setting
+        kind = UnknownNameError if isinstance(error, UnknownNameError) else InvalidEventError
+        raise kind(f"{where}: {error}") from None

@@ -16,8 +16,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from phase_ppl.analysis.data_table import other_text
-from phase_ppl.dataset.counts import LEVELS
-from phase_ppl.dataset.statistics import SPEED_EDGES
+from phase_ppl.dataset.statistics import LEVELS, SPEED_EDGES
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,7 +34,7 @@ from phase_ppl.analysis.data_table import counted, rows
 from phase_ppl.analysis.figures import data_card as motion
 from phase_ppl.analysis.figures import data_card as panel
 from phase_ppl.analysis.figures.style import new_figure, written
-from phase_ppl.dataset.counts import PHASE
+from phase_ppl.dataset.statistics import PHASE
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -56,7 +56,8 @@ from phase_ppl.dataset.authors.names import (
     place_in_id,
 )
 from phase_ppl.dataset.authors.pickles import read_pickle
-from phase_ppl.dataset.events_json import Entries, event_id, require
+from phase_ppl.dataset.documents import event_id, require
+from phase_ppl.dataset.events_json import Entries
 from phase_ppl.dataset.generation.copies import REFLECTIONS
 from phase_ppl.dataset.generation.situation import LAYOUTS
 from phase_ppl.dataset.motion import full_turn, observed_turning
