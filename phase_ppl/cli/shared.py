@@ -60,11 +60,7 @@ def report_hint(out: Path) -> str:
 
 
 def check_suffix(out: Path, suffixes: Sequence[str]) -> str:
-    """Return the ending of ``out``, in lower case.
-
-    Raises:
-        OutputError: it is none of ``suffixes``.
-    """
+    """Return the ending of ``out``, in lower case (OutputError: it is none of ``suffixes``)."""
     suffix = out.suffix.lower()
     if suffix not in suffixes:
         raise OutputError(f"--out {out}: expected a file ending in {' or '.join(suffixes)}")

@@ -42,18 +42,29 @@ def read_document(path: str | os.PathLike[str]) -> dict[str, Any]:
     """
     if Path(path).suffix.lower() in PICKLE_SUFFIXES:
         raise InvalidEventError(_REFUSED_PICKLE)
+    with reading_bytes("an event file"), open(path, "rb") as file:
+        content = file.read(_HEAD_BYTES)
+        _refuse_binary(content)
+        content += file.read(MAX_BYTES + 1 - len(content))
+    return parse_document(content)
+
+
+@contextlib.contextmanager
+def reading_bytes(expected: str) -> Iterator[None]:
+    """Say in one line why a file cannot be read that was expected to be such."""
     try:
-        with open(path, "rb") as file:
-            content = file.read(_HEAD_BYTES)
-            _refuse_binary(content)
-            content += file.read(MAX_BYTES + 1 - len(content))
+        yield
     except IsADirectoryError:
-        raise InvalidEventError("is a folder, expected an event file") from None
+        raise InvalidEventError(f"is a folder, expected {expected}") from None
     except FileNotFoundError:
         raise InvalidEventError("no such file") from None
     except OSError as error:
         raise InvalidEventError(f"cannot be read: {error.strerror or error}") from None
-    return parse_document(content)
+
+
+def too_large(limit: int) -> InvalidEventError:
+    """Return the error for a file of more than ``limit`` bytes."""
+    return InvalidEventError(f"is larger than the {limit // 2**20} MB that are read")
 
 
 def read_json(path: str | os.PathLike[str]) -> dict[str, Any]:
@@ -77,7 +88,7 @@ def parse_document(content: bytes) -> dict[str, Any]:
     """
     _refuse_binary(content[:_HEAD_BYTES])
     if len(content) > MAX_BYTES:
-        raise InvalidEventError(f"is larger than the {MAX_BYTES // 2**20} MB that are read")
+        raise too_large(MAX_BYTES)
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:

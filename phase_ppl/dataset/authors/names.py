@@ -76,11 +76,7 @@ class Recorded(NamedTuple):
 
 
 def parse_name(name: str) -> Recorded:
-    """Return what a file name says.
-
-    Raises:
-        InvalidEventError: too long, or its goals are none.
-    """
+    """Return what a file name says (InvalidEventError: too long, or its goals are none)."""
     if len(name) > _LONGEST:
         raise InvalidEventError(f"name is {shown(name)}, of more than {_LONGEST} characters")
     stem = _SUFFIXES.sub("", name)

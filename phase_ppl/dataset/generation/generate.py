@@ -146,11 +146,7 @@ class DatasetBuilder:
         del self._missing[made.slot.number]
 
     def _read(self, slot: Slot) -> _Part:
-        """Return what is kept of a slot.
-
-        Raises:
-            InvalidEventError: it is damaged.
-        """
+        """Return what is kept of a slot (InvalidEventError: it is damaged)."""
         source = self._part(slot)
         content = read_json(source)
         digest = content.pop("sha256", None)  # parts had none once

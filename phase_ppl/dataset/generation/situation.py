@@ -128,11 +128,7 @@ class Draw:
         self._choices: list[Choice] = []
 
     def one_of(self, options: Iterable[int]) -> int:
-        """Return one of some numbers, all equally likely.
-
-        Raises:
-            CannotDraw: there is none.
-        """
+        """Return one of some numbers, all equally likely (CannotDraw: there is none)."""
         return self._choice(NUMBER, options)
 
     def _choice(self, kind: str, options: Iterable[int]) -> int:
