@@ -115,6 +115,29 @@ def _itself(group: h5py.Group) -> None:
     group["more"] = group
 
 
+def _soft_link(group: h5py.Group) -> None:
+    group["more"] = h5py.SoftLink("/more")
+
+
+def _virtual(group: h5py.Group) -> None:
+    layout = h5py.VirtualLayout((4,), "f8")
+    layout[:] = h5py.VirtualSource("other.nc", "radius", (4,))
+    group.create_virtual_dataset("more", layout)
+
+
+def _long_text(group: h5py.Group) -> None:
+    many = group.create_dataset("more", (200_000,), h5py.string_dtype())
+    many[0] = "x" * 100_000
+
+
+def _empty(group: h5py.Group) -> None:
+    group["more"] = h5py.Empty("f8")
+
+
+def _compound(group: h5py.Group) -> None:
+    group["more"] = np.zeros(3, [("a", "f8"), ("b", "i4")])
+
+
 TRICKS: dict[str, tuple[Callable[[h5py.Group], None], str]] = {
     "external": (_external, "array 'radius' lies in another file"),
     "link": (_link, "holds a link, 'more'"),
@@ -124,6 +147,11 @@ TRICKS: dict[str, tuple[Callable[[h5py.Group], None], str]] = {
     "texts of attribute": (_texts_of_attribute, "attribute 'more' has 1000 entries"),
     "group in group": (_group_in_group, "holds a group, 'more'"),
     "itself": (_itself, "holds a group, 'more'"),
+    "soft link": (_soft_link, "holds a link, 'more'"),
+    "virtual": (_virtual, "array 'more' lies in another file"),
+    "long text": (_long_text, "is larger than the 512 MB"),
+    "empty": (_empty, "array 'more' is without a shape"),
+    "compound": (_compound, "array 'more' holds neither numbers nor texts"),
 }
 
 

@@ -92,13 +92,10 @@ def read(path: str | os.PathLike[str]) -> Entries:
     names = [_name(video, index) for index, video in enumerate(content)]
     ids = [_id(name) for name in names]
     given = Counter(ids)
+    unique = [id if given[id] == 1 else name for id, name in zip(ids, names, strict=True)]
     return [
         (id, functools.partial(_processed, video, id))
-        for video, id in zip(
-            content,
-            (id if given[id] == 1 else name for id, name in zip(ids, names, strict=True)),
-            strict=True,
-        )
+        for video, id in zip(content, unique, strict=True)
     ]
 
 
@@ -221,7 +218,7 @@ def _kind(value: object) -> str:
 
 # --- which body has which colour -------------------------------------------------------------
 
-BODIES_OF_KEYS: Final[Mapping[frozenset[int], Mapping[int, int]]] = {
+_BODIES_OF_KEYS: Final[Mapping[frozenset[int], Mapping[int, int]]] = {
     frozenset((0, 1, 3, 4)): {0: 0, 1: 1, 3: 2, 4: 3},
     frozenset((0, 1, 2)): {0: 0, 1: 2, 2: 3},
     frozenset((0, 1, 2, 3)): {0: 0, 1: 1, 2: 2, 3: 3},
@@ -243,7 +240,7 @@ def bodies_by_colour(code: Mapping[Any, Any]) -> tuple[int, ...]:
     Raises:
         InvalidEventError: the code is none of the known forms.
     """
-    bodies = BODIES_OF_KEYS.get(frozenset(code))
+    bodies = _BODIES_OF_KEYS.get(frozenset(code))
     if bodies is None or any(type(colour) is not int for colour in code.values()):
         raise _unknown_code(code)
     colours = {body: code[key] for key, body in bodies.items()}
