@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -26,6 +26,8 @@ from phase_ppl.world.errors import InvalidSettingError, QueryError
 
 if TYPE_CHECKING:
     import xarray as xr
+
+    Ranked = list[tuple[tuple[str, ...], phase_ppl.Estimate]]
 
 
 def _add_posterior(parser: argparse.ArgumentParser) -> None:
@@ -113,22 +115,16 @@ def _record(found: Any) -> dict[str, Any]:
         return {"value": float(found), "error": found.error}
     if isinstance(found, str):
         return {"value": str(found), "error": found.error}  # type: ignore[attr-defined]
-    if isinstance(found, list):
-        ranked = [((label,), p) for label, p in found]
-        return {"values": _probabilities(("value",), ranked)}
-    if "bound" in found.dims:
+    if not isinstance(found, list) and "bound" in found.dims:
         pairs = zip(found.values, found["error"].values, strict=True)
         return {"bounds": [{"value": value, "error": error} for value, error in pairs]}
-    return {"values": _probabilities(tuple(map(str, found.dims)), _ranked(found))}
-
-
-def _probabilities(
-    names: Sequence[str], ranked: Sequence[tuple[tuple[str, ...], phase_ppl.Estimate]]
-) -> list[dict[str, Any]]:
-    return [
-        {**dict(zip(names, labels, strict=True)), "probability": float(p), "error": p.error}
-        for labels, p in ranked
-    ]
+    names = ("value",) if isinstance(found, list) else tuple(map(str, found.dims))
+    return {
+        "values": [
+            {**dict(zip(names, labels, strict=True)), "probability": float(p), "error": p.error}
+            for labels, p in _ranked(found)
+        ]
+    }
 
 
 def _lines(question: str, found: Any) -> Iterator[str]:
@@ -140,7 +136,7 @@ def _lines(question: str, found: Any) -> Iterator[str]:
         doubt = f"another leads with probability {error:.2g}" if error == error else "± ?"
         yield f"{question} = {found} ({doubt})"
     elif isinstance(found, list):
-        yield from _table(question, [((label,), p) for label, p in found])
+        yield from _table(question, _ranked(found))
     elif "bound" in found.dims:
         low, high = (
             phase_ppl.Estimate(value, error)
@@ -157,17 +153,17 @@ def _lines(question: str, found: Any) -> Iterator[str]:
             yield f"  {together:.1g} in all on {len(rest)} more (--json has them)"
 
 
-def _table(
-    question: str, entries: Sequence[tuple[tuple[str, ...], phase_ppl.Estimate]]
-) -> Iterator[str]:
+def _table(question: str, entries: Ranked) -> Iterator[str]:
     yield f"{question}:"
     width = max(len(str(p)) for _, p in entries)
     for labels, p in entries:
         yield f"  {p!s:<{width}}  {', '.join(labels)}"
 
 
-def _ranked(table: xr.DataArray) -> list[tuple[tuple[str, ...], phase_ppl.Estimate]]:
+def _ranked(table: xr.DataArray | list[tuple[str, phase_ppl.Estimate]]) -> Ranked:
     """Return (labels, probability) of what has any, the most probable first, ties in order."""
+    if isinstance(table, list):
+        return [((label,), p) for label, p in table]
     values, errors = table.values, table["error"].values
     labels = [table[dim].values for dim in table.dims]
     cells = np.argwhere(values > 0)

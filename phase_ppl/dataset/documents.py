@@ -68,11 +68,7 @@ def too_large(limit: int) -> InvalidEventError:
 
 
 def read_json(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return the JSON object in the file ``path``, as :func:`read_document`.
-
-    Raises:
-        InvalidEventError: as there; the message names the file.
-    """
+    """Return the JSON object in the file ``path``, as :func:`read_document`; errors name it."""
     try:
         return read_document(path)
     except InvalidEventError as error:
@@ -97,11 +93,7 @@ def parse_document(content: bytes) -> dict[str, Any]:
 
 
 def parse_text(text: str) -> dict[str, Any]:
-    """Return the JSON object that ``text`` spells.
-
-    Raises:
-        InvalidEventError: as for :func:`parse_document`.
-    """
+    """Return the JSON object that ``text`` spells. Errors as for :func:`parse_document`."""
     if not text.strip():
         raise InvalidEventError("is empty")
     try:
@@ -168,16 +160,9 @@ _WORDS = {dict: "an object", list: "a list", str: "a string", int: "a whole numb
 
 
 def require(record: Mapping[str, Any], name: str, kind: type[T], where: str = "") -> T:
-    """Return ``record[name]``, which must be there and of JSON type ``kind``.
+    """Return ``record[name]``, which must be there and of type ``kind``: dict, list, str or int.
 
-    Args:
-        record: the JSON object.
-        name: the wanted field.
-        kind: dict, list, str or int.
-        where: path of ``record`` in the file, for the error message.
-
-    Raises:
-        InvalidEventError: the field is missing or of another type.
+    ``where`` is the path of ``record`` in the file, for the error message.
     """
     path = f"{where}.{name}" if where else name
     if name not in record:
@@ -201,12 +186,7 @@ def only(record: Mapping[str, Any], allowed: Sequence[str], where: str) -> None:
 
 
 def per_name(record: Mapping[str, Any], names: Sequence[str], where: str) -> list[Any]:
-    """Return the values of an object whose fields are exactly ``names``, in that order.
-
-    Raises:
-        InvalidEventError: a name is missing.
-        UnknownNameError: another name is there.
-    """
+    """Return the values of an object whose fields must be exactly ``names``, in that order."""
     only(record, names, where)
     missing = [name for name in names if name not in record]
     if missing:

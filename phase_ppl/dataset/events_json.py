@@ -162,12 +162,7 @@ def event_from_record(record: Mapping[str, Any]) -> Event:
 
 
 def read_observation(record: Mapping[str, Any], where: str) -> Observation:
-    """Return the observation in an object that maps entity names to rows of [x, y, angle].
-
-    Raises:
-        InvalidEventError: entities are missing, rows are not three finite numbers, lengths
-            differ, or there are fewer than 2 frames.
-    """
+    """Return the observation in an object that maps entity names to rows of [x, y, angle]."""
     tracks = [
         finite_array(f"{where}[{name!r}]", rows, (None, 3))
         for name, rows in zip(ENTITIES, per_name(record, ENTITIES, where), strict=True)
@@ -204,13 +199,7 @@ def _by_name(
 def read_truth(
     record: Mapping[str, Any], field: str, newtons: Callable[[Any], Any] = lambda force: force
 ) -> Truth:
-    """Return the truth that a JSON object describes.
-
-    Args:
-        record: the object.
-        field: its field with the agents' strengths.
-        newtons: of what the field says.
-    """
+    """Return the truth in an object whose ``field`` has the strengths, which ``newtons`` reads."""
     goals = per_name(require(record, "goals", dict, "truth"), AGENTS, "truth.goals")
     levels = optional(record, field, dict, "truth")
     given = [None, None] if levels is None else per_name(levels, AGENTS, f"truth.{field}")
@@ -234,11 +223,7 @@ def turned(event: Event, turning: Turning) -> Event:
 
 
 def event_record(event: Event) -> dict[str, Any]:
-    """Return the JSON object that :func:`event_from_record` turns back into ``event``.
-
-    Raises:
-        InvalidEventError: the id is no printable text.
-    """
+    """Return the JSON object that :func:`event_from_record` turns back into ``event``."""
     instance_of("event", event, Event, "a phase_ppl.Event")
     arrays = {name: np.asarray(getattr(event.scene, name)).tolist() for name in SCENE}
     record: dict[str, Any] = {

@@ -227,13 +227,7 @@ Place = dict[str, int | slice]
 
 
 class Listing(NamedTuple):
-    """What a file of several events holds.
-
-    Attributes:
-        ids: of the events.
-        places: of the events.
-        dims: variable -> its dimensions.
-    """
+    """What a file of several events holds: their ids and places, and each variable's dimensions."""
 
     ids: list[str]
     places: list[Place]
@@ -278,29 +272,17 @@ def _format(dataset: xr.Dataset) -> str | None:
 
 
 def one(event: Event) -> xr.Dataset:
-    """Return the content of a file of one event.
-
-    Raises:
-        InvalidEventError: as for :func:`event_dataset`.
-    """
+    """Return the content of a file of one event. Errors as for :func:`event_dataset`."""
     return event_dataset(event).assign({_CHECKSUM: ((), checksum(event))})
 
 
 def many(events: Sequence[Event]) -> xr.Dataset:
-    """Return the content of a file of several events.
-
-    Raises:
-        InvalidEventError: as for :func:`event_dataset`.
-    """
+    """Return the content of a file of several events. Errors as for :func:`event_dataset`."""
     return _packed([one(event) for event in events])
 
 
 def to_bytes(dataset: xr.Dataset) -> bytes:
-    """Return the content of a file.
-
-    Raises:
-        InvalidEventError: it is larger than what can be read again.
-    """
+    """Return the bytes of a file (InvalidEventError: more than can be read again)."""
     # nothing but a strength is ever missing
     content = netcdf_bytes({"/": dataset}, {"_FillValue": None, "fletcher32": True})
     check_hdf5(io.BytesIO(content))
@@ -325,11 +307,7 @@ def _checked_event(dataset: xr.Dataset) -> Event:
 
 
 def listing(path: str | os.PathLike[str]) -> Listing:
-    """Return what a file of several events holds, without reading the events.
-
-    Raises:
-        InvalidEventError: damaged, too large, or no file of several events.
-    """
+    """Return what a file of several events holds, without reading the events."""
     with _opened_dataset(path) as dataset:
         tag = _format(dataset)
         if tag != EVENTS_FORMAT:
@@ -346,9 +324,6 @@ def event_at(file: h5py.File, listed: Listing, index: int) -> Event:
     """Return one event of an open file of several; of the others nothing is read.
 
     Straight from HDF5, since xarray takes several times as long to open a file and find its way.
-
-    Raises:
-        InvalidEventError: it is damaged.
     """
     place, variables = listed.places[index], {}
     with reading():

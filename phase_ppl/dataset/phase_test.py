@@ -142,11 +142,7 @@ def document(videos: Sequence[Mapping[str, Any]], scene: Scene) -> dict[str, Any
 
 
 def video(event: Event, like: Scene) -> dict[str, Any]:
-    """Return the JSON object of one event of a document, in the arena of the scene ``like``.
-
-    Raises:
-        InvalidEventError: the event has something that the format has no place for.
-    """
+    """Return the JSON object of one event of a document, in the arena of the scene ``like``."""
     scene, truth, trajectory = event.scene, event.truth, event.observation.trajectory
     check_start(event)
     if (scene.arena, scene.landmark_half_width) != (like.arena, like.landmark_half_width):
@@ -185,11 +181,7 @@ def check_start(event: Event) -> None:
 
 
 def strength_level(force: float | None) -> int | None:
-    """Return the original id of a strength in newtons; None for None.
-
-    Raises:
-        InvalidEventError: it has none.
-    """
+    """Return the original id of a strength in newtons, which must have one; None for None."""
     if force is None:
         return None
     if force not in STRENGTH_LEVELS:

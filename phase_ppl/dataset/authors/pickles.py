@@ -449,11 +449,7 @@ class _Finished:
         self._open: set[int] = set()
 
     def of(self, value: Any, depth: int) -> _Part:
-        """Return ``value``, which lies ``depth`` deep, without stand-ins.
-
-        Raises:
-            InvalidEventError: nested too deeply or in itself, too large, or not data.
-        """
+        """Return ``value``, which lies ``depth`` deep, without stand-ins."""
         if value is None or isinstance(value, (bool, int, float)):
             return _Part(value, 1, 0)
         if isinstance(value, (str, bytes, bytearray)):

@@ -397,11 +397,7 @@ def _lines_that_name_modules(content: bytes) -> Iterator[tuple[int, int]]:
 
 
 def video(event: Event) -> dict[str, Any]:
-    """Return an event as one video of the processed form.
-
-    Raises:
-        InvalidEventError: the event has something that the form has no place for.
-    """
+    """Return an event as one video of the processed form, if that has a place for all of it."""
     scene, truth, trajectory = event.scene, event.truth, event.observation.trajectory
     if scene.arena != ARENA or scene.landmark_half_width != LANDMARK_HALF_WIDTH:
         raise InvalidEventError(
