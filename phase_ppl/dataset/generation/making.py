@@ -214,8 +214,10 @@ def make(plan: Plan, slot: Slot) -> Made:
     changes = changed(family, variant, situation)
     wanted = len(made.events) + plan.replans
     for place in rng.permutation(len(changes)):
+        if len(made.events) == wanted:
+            break
         change, other = changes[place]
-        for attempt in range(REPLAN_TRIES if len(made.events) < wanted else 0):
+        for attempt in range(REPLAN_TRIES):
             id = f"{slot.name}-{change.name}-{attempt}"
             recording = simulated(other, rng, id, replanned=True)
             if recording is not None:
