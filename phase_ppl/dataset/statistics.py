@@ -309,12 +309,12 @@ def _tables(
         }
         if event.truth is not None:
             goals = event.truth.goal_red, event.truth.goal_green
-            of_event |= {
-                "relation": [event.truth.relation],
-                "scenario": [event.truth.scenario],
-                "goal_type": map(goal_type, goals),
-                "goal": goals,
-            }
+            of_event.update(
+                relation=[event.truth.relation],
+                scenario=[event.truth.scenario],
+                goal_type=map(goal_type, goals),
+                goal=goals,
+            )
         for key in ("family", "layout", "split", "reflection"):
             if entry.get(key) is not None:
                 of_event[key] = [str(entry[key])]
