@@ -48,16 +48,22 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.fixture
+def walk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An event of the toy world, which is simulated instead of the real one."""
+    monkeypatch.setattr(phase_ppl.Model, "build_simulator", lambda self: walkers)
+    path = tmp_path / "walk.json"
+    phase_ppl.save_event(walking_event(), path)
+    return path
+
+
 def test_infer_writes_posterior_summary_figure_and_film(results: Path) -> None:
     for name in ("posterior.nc", "summary.json", "posterior.png", "replay.mp4"):
         assert (results / name).stat().st_size > 1000
 
 
 def test_results_of_another_run_are_not_overwritten_unless_told_to(
-    results: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    results: Path, walk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = {path.name: path.read_bytes() for path in results.iterdir()}
     command = ["infer", "collaborate", *TINY, "--out"]
@@ -67,12 +73,9 @@ def test_results_of_another_run_are_not_overwritten_unless_told_to(
     with locked(results):
         error = fails(capsys, *command, str(results), "--overwrite")
         assert "another process is at work" in error
-    monkeypatch.setattr(phase_ppl.Model, "build_simulator", lambda self: walkers)
-    event = tmp_path / "walk.json"
-    phase_ppl.save_event(walking_event(), event)
     for name in ("posterior.nc", "why.png"):
         (tmp_path / name).write_text("of another run")
-    command[1] = str(event)
+    command[1] = str(walk)
     assert main([*command, str(tmp_path), "--overwrite", "--kernel", "prior_mh"]) == 0
     assert phase_ppl.load_posterior(tmp_path / "posterior.nc").event_id == "walk"
     assert not (tmp_path / "why.png").exists()
@@ -100,21 +103,18 @@ def test_the_same_seed_gives_the_same_summary_with_one_and_with_two_workers(
     for summary in (one, two):
         del summary["cost"]
     assert one == two
-
     assert (tmp_path / "run.ckpt").exists()
 
 
 def test_resume_extends_a_run_beside_its_file_and_then_deletes_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    walk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(phase_ppl.Model, "build_simulator", lambda self: walkers)
-    event, out = tmp_path / "walk.json", tmp_path / "out"
-    phase_ppl.save_event(walking_event(), event)
+    event, out = str(walk), tmp_path / "out"
     tiny = ["--workers", "1", "--quiet"]
     kernel = ["--kernel", "prior_mh", "--option", "early_reject=false", "--chains", "4"]
     length = ["--budget", "8", "--keep-checkpoint"]
-    assert main(["infer", str(event), *tiny, *kernel, *length, "--out", str(out)]) == 0
-    assert "unfinished run" in fails(capsys, "infer", str(event), "--out", str(out))
+    assert main(["infer", event, *tiny, *kernel, *length, "--out", str(out)]) == 0
+    assert "unfinished run" in fails(capsys, "infer", event, "--out", str(out))
     file = out / "run.ckpt"
     assert "too small" in fails(capsys, "resume", str(file), "--budget", "4", *tiny)
     assert main(["resume", str(file), "--iterations", "2", *tiny]) == 0
@@ -126,7 +126,10 @@ def test_resume_extends_a_run_beside_its_file_and_then_deletes_it(
 
 
 def test_a_failed_simulation_that_ends_the_run_leaves_results_and_a_file(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    walk: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     calls: list[int] = []
 
@@ -137,11 +140,10 @@ def test_a_failed_simulation_that_ends_the_run_leaves_results_and_a_file(
         yield from walkers(*given)
 
     monkeypatch.setattr(phase_ppl.Model, "build_simulator", lambda self: fails_later)
-    event, out = tmp_path / "walk.json", tmp_path / "out"
-    phase_ppl.save_event(walking_event(), event)
+    out = tmp_path / "out"
     tiny = ["--workers", "1", "--quiet"]
     more = ["--kernel", "prior_mh", "--chains", "4", "--on-failure", "raise", "--out", str(out)]
-    assert main(["infer", str(event), *tiny, *more]) == 2
+    assert main(["infer", str(walk), *tiny, *more]) == 2
     written = capsys.readouterr()
     assert "not today" in written.err
     assert "Go on with: phase-ppl resume" in written.out
@@ -150,17 +152,14 @@ def test_a_failed_simulation_that_ends_the_run_leaves_results_and_a_file(
 
 
 def test_compare_writes_table_and_figure(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    walk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(phase_ppl.Model, "build_simulator", lambda self: walkers)
-    event = tmp_path / "walk.json"
-    phase_ppl.save_event(walking_event(), event)
     tiny = ["--budget", "8", "--repeats", "1", "--chains", "4", "--workers", "1", "--quiet"]
     kernels = ["--kernels", "prior_mh", "--reference", "prior_mh"]
-    assert main(["compare", str(event), *kernels, *tiny, "--out", str(tmp_path)]) == 0
+    again = ["compare", str(walk), *kernels, *tiny, "--out", str(tmp_path)]
+    assert main(again) == 0
     assert "TV goals" in capsys.readouterr().out
     assert (tmp_path / "comparison.png").stat().st_size > 1000
-    again = ["compare", str(event), *kernels, *tiny, "--out", str(tmp_path)]
     assert "holds results already (comparison.json, " in fails(capsys, *again)
     kept = ["--checkpoint", str(tmp_path / "comparison.json")]
     assert "(comparison.png)" in fails(capsys, *again, *kept)
@@ -168,28 +167,18 @@ def test_compare_writes_table_and_figure(
     assert record["runs"]["kernel"] == ["prior_mh"]
 
 
-def test_simulate_and_render_write_files(tmp_path: Path) -> None:
+def test_simulate_writes_files_that_the_commands_take_up(tmp_path: Path) -> None:
     goals = ["--goal-red", "Get red agent to red lm", "--goal-green", "get to red agent"]
-    event = tmp_path / "event.json"
-    assert main(["simulate", "collaborate", *goals, "--frames", "4", "--out", str(event)]) == 0
-    for name in ("film.mp4", "film.gif"):
-        assert main(["render", str(event), "--out", str(tmp_path / name)]) == 0
-        assert (tmp_path / name).stat().st_size > 1000
-
-
-def test_simulate_writes_netcdf_and_gif_that_the_commands_take_up(tmp_path: Path) -> None:
-    goals = ["--goal-red", "Get red agent to red lm", "--goal-green", "get to red agent"]
-    written = {}
     for name in ("event.json", "event.nc", "film.gif"):
-        out = tmp_path / name
-        assert main(["simulate", "collaborate", *goals, "--frames", "3", "--out", str(out)]) == 0
-        written[name] = out
-    events = [phase_ppl.load_event(written[name]) for name in ("event.json", "event.nc")]
-    first, second = (event.observation.trajectory for event in events)
-    assert (first == second).all()
-    with Image.open(written["film.gif"]) as film:
+        out = ["--out", str(tmp_path / name)]
+        assert main(["simulate", "collaborate", *goals, "--frames", "3", *out]) == 0
+    first, second = (phase_ppl.load_event(tmp_path / f"event.{end}") for end in ("json", "nc"))
+    assert (first.observation.trajectory == second.observation.trajectory).all()
+    with Image.open(tmp_path / "film.gif") as film:
         assert film.n_frames > 1
-    assert main(["render", str(written["event.nc"]), "--out", str(tmp_path / "x.png")]) == 0
+    for event, name in (("event.json", "a.mp4"), ("event.json", "a.gif"), ("event.nc", "x.png")):
+        assert main(["render", str(tmp_path / event), "--out", str(tmp_path / name)]) == 0
+        assert (tmp_path / name).stat().st_size > 1000
 
 
 @pytest.mark.parametrize(
@@ -216,26 +205,13 @@ def test_a_strip_of_a_short_event_has_all_its_frames(tmp_path: Path) -> None:
         assert picture.size == (900, 336)
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        [],
-        ["infer"],
-        ["resume"],
-        ["simulate"],
-        ["render"],
-        ["compare"],
-        ["diagnose"],
-        ["evaluate"],
-        ["report"],
-        ["query"],
-        ["describe"],
-        ["generate"],
-        ["verify"],
-        ["export"],
-        ["train"],
-    ],
+COMMANDS = (
+    *("infer", "resume", "simulate", "render", "compare", "diagnose", "evaluate", "report"),
+    *("query", "describe", "generate", "verify", "export", "train"),
 )
+
+
+@pytest.mark.parametrize("command", [[], *([name] for name in COMMANDS)], ids=str)
 def test_help_gives_an_example(command: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stop:
         main([*command, "--help"])
@@ -243,132 +219,90 @@ def test_help_gives_an_example(command: list[str], capsys: pytest.CaptureFixture
     assert "example: phase-ppl" in capsys.readouterr().out
 
 
-class TestBadInput:
-    def test_unknown_goal_names_close_ones(
-        self, capsys: pytest.CaptureFixture[str], tmp_path: Path
-    ) -> None:
-        error = fails(
-            capsys,
-            *("simulate", "collaborate", "--goal-red", "Get blue item to red landmark"),
-            *("--goal-green", "get to red agent", "--out", str(tmp_path / "x.json")),
-        )
-        assert "Get blue item to red lm" in error
+BAD_INPUT: dict[str, tuple[list[str], str]] = {
+    "goal": (
+        [*("simulate", "collaborate", "--goal-red", "Get blue item to red landmark"),
+         *("--goal-green", "get to red agent", "--out", "x.json")],
+        "Get blue item to red lm",
+    ),
+    "file": (["infer", "nowhere.json"], "nowhere.json"),
+    "video": (["infer", "collaborate", "--video", "other"], "'other'"),
+    "kernel": (["infer", "collaborate", "--kernel", "local_hm"], "'local_mh'"),
+    "prior": (["infer", "collaborate", "--prior", "unifrom"], "'uniform'"),
+    "folder": (["infer", "collaborate", "--out", "file/out"], "cannot write"),
+    "checkpoint": (["resume", "file"], "no checkpoint"),
+    "film": (["render", "collaborate", "--out", "x.avi"], "ending in .mp4 or .gif or .png"),
+    "frame of a film": (["render", "collaborate", "--frame", "3", "--out", "x.gif"],
+                        "--frame draws a picture: --out"),
+    "strip of a film": (["render", "collaborate", "--strip", "3", "--out", "x.mp4"],
+                        "--strip draws a picture: --out"),
+    "strip and frame": (["render", "collaborate", "--strip", "3", "--frame", "1", "--out", "x.png"],
+                        "not allowed"),
+    "long strip": (["render", "collaborate", "--strip", "999", "--out", "x.png"],
+                   "n=999, expected one of 1..54"),
+    "late frame": (["render", "collaborate", "--frame", "54", "--out", "x.png"],
+                   "frame=54, expected one of 0..53"),
+    "odd frame": (["render", "collaborate", "--frame", "one", "--out", "x.png"],
+                  "invalid int value: 'one'"),
+    "kernels": (["compare", "collaborate", "--kernels", "local_mh,prior_hm"], "'prior_mh'"),
+    "half a kernel": (["compare", "collaborate", "--kernels", "local_mh,"], "different names"),
+    "no option": (["compare", "collaborate", "--kernels", "local_mh:rule"], "OPTION=VALUE"),
+    "odd option": (["compare", "collaborate", "--kernels", "local_mh:rule=papr"], "'paper'"),
+    "no command": ([], "COMMAND"),
+}  # fmt: skip
+SETTINGS = [
+    ("--workers 0", "--workers: 0 is too small, expected at least 1"),
+    ("--chains 0", "--chains: 0 is too small, expected at least 1"),
+    ("--iterations 0", "--iterations: 0 is too small, expected at least 1"),
+    ("--budget 60m", "seconds, as in 60s"),
+    ("--budget 0s", "seconds, as in 60s"),
+    ("--budget 29", "need 30"),
+    ("--budget 2.5f", "frames, as in 20000f"),
+    ("--budget 20f", "20 frames is too small"),
+    ("--budget 60s --iterations 2", "not allowed"),
+    ("--option rule", "NAME=VALUE"),
+    ("--option chains=3", "no option of a kernel"),
+    ("--option rule=paper --option rule=exact", "given twice"),
+    ("--option rule=papr", "'paper'"),
+    ("--retries 2", "on_failure='retry'"),
+]
 
-    def test_unknown_file(self, capsys: pytest.CaptureFixture[str]) -> None:
-        assert "nowhere.json" in fails(capsys, "infer", "nowhere.json")
 
-    def test_unknown_video(self, capsys: pytest.CaptureFixture[str]) -> None:
-        assert "'other'" in fails(capsys, "infer", "collaborate", "--video", "other")
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        *BAD_INPUT.values(),
+        *((["infer", "collaborate", "--quiet", *text.split()], told) for text, told in SETTINGS),
+    ],
+    ids=[*BAD_INPUT, *(text for text, _ in SETTINGS)],
+)
+def test_bad_input_is_one_line(
+    arguments: list[str],
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("file").write_bytes(b"PK\x03\x04 and no more")
+    assert message in fails(capsys, *arguments)
 
-    def test_a_pickle_is_refused_unread(
-        self, capsys: pytest.CaptureFixture[str], tmp_path: Path
-    ) -> None:
-        trap, path = tmp_path / "sprung", tmp_path / "event.json"
 
-        class Trap:
-            def __reduce__(self) -> tuple[object, tuple[object, ...]]:
-                return Path.touch, (trap,)
+def test_a_pickle_is_refused_unread(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    trap, path = tmp_path / "sprung", tmp_path / "event.json"
 
-        path.write_bytes(pickle.dumps(Trap()))
-        assert "pickle" in fails(capsys, "infer", str(path))
-        assert not trap.exists()
+    class Trap:
+        def __reduce__(self) -> tuple[object, tuple[object, ...]]:
+            return Path.touch, (trap,)
 
-    def test_unknown_kernel(self, capsys: pytest.CaptureFixture[str]) -> None:
-        assert "'local_mh'" in fails(capsys, "infer", "collaborate", "--kernel", "local_hm")
+    path.write_bytes(pickle.dumps(Trap()))
+    assert "pickle" in fails(capsys, "infer", str(path))
+    assert not trap.exists()
 
-    @pytest.mark.parametrize("option", ["--workers", "--chains", "--iterations"])
-    def test_zero_of_something(self, option: str, capsys: pytest.CaptureFixture[str]) -> None:
-        error = fails(capsys, "infer", "collaborate", option, "0")
-        assert option in error
-        assert "at least 1" in error
 
-    def test_an_output_folder_that_cannot_be_written(
-        self, capsys: pytest.CaptureFixture[str], tmp_path: Path
-    ) -> None:
-        (tmp_path / "file").write_text("")
-        error = fails(capsys, "infer", "collaborate", "--out", str(tmp_path / "file" / "out"))
-        assert "cannot write" in error
-
-    @pytest.mark.parametrize(
-        ("arguments", "message"),
-        [
-            (["--budget", "60m"], "seconds, as in 60s"),
-            (["--budget", "0s"], "seconds, as in 60s"),
-            (["--budget", "29"], "need 30"),
-            (["--budget", "2.5f"], "frames, as in 20000f"),
-            (["--budget", "20f"], "20 frames is too small"),
-            (["--budget", "60s", "--iterations", "2"], "not allowed"),
-            (["--option", "rule"], "NAME=VALUE"),
-            (["--option", "chains=3"], "no option of a kernel"),
-            (["--option", "rule=paper", "--option", "rule=exact"], "given twice"),
-            (["--option", "rule=papr"], "'paper'"),
-            (["--retries", "2"], "on_failure='retry'"),
-        ],
-    )
-    def test_settings_of_a_run(
-        self, arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
-    ) -> None:
-        assert message in fails(capsys, "infer", "collaborate", "--quiet", *arguments)
-
-    def test_a_file_that_is_no_run(
-        self, capsys: pytest.CaptureFixture[str], tmp_path: Path
-    ) -> None:
-        (tmp_path / "run.ckpt").write_bytes(b"PK\x03\x04 and no more")
-        assert "no checkpoint" in fails(capsys, "resume", str(tmp_path / "run.ckpt"))
-
-    def test_an_output_of_another_kind(
-        self, capsys: pytest.CaptureFixture[str], tmp_path: Path
-    ) -> None:
-        error = fails(capsys, "render", "collaborate", "--out", str(tmp_path / "x.avi"))
-        assert "expected a file ending in .mp4 or .gif or .png" in error
-
-    @pytest.mark.parametrize(
-        ("options", "name", "message"),
-        [
-            (["--frame", "3"], "x.gif", "--frame draws a picture: --out"),
-            (["--strip", "3"], "x.mp4", "--strip draws a picture: --out"),
-            (["--strip", "3", "--frame", "1"], "x.png", "not allowed"),
-            (["--strip", "999"], "x.png", "n=999, expected one of 1..54"),
-            (["--frame", "54"], "x.png", "frame=54, expected one of 0..53"),
-            (["--frame", "one"], "x.png", "invalid int value: 'one'"),
-        ],
-    )
-    def test_pictures_that_cannot_be_drawn(
-        self,
-        capsys: pytest.CaptureFixture[str],
-        tmp_path: Path,
-        options: list[str],
-        name: str,
-        message: str,
-    ) -> None:
-        out = str(tmp_path / name)
-        assert message in fails(capsys, "render", "collaborate", *options, "--out", out)
-
-    def test_a_posterior_is_no_event(
-        self, capsys: pytest.CaptureFixture[str], results: Path
-    ) -> None:
-        error = fails(capsys, "infer", str(results / "posterior.nc"))
-        assert "posterior.nc: is a posterior, not an event" in error
-
-    def test_unknown_prior(self, capsys: pytest.CaptureFixture[str]) -> None:
-        assert "'uniform'" in fails(capsys, "infer", "collaborate", "--prior", "unifrom")
-
-    @pytest.mark.parametrize(
-        ("kernels", "message"),
-        [
-            ("local_mh,prior_hm", "'prior_mh'"),
-            ("local_mh,", "different names"),
-            ("local_mh:rule", "OPTION=VALUE"),
-            ("local_mh:rule=papr", "'paper'"),
-        ],
-    )
-    def test_kernels_that_cannot_be_compared(
-        self, kernels: str, message: str, capsys: pytest.CaptureFixture[str]
-    ) -> None:
-        assert message in fails(capsys, "compare", "collaborate", "--kernels", kernels)
-
-    def test_no_command(self, capsys: pytest.CaptureFixture[str]) -> None:
-        assert "COMMAND" in fails(capsys)
+def test_a_posterior_is_no_event(capsys: pytest.CaptureFixture[str], results: Path) -> None:
+    error = fails(capsys, "infer", str(results / "posterior.nc"))
+    assert "posterior.nc: is a posterior, not an event" in error
 
 
 class TestQuery:

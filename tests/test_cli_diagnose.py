@@ -10,7 +10,7 @@ import pytest
 
 from phase_ppl.analysis import Posterior
 from phase_ppl.cli import main
-from phase_ppl.cli.diagnose import table
+from phase_ppl.cli.results import table
 from tests.analysis.factory import random_tree
 from tests.analysis.test_over_time import tree_by_frame
 

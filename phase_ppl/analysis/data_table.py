@@ -7,7 +7,7 @@ import textwrap
 from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
-from phase_ppl.dataset.counts import LEVELS, PHASE
+from phase_ppl.dataset.statistics import LEVELS, PHASE
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.names import LANDMARKS
 

@@ -1,4 +1,4 @@
-"""The terminal: ``phase-ppl infer | query | evaluate | ...``, a file each."""
+"""The terminal: ``phase-ppl infer | query | evaluate | ...``."""
 
 from __future__ import annotations
 
@@ -7,9 +7,6 @@ import os
 import sys
 from collections.abc import Sequence
 
-BAD_INPUT = 2
-INTERRUPTED = 130
-
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit code.
@@ -17,8 +14,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     It is 0, or 1 where something failed that did not stop the rest, 2 for bad input, 130 where
     interrupted, 141 where output was not read to its end.
     """
+    # nothing else is imported before the try, so that Ctrl-C is heard from the first moment on
     try:
-        # imported here, so that Ctrl-C is heard from the first moment on
         from phase_ppl.cli.commands import run
 
         if sys.stdout is not None and hasattr(sys.stdout, "reconfigure"):
@@ -30,7 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return code
     except KeyboardInterrupt:
         print("phase-ppl: interrupted", file=sys.stderr)
-        return INTERRUPTED
+        return 130
     except OSError as error:
         # of "| head", or of a full disk; Python must not try to write the rest at its end
         with contextlib.suppress(OSError, AttributeError, ValueError):
@@ -38,4 +35,4 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if isinstance(error, BrokenPipeError):
             return 141
         print(f"phase-ppl: error: {' '.join(str(error).split())}", file=sys.stderr)
-        return BAD_INPUT
+        return 2

@@ -5,16 +5,18 @@ from __future__ import annotations
 import argparse
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import phase_ppl
 from phase_ppl.cli.shared import (
     BUDGET,
     INTERRUPTED,
     add_overwrite,
+    add_planner,
     add_progress,
+    add_workers,
     budget,
-    command,
+    event_command,
     load,
     option_value,
     results_folder,
@@ -22,10 +24,7 @@ from phase_ppl.cli.shared import (
     whole,
 )
 from phase_ppl.world.errors import InvalidSettingError
-
-if TYPE_CHECKING:
-    from phase_ppl.world.event import Event
-
+from phase_ppl.world.event import Event
 
 COMPARISON: Final = "comparison.json"
 FIGURE: Final = "comparison.png"
@@ -33,7 +32,7 @@ FIGURE: Final = "comparison.png"
 
 def add_to(commands: Any) -> None:
     """Add the command."""
-    parser = command(
+    parser = event_command(
         commands,
         "compare",
         _compare,
@@ -57,7 +56,7 @@ def add_to(commands: Any) -> None:
     parser.add_argument("--repeats", metavar="R", type=whole(1), default=8, help="default 8")
     parser.add_argument("--chains", metavar="M", type=whole(1), default=15, help="default 15")
     parser.add_argument("--prior", metavar="NAME", default="uniform", help="default uniform")
-    parser.add_argument("--planner", choices=("fast", "paper"), default="fast")
+    add_planner(parser)
     parser.add_argument(
         "--reference",
         metavar="R",
@@ -65,9 +64,7 @@ def add_to(commands: Any) -> None:
         "kernel, with options as in --kernels; default: what is affordable",
     )
     parser.add_argument("--weights", metavar="NAME", default="count", help="default count")
-    parser.add_argument(
-        "--workers", metavar="N", type=whole(1), help="processes; default one per usable core"
-    )
+    add_workers(parser)
     parser.add_argument(
         "--checkpoint", metavar="FILE", type=Path, help=".json; keeps and takes up finished runs"
     )

@@ -6,6 +6,7 @@ import argparse
 import dataclasses
 import re
 import sys
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -15,13 +16,16 @@ from phase_ppl.cli.shared import (
     FAILED,
     INTERRUPTED,
     add_other_versions,
+    add_planner,
     add_progress,
+    command,
     shows_progress,
     whole,
 )
 from phase_ppl.dataset.generation.generate import PRESETS, GenerationInterrupted, generate
 from phase_ppl.dataset.generation.plan import PHASE500
 from phase_ppl.dataset.generation.store import GeneratedEvents, verify
+from phase_ppl.world.scene import TURNINGS
 
 VIDEOS: Final = "videos"
 REJECTED_VIDEOS: Final = "videos_rejected"
@@ -30,15 +34,16 @@ REJECTED_VIDEOS: Final = "videos_rejected"
 
 def add_to(commands: Any) -> None:
     """Add the commands."""
-    command = commands.add_parser(
+    parser = command(
+        commands,
         "generate",
+        _generate,
+        "Make a data set like PHASE: draw situations, simulate them, keep those that show what "
+        "they should.",
+        "phase-ppl generate --n 20 --seed 1 --out events",
         help="make a data set of simulated social events",
-        description="Make a data set like PHASE: draw situations, simulate them, keep those that "
-        "show what they should.",
-        epilog="example: phase-ppl generate --n 20 --seed 1 --out events",
     )
-    command.set_defaults(run=_generate)
-    size = command.add_mutually_exclusive_group()
+    size = parser.add_mutually_exclusive_group()
     size.add_argument("--n", metavar="N", type=whole(1), help="events, in the paper's proportions")
     size.add_argument("--preset", choices=tuple(PRESETS), help="the paper's 500 events; default")
     size.add_argument(
@@ -48,17 +53,17 @@ def add_to(commands: Any) -> None:
         action="append",
         help="events of a family, such as chasing=10 or hinder:LMA=5; may be given several times",
     )
-    command.add_argument("--out", metavar="DIR", type=Path, required=True)
-    command.add_argument("--planner", choices=("fast", "paper"), default="fast")
-    command.add_argument("--seed", metavar="N", type=whole(0), default=0, help="default 0")
-    command.add_argument(
+    parser.add_argument("--out", metavar="DIR", type=Path, required=True)
+    add_planner(parser)
+    parser.add_argument("--seed", metavar="N", type=whole(0), default=0, help="default 0")
+    parser.add_argument(
         "--copies",
         metavar="K",
         type=whole(0),
         default=0,
         help="of each event, with other reflections and colours; default 0",
     )
-    command.add_argument(
+    parser.add_argument(
         "--replans",
         metavar="K",
         type=whole(0),
@@ -66,32 +71,33 @@ def add_to(commands: Any) -> None:
         help="copies of each event simulated anew in a layout of the same kind, or with sizes and "
         "strengths moved by one, as far as its family allows; default 0",
     )
-    command.add_argument(
+    parser.add_argument(
         "--turning",
-        choices=("both", "ccw", "cw"),
+        choices=TURNINGS,
         default="both",
         help="which way agents can turn, before any reflection; default both",
     )
-    command.add_argument("--workers", metavar="N", type=whole(1), help="default one per core")
-    command.add_argument(
+    parser.add_argument("--workers", metavar="N", type=whole(1), help="default one per core")
+    parser.add_argument(
         "--keep-rejected", action="store_true", help="keep the draws that were not good enough"
     )
-    command.add_argument(
+    parser.add_argument(
         "--videos",
         action="store_true",
         help="film every event, rejected draws too if they are kept, and draw all on one picture",
     )
-    command.add_argument("--resume", action="store_true", help="go on with what DIR holds")
-    add_progress(command)
+    parser.add_argument("--resume", action="store_true", help="go on with what DIR holds")
+    add_progress(parser)
+    add_other_versions(parser)
 
-    check = commands.add_parser(
+    check = command(
+        commands,
         "verify",
+        _verify,
+        "Compare a generated data set with its checksums.",
+        "phase-ppl verify events",
         help="compare a generated data set with its checksums",
-        description="Compare a generated data set with its checksums.",
-        epilog="example: phase-ppl verify events",
     )
-    add_other_versions(command)
-    check.set_defaults(run=_verify)
     check.add_argument("folder", metavar="DIR", type=Path)
 
 
@@ -153,9 +159,7 @@ def _print(made: GeneratedEvents) -> None:
         if replans and (replans["kept"] or replans["rejected"]):
             told = _kept(replans["kept"], replans["rejected"], "simulations of re-planned copies")
             print(f"{'':<22}{told}")
-    splits: dict[str, int] = {}
-    for entry in made.entries:
-        splits[entry["split"]] = splits.get(entry["split"], 0) + 1
+    splits = Counter(entry["split"] for entry in made.entries)
     parts = ", ".join(f"{n} {name}" for name, n in splits.items())
     print(f"{len(made)} events ({parts}) in {made.path}")
     anew = manifest.get("made_anew")

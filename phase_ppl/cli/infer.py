@@ -3,181 +3,74 @@
 from __future__ import annotations
 
 import argparse
-import shutil
-import sys
-from pathlib import Path
-from typing import TYPE_CHECKING, Final
-
-import phase_ppl
-from phase_ppl.cli.shared import INTERRUPTED, POSTERIOR, report_hint
-from phase_ppl.world.errors import InvalidSettingError
-from phase_ppl.world.files import write_json
-from phase_ppl.world.observation import SHOWN_SECONDS_PER_FRAME
-
-if TYPE_CHECKING:
-    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-    from phase_ppl.world.event import Event
 import functools
 import inspect
 import shlex
+import shutil
+import sys
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
 
+import phase_ppl
 from phase_ppl.cli.shared import (
     BAD_INPUT,
     BUDGET,
+    INTERRUPTED,
+    POSTERIOR,
     add_other_versions,
     add_overwrite,
+    add_planner,
     add_progress,
+    add_workers,
     budget,
     command,
+    event_command,
     load,
     named_value,
     one_line,
+    report_hint,
     results_folder,
     shows_progress,
     whole,
 )
-from phase_ppl.world.errors import OutputError, PhasePPLError
+from phase_ppl.world.errors import InvalidSettingError, OutputError, PhasePPLError
+from phase_ppl.world.event import Event
+from phase_ppl.world.files import write_json
+from phase_ppl.world.observation import SHOWN_SECONDS_PER_FRAME
 
 if TYPE_CHECKING:
     from phase_ppl.analysis.posterior import Posterior
     from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-    from phase_ppl.world.event import Event
-
-
-MODELS: Final = ("simple", "stepwise")
-
-FILM: Final = "watch.mp4"
-READING: Final = (POSTERIOR, "summary.json", "posterior.png", "over_time.png", "why.png", FILM)
-"""Files of results."""
-
-_BAR: Final = 24
-_NAME: Final = 32
-_LINES_A_SECOND: Final = 4
-"""Frames between two lines where the output is no terminal: one a second of the video."""
-
-
-def model_of(options: argparse.Namespace) -> phase_ppl.Model:
-    """Return the model that the options name."""
-    if options.model == "simple":
-        return phase_ppl.Model(prior=options.prior, planner=options.planner)
-    likelihood = phase_ppl.StepwiseLikelihood()
-    return phase_ppl.Model(prior=options.prior, planner=options.planner, likelihood=likelihood)
-
-
-def watched(event: Event, out: Path | None, options: argparse.Namespace) -> int:
-    """Show the posterior after every frame; print and keep the last one."""
-    sampling = ("chains", "iterations", "budget", "on_failure", "retries")
-    given = [f"--{name.replace('_', '-')}" for name in sampling if getattr(options, name)]
-    if given or options.option:
-        raise InvalidSettingError(f"{', '.join(given) or '--option'}: nothing is sampled")
-    code = 0
-    screen = _Screen(sys.stdout.isatty() and not options.quiet)
-    with phase_ppl.watch(
-        event.scene,
-        model_of(options),
-        seed=options.seed,
-        threads=options.workers,
-        event_id=event.id,
-    ) as watch:
-        try:
-            for index, frame in enumerate(event.observation.trajectory):
-                post = watch.update(frame)
-                if not options.quiet:
-                    screen.show(post, index)
-        except KeyboardInterrupt:
-            print("phase-ppl: interrupted; this is what was seen until then", file=sys.stderr)
-            code = INTERRUPTED
-        post = watch.posterior()
-    screen.end()
-    print(post)
-    if out is None:
-        print("\nNothing was saved; --out DIR keeps the posterior, figures and a film.")
-        return code
-    written = write_reading(post, out)
-    print(f"\nWritten to {out}: {', '.join(written)}")
-    print(report_hint(out))
-    return code
-
-
-def write_reading(post: StepwisePosterior, out: Path) -> tuple[str, ...]:
-    """Write the posterior, a summary, figures and the film into ``out``; return their names."""
-    best, second = (name for name, _ in post.top("relation", 2))
-    post.save(out / POSTERIOR)
-    write_json(out / "summary.json", post.summary())
-    phase_ppl.plot.posterior(post, path=out / "posterior.png")
-    phase_ppl.plot.over_time(post, path=out / "over_time.png")
-    phase_ppl.plot.why(post, f"relation={best}", f"relation={second}", path=out / "why.png")
-    phase_ppl.watch_film(post, out / FILM)
-    return READING
-
-
-class _Screen:
-    """Bars that move in place on a terminal; elsewhere a line a second of the video."""
-
-    def __init__(self, in_place: bool) -> None:
-        self._in_place = in_place
-        self._lines = 0
-
-    def show(self, post: StepwisePosterior, frame: int) -> None:
-        seconds = frame * SHOWN_SECONDS_PER_FRAME
-        if not self._in_place:
-            if frame % _LINES_A_SECOND == 0:
-                print(f"{seconds:5.1f} s  {_in_a_line(post)}", flush=True)
-            return
-        width = shutil.get_terminal_size().columns - 1
-        lines = [f"{post.event_id}, {seconds:.1f} s", *_bars(post)]
-        back = f"\x1b[{self._lines}F" if self._lines else ""
-        print(back + "\n".join(f"\x1b[2K{line[:width]}" for line in lines), flush=True)
-        self._lines = len(lines)
-
-    def end(self) -> None:
-        print()
-
-
-def _bars(post: StepwisePosterior) -> list[str]:
-    lines = []
-    for title, name, n in (("red", "goal_red", 3), ("green", "goal_green", 3), ("", "relation", 3)):
-        for label, share in post.top(name, n):
-            bar = "#" * round(share * _BAR)
-            lines.append(f"{title:<6}{label:<{_NAME}}{share:5.2f}  {bar}")
-            title = ""
-    return lines
-
-
-def _in_a_line(post: StepwisePosterior) -> str:
-    parts = []
-    for title, name in (("red", "goal_red"), ("green", "goal_green"), ("relation", "relation")):
-        label, share = post.top(name, 1)[0]
-        parts.append(f"{title}: {label} {share:.2f}")
-    return "; ".join(parts)
-
-
-# --- the commands ``infer`` and ``resume`` --------------------------------------------------------
 
 CHECKPOINT: Final = "run.ckpt"
 """The file in the folder of results that holds an unfinished run."""
 
 _SAMPLED: Final = (POSTERIOR, "summary.json", "posterior.png", "replay.mp4")
-_RESULTS: Final = tuple(dict.fromkeys((*_SAMPLED, *READING)))
+_STEPWISE: Final = (
+    *(POSTERIOR, "summary.json", "posterior.png"),
+    *("over_time.png", "why.png", "watch.mp4"),
+)
+"""Files of results, by kind of posterior."""
+
+_RESULTS: Final = tuple(dict.fromkeys((*_SAMPLED, *_STEPWISE)))
 
 
 def add_to(commands: Any) -> None:
     """Add the commands."""
-    infer = command(
+    infer = event_command(
         commands,
         "infer",
         _infer,
         "print, draw and save the posterior over goals, relation and strengths of an event",
         "phase-ppl infer collaborate --planner fast --seed 0 --out out",
     )
-    infer.add_argument("--planner", choices=("fast", "paper"), default="fast")
+    add_planner(infer)
     infer.add_argument("--prior", metavar="NAME", default="uniform", help="default uniform")
     infer.add_argument(
         "--model",
-        choices=MODELS,
-        default=MODELS[0],
+        choices=("simple", "stepwise"),
+        default="simple",
         help="simple: whole simulations, sampled (the default); stepwise: every frame given those "
         "before it, over all hypotheses",
     )
@@ -202,55 +95,54 @@ def add_to(commands: Any) -> None:
         "--out", metavar="DIR", type=Path, help="for the posterior, a figure and a film"
     )
     add_overwrite(infer)
-    _add_means(infer)
+    _add_run_options(infer)
 
-    resume = commands.add_parser(
+    resume = command(
+        commands,
         "resume",
+        _resume,
+        "Go on with an interrupted run, or extend one, as if it had never stopped.",
+        "phase-ppl resume out/run.ckpt --workers 4",
         help="go on with an interrupted run, or extend one",
-        description="Go on with an interrupted run, or extend one, as if it had never stopped.",
-        epilog="example: phase-ppl resume out/run.ckpt --workers 4",
     )
-    resume.set_defaults(run=_resume)
     resume.add_argument("file", metavar="FILE", type=Path, help="the run.ckpt that it left")
     resume.add_argument("--out", metavar="DIR", type=Path, help="default: where FILE is")
     add_overwrite(resume)
     add_other_versions(resume)
-    _add_means(resume)
+    _add_run_options(resume)
 
 
-def _add_means(command: argparse.ArgumentParser) -> None:
+def _add_run_options(parser: argparse.ArgumentParser) -> None:
     """Add what ``infer`` and ``resume`` share."""
-    length = command.add_mutually_exclusive_group()
+    length = parser.add_mutually_exclusive_group()
     length.add_argument("--iterations", metavar="L", type=whole(1), help="default 6, or as before")
     length.add_argument("--budget", metavar="B", type=budget, help=BUDGET)
-    command.add_argument(
-        "--workers", metavar="N", type=whole(1), help="processes; default one per usable core"
-    )
-    command.add_argument(
+    add_workers(parser)
+    parser.add_argument(
         "--on-failure",
         choices=("reject", "raise", "retry"),
         help="what becomes of a failed simulation; default reject, or as before",
     )
-    command.add_argument("--retries", metavar="N", type=whole(1), help="of retry; default 3")
-    command.add_argument(
+    parser.add_argument("--retries", metavar="N", type=whole(1), help="of retry; default 3")
+    parser.add_argument(
         "--burn-in",
         metavar="N",
         type=whole(0),
         help="draws at the beginning of each chain that do not count; default a quarter of 20 "
         "iterations or more, else none",
     )
-    command.add_argument(
+    parser.add_argument(
         "--simulation-seconds",
         metavar="S",
         type=float,
         help="a simulation that takes longer has failed; default: none has",
     )
-    command.add_argument(
+    parser.add_argument(
         "--keep-checkpoint",
         action="store_true",
         help=f"keep {CHECKPOINT} when the run is complete, to extend it",
     )
-    add_progress(command)
+    add_progress(parser)
 
 
 def _infer(options: argparse.Namespace) -> int:
@@ -265,20 +157,27 @@ def _infer(options: argparse.Namespace) -> int:
         )
     with results_folder(options.out, _RESULTS, options.overwrite) as out:
         if options.watch:
-            return watched(event, out, options)
+            return _watched(event, out, options)
         exact = options.model == "stepwise" and options.kernel is None
         run = functools.partial(
             phase_ppl.infer,
             event,
-            model_of(options),
+            _model_of(options),
             kernel=options.kernel,
             seed=options.seed,
             checkpoint=None if exact else kept,
             **({} if options.chains is None else {"chains": options.chains}),
-            **_means(options),
+            **_run_options(options),
             **_kernel_options(options.option),
         )
         return _finish(run, event, out, kept, options)
+
+
+def _model_of(options: argparse.Namespace) -> phase_ppl.Model:
+    if options.model == "simple":
+        return phase_ppl.Model(prior=options.prior, planner=options.planner)
+    likelihood = phase_ppl.StepwiseLikelihood()
+    return phase_ppl.Model(prior=options.prior, planner=options.planner, likelihood=likelihood)
 
 
 def _resume(options: argparse.Namespace) -> int:
@@ -295,7 +194,7 @@ def _resume(options: argparse.Namespace) -> int:
             phase_ppl.resume,
             options.file,
             other_versions=options.other_versions,
-            **_means(options),
+            **_run_options(options),
         )
         return _finish(run, event, out, options.file, options)
 
@@ -336,7 +235,7 @@ def _finish(
     return code
 
 
-def _means(options: argparse.Namespace) -> dict[str, Any]:
+def _run_options(options: argparse.Namespace) -> dict[str, Any]:
     given = (
         *("iterations", "budget", "workers", "on_failure", "retries"),
         *("simulation_seconds", "burn_in"),
@@ -361,15 +260,97 @@ def _kernel_options(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
 
 def _write_results(post: Posterior | StepwisePosterior, event: Event, out: Path) -> None:
     """Write the posterior, a summary, figures and a film into ``out``."""
+    post.save(out / POSTERIOR)
+    write_json(out / "summary.json", post.summary())
+    phase_ppl.plot.posterior(post, path=out / "posterior.png")
     if isinstance(post, phase_ppl.Posterior):
-        post.save(out / POSTERIOR)
-        write_json(out / "summary.json", post.summary())
-        phase_ppl.plot.posterior(post, path=out / "posterior.png")
         phase_ppl.render.video(event, out / "replay.mp4", compare=post.replay())
         written: tuple[str, ...] = _SAMPLED
     else:
-        written = write_reading(post, out)
+        best, second = (name for name, _ in post.top("relation", 2))
+        phase_ppl.plot.over_time(post, path=out / "over_time.png")
+        phase_ppl.plot.why(post, f"relation={best}", f"relation={second}", path=out / "why.png")
+        phase_ppl.watch_film(post, out / "watch.mp4")
+        written = _STEPWISE
     for name in set(_RESULTS) - set(written):  # of another run, which was to be overwritten
         (out / name).unlink(missing_ok=True)
     print(f"\nWritten to {out}: {', '.join(written)}")
     print(report_hint(out))
+
+
+# --- watching --------------------------------------------------------------------------------
+
+_BAR: Final = 24
+_NAME: Final = 32
+_LINES_A_SECOND: Final = 4
+"""Frames between two lines where the output is no terminal: one a second of the video."""
+
+
+def _watched(event: Event, out: Path | None, options: argparse.Namespace) -> int:
+    """Show the posterior after every frame; print and keep the last one."""
+    sampling = ("chains", "iterations", "budget", "on_failure", "retries")
+    given = [f"--{name.replace('_', '-')}" for name in sampling if getattr(options, name)]
+    if given or options.option:
+        raise InvalidSettingError(f"{', '.join(given) or '--option'}: nothing is sampled")
+    code = 0
+    screen = _Screen(sys.stdout.isatty() and not options.quiet)
+    with phase_ppl.watch(
+        event.scene,
+        _model_of(options),
+        seed=options.seed,
+        threads=options.workers,
+        event_id=event.id,
+    ) as watch:
+        try:
+            for index, frame in enumerate(event.observation.trajectory):
+                post = watch.update(frame)
+                if not options.quiet:
+                    screen.show(post, index)
+        except KeyboardInterrupt:
+            print("phase-ppl: interrupted; this is what was seen until then", file=sys.stderr)
+            code = INTERRUPTED
+        post = watch.posterior()
+    print(f"\n{post}")
+    if out is None:
+        print("\nNothing was saved; --out DIR keeps the posterior, figures and a film.")
+    else:
+        _write_results(post, event, out)
+    return code
+
+
+class _Screen:
+    """Bars that move in place on a terminal; elsewhere a line a second of the video."""
+
+    def __init__(self, in_place: bool) -> None:
+        self._in_place = in_place
+        self._lines = 0
+
+    def show(self, post: StepwisePosterior, frame: int) -> None:
+        seconds = frame * SHOWN_SECONDS_PER_FRAME
+        if not self._in_place:
+            if frame % _LINES_A_SECOND == 0:
+                print(f"{seconds:5.1f} s  {_in_a_line(post)}", flush=True)
+            return
+        width = shutil.get_terminal_size().columns - 1
+        lines = [f"{post.event_id}, {seconds:.1f} s", *_bars(post)]
+        back = f"\x1b[{self._lines}F" if self._lines else ""
+        print(back + "\n".join(f"\x1b[2K{line[:width]}" for line in lines), flush=True)
+        self._lines = len(lines)
+
+
+def _bars(post: StepwisePosterior) -> list[str]:
+    lines = []
+    for title, name, n in (("red", "goal_red", 3), ("green", "goal_green", 3), ("", "relation", 3)):
+        for label, share in post.top(name, n):
+            bar = "#" * round(share * _BAR)
+            lines.append(f"{title:<6}{label:<{_NAME}}{share:5.2f}  {bar}")
+            title = ""
+    return lines
+
+
+def _in_a_line(post: StepwisePosterior) -> str:
+    parts = []
+    for title, name in (("red", "goal_red"), ("green", "goal_green"), ("relation", "relation")):
+        label, share = post.top(name, 1)[0]
+        parts.append(f"{title}: {label} {share:.2f}")
+    return "; ".join(parts)

@@ -11,17 +11,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import phase_ppl
-from phase_ppl.cli import BAD_INPUT as BAD_INPUT
-from phase_ppl.cli import INTERRUPTED as INTERRUPTED
 from phase_ppl.world.errors import InvalidEventError, OutputError, shown
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import as_path, locked, writable_folder
+from phase_ppl.world.scene import TURNINGS
 
 if TYPE_CHECKING:
     from phase_ppl.analysis.posterior import Posterior
     from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 
 FAILED: Final = 1
+BAD_INPUT: Final = 2
+INTERRUPTED: Final = 130
+"""Exit codes."""
 
 POSTERIOR: Final = "posterior.nc"
 """The file in the folder of results that holds the posterior."""
@@ -58,11 +60,7 @@ def report_hint(out: Path) -> str:
 
 
 def check_suffix(out: Path, suffixes: Sequence[str]) -> str:
-    """Return the ending of ``out``, in lower case.
-
-    Raises:
-        OutputError: it is none of ``suffixes``.
-    """
+    """Return the ending of ``out``, in lower case (OutputError: it is none of ``suffixes``)."""
     suffix = out.suffix.lower()
     if suffix not in suffixes:
         raise OutputError(f"--out {out}: expected a file ending in {' or '.join(suffixes)}")
@@ -92,22 +90,40 @@ def whole(minimum: int) -> Any:
 
 
 def command(
+    commands: Any, name: str, run: Any, description: str, example: str, *, help: str | None = None
+) -> argparse.ArgumentParser:
+    """Add a command; ``help`` is what the list of all says of it, by default the description."""
+    parser: argparse.ArgumentParser = commands.add_parser(
+        name, help=help or description, description=description, epilog=f"example: {example}"
+    )
+    parser.set_defaults(run=run)
+    return parser
+
+
+def event_command(
     commands: Any, name: str, run: Any, description: str, example: str
 ) -> argparse.ArgumentParser:
     """Add a command on an event, with the options that all of them have."""
-    command: argparse.ArgumentParser = commands.add_parser(
-        name, help=description, description=description, epilog=f"example: {example}"
+    parser = command(commands, name, run, description, example)
+    parser.add_argument("event", metavar="EVENT", help="an event file, or a bundled event's name")
+    parser.add_argument("--video", metavar="ID", help="one event of a file with many")
+    parser.add_argument("--seed", metavar="N", type=whole(0), default=0, help="default 0")
+    parser.add_argument(
+        "--turning", choices=TURNINGS, help="which way agents can turn; default: as observed"
     )
-    command.set_defaults(run=run)
-    command.add_argument("event", metavar="EVENT", help="an event file, or a bundled event's name")
-    command.add_argument("--video", metavar="ID", help="one event of a file with many")
-    command.add_argument("--seed", metavar="N", type=whole(0), default=0, help="default 0")
-    command.add_argument(
-        "--turning",
-        choices=("both", "ccw", "cw"),
-        help="which way agents can turn; default: as observed",
+    return parser
+
+
+def add_planner(parser: argparse.ArgumentParser) -> None:
+    """Add the option of whoever plans the agents' actions."""
+    parser.add_argument("--planner", choices=("fast", "paper"), default="fast")
+
+
+def add_workers(parser: argparse.ArgumentParser) -> None:
+    """Add the option of the number of processes."""
+    parser.add_argument(
+        "--workers", metavar="N", type=whole(1), help="processes; default one per usable core"
     )
-    return command
 
 
 BUDGET: Final = "simulations, as in 500, simulated frames, as in 20000f, or seconds, as in 60s"

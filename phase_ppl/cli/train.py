@@ -7,12 +7,13 @@ import dataclasses
 import shlex
 import sys
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import phase_ppl
 from phase_ppl.cli.shared import (
     INTERRUPTED,
     add_progress,
+    command,
     named_value,
     shows_progress,
     whole,
@@ -22,22 +23,19 @@ from phase_ppl.models.socialgnn.graphs import VARIANTS
 from phase_ppl.models.socialgnn.store import TrainingSettings
 from phase_ppl.world.errors import InvalidSettingError, unknown_name
 
-MODELS: Final = ("socialgnn",)
-"""Models that can be trained."""
-
 
 def add_to(commands: Any) -> None:
     """Add the command."""
-    description = "train a model of social perception on a generated data set"
-    parser = commands.add_parser(
+    parser = command(
+        commands,
         "train",
-        help=description,
-        description=f"{description[0].upper()}{description[1:]}: networks from several seeds, "
+        _train,
+        "Train a model of social perception on a generated data set: networks from several seeds, "
         "whose answers are averaged. Needs the extra neural (PyTorch).",
-        epilog="example: phase-ppl train socialgnn --data events --out gnn",
+        "phase-ppl train socialgnn --data events --out gnn",
+        help="train a model of social perception on a generated data set",
     )
-    parser.set_defaults(run=_train)
-    parser.add_argument("model", choices=MODELS)
+    parser.add_argument("model", choices=("socialgnn",))
     parser.add_argument(
         "--data",
         metavar="SET",

@@ -1,8 +1,8 @@
 """Reading and writing events: the package's own files, the authors' videos, bundled events."""
 
-from phase_ppl.dataset.export import export_events
 from phase_ppl.dataset.load import (
     bundled_events,
+    export_events,
     load_bundled,
     load_event,
     load_events,

@@ -1,16 +1,26 @@
-"""From a file's bytes to a JSON object, or one line that says why not."""
+"""From a file's bytes to a JSON object and the fields in it, or one line that says why not."""
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
 import re
 from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, NoReturn
+from typing import Any, Final, NoReturn, TypeVar
 
-from phase_ppl.world.errors import InvalidEventError, shown
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    InvalidSettingError,
+    UnknownNameError,
+    shown,
+    unknown_name,
+)
+
+T = TypeVar("T")
 
 MAX_BYTES: Final = 512 * 2**20
 """Largest event file that is read."""
@@ -32,26 +42,33 @@ def read_document(path: str | os.PathLike[str]) -> dict[str, Any]:
     """
     if Path(path).suffix.lower() in PICKLE_SUFFIXES:
         raise InvalidEventError(_REFUSED_PICKLE)
+    with reading_bytes("an event file"), open(path, "rb") as file:
+        content = file.read(_HEAD_BYTES)
+        _refuse_binary(content)
+        content += file.read(MAX_BYTES + 1 - len(content))
+    return parse_document(content)
+
+
+@contextlib.contextmanager
+def reading_bytes(expected: str) -> Iterator[None]:
+    """Say in one line why a file cannot be read that was expected to be such."""
     try:
-        with open(path, "rb") as file:
-            content = file.read(_HEAD_BYTES)
-            _refuse_binary(content)
-            content += file.read(MAX_BYTES + 1 - len(content))
+        yield
     except IsADirectoryError:
-        raise InvalidEventError("is a folder, expected an event file") from None
+        raise InvalidEventError(f"is a folder, expected {expected}") from None
     except FileNotFoundError:
         raise InvalidEventError("no such file") from None
     except OSError as error:
         raise InvalidEventError(f"cannot be read: {error.strerror or error}") from None
-    return parse_document(content)
+
+
+def too_large(limit: int) -> InvalidEventError:
+    """Return the error for a file of more than ``limit`` bytes."""
+    return InvalidEventError(f"is larger than the {limit // 2**20} MB that are read")
 
 
 def read_json(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Return the JSON object in the file ``path``, as :func:`read_document`.
-
-    Raises:
-        InvalidEventError: as there; the message names the file.
-    """
+    """Return the JSON object in the file ``path``, as :func:`read_document`; errors name it."""
     try:
         return read_document(path)
     except InvalidEventError as error:
@@ -67,7 +84,7 @@ def parse_document(content: bytes) -> dict[str, Any]:
     """
     _refuse_binary(content[:_HEAD_BYTES])
     if len(content) > MAX_BYTES:
-        raise InvalidEventError(f"is larger than the {MAX_BYTES // 2**20} MB that are read")
+        raise too_large(MAX_BYTES)
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -76,11 +93,7 @@ def parse_document(content: bytes) -> dict[str, Any]:
 
 
 def parse_text(text: str) -> dict[str, Any]:
-    """Return the JSON object that ``text`` spells.
-
-    Raises:
-        InvalidEventError: as for :func:`parse_document`.
-    """
+    """Return the JSON object that ``text`` spells. Errors as for :func:`parse_document`."""
     if not text.strip():
         raise InvalidEventError("is empty")
     try:
@@ -139,3 +152,77 @@ def _finite(token: str) -> float:
     if not math.isfinite(value):
         raise InvalidEventError(f"holds {token[:40]}, expected finite numbers")
     return value
+
+
+# --- fields ----------------------------------------------------------------------------------
+
+_WORDS = {dict: "an object", list: "a list", str: "a string", int: "a whole number"}
+
+
+def require(record: Mapping[str, Any], name: str, kind: type[T], where: str = "") -> T:
+    """Return ``record[name]``, which must be there and of type ``kind``: dict, list, str or int.
+
+    ``where`` is the path of ``record`` in the file, for the error message.
+    """
+    path = f"{where}.{name}" if where else name
+    if name not in record:
+        raise InvalidEventError(f"has no {path}")
+    value = record[name]
+    if not isinstance(value, kind) or isinstance(value, bool):
+        raise InvalidEventError(f"{path} is {shown(value)}, expected {_WORDS[kind]}")
+    return value
+
+
+def optional(record: Mapping[str, Any], name: str, kind: type[T], where: str = "") -> T | None:
+    """Return ``record[name]`` as :func:`require` does, or None where it is missing or null."""
+    return None if record.get(name) is None else require(record, name, kind, where)
+
+
+def only(record: Mapping[str, Any], allowed: Sequence[str], where: str) -> None:
+    """Raise UnknownNameError if ``record`` has a field that is none of ``allowed``."""
+    for name in record:
+        if name not in allowed:
+            raise unknown_name(f"field of {where}", name, allowed)
+
+
+def per_name(record: Mapping[str, Any], names: Sequence[str], where: str) -> list[Any]:
+    """Return the values of an object whose fields must be exactly ``names``, in that order."""
+    only(record, names, where)
+    missing = [name for name in names if name not in record]
+    if missing:
+        raise InvalidEventError(f"{where} has no {' and no '.join(missing)}")
+    return [record[name] for name in names]
+
+
+def event_id(record: Mapping[str, Any], where: str = "") -> str:
+    """Return the field ``id``: a string that can be printed."""
+    name = require(record, "id", str, where)
+    if not name.strip() or not name.isprintable():
+        raise InvalidEventError(f"id is {shown(name)}, expected printable text")
+    return name
+
+
+def check_ids(ids: Sequence[str]) -> None:
+    """Raise InvalidEventError if there are no ids, or one is there twice."""
+    if not ids:
+        raise InvalidEventError("holds no videos: the list is empty")
+    seen: set[str] = set()
+    for name in ids:
+        if name in seen:
+            raise InvalidEventError(f"holds two videos with the id {shown(name)}")
+        seen.add(name)
+
+
+# --- files -----------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def naming(path: str | os.PathLike[str], video: str | None = None) -> Iterator[None]:
+    """Put the file, and the video where there is one, in front of an error's message."""
+    try:
+        yield
+    except (InvalidEventError, InvalidSettingError, UnknownNameError) as error:
+        where = str(path) if video is None or video == Path(path).stem else f"{path}, video {video}"
+        # a wrong value in a file is the file's fault, not that of a setting
+        kind = UnknownNameError if isinstance(error, UnknownNameError) else InvalidEventError
+        raise kind(f"{where}: {error}") from None

@@ -39,140 +39,80 @@ Writing and reading changes no number.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import json
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, TypeVar
+from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from phase_ppl.dataset.documents import event_id, only, optional, per_name, require
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import instance_of
-from phase_ppl.world.errors import InvalidEventError, shown, unknown_name
+from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.event import Event, Truth
 from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS
 from phase_ppl.world.observation import Observation
-from phase_ppl.world.scene import Scene, finite_array
-
-T = TypeVar("T")
-Entries = list[tuple[str, Callable[[], Event]]]
-"""What a file holds: per event its id and the function that reads it."""
-
-_WORDS = {dict: "an object", list: "a list", str: "a string", int: "a whole number"}
-
-
-def require(record: Mapping[str, Any], name: str, kind: type[T], where: str = "") -> T:
-    """Return ``record[name]``, which must be there and of JSON type ``kind``.
-
-    Args:
-        record: the JSON object.
-        name: the wanted field.
-        kind: dict, list, str or int.
-        where: path of ``record`` in the file, for the error message.
-
-    Raises:
-        InvalidEventError: the field is missing or of another type.
-    """
-    path = f"{where}.{name}" if where else name
-    if name not in record:
-        raise InvalidEventError(f"has no {path}")
-    value = record[name]
-    if not isinstance(value, kind) or isinstance(value, bool):
-        raise InvalidEventError(f"{path} is {shown(value)}, expected {_WORDS[kind]}")
-    return value
-
-
-def optional(record: Mapping[str, Any], name: str, kind: type[T], where: str = "") -> T | None:
-    """Return ``record[name]`` as :func:`require` does, or None where it is missing or null."""
-    return None if record.get(name) is None else require(record, name, kind, where)
-
-
-def only(record: Mapping[str, Any], allowed: Sequence[str], where: str) -> None:
-    """Raise UnknownNameError if ``record`` has a field that is none of ``allowed``."""
-    for name in record:
-        if name not in allowed:
-            raise unknown_name(f"field of {where}", name, allowed)
-
-
-def per_name(record: Mapping[str, Any], names: Sequence[str], where: str) -> list[Any]:
-    """Return the values of an object whose fields are exactly ``names``, in that order.
-
-    Raises:
-        InvalidEventError: a name is missing.
-        UnknownNameError: another name is there.
-    """
-    only(record, names, where)
-    missing = [name for name in names if name not in record]
-    if missing:
-        raise InvalidEventError(f"{where} has no {' and no '.join(missing)}")
-    return [record[name] for name in names]
-
-
-def event_id(record: Mapping[str, Any], where: str = "") -> str:
-    """Return the field ``id``: a string that can be printed."""
-    name = require(record, "id", str, where)
-    if not name.strip() or not name.isprintable():
-        raise InvalidEventError(f"id is {shown(name)}, expected printable text")
-    return name
-
-
-def read_observation(record: Mapping[str, Any], where: str) -> Observation:
-    """Return the observation in an object that maps entity names to rows of [x, y, angle].
-
-    Raises:
-        InvalidEventError: entities are missing, rows are not three finite numbers, lengths
-            differ, or there are fewer than 2 frames.
-    """
-    tracks: list[NDArray[np.float64]] = [
-        finite_array(f"{where}[{name!r}]", rows, (None, 3))
-        for name, rows in zip(ENTITIES, per_name(record, ENTITIES, where), strict=True)
-    ]
-    lengths = [len(track) for track in tracks]
-    if len(set(lengths)) > 1:
-        listed = ", ".join(f"{n} {name}" for n, name in zip(lengths, ENTITIES, strict=True))
-        raise InvalidEventError(f"{where} differ in length: {listed}")
-    return Observation(np.stack(tracks, axis=1))
-
-
-# --- the package's own event files: JSON that a person can read and write -------------------------
-# One event::
-#
-# { "format": "phase-ppl-event-1", "id": "collaborate", "scene": { "arena": {"x": [6.0, 26.0],
-# "y": [2.0, 22.0]}, "walls": [[[16.0, 12.0], [16.0, 22.0]]], "landmarks": {"blue lm": [8.5,
-# 19.5], "green lm": [23.5, 19.5], "red lm": [23.5, 4.5], "yellow lm": [8.5, 4.5]},
-# "landmark_half_width": 2.5, "turning": "both", "radius": {"red agent": 0.8, "green agent": 1.2,
-# "blue item": 0.8, "pink item": 1.01}, "start": {"red agent": [8.0, 20.0, 0.0], ...} },
-# "trajectories": {"red agent": [[8.0, 20.0, 0.0], ...], ...}, "truth": { "goals": {"red agent":
-# "Get blue item to red lm", "green agent": "..."}, "relation": "friendly", "scenario":
-# "collaborative", "strengths": {"red agent": 450.0, "green agent": null} }, "judgments": {...},
-# "predictions": {...} }
-#
-# Lengths are in units of the world, y up, angles in radians (counter-clockwise, 0 looks up, not
-# wrapped); a row is [x, y, angle], frame 0 the start, frame k the mean over planner step k; walls
-# are inner walls [[x, y], [x, y]]; strengths are in newtons. In ``scene`` only ``radius`` must be
-# given: the rest defaults to the original world without inner walls, ``start`` to the first
-# frame. ``truth`` (effective goals), ``judgments`` and ``predictions`` may be missing or null.
-#
-# Several events: ``{"format": "phase-ppl-events-1", "events": [...]}``, each as above (without
-# ``format``), with different ids.
-#
-# Writing and reading changes no number.
+from phase_ppl.world.scene import Scene, Turning, finite_array
 
 EVENT_FORMAT: Final = "phase-ppl-event-1"
 EVENTS_FORMAT: Final = "phase-ppl-events-1"
 
+Entries = list[tuple[str, Callable[[], Event]]]
+"""What a file holds: per event its id and the function that reads it."""
+
+LABELS: Final[Mapping[str, Sequence[str]]] = {
+    "entity": ENTITIES,
+    "coord": ("x", "y", "angle"),
+    "xy": ("x", "y"),
+    "landmark": LANDMARKS,
+    "bound": ("x_min", "x_max", "y_min", "y_max"),
+}
+"""Dimension of an array -> names of the places along it."""
+
+LENGTH: Final = "units of length"
+POSE: Final = "units of length (x, y), radians (angle)"
+
+
+class Field(NamedTuple):
+    """An array of an event, as its files have it.
+
+    Attributes:
+        key: its name in a JSON scene.
+        dims: its dimensions; those of :data:`LABELS` have named places.
+        units: in words.
+    """
+
+    key: str
+    dims: tuple[str, ...]
+    units: str = LENGTH
+
+    @property
+    def shape(self) -> tuple[int | None, ...]:
+        """Length of each dimension; None for any."""
+        return tuple(len(LABELS[dim]) if dim in LABELS else None for dim in self.dims)
+
+
+TRAJECTORY: Final = Field("trajectories", ("time", "entity", "coord"), POSE)
+SCENE: Final[Mapping[str, Field]] = {
+    "start": Field("start", ("entity", "coord"), POSE),
+    "radius": Field("radius", ("entity",)),
+    "walls": Field("walls", ("wall", "end", "xy")),
+    "landmark_centres": Field("landmarks", ("landmark", "xy")),
+    "landmark_half_width": Field("landmark_half_width", ()),
+    "arena": Field("arena", ("bound",)),
+}
+"""Attribute of a scene -> how files have it; beside these there is ``turning``, a text."""
+
 _EVENT_FIELDS = ("format", "id", "scene", "trajectories", "truth", "judgments", "predictions")
-_SCENE_FIELDS = (
-    "arena",
-    "walls",
-    "landmarks",
-    "landmark_half_width",
-    "turning",
-    "radius",
-    "start",
-)
 _TRUTH_FIELDS = ("goals", "relation", "scenario", "strengths")
+_SCENE_FIELDS = (*("arena", "walls", "landmarks", "landmark_half_width", "turning"),
+                 *("radius", "start"))  # fmt: skip
 _LINE_CHARACTERS = 100
+
+
+# --- reading ---------------------------------------------------------------------------------
 
 
 def read_one(document: Mapping[str, Any]) -> Entries:
@@ -183,17 +123,24 @@ def read_one(document: Mapping[str, Any]) -> Entries:
 def read_many(document: Mapping[str, Any]) -> Entries:
     """Return the events of a document in :data:`EVENTS_FORMAT`, not yet read."""
     only(document, ("format", "events"), "a file of events")
+    return entries_of(document, "events", event_from_record)
+
+
+def entries_of(
+    document: Mapping[str, Any], field: str, read: Callable[[dict[str, Any]], Event]
+) -> Entries:
+    """Return the events in a list of JSON objects, each to be read by ``read``."""
     entries: Entries = []
-    for index, record in enumerate(require(document, "events", list)):
+    for index, record in enumerate(require(document, field, list)):
+        where = f"{field}[{index}]"
         if not isinstance(record, dict):
-            raise InvalidEventError(f"events[{index}] is no JSON object")
-        name = event_id(record, f"events[{index}]")
-        entries.append((name, functools.partial(event_from_record, record)))
+            raise InvalidEventError(f"{where} is no JSON object")
+        entries.append((event_id(record, where), functools.partial(read, record)))
     return entries
 
 
 def event_from_record(record: Mapping[str, Any]) -> Event:
-    """Return the event that a parsed JSON object describes.
+    """Return the event that a parsed JSON object describes; in place of lists it may have arrays.
 
     Raises:
         InvalidEventError: something is missing, of the wrong type or impossible.
@@ -202,41 +149,61 @@ def event_from_record(record: Mapping[str, Any]) -> Event:
     only(record, _EVENT_FIELDS, "an event")
     observation = read_observation(require(record, "trajectories", dict), "trajectories")
     truth = optional(record, "truth", dict)
+    if truth is not None:
+        only(truth, _TRUTH_FIELDS, "truth")
     return Event(
         scene=_scene(require(record, "scene", dict), observation.trajectory[0]),
         observation=observation,
         id=event_id(record),
-        truth=None if truth is None else _truth(truth),
+        truth=None if truth is None else read_truth(truth, "strengths"),
         judgments=optional(record, "judgments", dict),
         predictions=optional(record, "predictions", dict),
     )
 
 
-def _scene(record: Mapping[str, Any], first_frame: NDArray[np.float64]) -> Scene:
+def read_observation(record: Mapping[str, Any], where: str) -> Observation:
+    """Return the observation in an object that maps entity names to rows of [x, y, angle]."""
+    tracks = [
+        finite_array(f"{where}[{name!r}]", rows, (None, 3))
+        for name, rows in zip(ENTITIES, per_name(record, ENTITIES, where), strict=True)
+    ]
+    lengths = [len(track) for track in tracks]
+    if len(set(lengths)) > 1:
+        listed = ", ".join(f"{n} {name}" for n, name in zip(lengths, ENTITIES, strict=True))
+        raise InvalidEventError(f"{where} differ in length: {listed}")
+    return Observation(np.stack(tracks, axis=1))
+
+
+def _scene(record: Mapping[str, Any], first_frame: FloatArray) -> Scene:
     only(record, _SCENE_FIELDS, "scene")
-
-    def named(name: str, names: Sequence[str], shape: tuple[int, ...]) -> NDArray[np.float64]:
-        values = per_name(require(record, name, dict, "scene"), names, f"scene.{name}")
-        return finite_array(f"scene.{name}", values, shape)
-
-    given: dict[str, Any] = {
-        name: record[name] for name in ("walls", "turning", "landmark_half_width") if name in record
-    }
+    given: dict[str, Any] = {"start": first_frame}
+    for name in ("walls", "turning", "landmark_half_width"):
+        if name in record:
+            given[name] = record[name]
     if "arena" in record:
-        given["arena"] = named("arena", ("x", "y"), (2, 2)).ravel()
-    if "landmarks" in record:
-        given["landmark_centres"] = named("landmarks", LANDMARKS, (len(LANDMARKS), 2))
-    start = named("start", ENTITIES, (len(ENTITIES), 3)) if "start" in record else first_frame
-    return Scene(start=start, radius=named("radius", ENTITIES, (len(ENTITIES),)), **given)
+        given["arena"] = _by_name(record, "arena", ("x", "y"), (2, 2)).ravel()
+    for name in ("landmark_centres", "start", "radius"):
+        key, dims, _ = SCENE[name]
+        if key in record or name == "radius":
+            given[name] = _by_name(record, key, LABELS[dims[0]], SCENE[name].shape)
+    return Scene(**given)
 
 
-def _truth(record: Mapping[str, Any]) -> Truth:
-    only(record, _TRUTH_FIELDS, "truth")
+def _by_name(
+    record: Mapping[str, Any], key: str, names: Sequence[str], shape: tuple[int | None, ...]
+) -> FloatArray:
+    values = per_name(require(record, key, dict, "scene"), names, f"scene.{key}")
+    return finite_array(f"scene.{key}", values, shape)
+
+
+def read_truth(
+    record: Mapping[str, Any], field: str, newtons: Callable[[Any], Any] = lambda force: force
+) -> Truth:
+    """Return the truth in an object whose ``field`` has the strengths, which ``newtons`` reads."""
     goals = per_name(require(record, "goals", dict, "truth"), AGENTS, "truth.goals")
-    strengths = optional(record, "strengths", dict, "truth")
-    red, green = (
-        (None, None) if strengths is None else per_name(strengths, AGENTS, "truth.strengths")
-    )
+    levels = optional(record, field, dict, "truth")
+    given = [None, None] if levels is None else per_name(levels, AGENTS, f"truth.{field}")
+    red, green = (newtons(level) for level in given)
     return Truth(
         goal_red=goals[0],
         goal_green=goals[1],
@@ -247,44 +214,68 @@ def _truth(record: Mapping[str, Any]) -> Truth:
     )
 
 
-def event_record(event: Event) -> dict[str, Any]:
-    """Return the JSON object that :func:`event_from_record` turns back into ``event``.
+def turned(event: Event, turning: Turning) -> Event:
+    """Return the event with agents that can turn in other ways."""
+    return dataclasses.replace(event, scene=dataclasses.replace(event.scene, turning=turning))
 
-    Raises:
-        InvalidEventError: the id is no printable text.
-    """
+
+# --- writing ---------------------------------------------------------------------------------
+
+
+def event_record(event: Event) -> dict[str, Any]:
+    """Return the JSON object that :func:`event_from_record` turns back into ``event``."""
     instance_of("event", event, Event, "a phase_ppl.Event")
-    scene, truth = event.scene, event.truth
-    x0, x1, y0, y1 = scene.arena
+    arrays = {name: np.asarray(getattr(event.scene, name)).tolist() for name in SCENE}
     record: dict[str, Any] = {
         "format": EVENT_FORMAT,
         "id": event_id({"id": event.id}),
-        "scene": {
-            "arena": {"x": [x0, x1], "y": [y0, y1]},
-            "walls": scene.walls.tolist(),
-            "landmarks": dict(zip(LANDMARKS, scene.landmark_centres.tolist(), strict=True)),
-            "landmark_half_width": scene.landmark_half_width,
-            "turning": scene.turning,
-            "radius": dict(zip(ENTITIES, scene.radius.tolist(), strict=True)),
-            "start": dict(zip(ENTITIES, scene.start.tolist(), strict=True)),
-        },
-        "trajectories": {
-            name: event.observation.trajectory[:, entity].tolist()
-            for entity, name in enumerate(ENTITIES)
-        },
+        "scene": scene_record(arrays, event.scene.turning),
+        "trajectories": tracks_record(event.observation.trajectory),
     }
-    if truth is not None:
-        record["truth"] = {
-            "goals": dict(zip(AGENTS, (truth.goal_red, truth.goal_green), strict=True)),
-            "relation": truth.relation,
-            "scenario": truth.scenario,
-            "strengths": dict(zip(AGENTS, (truth.strength_red, truth.strength_green), strict=True)),
-        }
+    if event.truth is not None:
+        record["truth"] = truth_record(event.truth, "strengths")
     if event.judgments is not None:
         record["judgments"] = dict(event.judgments)
     if event.predictions is not None:
         record["predictions"] = dict(event.predictions)
     return record
+
+
+def scene_record(arrays: Mapping[str, Any], turning: str) -> dict[str, Any]:
+    """Return the JSON object of a scene, given the values of :data:`SCENE`."""
+    return {
+        "arena": arena_record(arrays["arena"]),
+        "walls": arrays["walls"],
+        "landmarks": dict(zip(LANDMARKS, arrays["landmark_centres"], strict=True)),
+        "landmark_half_width": arrays["landmark_half_width"],
+        "turning": turning,
+        "radius": dict(zip(ENTITIES, arrays["radius"], strict=True)),
+        "start": dict(zip(ENTITIES, arrays["start"], strict=True)),
+    }
+
+
+def arena_record(arena: Sequence[float]) -> dict[str, list[float]]:
+    """Return the JSON object of x_min, x_max, y_min, y_max."""
+    x0, x1, y0, y1 = arena
+    return {"x": [x0, x1], "y": [y0, y1]}
+
+
+def tracks_record(trajectory: FloatArray) -> dict[str, list[list[float]]]:
+    """Return the JSON object that :func:`read_observation` reads."""
+    return {name: trajectory[:, entity].tolist() for entity, name in enumerate(ENTITIES)}
+
+
+def truth_record(
+    truth: Truth, field: str, level: Callable[[float | None], Any] = lambda force: force
+) -> dict[str, Any]:
+    """Return the JSON object that :func:`read_truth` reads; ``level`` tells a strength."""
+    forces = (truth.strength_red, truth.strength_green)
+    return {
+        "goals": dict(zip(AGENTS, (truth.goal_red, truth.goal_green), strict=True)),
+        "relation": truth.relation,
+        "scenario": truth.scenario,
+        field: dict(zip(AGENTS, map(level, forces), strict=True)),
+    }
 
 
 def events_record(events: Sequence[Event]) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Event files in NetCDF 4, for xarray and whatever else reads HDF5.
 
-A file of one event is the Dataset of :mod:`phase_ppl.dataset.events_netcdf` with the attribute
+A file of one event is the Dataset of :func:`event_dataset` with the attribute
 ``format`` = "phase-ppl-event-1".
 
 A file of several, ``format`` = "phase-ppl-events-1", is ragged in time: the frames of all events
@@ -15,64 +15,47 @@ compared when the file is read.
 from __future__ import annotations
 
 import contextlib
+import copy
 import functools
 import hashlib
 import io
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, Final, NamedTuple
+from pathlib import Path
+from typing import Any, Final, NamedTuple, Self, overload
 
+import h5py
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.dataset.documents import parse_document
+from phase_ppl.dataset.documents import check_ids, event_id, naming, parse_document, per_name
 from phase_ppl.dataset.events_json import (
     EVENT_FORMAT,
     EVENTS_FORMAT,
+    LABELS,
+    SCENE,
+    TRAJECTORY,
     Entries,
+    Field,
     event_from_record,
-    event_id,
     event_record,
-    per_name,
+    scene_record,
     to_text,
+    turned,
 )
 from phase_ppl.dataset.hdf5 import check_hdf5, netcdf_bytes, reading
 from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import InvalidEventError, shown
 from phase_ppl.world.event import Event
-from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS
+from phase_ppl.world.names import AGENTS, ENTITIES
 from phase_ppl.world.observation import FRAMES_PER_SECOND
-from phase_ppl.world.scene import finite_array
+from phase_ppl.world.scene import Turning, finite_array
 
-LABELS: Final[Mapping[str, Sequence[str]]] = {
-    "entity": ENTITIES,
-    "coord": ("x", "y", "angle"),
-    "xy": ("x", "y"),
-    "landmark": LANDMARKS,
-    "bound": ("x_min", "x_max", "y_min", "y_max"),
-}
-"""Coordinates that say which is which along a dimension; in a file in any order."""
-
-_DIMS: Final[Mapping[str, tuple[str, ...]]] = {
-    "trajectory": ("time", "entity", "coord"),
-    "start": ("entity", "coord"),
-    "radius": ("entity",),
-    "walls": ("wall", "end", "xy"),
-    "landmark_centres": ("landmark", "xy"),
-    "landmark_half_width": (),
-    "arena": ("bound",),
-}
-_UNITS: Final = {
-    "trajectory": "units of length (x, y), radians (angle)",
-    "start": "units of length (x, y), radians (angle)",
-    **dict.fromkeys(
-        ("radius", "walls", "landmark_centres", "landmark_half_width", "arena"), "units of length"
-    ),
-    "strength_red": "N",
-    "strength_green": "N",
-}
+_ARRAYS: Final[Mapping[str, Field]] = {"trajectory": TRAJECTORY, **SCENE}
+_FORCE: Final = Field("", (), "N")
+_TEXT: Final = Field("", (), "")
 _GOALS: Final = ("goal_red", "goal_green")
 _STRENGTHS: Final = ("strength_red", "strength_green")
 _DOCUMENTS: Final = ("judgments", "predictions")
@@ -89,30 +72,25 @@ def event_dataset(event: Event) -> xr.Dataset:
             the id is no printable text.
     """
     instance_of("event", event, Event, "a phase_ppl.Event")
-    scene, truth = event.scene, event.truth
-    values: dict[str, Any] = {
-        "trajectory": event.observation.trajectory,
-        **{name: getattr(scene, name) for name in _DIMS if name != "trajectory"},
-        "turning": scene.turning,
+    values: dict[str, tuple[Field, Any]] = {
+        "trajectory": (TRAJECTORY, event.observation.trajectory),
+        **{name: (field, getattr(event.scene, name)) for name, field in SCENE.items()},
+        "turning": (_TEXT, event.scene.turning),
     }
     for name in (*_GOALS, "relation", "scenario"):
-        values[name] = "" if truth is None else getattr(truth, name)
+        values[name] = _TEXT, getattr(event.truth, name, "")
     for name in _STRENGTHS:
-        force = getattr(truth, name, None)
-        values[name] = np.nan if force is None else force
+        force = getattr(event.truth, name, None)
+        values[name] = _FORCE, np.nan if force is None else force
     for name in _DOCUMENTS:
         content = getattr(event, name)
-        values[name] = "" if content is None else to_text(dict(content), compact=True)
-
-    def units(name: str) -> dict[str, str]:
-        return {"units": _UNITS[name]} if name in _UNITS else {}
-
+        values[name] = _TEXT, "" if content is None else to_text(dict(content), compact=True)
     seconds = np.arange(event.observation.n_frames) / FRAMES_PER_SECOND
     return xr.Dataset(
         {
             # copies: an event's own arrays are read-only
-            name: (_DIMS.get(name, ()), np.array(value), units(name))
-            for name, value in values.items()
+            name: (field.dims, np.array(value), {"units": field.units} if field.units else {})
+            for name, (field, value) in values.items()
         },
         {
             "time": ("time", seconds, {"units": "s", "long_name": "simulated time"}),
@@ -138,20 +116,13 @@ def event_from_dataset(dataset: xr.Dataset) -> Event:
     if not isinstance(dataset, xr.Dataset):
         raise InvalidEventError(f"{shown(dataset)} is no xarray Dataset")
     _check_time(dataset)
-    found = {name: _values(dataset, name, dims) for name, dims in _DIMS.items()}
-    x0, x1, y0, y1 = found["arena"]
+    found = {name: _values(dataset, name, field.dims) for name, field in _ARRAYS.items()}
+    found["radius"] = found["radius"].tolist()
+    tracks = np.moveaxis(found["trajectory"], 1, 0)
     record: dict[str, Any] = {
         "id": _text(dataset, "event", required=True),
-        "scene": {
-            "arena": {"x": [x0, x1], "y": [y0, y1]},
-            "walls": found["walls"],
-            "landmarks": dict(zip(LANDMARKS, found["landmark_centres"], strict=True)),
-            "landmark_half_width": found["landmark_half_width"],
-            "turning": _text(dataset, "turning", required=True),
-            "radius": dict(zip(ENTITIES, found["radius"].tolist(), strict=True)),
-            "start": dict(zip(ENTITIES, found["start"], strict=True)),
-        },
-        "trajectories": dict(zip(ENTITIES, np.moveaxis(found["trajectory"], 1, 0), strict=True)),
+        "scene": scene_record(found, _text(dataset, "turning", required=True)),
+        "trajectories": dict(zip(ENTITIES, tracks, strict=True)),
     }
     goals = [_text(dataset, name) for name in _GOALS]
     if any(goals):
@@ -181,7 +152,7 @@ def _check_time(dataset: xr.Dataset) -> None:
         )
 
 
-def _values(dataset: xr.Dataset, name: str, dims: tuple[str, ...]) -> NDArray[Any]:
+def _values(dataset: xr.Dataset, name: str, dims: tuple[str, ...]) -> Any:
     """Return the values of a variable along ``dims``, everything in the package's order."""
     if name not in dataset.variables:
         raise InvalidEventError(f"has no variable {name}")
@@ -242,22 +213,25 @@ def _document(name: str, text: str) -> dict[str, Any]:
         raise InvalidEventError(f"{name}: {error}") from None
 
 
-# --- event files in NetCDF 4, for xarray and whatever else reads HDF5 -----------------------------
-# A file of one event is the Dataset of :mod:`phase_ppl.dataset.events_netcdf` with the attribute
-# ``format`` = "phase-ppl-event-1".
-#
-# A file of several, ``format`` = "phase-ppl-events-1", is ragged in time: the frames of all
-# events follow each other along ``time`` and their inner walls along ``wall``; ``n_frames`` and
-# ``n_walls`` (event) say how many are whose. All else has a first dimension ``event``, whose
-# coordinate holds the ids, so that ``xarray.open_dataset("all.nc").goal_red`` is a column.
-#
-# Arrays carry a checksum of their bytes, and each event one of all it holds, ``sha256``, which is
-# compared when the file is read.
+# --- files -----------------------------------------------------------------------------------
 
 _RAGGED: Final = {"time": "n_frames", "wall": "n_walls"}
 """Per dimension along which events follow each other the variable with their lengths."""
 
 _CHECKSUM: Final = "sha256"
+_AT_ONCE: Final = 32
+"""Events that are read before the file is closed again, when all are gone through."""
+
+Place = dict[str, int | slice]
+"""Where an event is in a file of several: dimension -> index or slice."""
+
+
+class Listing(NamedTuple):
+    """What a file of several events holds: their ids and places, and each variable's dimensions."""
+
+    ids: list[str]
+    places: list[Place]
+    dims: dict[str, tuple[str, ...]]
 
 
 def read(path: str | os.PathLike[str]) -> Entries:
@@ -266,8 +240,7 @@ def read(path: str | os.PathLike[str]) -> Entries:
     Raises:
         InvalidEventError: damaged, too large, or no file of events.
     """
-    check_hdf5(path)
-    with reading(), xr.open_dataset(path, engine="h5netcdf", decode_times=False) as stored:
+    with _opened_dataset(path) as stored:
         dataset = stored.load()
     tag = _format(dataset)
     if tag == EVENT_FORMAT:
@@ -275,11 +248,22 @@ def read(path: str | os.PathLike[str]) -> Entries:
     if tag == EVENTS_FORMAT:
         ids, places = _listed(dataset)
         return [
-            (name, functools.partial(_taken, dataset, place))
+            (name, functools.partial(_event_in, dataset, place))
             for name, place in zip(ids, places, strict=True)
         ]
     what = "has no format" if tag is None else f"has format {shown(tag)}"
     raise InvalidEventError(f"{what}, expected {EVENT_FORMAT!r} or {EVENTS_FORMAT!r}")
+
+
+@contextlib.contextmanager
+def _opened_dataset(path: str | os.PathLike[str]) -> Iterator[xr.Dataset]:
+    check_hdf5(path)
+    with reading(), xr.open_dataset(path, engine="h5netcdf", decode_times=False) as dataset:
+        yield dataset
+
+
+def _event_in(dataset: xr.Dataset, place: Place) -> Event:
+    return _checked_event(dataset.isel(place))
 
 
 def _format(dataset: xr.Dataset) -> str | None:
@@ -288,36 +272,21 @@ def _format(dataset: xr.Dataset) -> str | None:
 
 
 def one(event: Event) -> xr.Dataset:
-    """Return the content of a file of one event.
-
-    Raises:
-        InvalidEventError: as for :func:`phase_ppl.dataset.events_netcdf.event_dataset`.
-    """
+    """Return the content of a file of one event. Errors as for :func:`event_dataset`."""
     return event_dataset(event).assign({_CHECKSUM: ((), checksum(event))})
 
 
 def many(events: Sequence[Event]) -> xr.Dataset:
-    """Return the content of a file of several events.
-
-    Raises:
-        InvalidEventError: as for :func:`phase_ppl.dataset.events_netcdf.event_dataset`.
-    """
+    """Return the content of a file of several events. Errors as for :func:`event_dataset`."""
     return _packed([one(event) for event in events])
 
 
 def to_bytes(dataset: xr.Dataset) -> bytes:
-    """Return the content of a file.
-
-    Raises:
-        InvalidEventError: it is larger than what can be read again.
-    """
+    """Return the bytes of a file (InvalidEventError: more than can be read again)."""
     # nothing but a strength is ever missing
     content = netcdf_bytes({"/": dataset}, {"_FillValue": None, "fletcher32": True})
     check_hdf5(io.BytesIO(content))
     return content
-
-
-# --- checksums -------------------------------------------------------------------------------
 
 
 def checksum(event: Event) -> str:
@@ -337,35 +306,9 @@ def _checked_event(dataset: xr.Dataset) -> Event:
     return event
 
 
-# --- one at a time ---------------------------------------------------------------------------
-
-
-Place = dict[str, int | slice]
-"""Where an event is in a file of several: dimension -> index or slice."""
-
-
-class Listing(NamedTuple):
-    """What a file of several events holds.
-
-    Attributes:
-        ids: of the events.
-        places: of the events.
-        dims: variable -> its dimensions.
-    """
-
-    ids: list[str]
-    places: list[Place]
-    dims: dict[str, tuple[str, ...]]
-
-
 def listing(path: str | os.PathLike[str]) -> Listing:
-    """Return what a file of several events holds, without reading the events.
-
-    Raises:
-        InvalidEventError: damaged, too large, or no file of several events.
-    """
-    check_hdf5(path)
-    with reading(), xr.open_dataset(path, engine="h5netcdf", decode_times=False) as dataset:
+    """Return what a file of several events holds, without reading the events."""
+    with _opened_dataset(path) as dataset:
         tag = _format(dataset)
         if tag != EVENTS_FORMAT:
             raise InvalidEventError(f"has format {shown(tag)}, expected {EVENTS_FORMAT!r}")
@@ -377,28 +320,10 @@ def listing(path: str | os.PathLike[str]) -> Listing:
         return Listing(ids, places, dims)
 
 
-@contextlib.contextmanager
-def opened(path: str | os.PathLike[str]) -> Iterator[Any]:
-    """Open a file that :func:`listing` found in order, for :func:`event_at`; then close it.
-
-    Raises:
-        InvalidEventError: it cannot be opened.
-    """
-    import h5py
-
-    with reading():
-        file = h5py.File(path, "r")
-    with file:
-        yield file
-
-
-def event_at(file: Any, listed: Listing, index: int) -> Event:
+def event_at(file: h5py.File, listed: Listing, index: int) -> Event:
     """Return one event of an open file of several; of the others nothing is read.
 
     Straight from HDF5, since xarray takes several times as long to open a file and find its way.
-
-    Raises:
-        InvalidEventError: it is damaged.
     """
     place, variables = listed.places[index], {}
     with reading():
@@ -409,9 +334,6 @@ def event_at(file: Any, listed: Listing, index: int) -> Event:
             variables[name] = xr.Variable(left, value)
         taken = xr.Dataset(variables)
     return _checked_event(taken)
-
-
-# --- ragged in time --------------------------------------------------------------------------
 
 
 def _packed(datasets: Sequence[xr.Dataset]) -> xr.Dataset:
@@ -464,12 +386,94 @@ def _stops(dataset: xr.Dataset, dim: str) -> NDArray[np.int64]:
     return np.cumsum(lengths, dtype=np.int64)
 
 
-def _taken(dataset: xr.Dataset, place: Place) -> Event:
-    return _checked_event(dataset.isel(place))
-
-
 def _id(dataset: xr.Dataset) -> str:
     """Return the id of the only event of a dataset."""
     if "event" not in dataset.variables:
         raise InvalidEventError("has no event, which is its id")
     return event_id({"id": dataset.variables["event"].values.tolist()})
+
+
+# --- events that are read when they are asked for --------------------------------------------
+
+
+class StoredEvents(Sequence[Event]):
+    """Events of a file of several, of which an event is read each time it is asked for.
+
+    The file is open only while something is read, so that any number of processes and threads can
+    have the same events, and they can be pickled. Slices are of the same kind, and read nothing.
+
+    Args:
+        path: a file as :func:`phase_ppl.dataset.load.save_events` writes it, ending in ".nc".
+        turning: "both", "ccw" or "cw" instead of what the file says.
+
+    Raises:
+        InvalidEventError: it cannot be read, now or when an event is asked for, or it was changed
+            since.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], turning: Turning | None = None) -> None:
+        self._file = Path(path)
+        self._turning = turning
+        with naming(self._file):
+            self._state = _state(self._file)
+            self._listed = listing(self._file)
+            check_ids(self._listed.ids)
+        self._places: Sequence[int] = range(len(self._listed.ids))
+
+    @property
+    def ids(self) -> list[str]:
+        """The ids of the events, in their order."""
+        return [self._listed.ids[place] for place in self._places]
+
+    def chosen(self, indices: Sequence[int]) -> Self:
+        """Return some of the events, in the order of the indices."""
+        found = copy.copy(self)
+        found._places = [self._places[index] for index in indices]
+        return found
+
+    def read(self, indices: Sequence[int]) -> list[Event]:
+        """Return events in one go.
+
+        Raises:
+            InvalidEventError: the file cannot be read, or an event is damaged; it is named.
+        """
+        events = []
+        with contextlib.ExitStack() as stack:
+            with naming(self._file):
+                if _state(self._file) != self._state:
+                    raise InvalidEventError(
+                        "was changed since its events were listed; load it again"
+                    )
+                with reading():
+                    file = stack.enter_context(h5py.File(self._file, "r"))
+            for place in (self._places[index] for index in indices):
+                with naming(self._file, self._listed.ids[place]):
+                    events.append(event_at(file, self._listed, place))
+        return events if self._turning is None else [turned(e, self._turning) for e in events]
+
+    @overload
+    def __getitem__(self, index: int) -> Event: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> Self: ...
+
+    def __getitem__(self, index: int | slice) -> Event | Self:
+        if isinstance(index, slice):
+            return self.chosen(range(len(self))[index])
+        return self.read([range(len(self))[index]])[0]
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    def __iter__(self) -> Iterator[Event]:
+        for start in range(0, len(self), _AT_ONCE):
+            yield from self.read(range(start, min(start + _AT_ONCE, len(self))))
+
+
+def _state(path: Path) -> tuple[int, int]:
+    """Return what tells a file from another that was put in its place."""
+    try:
+        found = path.stat()
+    except OSError as error:
+        raise InvalidEventError(f"cannot be read: {error.strerror or error}") from None
+    return found.st_mtime_ns, found.st_size

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Final
 
 import numpy as np
 
-from phase_ppl.dataset.documents import MAX_BYTES
+from phase_ppl.dataset.documents import MAX_BYTES, too_large
 from phase_ppl.world.errors import InvalidEventError
 
 if TYPE_CHECKING:
@@ -207,7 +207,7 @@ def check_hdf5(source: str | os.PathLike[str] | BinaryIO, *, groups: bool = Fals
     limit = max(MAX_BYTES, 2 * n_bytes) if groups else MAX_BYTES
     with reading():
         if n_bytes > limit:
-            raise _too_large()
+            raise too_large(MAX_BYTES)
         with h5py.File(source, "r") as file:
             if not groups and _text_of(file, "schema").startswith(_POSTERIORS):
                 raise InvalidEventError(
@@ -242,7 +242,7 @@ class _Check:
     def _take(self, size: float) -> None:
         self._left -= int(size)
         if self._left < 0:
-            raise _too_large()
+            raise too_large(MAX_BYTES)
 
     def _attributes(self, thing: Any) -> None:
         for name in thing.attrs:
@@ -298,7 +298,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, str):
         return _CONTROL.sub(lambda found: "\\ufffd" if found["escaped"] else "\ufffd", value)
     return value.item() if hasattr(value, "item") and np.ndim(value) == 0 else value
-
-
-def _too_large() -> InvalidEventError:
-    return InvalidEventError(f"is larger than the {MAX_BYTES // 2**20} MB that are read")

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
-import dataclasses
 import functools
-import importlib
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -15,22 +12,39 @@ from types import ModuleType
 from typing import Any, Final
 
 from phase_ppl.dataset import events_json, phase_test
-from phase_ppl.dataset.documents import parse_document, read_document
-from phase_ppl.dataset.events_json import Entries, event_from_record
+from phase_ppl.dataset.documents import check_ids, naming, parse_document, read_document
+from phase_ppl.dataset.events_json import Entries, event_from_record, turned
 from phase_ppl.dataset.hdf5 import is_hdf5
 from phase_ppl.world.checks import instance_of
-from phase_ppl.world.errors import (
-    InvalidEventError,
-    InvalidSettingError,
-    UnknownNameError,
-    shown,
-    unknown_name,
-)
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown, unknown_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import as_path, check_output, write_bytes
 from phase_ppl.world.scene import TURNINGS, Turning
 
-_SUFFIX = ".json"
+PathLike = str | os.PathLike[str]
+
+_JSON: Final = ".json"
+_NETCDF: Final = ".nc"
+SUFFIXES: Final = (_JSON, _NETCDF)
+"""Endings of the files that events are written to."""
+
+EXPORTS: Final[Mapping[str, tuple[str, ...]]] = {
+    "json": (_JSON,),
+    "netcdf": (_NETCDF,),
+    "phase-test": (_JSON,),
+    "phase-processed": (".pkl", ".pickle", ".pik"),
+}
+"""Format -> endings of the names of its files."""
+
+PHASE_PICKLE: Final = "phase-pickle"
+"""The format of the authors' pickles, which are read only where this is said."""
+
+_READERS: Final[Mapping[str, Callable[[Mapping[str, Any]], Entries]]] = {
+    events_json.EVENT_FORMAT: events_json.read_one,
+    events_json.EVENTS_FORMAT: events_json.read_many,
+    phase_test.FORMAT: phase_test.read,
+}
+"""Per format tag the function that lists the events of a document."""
 
 
 def bundled_events() -> list[str]:
@@ -39,7 +53,7 @@ def bundled_events() -> list[str]:
     if not folder.is_dir():
         return []
     names = (file.name for file in folder.iterdir())
-    return sorted(name.removesuffix(_SUFFIX) for name in names if name.endswith(_SUFFIX))
+    return sorted(name.removesuffix(_JSON) for name in names if name.endswith(_JSON))
 
 
 def load_bundled(name: str) -> Event:
@@ -51,31 +65,14 @@ def load_bundled(name: str) -> Event:
     names = bundled_events()
     if name not in names:
         raise unknown_name("bundled event", name, names)
-    return event_from_record(parse_document((_folder() / f"{name}{_SUFFIX}").read_bytes()))
+    return event_from_record(parse_document((_folder() / f"{name}{_JSON}").read_bytes()))
 
 
 def _folder() -> Traversable:
     return resources.files("phase_ppl.dataset") / "events"
 
 
-# --- reading and writing events, whatever the format of the file ----------------------------------
-
-_JSON: Final = ".json"
-_NETCDF: Final = ".nc"
-SUFFIXES: Final = (_JSON, _NETCDF)
-"""Endings of the files that events are written to."""
-
-PathLike = str | os.PathLike[str]
-
-_READERS: Final[Mapping[str, Callable[[Mapping[str, Any]], Entries]]] = {
-    events_json.EVENT_FORMAT: events_json.read_one,
-    events_json.EVENTS_FORMAT: events_json.read_many,
-    phase_test.FORMAT: phase_test.read,
-}
-"""Per format tag the function that lists the events of a document."""
-
-PHASE_PICKLE: Final = "phase-pickle"
-"""The format of the authors' pickles, which are read only where this is said."""
+# --- reading ---------------------------------------------------------------------------------
 
 
 def load_event(
@@ -141,6 +138,68 @@ def load_events(
     return [_read(path, entry, turning) for entry in _entries(path, format)]
 
 
+def _entries(path: PathLike, format: str | None) -> Entries:
+    if format not in (None, PHASE_PICKLE):
+        raise unknown_name("format", format, [PHASE_PICKLE])
+    bundled = None if format else _bundled_name(path)
+    if bundled is not None:
+        return [(bundled, functools.partial(load_bundled, bundled))]
+    with naming(path):
+        entries: Entries
+        if format:
+            # brings the simulator, by way of the reflections
+            from phase_ppl.dataset.authors import videos
+
+            entries = videos.read(path)
+        elif is_hdf5(path) or (_is_netcdf(path) and Path(path).is_file()):
+            entries = _netcdf().read(path)
+        else:
+            entries = _of_document(read_document(path))
+        check_ids([name for name, _ in entries])
+    return entries
+
+
+def _of_document(document: Mapping[str, Any]) -> Entries:
+    tag = document.get("format")
+    if tag is None:
+        raise InvalidEventError(f"is not an event file: it has no format, such as {_FORMATS}")
+    if not isinstance(tag, str) or tag not in _READERS:
+        raise InvalidEventError(f"has format {shown(tag)}, expected one of {_FORMATS}")
+    return _READERS[tag](document)
+
+
+_FORMATS = ", ".join(repr(tag) for tag in _READERS)
+
+
+def _read(path: PathLike, entry: tuple[str, Callable[[], Event]], turning: Turning | None) -> Event:
+    name, read = entry
+    with naming(path, name):
+        event = read()
+    return event if turning is None else turned(event, turning)
+
+
+def _bundled_name(path: PathLike) -> str | None:
+    """Return the bundled event that a bare name stands for, unless a file has that name."""
+    plain = as_path(path)
+    if os.fspath(path) != plain.name or (plain.exists() and not plain.is_dir()):
+        return None
+    name, known = plain.name.removesuffix(".json"), bundled_events()
+    if name not in known:
+        if plain.exists():
+            return None
+        bundled = f" and no such bundled event ({', '.join(known)})" if known else ""
+        raise InvalidEventError(f"{path}: no such file{bundled}")
+    return name
+
+
+def _check_turning(turning: str | None) -> None:
+    if turning is not None and turning not in TURNINGS:
+        raise unknown_name("turning", turning, TURNINGS)
+
+
+# --- writing ---------------------------------------------------------------------------------
+
+
 def save_event(event: Event, path: PathLike) -> None:
     """Write ``event`` to a ".json" or ".nc" file; :func:`load_event` gives the same event back.
 
@@ -175,109 +234,73 @@ def save_events(events: Sequence[Event], path: PathLike) -> None:
     _write(content, path)
 
 
-def _is_netcdf(path: PathLike) -> bool:
-    return Path(path).suffix.lower() == _NETCDF
+def export_events(events: Sequence[Event], path: PathLike, format: str) -> None:
+    """Write events to a file in a given format.
+
+    Args:
+        events: with different ids.
+        path: a name that ends as the format's files do, see ``EXPORTS``.
+        format: "json" or "netcdf", as :func:`save_events` writes them;
+            "phase-test", the authors' test videos as JSON (:mod:`phase_ppl.dataset.phase_test`);
+            "phase-processed", a pickle of plain data and arrays as the authors have them
+            (:mod:`phase_ppl.dataset.authors.videos`), which
+            ``load_events(path, format="phase-pickle")`` reads. The first two keep everything, the
+            others what they have a place for.
+
+    Raises:
+        UnknownNameError: there is no such format.
+        OutputError: the file cannot be written, or its name ends otherwise.
+        InvalidEventError: no events, an id given twice, or an event has something that the format
+            has no place for.
+    """
+    if format not in EXPORTS:
+        raise unknown_name("format", format, EXPORTS)
+    suffixes = EXPORTS[format]
+    check_output(path, suffixes)
+    if format in ("json", "netcdf"):
+        save_events(events, path)
+        return
+    with naming(path):
+        check_ids([event.id for event in events])
+    if format == "phase-test":
+        like = events[0].scene
+        videos = _each(events, path, functools.partial(phase_test.video, like=like))
+        with naming(path):
+            content = events_json.to_text(phase_test.document(videos, like)).encode()
+    else:
+        from phase_ppl.dataset.authors import videos as authors
+
+        content = authors.pickled(_each(events, path, authors.video))
+    write_bytes(path, suffixes, content)
 
 
-def _netcdf() -> ModuleType:
-    """Return the module for NetCDF, which brings xarray: only where it is needed."""
-    return importlib.import_module("phase_ppl.dataset.events_netcdf")
+def _each(
+    events: Sequence[Event], path: PathLike, video: Callable[[Event], dict[str, Any]]
+) -> list[dict[str, Any]]:
+    videos = []
+    for event in events:
+        with naming(path, event.id):
+            videos.append(video(event))
+    return videos
 
 
 def _write(content: Any, path: PathLike) -> None:
     """Write a JSON object, or a Dataset for NetCDF."""
     check_output(path, SUFFIXES)  # what is wrong with the place is said before what is in it
     with naming(path):
-        netcdf = _is_netcdf(path)
-        text = _netcdf().to_bytes(content) if netcdf else events_json.to_text(content).encode()
+        if _is_netcdf(path):
+            text = _netcdf().to_bytes(content)
+        else:
+            text = events_json.to_text(content).encode()
     write_bytes(path, SUFFIXES, text)
 
 
-def _entries(path: PathLike, format: str | None) -> Entries:
-    if format is not None:
-        return _authors_entries(path, format)
-    bundled = _bundled_name(path)
-    if bundled is not None:
-        return [(bundled, functools.partial(load_bundled, bundled))]
-    with naming(path):
-        if is_hdf5(path) or (_is_netcdf(path) and Path(path).is_file()):
-            entries: Entries = _netcdf().read(path)
-        else:
-            entries = _of_document(read_document(path))
-        check_ids([name for name, _ in entries])
-    return entries
+def _is_netcdf(path: PathLike) -> bool:
+    return Path(path).suffix.lower() == _NETCDF
 
 
-def _authors_entries(path: PathLike, format: str) -> Entries:
-    if format != PHASE_PICKLE:
-        raise unknown_name("format", format, [PHASE_PICKLE])
-    with naming(path):
-        entries: Entries = importlib.import_module("phase_ppl.dataset.authors.videos").read(path)
-        check_ids([name for name, _ in entries])
-    return entries
+def _netcdf() -> ModuleType:
+    """Return the module for NetCDF, which brings xarray: only where it is needed."""
+    from phase_ppl.dataset import events_netcdf
 
-
-def _of_document(document: Mapping[str, Any]) -> Entries:
-    tag = document.get("format")
-    if tag is None:
-        raise InvalidEventError(f"is not an event file: it has no format, such as {_FORMATS}")
-    if not isinstance(tag, str) or tag not in _READERS:
-        raise InvalidEventError(f"has format {shown(tag)}, expected one of {_FORMATS}")
-    return _READERS[tag](document)
-
-
-_FORMATS = ", ".join(repr(tag) for tag in _READERS)
-
-
-def check_ids(ids: Sequence[str]) -> None:
-    """Raise InvalidEventError if there are no ids, or one is there twice."""
-    if not ids:
-        raise InvalidEventError("holds no videos: the list is empty")
-    seen: set[str] = set()
-    for name in ids:
-        if name in seen:
-            raise InvalidEventError(f"holds two videos with the id {shown(name)}")
-        seen.add(name)
-
-
-def _read(path: PathLike, entry: tuple[str, Callable[[], Event]], turning: Turning | None) -> Event:
-    name, read = entry
-    with naming(path, name):
-        event = read()
-    return event if turning is None else turned(event, turning)
-
-
-def turned(event: Event, turning: Turning) -> Event:
-    """Return the event with agents that can turn in other ways."""
-    return dataclasses.replace(event, scene=dataclasses.replace(event.scene, turning=turning))
-
-
-def _bundled_name(path: PathLike) -> str | None:
-    """Return the bundled event that a bare name stands for, unless a file has that name."""
-    plain = as_path(path)
-    if os.fspath(path) != plain.name or (plain.exists() and not plain.is_dir()):
-        return None
-    name, known = plain.name.removesuffix(".json"), bundled_events()
-    if name not in known:
-        if plain.exists():
-            return None
-        bundled = f" and no such bundled event ({', '.join(known)})" if known else ""
-        raise InvalidEventError(f"{path}: no such file{bundled}")
-    return name
-
-
-def _check_turning(turning: str | None) -> None:
-    if turning is not None and turning not in TURNINGS:
-        raise unknown_name("turning", turning, TURNINGS)
-
-
-@contextlib.contextmanager
-def naming(path: PathLike, video: str | None = None) -> Iterator[None]:
-    """Put the file, and the video where there is one, in front of an error's message."""
-    try:
-        yield
-    except (InvalidEventError, InvalidSettingError, UnknownNameError) as error:
-        where = str(path) if video is None or video == Path(path).stem else f"{path}, video {video}"
-        # a wrong value in a file is the file's fault, not that of a setting
-        kind = UnknownNameError if isinstance(error, UnknownNameError) else InvalidEventError
-        raise kind(f"{where}: {error}") from None
+    return events_netcdf

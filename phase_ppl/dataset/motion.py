@@ -48,17 +48,7 @@ def moves_to_the_end(trajectory: FloatArray) -> bool:
 
 
 def seems_to_hold(trajectory: FloatArray, radius: FloatArray) -> Flags:
-    """Return (time, agent): whether the agent seems to hold an item.
-
-    A held item is fixed in front of, behind or beside its holder, the two shapes touching at a
-    grab point. An item that stays there for three frames counts as held. So do one pushed dead
-    centre and one left where it was let go of; one held for a moment does not. Of simulated
-    events it tells the share of time with an error of some 0.015.
-
-    Args:
-        trajectory: (time, entity, coord) x, y [units], angle [rad].
-        radius: (entity,) sizes, units.
-    """
+    """Return (time, agent): whether the agent seems to hold an item (:func:`items_held`)."""
     return np.asarray(items_held(trajectory, radius) != NOTHING)
 
 
@@ -67,7 +57,10 @@ def items_held(
 ) -> NDArray[np.int64]:
     """Return (time, agent): the item that the agent seems to hold, or ``NOTHING``.
 
-    As :func:`seems_to_hold` tells it; of two items, the one nearer to its place.
+    A held item is fixed in front of, behind or beside its holder, the two shapes touching at a
+    grab point. An item that stays there for three frames counts as held; of two, the one nearer
+    to its place. So do one pushed dead centre and one left where it was let go of; one held for a
+    moment does not. Of simulated events this tells the share of time with an error of some 0.015.
 
     Args:
         trajectory: (time, entity, coord) x, y [units], angle [rad].
@@ -107,14 +100,14 @@ def _closed(flags: Flags) -> Flags:
 
 def _lasting(flags: Flags) -> Flags:
     """Return the flags without short runs of true values."""
-    result = np.zeros_like(flags)
+    result = flags.copy()
     for start, end in _runs(flags):
-        if end - start >= _HELD_FRAMES:
-            result[start:end] = True
+        if end - start < _HELD_FRAMES:
+            result[start:end] = False
     return result
 
 
-# --- which way agents turn by themselves, read off the observed angles ----------------------------
+# --- which way agents turn by themselves -----------------------------------------------------
 # The agents of the authors' recordings turn counter-clockwise only, those of the reflected copies
 # clockwise only; an explanation that lets them turn the other way explains something else.
 

@@ -20,20 +20,22 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from phase_ppl.dataset.documents import event_id, optional, per_name, require
 from phase_ppl.dataset.events_json import (
     Entries,
-    event_id,
-    optional,
-    per_name,
+    arena_record,
+    entries_of,
     read_observation,
-    require,
+    read_truth,
+    tracks_record,
+    truth_record,
 )
 from phase_ppl.dataset.motion import observed_turning
 from phase_ppl.world.errors import InvalidEventError, shown
-from phase_ppl.world.event import Event, Truth
+from phase_ppl.world.event import Event
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS, STRENGTH_LEVELS
-from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS
+from phase_ppl.world.names import ENTITIES, LANDMARKS
 from phase_ppl.world.observation import (
     FRAMES_PER_SECOND,
     SHOWN_SECONDS_PER_FRAME,
@@ -46,16 +48,10 @@ FORMAT: Final = "phase-test-1"
 
 def read(document: Mapping[str, Any]) -> Entries:
     """Return the videos of a document in :data:`FORMAT`, not yet read."""
-    entries: Entries = []
-    for index, record in enumerate(require(document, "videos", list)):
-        if not isinstance(record, dict):
-            raise InvalidEventError(f"videos[{index}] is no JSON object")
-        name = event_id(record, f"videos[{index}]")
-        entries.append((name, functools.partial(_event, record, document)))
-    return entries
+    return entries_of(document, "videos", functools.partial(_event, head=document))
 
 
-def _event(record: Mapping[str, Any], head: Mapping[str, Any]) -> Event:
+def _event(record: Mapping[str, Any], *, head: Mapping[str, Any]) -> Event:
     observed = require(record, "observed", dict)
     where = "observed.trajectories"
     observation = read_observation(require(observed, "trajectories", dict, "observed"), where)
@@ -71,7 +67,7 @@ def _event(record: Mapping[str, Any], head: Mapping[str, Any]) -> Event:
         scene=dataclasses.replace(scene, turning=turning),
         observation=observation,
         id=event_id(record),
-        truth=None if truth is None else _truth(truth),
+        truth=None if truth is None else read_truth(truth, "strength_id", _newtons),
         judgments=optional(record, "human", dict),
         predictions=optional(record, "models", dict),
     )
@@ -115,24 +111,6 @@ def _by_name(
     return finite_array(f"{where}.{value}", per_name(found, names, where), shape)
 
 
-def _truth(record: Mapping[str, Any]) -> Truth:
-    goals = per_name(require(record, "goals", dict, "truth"), AGENTS, "truth.goals")
-    levels = optional(record, "strength_id", dict, "truth")
-    red, green = (
-        (None, None)
-        if levels is None
-        else (_newtons(level) for level in per_name(levels, AGENTS, "truth.strength_id"))
-    )
-    return Truth(
-        goal_red=goals[0],
-        goal_green=goals[1],
-        relation=optional(record, "relation", str, "truth") or "",
-        scenario=optional(record, "scenario", str, "truth") or "",
-        strength_red=red,
-        strength_green=green,
-    )
-
-
 def _newtons(level: Any) -> float | None:
     if level is None:
         return None
@@ -148,11 +126,10 @@ def _newtons(level: Any) -> float | None:
 
 def document(videos: Sequence[Mapping[str, Any]], scene: Scene) -> dict[str, Any]:
     """Return the JSON object of events, each as :func:`video` writes it, in the arena of one."""
-    x0, x1, y0, y1 = scene.arena
     return {
         "format": FORMAT,
         "n_videos": len(videos),
-        "arena": {"x": [x0, x1], "y": [y0, y1]},
+        "arena": arena_record(scene.arena),
         "landmark_half_width": scene.landmark_half_width,
         "physics_seconds_per_frame": 1 / FRAMES_PER_SECOND,
         "display_seconds_per_frame": SHOWN_SECONDS_PER_FRAME,
@@ -165,11 +142,7 @@ def document(videos: Sequence[Mapping[str, Any]], scene: Scene) -> dict[str, Any
 
 
 def video(event: Event, like: Scene) -> dict[str, Any]:
-    """Return the JSON object of one event of a document, in the arena of the scene ``like``.
-
-    Raises:
-        InvalidEventError: the event has something that the format has no place for.
-    """
+    """Return the JSON object of one event of a document, in the arena of the scene ``like``."""
     scene, truth, trajectory = event.scene, event.truth, event.observation.trajectory
     check_start(event)
     if (scene.arena, scene.landmark_half_width) != (like.arena, like.landmark_half_width):
@@ -187,19 +160,11 @@ def video(event: Event, like: Scene) -> dict[str, Any]:
                 {"name": name, "kind": name.split()[1], "colour": name.split()[0], "radius": size}
                 for name, size in zip(ENTITIES, scene.radius.tolist(), strict=True)
             ],
-            "trajectories": {
-                name: trajectory[:, entity].tolist() for entity, name in enumerate(ENTITIES)
-            },
+            "trajectories": tracks_record(trajectory),
         },
     }
     if truth is not None:
-        levels = [strength_level(force) for force in (truth.strength_red, truth.strength_green)]
-        record["truth"] = {
-            "goals": dict(zip(AGENTS, (truth.goal_red, truth.goal_green), strict=True)),
-            "relation": truth.relation,
-            "scenario": truth.scenario,
-            "strength_id": dict(zip(AGENTS, levels, strict=True)),
-        }
+        record["truth"] = truth_record(truth, "strength_id", strength_level)
     if event.judgments is not None:
         record["human"] = dict(event.judgments)
     if event.predictions is not None:
@@ -216,11 +181,7 @@ def check_start(event: Event) -> None:
 
 
 def strength_level(force: float | None) -> int | None:
-    """Return the original id of a strength in newtons; None for None.
-
-    Raises:
-        InvalidEventError: it has none.
-    """
+    """Return the original id of a strength in newtons, which must have one; None for None."""
     if force is None:
         return None
     if force not in STRENGTH_LEVELS:

@@ -3,95 +3,96 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
 
-from phase_ppl.dataset.counts import LEVELS, strengths, tables
+from phase_ppl.dataset.generation.situation import SIZES
 from phase_ppl.dataset.motion import SLOW, moves_to_the_end, seems_to_hold, speeds
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
 from phase_ppl.world.event import Event
-from phase_ppl.world.hypothesis import STRENGTH_LEVELS
-from phase_ppl.world.names import AGENTS
+from phase_ppl.world.goals import GOALS, goal_literal
+from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS, STRENGTH_LEVELS
+from phase_ppl.world.names import AGENTS, Predicate
 from phase_ppl.world.observation import FRAMES_PER_SECOND
-
-_RESAMPLINGS: Final = 200
-
-
-class Estimates:
-    """Numbers about a set, with their standard errors.
-
-    Args:
-        units: per event the unit that it belongs to; units are what is resampled.
-
-    Attributes:
-        found: name -> ``value``, ``se`` (None where there is none), ``units``.
-    """
-
-    def __init__(self, units: Sequence[str]) -> None:
-        self._units = list(units)
-        self.found: dict[str, dict[str, Any]] = {}
-
-    def add(
-        self,
-        name: str,
-        per_event: Sequence[Any],
-        function: Callable[[FloatArray], Any] = np.mean,
-        *,
-        extreme: bool = False,
-    ) -> None:
-        """Add a function of all numbers, of which each event has some or none.
-
-        Args:
-            name: of the result.
-            per_event: a sequence of numbers for every event.
-            function: of all of them together.
-            extreme: whether it is a least or greatest value, whose error no resampling tells.
-        """
-        grouped: dict[str, list[FloatArray]] = {}
-        for unit, numbers in zip(self._units, per_event, strict=True):
-            if len(numbers):
-                grouped.setdefault(unit, []).append(np.asarray(numbers, np.float64))
-        if not grouped:
-            return
-        parts = [np.concatenate(arrays) for arrays in grouped.values()]
-        self.found[name] = {
-            "value": float(function(np.concatenate(parts))),
-            "se": None if extreme else standard_error(parts, function),
-            "units": len(parts),
-        }
-
-
-def standard_error(
-    parts: Sequence[FloatArray], function: Callable[[FloatArray], Any]
-) -> float | None:
-    """Return the bootstrap's standard error of a function of all parts together.
-
-    None for a single part.
-    """
-    n = len(parts)
-    if n < 2:
-        return None
-    rng = np.random.default_rng(0)
-    again = [
-        float(function(np.concatenate([parts[i] for i in rng.integers(n, size=n)])))
-        for _ in range(_RESAMPLINGS)
-    ]
-    return float(np.std(again, ddof=1))
-
-
-def percentile_99(values: FloatArray) -> float:
-    """Return the number that one in a hundred exceeds."""
-    return float(np.percentile(values, 99))
-
-
-# --- the statistics of a set of events, as plain data: what is in it, and how its... --------------
 
 FRAME_EDGES: Final = (*range(0, 101, 10), 102)
 SPEED_EDGES: Final = tuple(range(0, 71, 2))
 """Edges of the histograms of durations [frames] and speeds [units/s]; the last bins are open."""
+
+GOAL_TYPES: Final = ("LMO+", "LMO-", "LMA+", "LMA-", "TE+", "TE-")
+"""Item to (+) or away from (-) a landmark, agent likewise, to or away from the other agent."""
+
+LEVELS: Final = tuple(f"{level:g}" for level in STRENGTH_LEVELS)
+"""Names of the strengths of the original world, newtons."""
+
+OTHER: Final = "other"
+"""What is none of the original strengths or sizes."""
+
+_RESAMPLINGS: Final = 200
+
+
+# --- the original events ---------------------------------------------------------------------
+
+
+def _counted(units: int, counts: Mapping[str, int]) -> dict[str, Any]:
+    total = max(sum(counts.values()), 1)
+    shares = {label: count / total for label, count in counts.items()}
+    return {"units": units, "counts": dict(counts), "shares": shares}
+
+
+def _by_strength(name: str, figures: Sequence[float]) -> dict[str, float]:
+    return {f"{name}_{level}": figure for level, figure in zip(LEVELS, figures, strict=True)}
+
+
+_ALL: Final = 500
+_WITHOUT_TEST: Final = 400
+_TEST: Final = 100
+_SINGLE_VALUES: Final[Mapping[str, float | None]] = {
+    **{"frames_min": 33, "frames_median": 75, "frames_max": 101, "untrimmed": 0.38},
+    **_by_strength("speed_mean", (4.5, 6.6, 8.4, 9.1)),
+    **_by_strength("speed_p99", (21, 30, 39, 47)),
+    **_by_strength("speed_max", (28, 42, 55, 63)),
+    **dict.fromkeys(("at_rest", *(f"at_rest_{level}" for level in LEVELS))),
+    **{"step_median": 0.38, "step_max": 5.1, "items_move": 0.24, "holding": 0.25},
+}
+
+PHASE: Final[Mapping[str, Any]] = {
+    "name": "PHASE",
+    "events": _ALL,
+    "tables": {
+        "relation": _counted(_ALL, {"friendly": 200, "neutral": 108, "adversarial": 192}),
+        "scenario": _counted(
+            _ALL, {"collaborative": 200, "independent": 108, "competing": 54, "opposing": 138}
+        ),
+        # of 1000 agents
+        "goal_type": _counted(_ALL, dict(zip(GOAL_TYPES, (584, 7, 215, 68, 63, 63), strict=True))),
+        # of 800 agents
+        "strength": _counted(_WITHOUT_TEST, dict(zip(LEVELS, (125, 200, 204, 271), strict=True))),
+        "agent_size": _counted(_WITHOUT_TEST, {"0.8": 484, "1.01": 120, "1.2": 136, "1.6": 60}),
+        "reflection": _counted(
+            _TEST,
+            {"none": 25, "up-down": 12, "left-right": 18, "about y=x": 21, "about y=-x": 24},
+        ),
+        "split": _counted(_ALL, {"train": 320, "validation": 80, "test": 100}),
+    },
+    "values": {
+        name: {
+            "units": _TEST,
+            "value": value,
+            # of rest, the least and the greatest of the four strengths are known
+            "between": [0.19, 0.31] if value is None else None,
+        }
+        for name, value in _SINGLE_VALUES.items()
+    },
+}
+"""The original events in figures. A value's ``between`` is all that is known of it."""
+
+_ORIGINAL_ORDER: Final = [
+    label for key in ("reflection", "split") for label in PHASE["tables"][key]["counts"]
+]
 
 Statistics = dict[str, Any]
 
@@ -139,88 +140,229 @@ def statistics(
         raise InvalidEventError("there are no events to describe")
     events = list(events)  # gone through many times; those of a stored set are read each time
     entries = _entries(manifest)
-    units = [str(entries.get(event.id, {}).get("group", event.id)) for event in events]
-    tracks = [event.observation.trajectory for event in events]
-    frames = [[float(len(track))] for track in tracks]
-    moving = _speeds_by_strength(events)
-    held, holding_from = _holding(events, entries)
-    values = Estimates(units)
-    values.add("frames_min", frames, np.min, extreme=True)
-    values.add("frames_median", frames, np.median)
-    values.add("frames_max", frames, np.max, extreme=True)
-    values.add("untrimmed", [[moves_to_the_end(track)] for track in tracks])
-    for suffix, agents in moving.items():
-        values.add(f"speed_mean{suffix}", agents)
-        values.add(f"speed_p99{suffix}", agents, percentile_99)
-        values.add(f"speed_max{suffix}", agents, np.max, extreme=True)
-        values.add(f"at_rest{suffix}", [speed < SLOW for speed in agents])
-    steps = [speed / FRAMES_PER_SECOND for speed in moving[""]]
-    values.add("step_median", steps, np.median)
-    values.add("step_max", steps, np.max, extreme=True)
-    values.add("items_move", [speeds(track)[:, len(AGENTS) :].ravel() >= SLOW for track in tracks])
-    values.add("holding", held)
-    drawn = {"frames": (np.concatenate(frames), FRAME_EDGES)} | {
-        f"speed{suffix}": (np.concatenate(agents), SPEED_EDGES) for suffix, agents in moving.items()
-    }
+    told = [entries.get(event.id, {}) for event in events]
+    units = [str(entry.get("group", event.id)) for event, entry in zip(events, told, strict=True)]
+    held, holding_from = _holding(events, told)
+    found = _Motion(units)
+    for event, held_items in zip(events, held, strict=True):
+        found.add(event, held_items)
     return {
         "name": name,
         "events": len(events),
         "units": len(set(units)),
         "without_truth": sum(event.truth is None for event in events),
-        "without_strength": sum(force is None for event in events for force in strengths(event)),
-        "tables": tables(events, entries, units),
-        "values": values.found,
+        "without_strength": sum(force is None for event in events for force in _strengths(event)),
+        "tables": _tables(events, told, units),
+        "values": found.values(),
         "holding_from": holding_from,
-        "histograms": {key: _histogram(*given) for key, given in drawn.items()},
+        "histograms": found.histograms(),
         "draws": None if manifest is None else _draws(manifest),
     }
 
 
-def _speeds_by_strength(events: Sequence[Event]) -> dict[str, list[FloatArray]]:
-    """Return the agents' speeds per event, of all (key "") and of each strength ("_150", ...)."""
-    found: dict[str, list[FloatArray]] = {"": []}
-    found.update({f"_{level}": [] for level in LEVELS})
-    for event in events:
-        agents = speeds(event.observation.trajectory)[:, : len(AGENTS)]
-        found[""].append(agents.ravel())
+class _Motion:
+    """Numbers about how bodies move, gathered in one pass: name -> an array for each event.
+
+    Args:
+        units: per event the unit that it belongs to; units are what is resampled.
+    """
+
+    def __init__(self, units: Sequence[str]) -> None:
+        self._units = units
+        self._numbers: dict[str, list[FloatArray]] = {}
+
+    def add(self, event: Event, held: FloatArray) -> None:
+        """Take in an event, and how much of each frame each agent holds an item."""
+        track, n = event.observation.trajectory, len(AGENTS)
+        speed = speeds(track)
+        by_strength = {"": speed[:, :n]}
         for level, name in zip(STRENGTH_LEVELS, LEVELS, strict=True):
-            of_level = [agent for agent, force in enumerate(strengths(event)) if force == level]
-            found[f"_{name}"].append(agents[:, of_level].ravel())
-    return found
+            of_level = [agent for agent, force in enumerate(_strengths(event)) if force == level]
+            by_strength[f"_{name}"] = speed[:, of_level]
+        numbers: dict[str, Any] = {
+            "frames": [len(track)],
+            "untrimmed": [moves_to_the_end(track)],
+            **{f"speed{suffix}": agents.ravel() for suffix, agents in by_strength.items()},
+            **{f"at_rest{suffix}": agents.ravel() < SLOW for suffix, agents in by_strength.items()},
+            "step": speed[:, :n].ravel() / FRAMES_PER_SECOND,
+            "items_move": speed[:, n:].ravel() >= SLOW,
+            "holding": held,
+        }
+        for name, given in numbers.items():
+            self._numbers.setdefault(name, []).append(np.asarray(given, np.float64))
+
+    def values(self) -> dict[str, dict[str, Any]]:
+        """Return name -> ``value``, ``se`` (None where there is none) and ``units``."""
+        suffixes = ("", *(f"_{level}" for level in LEVELS))
+        wanted: dict[str, tuple[str, Callable[[FloatArray], Any]]] = {
+            "frames_min": ("frames", np.min),
+            "frames_median": ("frames", np.median),
+            "frames_max": ("frames", np.max),
+            "untrimmed": ("untrimmed", np.mean),
+        }
+        for suffix in suffixes:
+            wanted[f"speed_mean{suffix}"] = f"speed{suffix}", np.mean
+            wanted[f"speed_p99{suffix}"] = f"speed{suffix}", _percentile_99
+            wanted[f"speed_max{suffix}"] = f"speed{suffix}", np.max
+            wanted[f"at_rest{suffix}"] = f"at_rest{suffix}", np.mean
+        wanted["step_median"] = "step", np.median
+        wanted["step_max"] = "step", np.max
+        for name in ("items_move", "holding"):
+            wanted[name] = name, np.mean
+        found = {name: self._value(self._numbers[of], how) for name, (of, how) in wanted.items()}
+        return {name: value for name, value in found.items() if value is not None}
+
+    def _value(
+        self, per_event: Sequence[FloatArray], function: Callable[[FloatArray], Any]
+    ) -> dict[str, Any] | None:
+        grouped: dict[str, list[FloatArray]] = {}
+        for unit, numbers in zip(self._units, per_event, strict=True):
+            if len(numbers):
+                grouped.setdefault(unit, []).append(numbers)
+        if not grouped:
+            return None
+        parts = [np.concatenate(arrays) for arrays in grouped.values()]
+        extreme = function in (np.min, np.max)  # whose error no resampling tells
+        return {
+            "value": float(function(np.concatenate(parts))),
+            "se": None if extreme else standard_error(parts, function),
+            "units": len(parts),
+        }
+
+    def histograms(self) -> dict[str, Any]:
+        """Return name -> ``edges`` and ``counts``."""
+        found = {}
+        for name in ("frames", "speed", *(f"speed_{level}" for level in LEVELS)):
+            edges = FRAME_EDGES if name == "frames" else SPEED_EDGES
+            inside = np.clip(np.concatenate(self._numbers[name]), edges[0], edges[-1])
+            counts = np.histogram(inside, edges)[0]
+            found[name] = {"edges": list(edges), "counts": counts.tolist()}
+        return found
 
 
-def _histogram(numbers: FloatArray, edges: Sequence[float]) -> dict[str, list[float]]:
-    inside = np.clip(numbers, edges[0], edges[-1])
-    return {"edges": list(edges), "counts": np.histogram(inside, edges)[0].tolist()}
+def _percentile_99(values: FloatArray) -> float:
+    return float(np.percentile(values, 99))
+
+
+def standard_error(
+    parts: Sequence[FloatArray], function: Callable[[FloatArray], Any]
+) -> float | None:
+    """Return the bootstrap's standard error of a function of all parts together.
+
+    None for a single part.
+    """
+    n = len(parts)
+    if n < 2:
+        return None
+    rng = np.random.default_rng(0)
+    again = [
+        float(function(np.concatenate([parts[i] for i in rng.integers(n, size=n)])))
+        for _ in range(_RESAMPLINGS)
+    ]
+    return float(np.std(again, ddof=1))
 
 
 def _holding(
-    events: Sequence[Event], entries: Mapping[str, Mapping[str, Any]]
+    events: Sequence[Event], told: Sequence[Mapping[str, Any]]
 ) -> tuple[list[FloatArray], str]:
     """Return per event, frame and agent how much of it an item is held, and whence it is known."""
-    recorded = [(entries.get(event.id, {}).get("measures") or {}).get("held") for event in events]
+    recorded = [(entry.get("measures") or {}).get("held") for entry in told]
     if all(isinstance(held, list) and len(held) == len(AGENTS) for held in recorded):
         known = [
             np.repeat(np.asarray(held, np.float64), event.observation.n_frames)
             for event, held in zip(events, recorded, strict=True)
         ]
         return known, "recorded"
-    seen = [
-        seems_to_hold(event.observation.trajectory, event.scene.radius).ravel().astype(np.float64)
-        for event in events
-    ]
-    return seen, "geometry"
+    seen = [seems_to_hold(e.observation.trajectory, e.scene.radius).ravel() for e in events]
+    return [np.asarray(flags, np.float64) for flags in seen], "geometry"
 
 
-# --- what the manifest tells -------------------------------------------------------------------
+def _tables(
+    events: Sequence[Event], told: Sequence[Mapping[str, Any]], units: Sequence[str]
+) -> dict[str, Any]:
+    """Return the tables of :func:`statistics`.
+
+    Args:
+        events: the set.
+        told: per event what the manifest says of it; empty where there is none.
+        units: per event the event that it is a copy of, or itself.
+    """
+    n = len(AGENTS)
+    sizes = sorted(f"{size:g}" for size in SIZES)
+    known: dict[str, Sequence[str]] = {
+        "relation": RELATIONS,
+        "scenario": SCENARIOS,
+        "goal_type": GOAL_TYPES,
+        "goal": GOALS,
+        "strength": LEVELS,
+        "agent_size": sizes,
+        "item_size": sizes,
+        **{key: () for key in ("family", "layout", "split", "reflection")},
+    }
+    labels: dict[str, list[tuple[str, str]]] = {key: [] for key in known}
+    for event, entry, unit in zip(events, told, units, strict=True):
+        size = [_size(float(radius)) for radius in event.scene.radius]
+        of_event: dict[str, Iterable[str]] = {
+            "strength": [_level(force) for force in _strengths(event) if force is not None],
+            "agent_size": size[:n],
+            "item_size": size[n:],
+        }
+        if event.truth is not None:
+            goals = event.truth.goal_red, event.truth.goal_green
+            of_event.update(
+                relation=[event.truth.relation],
+                scenario=[event.truth.scenario],
+                goal_type=map(goal_type, goals),
+                goal=goals,
+            )
+        for key in ("family", "layout", "split", "reflection"):
+            if entry.get(key) is not None:
+                of_event[key] = [str(entry[key])]
+        for key, given in of_event.items():
+            labels[key] += [(label, unit) for label in given]
+    found = {}
+    for key, pairs in labels.items():
+        first = known[key] or sorted({label for label, _ in pairs}, key=_place)
+        counts = Counter(dict.fromkeys(first, 0))
+        counts.update(label for label, _ in pairs)
+        if pairs:
+            found[key] = _counted(len({unit for _, unit in pairs}), counts)
+    return found
+
+
+def goal_type(goal: str | int) -> str:
+    """Return which of :data:`GOAL_TYPES` a goal is."""
+    literal = goal_literal(goal, 0)
+    if literal.predicate is Predicate.TOUCH:
+        kind = "TE"
+    else:
+        kind = "LMA" if literal.subject < len(AGENTS) else "LMO"
+    return kind + ("+" if literal.positive else "-")
+
+
+def _strengths(event: Event) -> tuple[float | None, float | None]:
+    """Return the strengths of red and green, newtons, as far as they are known."""
+    truth = event.truth
+    return (None, None) if truth is None else (truth.strength_red, truth.strength_green)
+
+
+def _level(force: float) -> str:
+    return f"{force:g}" if force in STRENGTH_LEVELS else OTHER
+
+
+def _size(radius: float) -> str:
+    return next((f"{size:g}" for size in SIZES if abs(radius - size) < 1e-3), OTHER)
+
+
+def _place(label: str) -> tuple[int, int, str]:
+    """Return the sorting key of a label: those of the original events, numbers, others."""
+    if label in _ORIGINAL_ORDER:
+        return 0, _ORIGINAL_ORDER.index(label), ""
+    return (1, int(label), "") if label.isdecimal() else (2, 0, label)
 
 
 def _entries(manifest: Mapping[str, Any] | None) -> dict[str, Mapping[str, Any]]:
-    """Return id -> entry.
-
-    Raises:
-        InvalidSettingError: the manifest has no list of entries with an id.
-    """
+    """Return id -> entry."""
     if manifest is None:
         return {}
     entries = manifest.get("entries") if isinstance(manifest, Mapping) else None

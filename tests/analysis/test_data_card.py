@@ -11,8 +11,7 @@ import pytest
 
 import phase_ppl
 from phase_ppl.analysis.data_table import Row, data_table, goal_grid, rows, shares_differ
-from phase_ppl.dataset.counts import PHASE
-from phase_ppl.dataset.statistics import statistics
+from phase_ppl.dataset.statistics import PHASE, statistics
 from phase_ppl.world.errors import OutputError
 from phase_ppl.world.event import Event, Truth
 from phase_ppl.world.goals import GOALS, is_self_referring

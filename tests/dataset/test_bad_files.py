@@ -108,21 +108,17 @@ def test_a_truncated_file_is_recognised_as_such(tmp_path: Path) -> None:
 
 
 def test_a_byte_order_mark_does_no_harm(tmp_path: Path) -> None:
-    save_event(make_event(), tmp_path / "one.json")
-    path = tmp_path / "marked.json"
-    path.write_bytes(b"\xef\xbb\xbf" + (tmp_path / "one.json").read_bytes())
+    path = tmp_path / "one.json"
+    save_event(make_event(), path)
+    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
     assert load_event(path).id == "example"
 
 
 def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
     assert "no such file" in refused(tmp_path / "none.json")
     assert "is a folder, expected an event file" in refused(tmp_path)
-    assert "cannot be read: Not a directory" in refused(_file(tmp_path) / "x.json")
-
-
-def _file(folder: Path) -> Path:
-    (folder / "file").write_text("")
-    return folder / "file"
+    (tmp_path / "file").touch()
+    assert "cannot be read: Not a directory" in refused(tmp_path / "file" / "x.json")
 
 
 def test_a_file_that_is_too_large_is_refused(
@@ -201,19 +197,10 @@ def test_a_single_frame_is_no_event(tmp_path: Path) -> None:
 def test_one_of_several_videos_must_be_named(tmp_path: Path) -> None:
     path = tmp_path / "all.json"
     save_events([make_event(id=f"video{n}") for n in range(5)], path)
-    message = re.escape(
-        f"{path} holds 5 videos; name one of them: 'video0', 'video1', 'video2', ..."
-    )
-    with pytest.raises(InvalidSettingError, match=message):
+    message = f"{path} holds 5 videos; name one of them: 'video0', 'video1', 'video2', ..."
+    with pytest.raises(InvalidSettingError, match=re.escape(message)):
         load_event(path)
     assert load_event(path, video="video3").id == "video3"
-
-
-def test_an_unknown_video_is_answered_with_close_matches(tmp_path: Path) -> None:
-    path = tmp_path / "all.json"
-    save_events([make_event(id=f"video{n}") for n in range(5)], path)
-    with pytest.raises(UnknownNameError, match=r"all.json: unknown video 'vidoe3'; .* 'video3'"):
-        load_event(path, video="vidoe3")
     with pytest.raises(UnknownNameError, match="unknown video ''"):
         load_event(path, video="")
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import h5py
-import numpy as np
 import pytest
 import xarray as xr
 
@@ -17,8 +16,8 @@ from phase_ppl import event_dataset, event_from_dataset
 from phase_ppl.dataset import hdf5, load_event, load_events, save_event, save_events
 from phase_ppl.world.errors import InvalidEventError, UnknownNameError
 from tests.dataset.test_bad_files import refused
-from tests.dataset.test_events_json import assert_same
-from tests.dataset.test_events_netcdf import various
+from tests.dataset.test_events_json import assert_same, various
+from tests.dataset.test_hdf5 import TRICKS
 from tests.world.examples import make_event
 
 
@@ -102,56 +101,13 @@ def test_damaged_files_are_the_same_events_or_refused_by_name(
     assert all(line.startswith(str(path)) and "\n" not in line for line in complaints)
 
 
-def _hostile(path: Path, change: str) -> None:
-    """Make a file of an event that reaches out of itself or grows in memory."""
-    with h5py.File(path, "r+") as file:
-        if change == "huge":
-            del file["radius"]
-            file.create_dataset("radius", (2**40,), "f8", chunks=(2**10,))
-        elif change == "texts":
-            del file["judgments"]
-            many = file.create_dataset("judgments", (200_000,), h5py.string_dtype())
-            many[0] = "x" * 100_000
-        elif change == "virtual":
-            layout = h5py.VirtualLayout((4,), "f8")
-            layout[:] = h5py.VirtualSource("other.nc", "radius", (4,))
-            del file["radius"]
-            file.create_virtual_dataset("radius", layout)
-        elif change == "external":
-            del file["radius"]
-            file.create_dataset("radius", (4,), "f8", external=[("/etc/passwd", 0, 32)])
-        elif change == "link":
-            file["more"] = h5py.ExternalLink("other.nc", "/radius")
-        elif change == "soft":
-            file["more"] = h5py.SoftLink("/more")
-        elif change == "group":
-            file["more/radius"] = [1.0]
-        elif change == "empty":
-            file["more"] = h5py.Empty("f8")
-        else:
-            file["more"] = np.zeros(3, [("a", "f8"), ("b", "i4")])
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ("huge", "is larger than the 512 MB that are read"),
-        ("texts", "is larger than the 512 MB that are read"),
-        ("virtual", "array 'radius' lies in another file"),
-        ("external", "array 'radius' lies in another file"),
-        ("link", "holds a link, 'more'"),
-        ("soft", "holds a link, 'more'"),
-        ("group", "holds a group, 'more'"),
-        ("empty", "array 'more' is without a shape"),
-        ("compound", "array 'more' holds neither numbers nor texts"),
-    ],
-)
-def test_a_file_made_to_do_harm_is_refused_unread(
-    tmp_path: Path, one: bytes, change: str, message: str
-) -> None:
+@pytest.mark.parametrize("trick", TRICKS)
+def test_a_file_made_to_do_harm_is_refused_unread(tmp_path: Path, one: bytes, trick: str) -> None:
+    change, message = TRICKS[trick]
     path = tmp_path / "one.nc"
     path.write_bytes(one)
-    _hostile(path, change)
+    with h5py.File(path, "r+") as file:
+        change(file)
     assert message in refused(path)
 
 
@@ -196,7 +152,7 @@ def _bytes(path: Path, content: bytes) -> None:
     path.write_bytes(content)
 
 
-def _foreign(path: Path, attrs: dict[str, str]) -> None:
+def _foreign(path: Path, attrs: dict[str, Any]) -> None:
     xr.Dataset({"t": ("city", [1.0])}, attrs=attrs).to_netcdf(path, engine="h5netcdf")
 
 
@@ -207,6 +163,7 @@ FOREIGN: dict[str, tuple[Any, str]] = {
     "pickle": (lambda p: _bytes(p, pickle.dumps([1])), "is no NetCDF 4 file"),
     "truncated": (lambda p: _bytes(p, hdf5.SIGNATURE), "cannot be read as NetCDF"),
     "other": (lambda p: _foreign(p, {}), "has no format, expected 'phase-ppl-event-1' or"),
+    "no text": (lambda p: _foreign(p, {"format": [1, 2]}), "has no format"),
     "later": (lambda p: _foreign(p, {"format": "phase-ppl-event-2"}), "'phase-ppl-event-2'"),
     "posterior": (
         lambda p: _foreign(p, {"schema": "phase-ppl-posterior-1"}),
@@ -222,21 +179,12 @@ def test_a_file_of_another_kind_is_refused(tmp_path: Path, case: str) -> None:
     assert message in refused(tmp_path / "event.nc")
 
 
-ODD_IDS: list[Any] = ["a\nb", " ", 7, ["a", "b"]]
-
-
-@pytest.mark.parametrize("name", ODD_IDS)
+@pytest.mark.parametrize("name", ["a\nb", " ", 7, ["a", "b"]], ids=repr)
 def test_an_id_that_is_none_is_refused_in_one_line(tmp_path: Path, name: Any) -> None:
     dims = ("id",) if isinstance(name, list) else ()
     dataset = event_dataset(make_event()).drop_vars("event").assign(event=(dims, name))
     dataset.to_netcdf(tmp_path / "one.nc", engine="h5netcdf")
     assert "id is " in refused(tmp_path / "one.nc")
-
-
-def test_a_format_that_is_no_text_is_refused(tmp_path: Path) -> None:
-    dataset = event_dataset(make_event()).assign_attrs(format=[1, 2])
-    dataset.to_netcdf(tmp_path / "one.nc", engine="h5netcdf")
-    assert "has no format" in refused(tmp_path / "one.nc")
 
 
 def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:

@@ -1,25 +1,44 @@
-"""The package's own event files: nothing is lost, and a person can read and write them."""
+"""The package's own event files: nothing is lost; people read the JSON, xarray the NetCDF."""
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
+import tempfile
 from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from numpy.typing import NDArray
 
+from phase_ppl import event_from_dataset
 from phase_ppl.dataset import load_event, load_events, save_event, save_events
 from phase_ppl.dataset.events_json import event_from_record, event_record, to_text
-from phase_ppl.world.errors import InvalidEventError, OutputError, UnknownNameError
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    InvalidSettingError,
+    OutputError,
+    UnknownNameError,
+)
 from phase_ppl.world.event import Event, Truth
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import TURNINGS
-from tests.world.examples import RADIUS, START, make_event, make_scene, make_trajectory, walls
+from tests.world.examples import (
+    DEV,
+    RADIUS,
+    START,
+    make_event,
+    make_scene,
+    make_trajectory,
+    needs_dev,
+    walls,
+)
 
 
 def assert_same(first: Event, second: Event) -> None:
@@ -74,20 +93,69 @@ def test_writing_and_reading_changes_nothing(event: Event) -> None:
     assert_same(event_from_record(json.loads(to_text(event_record(event)))), event)
 
 
-def test_a_saved_event_is_loaded_back(tmp_path: Path) -> None:
-    event = make_event()
-    save_event(event, tmp_path / "one.json")
-    assert_same(load_event(tmp_path / "one.json"), event)
-    assert_same(load_events(str(tmp_path / "one.json"))[0], event)
+@settings(max_examples=6, suppress_health_check=[HealthCheck.too_slow], deadline=None)
+@given(events)
+def test_a_netcdf_file_gives_the_same_event_back(event: Event) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "one.nc"
+        save_event(event, path)
+        assert_same(load_event(path), event)
+        assert_same(load_events(str(path))[0], event)
 
 
-def test_several_saved_events_are_loaded_back_in_order(tmp_path: Path) -> None:
-    given_events = [make_event(id=name) for name in ("b", "a", "c")]
-    save_events(given_events, tmp_path / "all.json")
-    loaded = load_events(tmp_path / "all.json")
-    for first, second in zip(loaded, given_events, strict=True):
-        assert_same(first, second)
-    assert load_event(tmp_path / "all.json", video="a").id == "a"
+def various() -> list[Event]:
+    """Events of different lengths, with and without walls and truth."""
+    plain = Event(make_scene(walls=[]), Observation(make_trajectory(9)), id="plain")
+    return [make_event(5, "b"), plain, make_event(2, "a, Δ"), make_event(20, "c")]
+
+
+@pytest.mark.parametrize("name", ["all.json", "all.nc"])
+def test_events_of_one_file_come_back_in_order(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    save_events(various(), path)
+    for loaded, event in zip(load_events(path), various(), strict=True):
+        assert_same(loaded, event)
+    assert_same(load_event(path, video="plain"), various()[1])
+    with pytest.raises(InvalidSettingError, match=r"holds 4 videos; name one of them: 'b', "):
+        load_event(path)
+    with pytest.raises(UnknownNameError, match=rf"{name}: unknown video 'plane'; .* 'plain'"):
+        load_event(path, video="plane")
+    assert load_events(path, turning="cw")[2].scene.turning == "cw"
+    (tmp_path / "renamed").write_bytes(path.read_bytes())
+    assert len(load_events(tmp_path / "renamed")) == 4
+    bare = [dataclasses.replace(various()[1], id=name) for name in ("one", "two")]
+    save_events(bare, path)
+    assert [len(event.scene.walls) for event in load_events(path)] == [0, 0]
+
+
+@needs_dev
+def test_the_real_videos_survive_bit_for_bit(tmp_path: Path) -> None:
+    real = load_events(DEV)
+    save_events(real, tmp_path / "dev.nc")
+    for loaded, event in zip(load_events(tmp_path / "dev.nc"), real, strict=True):
+        assert_same(loaded, event)
+
+
+def test_xarray_reads_the_files_by_itself(tmp_path: Path) -> None:
+    save_event(make_event(), tmp_path / "one.nc")
+    with xr.open_dataset(tmp_path / "one.nc") as one:
+        assert one["trajectory"].dims == ("time", "entity", "coord")
+        assert one["time"].values.tolist() == [0, 1 / 12, 2 / 12, 3 / 12]
+        assert_same(event_from_dataset(one), make_event())
+    save_events(various(), tmp_path / "all.nc")
+    with xr.open_dataset(tmp_path / "all.nc") as many:
+        assert many["n_frames"].values.tolist() == [5, 9, 2, 20]
+        assert many["n_walls"].values.tolist() == [2, 0, 2, 2]
+        assert many["goal_red"].sel(event="c").item() == "Get blue item to red lm"
+        assert many["goal_red"].sel(event="plain").item() == ""
+        assert many["trajectory"].sizes["time"] == 36
+
+
+def test_walls_keep_their_order(tmp_path: Path) -> None:
+    wall: NDArray[np.float64] = walls(up=10, left=5, down=7.5)
+    event = Event(make_scene(walls=wall), Observation(make_trajectory()))
+    save_event(event, tmp_path / "one.nc")
+    assert np.array_equal(load_event(tmp_path / "one.nc").scene.walls, wall)
 
 
 def test_the_file_has_one_frame_per_line_and_short_things_on_one(tmp_path: Path) -> None:
@@ -150,18 +218,22 @@ def test_a_misspelt_field_is_not_ignored(where: tuple[str, ...], message: str) -
         event_from_record(record)
 
 
+@pytest.mark.parametrize("name", ["one.json", "one.nc"])
 @pytest.mark.parametrize("value", [math.nan, {1, 2}, np.arange(3), 1j])
-def test_judgments_without_a_json_form_are_not_written(tmp_path: Path, value: object) -> None:
+def test_judgments_without_a_json_form_are_not_written(
+    tmp_path: Path, value: object, name: str
+) -> None:
     event = Event(make_scene(), Observation(make_trajectory()), judgments={"odd": value})
-    with pytest.raises(InvalidEventError, match=r"one.json: cannot be written as JSON"):
-        save_event(event, tmp_path / "one.json")
+    with pytest.raises(InvalidEventError, match=rf"{name}: cannot be written as JSON"):
+        save_event(event, tmp_path / name)
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("name", ["", " ", "two\nlines", "\ud800"])
-def test_an_id_that_cannot_be_printed_is_not_written(tmp_path: Path, name: str) -> None:
-    with pytest.raises(InvalidEventError, match=r"one.json: id is .*, expected printable text"):
-        save_event(make_event(id=name), tmp_path / "one.json")
+@pytest.mark.parametrize("name", ["one.json", "one.nc"])
+@pytest.mark.parametrize("id", ["", " ", "two\nlines", "\ud800"])
+def test_an_id_that_cannot_be_printed_is_not_written(tmp_path: Path, id: str, name: str) -> None:
+    with pytest.raises(InvalidEventError, match=rf"{name}: id is .*, expected printable text"):
+        save_event(make_event(id=id), tmp_path / name)
     assert list(tmp_path.iterdir()) == []
 
 

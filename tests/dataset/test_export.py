@@ -14,7 +14,8 @@ import pytest
 
 from phase_ppl.dataset import bundled_events, export_events, load_bundled, load_events
 from phase_ppl.dataset.authors.videos import video
-from phase_ppl.dataset.generation.copies import Recording, recoloured
+from phase_ppl.dataset.generation.copies import recoloured
+from phase_ppl.dataset.generation.making import event_of
 from phase_ppl.dataset.generation.situation import LAYOUTS, walls_of
 from phase_ppl.world.errors import InvalidEventError, OutputError, UnknownNameError
 from phase_ppl.world.event import Event, Truth
@@ -24,13 +25,6 @@ from tests.dataset.authors.pickles import KINDS, expected, processed
 from tests.world.examples import DEV, make_event, needs_dev
 
 FORMATS = {"json": "x.json", "netcdf": "x.nc", "phase-test": "x.json", "phase-processed": "x.pkl"}
-
-
-def event_of(recording: Recording, id: str) -> Event:
-    red, green = recording.hypothesis.effective_goals
-    strengths = recording.hypothesis.strengths
-    truth = Truth(GOALS[red], GOALS[green], strength_red=strengths[0], strength_green=strengths[1])
-    return Event(recording.scene, Observation(recording.trajectory), id, truth)
 
 
 def copies() -> list[Event]:
@@ -57,14 +51,8 @@ def assert_same(one: Event, other: Event) -> None:
 
 
 @pytest.mark.parametrize("format", FORMATS)
-def test_events_and_their_copies_come_back_the_same(tmp_path: Path, format: str) -> None:
-    for event, back in zip(copies(), exported(copies(), tmp_path, format), strict=True):
-        assert_same(event, back)
-
-
-@pytest.mark.parametrize("format", FORMATS)
-def test_bundled_events_come_back_the_same(tmp_path: Path, format: str) -> None:
-    events = [load_bundled(name) for name in bundled_events()]
+def test_copies_and_bundled_events_come_back_the_same(tmp_path: Path, format: str) -> None:
+    events = [*copies(), *map(load_bundled, bundled_events())]
     for event, back in zip(events, exported(events, tmp_path, format), strict=True):
         assert_same(event, back)
 
@@ -217,16 +205,12 @@ def test_phase_test_holds_one_arena(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("format", FORMATS)
-def test_no_events_and_twice_the_same_id_are_refused(tmp_path: Path, format: str) -> None:
+def test_what_cannot_be_one_file_is_refused(tmp_path: Path, format: str) -> None:
     path = tmp_path / FORMATS[format]
     with pytest.raises(InvalidEventError, match="the list is empty"):
         export_events([], path, format)
     with pytest.raises(InvalidEventError, match="two videos with the id 'example'"):
         export_events([make_event(), make_event()], path, format)
-
-
-@pytest.mark.parametrize("format", FORMATS)
-def test_a_name_that_ends_otherwise_is_refused(tmp_path: Path, format: str) -> None:
     with pytest.raises(OutputError, match="expected a name in"):
         export_events([make_event()], tmp_path / "x.txt", format)
 

@@ -11,9 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 import phase_ppl
-from phase_ppl.dataset.counts import GOAL_TYPES, PHASE, goal_type
 from phase_ppl.dataset.motion import moves_to_the_end, seems_to_hold, speeds
-from phase_ppl.dataset.statistics import standard_error, statistics
+from phase_ppl.dataset.statistics import GOAL_TYPES, PHASE, goal_type, standard_error, statistics
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.event import Event, Truth
 from phase_ppl.world.geometry import rotation

@@ -15,8 +15,7 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.dataset import events_netcdf
-from phase_ppl.dataset.events_netcdf import checksum
-from phase_ppl.dataset.stored_events import StoredEvents
+from phase_ppl.dataset.events_netcdf import StoredEvents, checksum
 from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.event import Event
 from tests.world.examples import make_event

@@ -19,8 +19,7 @@ from phase_ppl.analysis.data_table import (
     rows,
 )
 from phase_ppl.analysis.figures.style import GREY, INK, NORMAL, SMALL, bare, new_figure, written
-from phase_ppl.dataset.counts import LEVELS, PHASE
-from phase_ppl.dataset.statistics import SPEED_EDGES
+from phase_ppl.dataset.statistics import LEVELS, PHASE, SPEED_EDGES
 from phase_ppl.world.names import LANDMARKS
 
 if TYPE_CHECKING:

@@ -76,11 +76,7 @@ class Recorded(NamedTuple):
 
 
 def parse_name(name: str) -> Recorded:
-    """Return what a file name says.
-
-    Raises:
-        InvalidEventError: too long, or its goals are none.
-    """
+    """Return what a file name says (InvalidEventError: too long, or its goals are none)."""
     if len(name) > _LONGEST:
         raise InvalidEventError(f"name is {shown(name)}, of more than {_LONGEST} characters")
     stem = _SUFFIXES.sub("", name)
@@ -117,11 +113,7 @@ def _truth(rest: str) -> Truth | None:
 
 
 def goal_string(goal: Goal, holder: int) -> str:
-    """Return the paper's string of a goal that the agent ``holder`` has, colours as numbers.
-
-    Raises:
-        InvalidEventError: it has none.
-    """
+    """Return the paper's string of a goal that the agent ``holder`` has, if there is one."""
     kind, entity, target, sign = goal
     positive = sign > 0
     on_landmark = entity < len(AGENTS) and target < len(LANDMARKS)
@@ -137,11 +129,7 @@ def goal_string(goal: Goal, holder: int) -> str:
 
 
 def goal_numbers(goal: str, holder: int) -> Goal:
-    """Return what :func:`goal_string` turns into ``goal``.
-
-    Raises:
-        InvalidEventError: the goal names its own holder.
-    """
+    """Return what :func:`goal_string` turns into ``goal``, unless that names its own holder."""
     literal = goal_literal(goal_index(goal), holder)
     sign = 1 if literal.positive else -1
     if literal.predicate is Predicate.TOUCH:

@@ -24,6 +24,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from phase_ppl.dataset.documents import reading_bytes, too_large
 from phase_ppl.world.errors import InvalidEventError, shown
 
 MAX_BYTES: Final = 256 * 2**20
@@ -61,22 +62,15 @@ def read_pickle(path: str | os.PathLike[str]) -> Any:
         InvalidEventError: no such file, too large, damaged, or it holds or asks for anything else
             than dicts, lists, tuples, texts, numbers and arrays of numbers.
     """
-    try:
-        with open(path, "rb") as file:
-            content = file.read(MAX_BYTES + 1)
-    except IsADirectoryError:
-        raise InvalidEventError("is a folder, expected a pickle") from None
-    except FileNotFoundError:
-        raise InvalidEventError("no such file") from None
-    except OSError as error:
-        raise InvalidEventError(f"cannot be read: {error.strerror or error}") from None
+    with reading_bytes("a pickle"), open(path, "rb") as file:
+        content = file.read(MAX_BYTES + 1)
     return unpickled(content)
 
 
 def unpickled(content: bytes) -> Any:
     """Return what a pickle describes; arrays are read-only. Errors as for :func:`read_pickle`."""
     if len(content) > MAX_BYTES:
-        raise InvalidEventError(f"is larger than the {MAX_BYTES // 2**20} MB that are read")
+        raise too_large(MAX_BYTES)
     if not content:
         raise InvalidEventError("is empty")
     _check_opcodes(content)
@@ -376,9 +370,11 @@ def _from_buffer(reader: _Unpickler, arguments: tuple[Any, ...]) -> _Array:
     array = _array(reader, content, dtype, shape, order)
     if axes is None:
         return _Array(reader, array)
-    if not isinstance(axes, (tuple, list)) or len(axes) != array.ndim:
-        raise _no_array()
-    if any(type(axis) is not int for axis in axes) or sorted(axes) != list(range(array.ndim)):
+    if (
+        not isinstance(axes, (tuple, list))
+        or any(type(axis) is not int for axis in axes)
+        or sorted(axes) != list(range(array.ndim))
+    ):
         raise _no_array()
     return _Array(reader, array.transpose(axes))
 
@@ -399,11 +395,10 @@ def _dtype(reader: _Unpickler, arguments: tuple[Any, ...]) -> _Dtype:
 
 def _encode(reader: _Unpickler, arguments: tuple[Any, ...]) -> bytes | bytearray:
     """Return a text as bytes: the way of old protocols to write bytes."""
-    if len(arguments) != 2 or arguments[1] not in ("latin1", "latin-1"):
-        raise _no_array()
-    if not isinstance(arguments[0], str):
-        raise _no_array()
-    return reader.raw(arguments[0])
+    match arguments:
+        case (str() as text, "latin1" | "latin-1"):
+            return reader.raw(text)
+    raise _no_array()
 
 
 def _no_bytes(reader: _Unpickler, arguments: tuple[Any, ...]) -> bytes:
@@ -454,11 +449,7 @@ class _Finished:
         self._open: set[int] = set()
 
     def of(self, value: Any, depth: int) -> _Part:
-        """Return ``value``, which lies ``depth`` deep, without stand-ins.
-
-        Raises:
-            InvalidEventError: nested too deeply or in itself, too large, or not data.
-        """
+        """Return ``value``, which lies ``depth`` deep, without stand-ins."""
         if value is None or isinstance(value, (bool, int, float)):
             return _Part(value, 1, 0)
         if isinstance(value, (str, bytes, bytearray)):

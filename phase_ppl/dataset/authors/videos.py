@@ -56,7 +56,8 @@ from phase_ppl.dataset.authors.names import (
     place_in_id,
 )
 from phase_ppl.dataset.authors.pickles import read_pickle
-from phase_ppl.dataset.events_json import Entries, event_id, require
+from phase_ppl.dataset.documents import event_id, require
+from phase_ppl.dataset.events_json import Entries
 from phase_ppl.dataset.generation.copies import REFLECTIONS
 from phase_ppl.dataset.generation.situation import LAYOUTS
 from phase_ppl.dataset.motion import full_turn, observed_turning
@@ -91,13 +92,10 @@ def read(path: str | os.PathLike[str]) -> Entries:
     names = [_name(video, index) for index, video in enumerate(content)]
     ids = [_id(name) for name in names]
     given = Counter(ids)
+    unique = [id if given[id] == 1 else name for id, name in zip(ids, names, strict=True)]
     return [
         (id, functools.partial(_processed, video, id))
-        for video, id in zip(
-            content,
-            (id if given[id] == 1 else name for id, name in zip(ids, names, strict=True)),
-            strict=True,
-        )
+        for video, id in zip(content, unique, strict=True)
     ]
 
 
@@ -220,7 +218,7 @@ def _kind(value: object) -> str:
 
 # --- which body has which colour -------------------------------------------------------------
 
-BODIES_OF_KEYS: Final[Mapping[frozenset[int], Mapping[int, int]]] = {
+_BODIES_OF_KEYS: Final[Mapping[frozenset[int], Mapping[int, int]]] = {
     frozenset((0, 1, 3, 4)): {0: 0, 1: 1, 3: 2, 4: 3},
     frozenset((0, 1, 2)): {0: 0, 1: 2, 2: 3},
     frozenset((0, 1, 2, 3)): {0: 0, 1: 1, 2: 2, 3: 3},
@@ -242,7 +240,7 @@ def bodies_by_colour(code: Mapping[Any, Any]) -> tuple[int, ...]:
     Raises:
         InvalidEventError: the code is none of the known forms.
     """
-    bodies = BODIES_OF_KEYS.get(frozenset(code))
+    bodies = _BODIES_OF_KEYS.get(frozenset(code))
     if bodies is None or any(type(colour) is not int for colour in code.values()):
         raise _unknown_code(code)
     colours = {body: code[key] for key, body in bodies.items()}
@@ -399,11 +397,7 @@ def _lines_that_name_modules(content: bytes) -> Iterator[tuple[int, int]]:
 
 
 def video(event: Event) -> dict[str, Any]:
-    """Return an event as one video of the processed form.
-
-    Raises:
-        InvalidEventError: the event has something that the form has no place for.
-    """
+    """Return an event as one video of the processed form, if that has a place for all of it."""
     scene, truth, trajectory = event.scene, event.truth, event.observation.trajectory
     if scene.arena != ARENA or scene.landmark_half_width != LANDMARK_HALF_WIDTH:
         raise InvalidEventError(

@@ -105,12 +105,7 @@ def _moved(values: Sequence[float], levels: Sequence[float], by: int) -> list[fl
 
 
 class _Redraw(Draw):
-    """A draw that makes the choices of an earlier one.
-
-    Args:
-        earlier: the situation that was drawn.
-        change: what is to be different.
-    """
+    """A draw that makes the choices of an earlier one, but for a change."""
 
     def __init__(self, earlier: Situation, change: Change) -> None:
         super().__init__(np.random.default_rng(0), change.layout, earlier.scene.turning)

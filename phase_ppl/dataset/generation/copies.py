@@ -65,11 +65,10 @@ def record(situation: Situation, simulator: JointSimulator, frames: int, seed: i
     steps = simulator.steps(situation.scene, situation.hypothesis, np.random.default_rng(seed))
     taken = list(itertools.islice(steps, frames))
     trajectory = np.array([frame for frame, _ in taken], np.float64)
-    decisions = [step for _, step in taken]
     actions = np.full((frames, len(AGENTS)), NO_ACTION, np.int64)
     held = np.full((frames, len(AGENTS)), NOTHING, np.int64)
-    for frame, pair in enumerate(decisions):
-        for agent, decision in enumerate(pair):
+    for frame, (_, decisions) in enumerate(taken):
+        for agent, decision in enumerate(decisions):
             actions[frame, agent], held[frame, agent] = decision.action, decision.held
     length = after_motion(trajectory)
     return Recording(
@@ -89,9 +88,7 @@ def after_motion(trajectory: FloatArray) -> int:
     return min(len(trajectory), max(SHORTEST, last + 1 + AFTER_MOTION))
 
 
-# --- copies of a recording that look different and mean the same: reflections, other... -----------
-# Landmarks keep their places and colours, so under a reflection a goal is about another landmark;
-# agents that turn one way only turn the other way.
+# --- reflections and colours -----------------------------------------------------------------
 
 
 class Reflection(NamedTuple):
@@ -114,6 +111,14 @@ REFLECTIONS: Final = {
 }
 """Name -> reflection; the names are those of the authors' files."""
 
+_IN_A_MIRROR: Final = (
+    (Action.TURN_LEFT, Action.TURN_RIGHT),
+    (Action.LEFT, Action.RIGHT),
+    (Action.UP_LEFT, Action.UP_RIGHT),
+    (Action.DOWN_LEFT, Action.DOWN_RIGHT),
+)
+"""Actions that look like each other in a mirror; all others look like themselves."""
+
 _OTHER_WAY: Final[dict[str, Turning]] = {"both": "both", "ccw": "cw", "cw": "ccw"}
 
 
@@ -125,6 +130,10 @@ def reflected(recording: Recording, name: str) -> Recording:
     landmark = [
         int(np.linalg.norm(scene.landmark_centres - centre, axis=1).argmin()) for centre in centres
     ]
+    actions = np.array(recording.actions)
+    for left, right in _IN_A_MIRROR:
+        actions[recording.actions == left] = right
+        actions[recording.actions == right] = left
     mirrored = dataclasses.replace(
         scene,
         start=_mirrored(scene.start, scene, matrix, offset),
@@ -136,7 +145,7 @@ def reflected(recording: Recording, name: str) -> Recording:
         scene=mirrored,
         hypothesis=_renamed(recording.hypothesis, list(range(len(ENTITIES))), landmark),
         trajectory=_mirrored(recording.trajectory, scene, matrix, offset),
-        actions=_MIRRORED_ACTIONS[recording.actions],
+        actions=actions,
     )
 
 
@@ -146,22 +155,6 @@ def _mirrored(poses: FloatArray, scene: Scene, matrix: FloatArray, offset: float
     result[..., : len(AGENTS), 2] = offset - poses[..., : len(AGENTS), 2]
     result[..., len(AGENTS) :, 2] = -poses[..., len(AGENTS) :, 2]
     return result
-
-
-def _mirrored_actions() -> NDArray[np.int64]:
-    """Return action -> what it looks like in a mirror; the last entry is for no action."""
-    other = list(range(len(Action)))
-    for left, right in (
-        (Action.TURN_LEFT, Action.TURN_RIGHT),
-        (Action.LEFT, Action.RIGHT),
-        (Action.UP_LEFT, Action.UP_RIGHT),
-        (Action.DOWN_LEFT, Action.DOWN_RIGHT),
-    ):
-        other[left], other[right] = right, left
-    return np.array([*other, NO_ACTION], np.int64)
-
-
-_MIRRORED_ACTIONS: Final = _mirrored_actions()
 
 
 def recoloured(recording: Recording, *, agents: bool, items: bool) -> Recording:

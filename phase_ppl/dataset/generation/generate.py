@@ -17,7 +17,7 @@ from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.dataset.documents import read_json
 from phase_ppl.dataset.events_json import event_from_record, event_record
 from phase_ppl.dataset.events_netcdf import checksum
-from phase_ppl.dataset.generation.making import Made, event_of, make, name_of
+from phase_ppl.dataset.generation.making import Made, event_of, make
 from phase_ppl.dataset.generation.plan import PHASE500, Plan, Slot, scaled
 from phase_ppl.dataset.generation.store import (
     EVENTS,
@@ -29,7 +29,6 @@ from phase_ppl.dataset.generation.store import (
 )
 from phase_ppl.dataset.load import save_events
 from phase_ppl.simulator.jobs import Failure, results
-from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.checks import number_of_workers
 from phase_ppl.world.errors import (
     InvalidEventError,
@@ -46,21 +45,15 @@ PLAN_SCHEMA: Final = "phase-ppl-plan-1"
 PARTS: Final = "parts"
 
 
-class Part(NamedTuple):
-    """What became of a slot, as it is kept until all are done.
-
-    Attributes:
-        events: the event and its copies; none where it was given up.
-        entries: per event what the manifest will say about it.
-        refused: what was simulated and not kept, with the reason; as an event too if wanted.
-    """
+class _Part(NamedTuple):
+    """What became of a slot: events with their entries, and what was refused and why."""
 
     events: list[Event]
     entries: list[dict[str, Any]]
     refused: list[tuple[dict[str, Any], Event | None]]
 
 
-class Workshop:
+class DatasetBuilder:
     """The folder of a data set that is being made.
 
     Args:
@@ -108,29 +101,26 @@ class Workshop:
         writable_folder(self.path / PARTS)
         self._keep_rejected = keep_rejected
         self.damaged: list[str] = []
-        self._missing = {} if self._is_finished() else self._look_for_missing()
+        self._finished = (self.path / MANIFEST).is_file()
+        self._missing = {} if self._finished else self._look_for_missing()
         self._made_by = made_by
         if self._missing:
             self._made_by = versions_so_far(made_by, self.path, other_versions)
             write_json(target, {**record, "versions": self._made_by})
 
-    def _is_finished(self) -> bool:
-        return (self.path / MANIFEST).is_file()
-
     def _look_for_missing(self) -> dict[int, Slot]:
         missing = {}
         for slot in self.plan.slots():
-            if self.part(slot).is_file():
+            if self._part(slot).is_file():
                 try:
                     self._read(slot)
                     continue
                 except InvalidEventError:
-                    self.damaged.append(name_of(slot))
+                    self.damaged.append(slot.name)
             missing[slot.number] = slot
         return missing
 
-    def part(self, slot: Slot) -> Path:
-        """Return the file of a slot."""
+    def _part(self, slot: Slot) -> Path:
         return self.path / PARTS / f"{slot.number:05d}.json"
 
     def missing(self) -> list[Slot]:
@@ -141,38 +131,29 @@ class Workshop:
         """Keep what became of a slot."""
         rejected: list[dict[str, Any]] = []
         for draw in made.rejected:
-            record: dict[str, Any] = {
-                "id": draw.id,
-                "reason": draw.reason,
-                "replanned": draw.change is not None,
-                "measures": draw.found,
-            }
+            record = {"id": draw.id, "reason": draw.reason, "replanned": draw.replanned}
+            rejected.append({**record, "measures": draw.found})
             if self._keep_rejected:
-                record["event"] = event_record(event_of(draw.recording, draw.id))
-            rejected.append(record)
+                rejected[-1]["event"] = event_record(event_of(draw.recording, draw.id))
         content = {
-            "name": made.name,
+            "name": made.slot.name,
             "cell": made.slot.cell,
             "events": [event_record(event) for event in made.events],
             "entries": made.entries,
             "rejected": rejected,
         }
-        write_json(self.part(made.slot), {"sha256": _digest(content), **content})
+        write_json(self._part(made.slot), {"sha256": _digest(content), **content})
         del self._missing[made.slot.number]
 
-    def _read(self, slot: Slot) -> Part:
-        """Return what is kept of a slot.
-
-        Raises:
-            InvalidEventError: it is damaged.
-        """
-        source = self.part(slot)
+    def _read(self, slot: Slot) -> _Part:
+        """Return what is kept of a slot (InvalidEventError: it is damaged)."""
+        source = self._part(slot)
         content = read_json(source)
         digest = content.pop("sha256", None)  # parts had none once
         try:
             if digest not in (None, _digest(content)):
                 raise InvalidEventError("its content is not what sha256 says")
-            if content["name"] != name_of(slot):
+            if content["name"] != slot.name:
                 raise InvalidEventError(f"it holds {shown(content['name'])}")
             events = [event_from_record(record) for record in content["events"]]
             entries, refused = list(content["entries"]), []
@@ -184,7 +165,7 @@ class Workshop:
                 )
             if [event.id for event in events] != [entry["id"] for entry in entries]:
                 raise InvalidEventError("its events and entries are not the same")
-            return Part(events, entries, refused)
+            return _Part(events, entries, refused)
         except (KeyError, TypeError, PhasePPLError) as error:
             raise InvalidEventError(
                 f"{source}: is damaged ({error}); resume makes it anew"
@@ -192,10 +173,10 @@ class Workshop:
 
     def finish(self, cost: Mapping[str, Any]) -> GeneratedEvents:
         """Put the parts together and return the data set."""
-        if not self._is_finished():
+        if not self._finished:
             self._assemble(cost)
         for slot in self.plan.slots():
-            self.part(slot).unlink(missing_ok=True)
+            self._part(slot).unlink(missing_ok=True)
         for half in (self.path / PARTS).glob(".part-*"):  # of a process that was killed
             half.unlink(missing_ok=True)
         with contextlib.suppress(OSError):  # what else is there is not ours
@@ -216,7 +197,7 @@ class Workshop:
             entries += part.entries
             draws[slot.cell].kept += bool(part.events)
             replans[slot.cell].kept += sum(bool(entry.get("replanned")) for entry in part.entries)
-            given_up += [] if part.events else [name_of(slot)]
+            given_up += [] if part.events else [slot.name]
             for draw, event in part.refused:
                 (replans if draw["replanned"] else draws)[slot.cell].reasons[draw["reason"]] += 1
                 if event is not None:
@@ -265,7 +246,7 @@ def _digest(content: Mapping[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-# --- one call that makes a data set ---------------------------------------------------------------
+# --- the call --------------------------------------------------------------------------------
 
 PRESETS: Final[Mapping[str, Mapping[str, int]]] = {"phase500": PHASE500}
 """Name -> cells: the paper's set."""
@@ -347,65 +328,45 @@ def generate(
     )
     n_workers = number_of_workers(workers)
     with locked(writable_folder(out)):
-        workshop = Workshop(
+        builder = DatasetBuilder(
             out, plan, keep_rejected=keep_rejected, resume=resume, other_versions=other_versions
         )
-        return _carry_out(plan, workshop, n_workers, progress)
+        return _run(builder, n_workers, progress)
 
 
-def _carry_out(
-    plan: Plan, workshop: Workshop, n_workers: int, progress: bool | None
-) -> GeneratedEvents:
+def _run(builder: DatasetBuilder, n_workers: int, progress: bool | None) -> GeneratedEvents:
     """Make what is missing, and put everything together."""
-    missing = workshop.missing()
+    from tqdm import tqdm
+
     clock = time.perf_counter()
+    missing, total = builder.missing(), len(builder.plan.slots())
     failures: list[str] = []
-    bar = _bar(len(plan.slots()), len(missing), progress)
-    made = results(_make, _Maker(plan), missing, n_workers, "the plan")
+    bar = tqdm(
+        total=total,
+        initial=total - len(missing),
+        desc="events",
+        unit="event",
+        disable=None if progress is None else not progress,
+        dynamic_ncols=True,
+    )
+    made = results(make, builder.plan, missing, n_workers, "the plan")
     try:
         with contextlib.closing(made), bar:
             for slot, result in made:
                 if isinstance(result, Failure):
                     failures.append(f"{slot.cell}, number {slot.number}: {result.reason}")
                 else:
-                    workshop.add(result)
+                    builder.add(result)
                 bar.update()
     except KeyboardInterrupt:
-        left = len(workshop.missing())
+        left = len(builder.missing())
         raise GenerationInterrupted(
-            f"interrupted with {left} of {len(plan.slots())} events to be made; resume goes on"
+            f"interrupted with {left} of {total} events to be made; resume goes on"
         ) from None
     if failures:
         raise SimulationError(
             f"{len(failures)} events could not be made, the first: {failures[0]}; the others are "
-            f"kept in {workshop.path}"
+            f"kept in {builder.path}"
         )
     seconds = time.perf_counter() - clock
-    return workshop.finish({"seconds": seconds, "workers": n_workers, "made_now": len(missing)})
-
-
-class _Maker:
-    """What all events of a set have in common."""
-
-    def __init__(self, plan: Plan) -> None:
-        self.plan = plan
-
-    def warm_up(self) -> None:
-        JointSimulator(self.plan.planner).warm_up()
-
-
-def _make(maker: _Maker, slot: Slot) -> Made:
-    return make(maker.plan, slot)
-
-
-def _bar(total: int, missing: int, progress: bool | None) -> Any:
-    from tqdm import tqdm
-
-    return tqdm(
-        total=total,
-        initial=total - missing,
-        desc="events",
-        unit="event",
-        disable=None if progress is None else not progress,
-        dynamic_ncols=True,
-    )
+    return builder.finish({"seconds": seconds, "workers": n_workers, "made_now": len(missing)})

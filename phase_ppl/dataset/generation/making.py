@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.dataset.generation.changes import Change, changed, described
+from phase_ppl.dataset.generation.changes import changed, described
 from phase_ppl.dataset.generation.copies import Recording, recoloured, record, reflected
-from phase_ppl.dataset.generation.families import Family, family_and_variant
+from phase_ppl.dataset.generation.families import family_and_variant
 from phase_ppl.dataset.generation.plan import REFLECTION_SHARES, UNCHANGED, Look, Plan, Slot
 from phase_ppl.dataset.generation.situation import Situation
 from phase_ppl.physics.actions import DIRECTIONS
@@ -38,7 +38,7 @@ def reason_against(scenario: str, hypothesis: Hypothesis, found: Measures) -> st
     Args:
         scenario: what it was drawn to show.
         hypothesis: under which it was simulated.
-        found: its :func:`~phase_ppl.dataset.generation.making.measures`.
+        found: its :func:`measures`.
     """
     positive = [
         goal_literal(goal, agent).positive for agent, goal in enumerate(hypothesis.effective_goals)
@@ -47,25 +47,13 @@ def reason_against(scenario: str, hypothesis: Hypothesis, found: Measures) -> st
         return "a goal is true at the start"
     if max(found["stuck"]) > MAX_STUCK:
         return "an agent is stuck"
-    return _SHOWS[scenario](hypothesis, found)
-
-
-def _achieved(hypothesis: Hypothesis, found: Measures) -> str | None:
-    return None if all(found["at_end"]) else "a goal is not reached"
-
-
-def _together(hypothesis: Hypothesis, found: Measures) -> str | None:
-    if not _both_touch(hypothesis, found):
+    if scenario in ("collaborative", "competing") and not _both_touch(hypothesis, found):
         return "not both touch the item"
-    return _achieved(hypothesis, found)
-
-
-def _met(hypothesis: Hypothesis, found: Measures) -> str | None:
-    return None if found["closest"] < NEAR else "the agents never come near each other"
-
-
-def _rivals(hypothesis: Hypothesis, found: Measures) -> str | None:
-    return None if _both_touch(hypothesis, found) else "not both touch the item"
+    if scenario in ("collaborative", "independent") and not all(found["at_end"]):
+        return "a goal is not reached"
+    if scenario == "opposing" and found["closest"] >= NEAR:
+        return "the agents never come near each other"
+    return None
 
 
 def _both_touch(hypothesis: Hypothesis, found: Measures) -> bool:
@@ -79,15 +67,7 @@ def _both_touch(hypothesis: Hypothesis, found: Measures) -> bool:
     )
 
 
-_SHOWS: Final[Mapping[str, Callable[[Hypothesis, Measures], str | None]]] = {
-    "collaborative": _together,
-    "independent": _achieved,
-    "opposing": _met,
-    "competing": _rivals,
-}
-
-
-# --- what can be seen in a recording: the facts that decide whether it is kept --------------------
+# --- what can be seen in a recording ---------------------------------------------------------
 
 STILL: Final = 0.02
 """Units per frame that an agent must move by for its push to count as having an effect."""
@@ -156,7 +136,7 @@ def longest_run(flags: NDArray[np.bool_]) -> int:
     return int((edges[1::2] - edges[::2]).max(initial=0))
 
 
-# --- making one event of a plan, with its copies --------------------------------------------------
+# --- making ----------------------------------------------------------------------------------
 
 REPLAN_TRIES: Final = 3
 """Simulations of a changed situation after which it is given up."""
@@ -170,14 +150,14 @@ class Rejected(NamedTuple):
         reason: why it was not kept.
         recording: of it.
         found: its measures.
-        change: what of the event it was to be a re-planned copy of was changed; None for a draw.
+        replanned: whether it was to be a re-planned copy.
     """
 
     id: str
     reason: str
     recording: Recording
     found: dict[str, Any]
-    change: Change | None = None
+    replanned: bool
 
 
 class Made(NamedTuple):
@@ -185,30 +165,15 @@ class Made(NamedTuple):
 
     Attributes:
         slot: what was wanted.
-        name: id of the event; copies get a dot and a number.
         events: the event and its copies; empty where every draw was rejected.
         entries: per event what the manifest says about it.
         rejected: draws before the one that was kept, and failed attempts at re-planned copies.
     """
 
     slot: Slot
-    name: str
     events: list[Event]
     entries: list[dict[str, Any]]
     rejected: list[Rejected]
-
-
-class _Trial(NamedTuple):
-    """A situation simulated once: its recording, what is seen in it, and why not to keep it."""
-
-    recording: Recording
-    found: dict[str, Any]
-    reason: str | None
-
-
-def name_of(slot: Slot) -> str:
-    """Return the id of a slot's event."""
-    return f"{slot.cell.replace(':', '-')}-{slot.number:05d}"
 
 
 def make(plan: Plan, slot: Slot) -> Made:
@@ -218,53 +183,68 @@ def make(plan: Plan, slot: Slot) -> Made:
         plan: of the whole set.
         slot: what is to be made.
     """
-    name = name_of(slot)
     family, variant = family_and_variant(slot.cell)
     simulator = JointSimulator(plan.planner)
-    made = Made(slot, name, [], [], [])
+    made = Made(slot, [], [], [])
+
+    def simulated(
+        situation: Situation, rng: np.random.Generator, id: str, *, replanned: bool = False
+    ) -> Recording | None:
+        """Return the recording of a situation if it is to be kept, and note it if not."""
+        recording = record(situation, simulator, plan.frames, int(rng.integers(2**31)))
+        found = measures(recording)
+        reason = reason_against(family.scenario, recording.hypothesis, found)
+        if reason is None:
+            return recording
+        made.rejected.append(Rejected(id, reason, recording, found, replanned))
+        return None
+
     for attempt in range(plan.max_tries):
         rng = np.random.default_rng([plan.seed, 0, slot.number, attempt])
         situation = family.draw(rng, variant, plan.turning)
-        trial = _tried(plan, family, situation, simulator, rng)
-        if trial.reason is not None:
-            made.rejected.append(
-                Rejected(f"{name}-{attempt}", trial.reason, trial.recording, trial.found)
-            )
-            continue
-        for look in _looks(plan, rng):
-            _keep(made, trial, attempt, look)
-        if plan.replans:
-            _replan(made, plan, family, variant, situation, simulator)
-        break
+        recording = simulated(situation, rng, f"{slot.name}-{attempt}")
+        if recording is not None:
+            for look in _looks(plan, rng):
+                _keep(made, recording, attempt, look)
+            break
+    if not (made.events and plan.replans):
+        return made
+    # numbers of their own: the event and its other copies are the same without them
+    rng = np.random.default_rng([plan.seed, 2, slot.number])
+    changes = changed(family, variant, situation)
+    wanted = len(made.events) + plan.replans
+    for place in rng.permutation(len(changes)):
+        if len(made.events) == wanted:
+            break
+        change, other = changes[place]
+        for attempt in range(REPLAN_TRIES):
+            id = f"{slot.name}-{change.name}-{attempt}"
+            recording = simulated(other, rng, id, replanned=True)
+            if recording is not None:
+                look = plan.looks[int(rng.choice(len(plan.looks), p=_shares(plan)))]
+                _keep(made, recording, attempt, look, described(change, situation))
+                break
     return made
 
 
-def _tried(
-    plan: Plan,
-    family: Family,
-    situation: Situation,
-    simulator: JointSimulator,
-    rng: np.random.Generator,
-) -> _Trial:
-    recording = record(situation, simulator, plan.frames, int(rng.integers(2**31)))
-    found = measures(recording)
-    reason = reason_against(family.scenario, recording.hypothesis, found)
-    return _Trial(recording, found, reason)
-
-
 def _keep(
-    made: Made, trial: _Trial, attempt: int, look: Look, replanned: dict[str, Any] | None = None
+    made: Made,
+    recording: Recording,
+    attempt: int,
+    look: Look,
+    replanned: dict[str, Any] | None = None,
 ) -> None:
     """Add an event, or a copy of it, to what was made."""
-    id = f"{made.name}.{len(made.events)}" if made.events else made.name
-    shown = _with_look(trial.recording, look)
+    slot = made.slot
+    id = f"{slot.name}.{len(made.events)}" if made.events else slot.name
+    shown = _with_look(recording, look)
     made.events.append(event_of(shown, id))
-    family, variant = family_and_variant(made.slot.cell)
+    family, variant = family_and_variant(slot.cell)
     made.entries.append(
         {
             "id": id,
-            "group": made.name,
-            "split": made.slot.split,
+            "group": slot.name,
+            "split": slot.split,
             "family": family.name,
             "variant": variant,
             "layout": shown.layout,
@@ -281,40 +261,10 @@ def _keep(
     )
 
 
-def _replan(
-    made: Made,
-    plan: Plan,
-    family: Family,
-    variant: str | None,
-    situation: Situation,
-    simulator: JointSimulator,
-) -> None:
-    """Add re-planned copies of a slot's event, as many as are wanted and can be had."""
-    # numbers of their own: the event and its other copies are the same without them
-    rng = np.random.default_rng([plan.seed, 2, made.slot.number])
-    changes = changed(family, variant, situation)
-    wanted = len(made.events) + plan.replans
-    for place in rng.permutation(len(changes)):
-        if len(made.events) == wanted:
-            return
-        change, other = changes[place]
-        for attempt in range(REPLAN_TRIES):
-            trial = _tried(plan, family, other, simulator, rng)
-            if trial.reason is None:
-                _keep(made, trial, attempt, _any_look(plan, rng), described(change, situation))
-                break
-            id = f"{made.name}-{change.name}-{attempt}"
-            made.rejected.append(Rejected(id, trial.reason, trial.recording, trial.found, change))
-
-
 def _looks(plan: Plan, rng: np.random.Generator) -> list[Look]:
     """Return how the event and its copies look, all different."""
     chosen = rng.choice(len(plan.looks), 1 + plan.copies, replace=False, p=_shares(plan))
     return [plan.looks[index] for index in chosen]
-
-
-def _any_look(plan: Plan, rng: np.random.Generator) -> Look:
-    return plan.looks[int(rng.choice(len(plan.looks), p=_shares(plan)))]
 
 
 def _shares(plan: Plan) -> FloatArray:

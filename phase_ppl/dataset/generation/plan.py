@@ -18,6 +18,7 @@ import numpy as np
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.dataset.generation.changes import MOST_CHANGES
 from phase_ppl.dataset.generation.families import family_and_variant
+from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.checks import check_memory, instance_of, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.scene import TURNINGS, Turning
@@ -83,6 +84,11 @@ class Slot(NamedTuple):
     number: int
     cell: str
     split: str
+
+    @property
+    def name(self) -> str:
+        """The id of its event; those of copies have a dot and a number after it."""
+        return f"{self.cell.replace(':', '-')}-{self.number:05d}"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -178,6 +184,10 @@ class Plan:
         return [
             Slot(number, cells[row], str(split_of_row[row])) for number, row in enumerate(order)
         ]
+
+    def warm_up(self) -> None:
+        """Compile what its events are simulated with."""
+        JointSimulator(self.planner).warm_up()
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain data, fit for JSON."""

@@ -63,11 +63,8 @@ def walls_of_lengths(lengths: Sequence[float]) -> NDArray[np.float64]:
     return np.array(walls, np.float64).reshape(-1, 2, 2)
 
 
-# --- A situation: what a family draws, and what it draws it with ----------------------------------
-
 _ARRANGEMENTS: Final = 50
 """Tries at places and angles without an overlap before a draw is given up."""
-
 
 NUMBER: Final = "number"
 SIZE: Final = "size"
@@ -115,7 +112,7 @@ class Draw:
 
     Args:
         rng: of this draw.
-        layout: number of the layout, of ``tables.LAYOUTS``.
+        layout: number of the layout, of :data:`LAYOUTS`.
         turning: which way agents can turn by themselves.
     """
 
@@ -128,11 +125,7 @@ class Draw:
         self._choices: list[Choice] = []
 
     def one_of(self, options: Iterable[int]) -> int:
-        """Return one of some numbers, all equally likely.
-
-        Raises:
-            CannotDraw: there is none.
-        """
+        """Return one of some numbers, all equally likely (CannotDraw: there is none)."""
         return self._choice(NUMBER, options)
 
     def _choice(self, kind: str, options: Iterable[int]) -> int:

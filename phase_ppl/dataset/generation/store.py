@@ -16,15 +16,13 @@ missing, or whose part was damaged since; the finished set is the same.
 
 from __future__ import annotations
 
-import copy
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final, overload
+from typing import Any, Final, Self
 
 from phase_ppl.dataset.documents import read_json
-from phase_ppl.dataset.events_netcdf import checksum
-from phase_ppl.dataset.stored_events import StoredEvents
+from phase_ppl.dataset.events_netcdf import StoredEvents, checksum
 from phase_ppl.world.errors import InvalidEventError, PhasePPLError, shown
 from phase_ppl.world.event import Event
 from phase_ppl.world.identity import differences
@@ -38,7 +36,7 @@ PLAN: Final = "plan.json"
 REJECTED: Final = "rejected"
 
 
-class GeneratedEvents(Sequence[Event]):
+class GeneratedEvents(StoredEvents):
     """The events of a generated data set, with its manifest; each is read when it is asked for.
 
     Slices and splits are of the same kind, and read nothing. The files are open only while
@@ -61,8 +59,8 @@ class GeneratedEvents(Sequence[Event]):
         self.path = Path(path)
         self.manifest = read_manifest(self.path)
         self._entries: list[dict[str, Any]] = self.manifest["entries"]
-        self._events = StoredEvents(self.path / EVENTS, turning)
-        if self._events.ids != [entry["id"] for entry in self._entries]:
+        super().__init__(self.path / EVENTS, turning)
+        if self.ids != [entry["id"] for entry in self._entries]:
             raise InvalidEventError(
                 f"{self.path}: {EVENTS} and {MANIFEST} are not of the same events"
             )
@@ -72,7 +70,7 @@ class GeneratedEvents(Sequence[Event]):
         """What the manifest says about each of these events, in their order."""
         return list(self._entries)
 
-    def split(self, name: str) -> GeneratedEvents:
+    def split(self, name: str) -> Self:
         """Return the events of a split, such as "train".
 
         Raises:
@@ -82,38 +80,32 @@ class GeneratedEvents(Sequence[Event]):
         if not found:
             known = sorted({entry["split"] for entry in self._entries})
             raise InvalidEventError(f"no events in split {name!r}; there are {known}")
-        return self._chosen(found)
+        return self.chosen(found)
 
     def rejected(self) -> list[tuple[Event, str]]:
         """Return the draws that were not kept, each with the reason; none unless they were stored.
 
         Raises:
-            InvalidEventError: their files are damaged.
+            InvalidEventError: their files are damaged, or not of the same draws.
         """
-        return rejected_draws(self.path)
+        events, reasons = self.path / f"{REJECTED}.nc", self.path / f"{REJECTED}.json"
+        if not events.is_file():
+            return []
+        told = read_json(reasons).get("rejected")
+        if not isinstance(told, list) or not all(
+            isinstance(draw, dict) and isinstance(draw.get("reason"), str) for draw in told
+        ):
+            raise InvalidEventError(f"{reasons}: expected a list of draws with their reasons")
+        found = StoredEvents(events)
+        if found.ids != [draw.get("id") for draw in told]:
+            raise InvalidEventError(f"{events} and {reasons.name} are not of the same draws")
+        return [(event, draw["reason"]) for event, draw in zip(found, told, strict=True)]
 
-    def _chosen(self, indices: Sequence[int]) -> GeneratedEvents:
-        found = copy.copy(self)
+    def chosen(self, indices: Sequence[int]) -> Self:
+        """Return some of the events, in the order of the indices."""
+        found = super().chosen(indices)
         found._entries = [self._entries[index] for index in indices]
-        found._events = self._events.chosen(indices)
         return found
-
-    @overload
-    def __getitem__(self, index: int) -> Event: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> GeneratedEvents: ...
-
-    def __getitem__(self, index: int | slice) -> Event | GeneratedEvents:
-        if isinstance(index, slice):
-            return self._chosen(range(len(self))[index])
-        return self._events[index]
-
-    def __len__(self) -> int:
-        return len(self._events)
-
-    def __iter__(self) -> Iterator[Event]:
-        return iter(self._events)
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
@@ -139,26 +131,6 @@ def read_manifest(folder: Path) -> dict[str, Any]:
     ):
         raise InvalidEventError(f"{source}: expected entries with {', '.join(wanted)}")
     return manifest
-
-
-def rejected_draws(folder: Path) -> list[tuple[Event, str]]:
-    """Return the draws that a data set did not keep, each with the reason, if they were stored.
-
-    Raises:
-        InvalidEventError: the files are damaged, or not of the same draws.
-    """
-    events, reasons = folder / f"{REJECTED}.nc", folder / f"{REJECTED}.json"
-    if not events.is_file():
-        return []
-    told = read_json(reasons).get("rejected")
-    if not isinstance(told, list) or not all(
-        isinstance(draw, dict) and isinstance(draw.get("reason"), str) for draw in told
-    ):
-        raise InvalidEventError(f"{reasons}: expected a list of draws with their reasons")
-    found = StoredEvents(events)
-    if found.ids != [draw.get("id") for draw in told]:
-        raise InvalidEventError(f"{events} and {reasons.name} are not of the same draws")
-    return [(event, draw["reason"]) for event, draw in zip(found, told, strict=True)]
 
 
 def verify(folder: str | os.PathLike[str]) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.dataset.counts import PHASE, goal_type
+from phase_ppl.dataset.statistics import PHASE, goal_type
 from phase_ppl.evaluation.answer import Predict
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.registry import register_model
@@ -52,7 +52,7 @@ def _predict(scene: Scene, observation: Observation, seed: int) -> Prediction:
 def majority() -> Predict:
     """The most frequent relation and goals of PHASE, whatever there is to see.
 
-    Shares are those of the 500 original events (:mod:`phase_ppl.dataset.counts`), from
+    Shares are those of the 500 original events (:mod:`phase_ppl.dataset.statistics`), from
     the paper and the names of the recordings, whatever events are asked about; PHASE's 100 test
     videos are among the 500. For goals
     they are known by type (item or agent, landmark or agent, to or away from); the goals of one

@@ -21,6 +21,7 @@ from phase_ppl.dataset.generation.families import family_and_variant
 from phase_ppl.dataset.generation.generate import GenerationInterrupted, generate
 from phase_ppl.dataset.generation.plan import PHASE500, SPLITS, Plan, apportioned, scaled
 from phase_ppl.dataset.generation.store import GeneratedEvents, verify
+from phase_ppl.dataset.statistics import goal_type
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
@@ -29,6 +30,7 @@ from phase_ppl.world.errors import (
     UnknownNameError,
 )
 from phase_ppl.world.files import locked
+from phase_ppl.world.geometry import is_on
 from phase_ppl.world.goals import goal_literal
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS
 from phase_ppl.world.names import Predicate
@@ -51,6 +53,35 @@ def anything_goes(monkeypatch: pytest.MonkeyPatch) -> None:
     )
 
 
+@pytest.fixture
+def all_go(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every draw is kept."""
+    monkeypatch.setattr(making, "reason_against", lambda *_: None)
+
+
+class Stopped:
+    """Makes events, and is interrupted before a given one."""
+
+    def __init__(self, before: int) -> None:
+        self.calls = 0
+        self._before = before
+
+    def __call__(self, plan: Plan, slot: Any) -> Any:
+        self.calls += 1
+        if self.calls == self._before:
+            raise KeyboardInterrupt
+        return making.make(plan, slot)
+
+
+def interrupted(folder: Path, monkeypatch: pytest.MonkeyPatch, before: int = 3) -> Stopped:
+    """Begin a set of five events; return what goes on to make them."""
+    make = Stopped(before)
+    monkeypatch.setattr(module, "make", make)
+    with pytest.raises(GenerationInterrupted, match=f"{6 - before} of 5"):
+        generate(folder, cells=CELLS, **QUICK)
+    return make
+
+
 def test_the_preset_is_the_papers_set() -> None:
     relations: Counter[str] = Counter()
     goals: Counter[str] = Counter()
@@ -58,11 +89,8 @@ def test_the_preset_is_the_papers_set() -> None:
         family, variant = family_and_variant(cell)
         relations[family.relation] += n
         drawn = family.draw(np.random.default_rng(0), variant).hypothesis
-        for agent, goal in enumerate(drawn.effective_goals):
-            literal = goal_literal(goal, agent)
-            kind = "TE" if literal.predicate is Predicate.TOUCH else "LMA"
-            kind = "LMO" if literal.predicate is Predicate.ON and literal.subject > 1 else kind
-            goals[kind + ("+" if literal.positive else "-")] += n
+        for goal in drawn.effective_goals:
+            goals[goal_type(goal)] += n
     assert relations == {"friendly": 200, "adversarial": 192, "neutral": 108}
     assert goals == {"LMO+": 584, "LMA+": 215, "LMA-": 68, "TE+": 63, "TE-": 63, "LMO-": 7}
 
@@ -107,38 +135,34 @@ def test_a_set_is_the_same_for_any_number_of_workers_and_passes_its_filters(
 
 
 @pytest.mark.usefixtures("anything_goes")
-def test_the_manifest_says_how_each_event_was_made(tmp_path: Path) -> None:
-    made = generate(tmp_path / "set", cells=CELLS, seed=2, keep_rejected=True, **QUICK)
-    assert len(made) == 5
+def test_the_manifest_says_how_each_event_and_its_copies_were_made(tmp_path: Path) -> None:
+    made = generate(tmp_path / "set", cells=CELLS, seed=2, copies=3, keep_rejected=True, **QUICK)
+    assert len(made) == 4 * 5
     assert made.manifest["kept"] == CELLS
     refused = made.manifest["rejected"]
     assert sum(refused[cell].get("the third", 0) for cell in CELLS) == 2
     assert len(ppl.load_events(tmp_path / "set" / "rejected.nc")) == 2
+    assert not (tmp_path / "set" / "parts").exists()
+    groups: dict[str, list[tuple[ppl.Event, dict[str, Any]]]] = {}
     for event, entry in zip(made, made.entries, strict=True):
+        groups.setdefault(entry["group"], []).append((event, entry))
         assert event.id == entry["id"]
         assert event.truth is not None
         assert event.truth.scenario == entry["scenario"]
-        stated = ppl.Hypothesis(
-            **{**entry["hypothesis"], "alpha": tuple(entry["hypothesis"]["alpha"])}
-        )
-        red, green = stated.effective_goals
+        alpha = tuple(entry["hypothesis"]["alpha"])
+        red, green = ppl.Hypothesis(**{**entry["hypothesis"], "alpha": alpha}).effective_goals
         assert (event.truth.goal_red, event.truth.goal_green) == (ppl.GOALS[red], ppl.GOALS[green])
         assert entry["split"] in SPLITS
-    assert not (tmp_path / "set" / "parts").exists()
-
-
-@pytest.mark.usefixtures("anything_goes")
-def test_copies_differ_in_looks_and_stay_in_the_split(tmp_path: Path) -> None:
-    made = generate(tmp_path / "set", cells={"chasing": 2}, copies=3, **QUICK)
-    assert len(made) == 8
-    for group in {entry["group"] for entry in made.entries}:
-        of_group = [entry for entry in made.entries if entry["group"] == group]
-        assert len({entry["split"] for entry in of_group}) == 1
-        looks = {(e["reflection"], e["agents_exchanged"], e["items_exchanged"]) for e in of_group}
+        # measures are of the colours that are shown
+        steps = np.linalg.norm(np.diff(event.observation.positions, axis=0), axis=2)
+        np.testing.assert_allclose(entry["measures"]["moved"], steps.sum(axis=0))
+    assert {entry["agents_exchanged"] for entry in made.entries} == {True, False}
+    for group in groups.values():
+        looks = {(e["reflection"], e["agents_exchanged"], e["items_exchanged"]) for _, e in group}
         assert len(looks) == 4
-        ways = [np.sort(np.ptp(event.observation.positions, axis=0).max(axis=1))
-                for event, entry in zip(made, made.entries, strict=True)
-                if entry["group"] == group]  # fmt: skip
+        assert len({entry["split"] for _, entry in group}) == 1
+        spans = [np.ptp(event.observation.positions, axis=0).max(axis=1) for event, _ in group]
+        ways = np.sort(spans, axis=1)
         np.testing.assert_allclose(ways, np.broadcast_to(ways[0], (4, 4)))
 
 
@@ -200,32 +224,13 @@ def test_re_planned_copies_pass_the_filters_or_are_given_up(
     assert len(calls) > making.REPLAN_TRIES
 
 
-@pytest.mark.usefixtures("anything_goes")
-def test_measures_are_of_the_colours_that_are_shown(tmp_path: Path) -> None:
-    made = generate(tmp_path / "set", cells=CELLS, seed=2, copies=3, **QUICK)
-    assert {entry["agents_exchanged"] for entry in made.entries} == {True, False}
-    for event, entry in zip(made, made.entries, strict=True):
-        steps = np.linalg.norm(np.diff(event.observation.positions, axis=0), axis=2)
-        np.testing.assert_allclose(entry["measures"]["moved"], steps.sum(axis=0))
-
-
+@pytest.mark.usefixtures("all_go")
 @pytest.mark.parametrize("damage", ["cut", "changed", "of another"])
 def test_a_damaged_part_is_made_anew(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, damage: str
 ) -> None:
-    monkeypatch.setattr(making, "reason_against", lambda *_: None)
     whole = generate(tmp_path / "whole", cells=CELLS, **QUICK)
-    make, calls = module.make, []
-
-    def interrupted(plan: Plan, slot: Any) -> Any:
-        calls.append(slot)
-        if len(calls) == 4:
-            raise KeyboardInterrupt
-        return make(plan, slot)
-
-    monkeypatch.setattr(module, "make", interrupted)
-    with pytest.raises(GenerationInterrupted):
-        generate(tmp_path / "part", cells=CELLS, **QUICK)
+    make = interrupted(tmp_path / "part", monkeypatch, before=4)
     first, other, *_ = sorted((tmp_path / "part" / "parts").iterdir())
     text = first.read_text()
     if damage == "cut":
@@ -237,7 +242,7 @@ def test_a_damaged_part_is_made_anew(
     (tmp_path / "part" / "parts" / ".part-0a1b2c3d.json").write_text("half")
     (tmp_path / "part" / "parts" / "notes.txt").write_text("of a user")
     resumed = generate(tmp_path / "part", cells=CELLS, resume=True, **QUICK)
-    assert len(calls) == 4 + 3
+    assert make.calls == 4 + 3
     assert resumed.manifest["made_anew"] == [whole.entries[0]["id"]]
     assert whole.manifest["made_anew"] == []
     left = [file.name for file in (tmp_path / "part" / "parts").iterdir()]
@@ -246,21 +251,11 @@ def test_a_damaged_part_is_made_anew(
     assert verify(tmp_path / "part") == []
 
 
+@pytest.mark.usefixtures("all_go")
 def test_sets_of_earlier_versions_are_finished_read_and_checked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(making, "reason_against", lambda *_: None)
-    make, calls = module.make, []
-
-    def interrupted(plan: Plan, slot: Any) -> Any:
-        calls.append(slot)
-        if len(calls) == 3:
-            raise KeyboardInterrupt
-        return make(plan, slot)
-
-    monkeypatch.setattr(module, "make", interrupted)
-    with pytest.raises(GenerationInterrupted):
-        generate(tmp_path / "set", cells=CELLS, **QUICK)
+    make = interrupted(tmp_path / "set", monkeypatch)
     # plans knew no re-planned copies, parts had no checksum and said less about rejected draws
     plan = json.loads((tmp_path / "set" / "plan.json").read_text())
     del plan["replans"], plan["versions"]
@@ -274,7 +269,7 @@ def test_sets_of_earlier_versions_are_finished_read_and_checked(
     with pytest.raises(InvalidSettingError, match="other versions"):
         generate(tmp_path / "set", cells=CELLS, resume=True, **QUICK)
     found = generate(tmp_path / "set", cells=CELLS, resume=True, other_versions=True, **QUICK)
-    assert len(calls) == 3 + 3
+    assert make.calls == 3 + 3
     assert sum(sum(why.values()) for why in found.manifest["rejected"].values()) == 2
     manifest = json.loads((tmp_path / "set" / "manifest.json").read_text())
     assert ["not all were made by the same versions" in line for line in verify(tmp_path / "set")]
@@ -284,23 +279,12 @@ def test_sets_of_earlier_versions_are_finished_read_and_checked(
     assert len(ppl.load_events(tmp_path / "set")) == 5
 
 
-@pytest.mark.usefixtures("anything_goes")
+@pytest.mark.usefixtures("all_go")
 def test_interrupted_generation_goes_on_to_the_same_set(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(making, "reason_against", lambda *_: None)
     whole = generate(tmp_path / "whole", cells=CELLS, **QUICK)
-    make, calls = module.make, []
-
-    def interrupted(plan: Plan, slot: Any) -> Any:
-        calls.append(slot)
-        if len(calls) == 3:
-            raise KeyboardInterrupt
-        return make(plan, slot)
-
-    monkeypatch.setattr(module, "make", interrupted)
-    with pytest.raises(GenerationInterrupted, match="3 of 5"):
-        generate(tmp_path / "part", cells=CELLS, **QUICK)
+    make = interrupted(tmp_path / "part", monkeypatch)
     with pytest.raises(InvalidEventError, match="can be resumed"):
         ppl.load_events(tmp_path / "part")
     with pytest.raises(OutputError, match="resume"):
@@ -313,10 +297,10 @@ def test_interrupted_generation_goes_on_to_the_same_set(
     with pytest.raises(OutputError, match="seed is 1, was 0"):
         generate(tmp_path / "part", cells=CELLS, seed=1, resume=True, **QUICK)
     resumed = generate(tmp_path / "part", cells=CELLS, resume=True, **QUICK)
-    assert len(calls) == 3 + 3
+    assert make.calls == 3 + 3
     assert resumed.entries == whole.entries
     again = generate(tmp_path / "part", cells=CELLS, resume=True, **QUICK)
-    assert len(calls) == 3 + 3
+    assert make.calls == 3 + 3
     assert again.entries == whole.entries
 
 
@@ -365,22 +349,20 @@ def test_a_slot_that_no_draw_fills_is_given_up_and_said(
     assert made.manifest["rejected"]["independent:LMA+LMA"] == {"independent": 2}
 
 
+@pytest.mark.usefixtures("all_go")
 def test_an_event_that_cannot_be_made_is_named_and_the_rest_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    make = module.make
-
     def fails(plan: Plan, slot: Any) -> Any:
         if slot.number == 1:
             raise RuntimeError("no more ideas")
-        return make(plan, slot)
+        return making.make(plan, slot)
 
     monkeypatch.setattr(module, "make", fails)
-    monkeypatch.setattr(making, "reason_against", lambda *_: None)
     with pytest.raises(SimulationError, match=r"chasing, number 1: RuntimeError: no more ideas"):
         generate(tmp_path / "set", cells={"chasing": 3}, **QUICK)
     assert len(list((tmp_path / "set" / "parts").iterdir())) == 2
-    monkeypatch.setattr(module, "make", make)
+    monkeypatch.setattr(module, "make", making.make)
     assert len(generate(tmp_path / "set", cells={"chasing": 3}, resume=True, **QUICK)) == 3
 
 
@@ -454,3 +436,35 @@ def test_the_terminal_makes_films_checks_and_says_what_was_kept(
     assert main(["verify", str(out)]) == 0
     assert main([*arguments, "--out", str(out)]) == 2
     assert "resume" in capsys.readouterr().err
+
+
+def test_events_with_the_fast_planner_show_what_they_should(tmp_path: Path) -> None:
+    out = tmp_path / "set"
+    arguments = ["generate", "--n", "10", "--seed", "7", "--planner", "fast", "--quiet"]
+    assert main([*arguments, "--workers", "1", "--out", str(out)]) == 0
+    assert main(["verify", str(out)]) == 0
+    made = ppl.load_events(out)
+    assert isinstance(made, ppl.GeneratedEvents)
+    cells = {cell: n for cell, n in scaled(PHASE500, 10).items() if n}
+    assert {cell: n for cell, n in made.manifest["kept"].items() if n} == cells
+    assert Counter(entry["split"] for entry in made.entries) == {
+        "train": 6, "validation": 2, "test": 2,
+    }  # fmt: skip
+    for event, entry in zip(made, made.entries, strict=True):
+        assert event.truth is not None
+        assert event.truth.relation == entry["relation"]
+        if entry["relation"] == "adversarial":
+            continue
+        # whoever helps or minds its own business has reached its goal, and not from the start
+        first, last = event.observation.trajectory[[0, -1]]
+        for agent, goal in enumerate((event.truth.goal_red, event.truth.goal_green)):
+            literal = goal_literal(goal, agent)
+            assert literal.predicate is Predicate.ON
+            centre = event.scene.landmark_centres[literal.target]
+            half = event.scene.landmark_half_width
+            assert is_on(last[literal.subject, :2], centre, half)
+            assert not is_on(first[literal.subject, :2], centre, half)
+    found = ppl.evaluate(made, "last_frame", workers=1, progress=False)
+    assert found.metrics["n_events"] == 10
+    goals = found.metrics["by_scenario"]["collaborative"]["goal_accuracy"]["value"]
+    assert goals > 1 / 36
