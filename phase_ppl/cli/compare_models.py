@@ -47,7 +47,7 @@ def add_to(commands: Any) -> None:
         nargs="+",
         help="written by evaluate --out, of one model or of several; NAME=DIR gives it a name",
     )
-    add_stored(parser)
+    add_references(parser)
     parser.add_argument(
         "--against", metavar="NAME", help="differences from this model only; default: every pair"
     )
@@ -69,15 +69,15 @@ def add_to(commands: Any) -> None:
     add_progress(parser)
 
 
-def add_stored(parser: argparse.ArgumentParser) -> None:
-    """Add the option that names models whose answers the events carry."""
+def add_references(parser: argparse.ArgumentParser) -> None:
+    """Add the option that names reference models."""
     parser.add_argument(
         "--stored",
         metavar="NAME",
         action="append",
         default=[],
-        help="a model whose answers the events carry, to be compared too, or all; may be given "
-        "several times",
+        help="a reference model, whose answers the events carry, to be compared too, or all; may "
+        "be given several times",
     )
 
 
@@ -92,7 +92,7 @@ def _compare_models(options: argparse.Namespace) -> int:
     given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
     found = phase_ppl.compare_models(
         _sources(options.folders),
-        stored=stored_models(options.stored),
+        stored=named_references(options.stored),
         against=options.against,
         common=options.common,
         **given,
@@ -104,8 +104,8 @@ def _compare_models(options: argparse.Namespace) -> int:
     return keep(found, options.out, options)
 
 
-def stored_models(given: Sequence[str]) -> str | list[str]:
-    """Return what ``compare_models`` takes for the models named by ``--stored``."""
+def named_references(given: Sequence[str]) -> str | list[str]:
+    """Return what ``compare_models`` takes for the reference models named by ``--stored``."""
     from phase_ppl.evaluation.comparison.contenders import ALL
 
     return ALL if ALL in given else list(given)

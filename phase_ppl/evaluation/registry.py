@@ -7,7 +7,7 @@ Another package registers its model under the entry point group ``phase_ppl.mode
 
 where ``my_model`` is a function decorated with :func:`register_model`. It is called once, with
 the options that a user gives, and returns the model itself: ``predict(scene, observation, seed)``
-(:data:`~phase_ppl.evaluation.answer.Predict`). What was returned is pickled and sent to worker
+(:data:`Predict`). What was returned is pickled and sent to worker
 processes, so what is large is best loaded at the first prediction.
 """
 
@@ -18,18 +18,47 @@ import functools
 import importlib.util
 import inspect
 from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 from phase_ppl.analysis.summary import plain
-from phase_ppl.evaluation.answer import Predict
+from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.identity import qualified_name, source_hash, stable
+from phase_ppl.world.observation import Observation
 from phase_ppl.world.plugins import load_registered
+from phase_ppl.world.scene import Scene
 
 if TYPE_CHECKING:
     from phase_ppl.models.model import Model
 
 ENTRY_POINTS: Final = "phase_ppl.models"
+
+Given: TypeAlias = Prediction | Mapping[str, Any]
+"""An answer: a prediction, whose event id does not matter; or a mapping from questions
+("goal_red", "goal_green", "relation") to a label, to label -> probability, or to probabilities in
+label order. What the model does not answer is absent, or None."""
+
+
+class Answer(NamedTuple):
+    """An answer with files that belong to it.
+
+    Attributes:
+        given: the answer.
+        artefacts: name of a file -> a function that writes it to the path it is given.
+    """
+
+    given: Given
+    artefacts: Mapping[str, Callable[[Path], object]] = {}
+
+
+Predict: TypeAlias = Callable[[Scene, Observation, int], Given | Answer]
+"""A model, ready to be asked: ``predict(scene, observation, seed)``. That is all that it gets to
+know of an event. The same three give the same answer.
+
+It may have a method ``warm_up()``, called once before the first event, for what all processes can
+share, such as compiled code on disk; and a method ``settings()``, which returns as plain data what
+else determines its answers."""
 
 Factory = Callable[..., Predict]
 """``factory(**options)`` checks the options and returns the model."""

@@ -370,7 +370,8 @@ def test_the_bar_counts_events_and_says_what_fails(capsys: pytest.CaptureFixture
 
 
 def test_the_time_left_rests_on_seconds_per_frame_and_workers() -> None:
-    with Progress({"long": 100, "short": 40, "other": 60}, 0, workers=2, shown=False) as bar:
+    events = [still("long", 100), still("short", 40), still("other", 60)]
+    with Progress(events, 0, workers=2, shown=False) as bar:
         assert bar.seconds_left() is None
         bar.one_more("long", 50.0)
         assert bar.seconds_left() == pytest.approx((40 + 60) * 0.5 / 2)

@@ -212,7 +212,7 @@ def test_a_replay_asks_nobody_and_draws_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     predict(Says(text()), store=tmp_path)
-    monkeypatch.setattr("phase_ppl.evaluation.vlm.request.video", None)
+    monkeypatch.setattr(Request, "video", property(lambda self: pytest.fail("it was drawn")))
     silent = Says(AssertionError("asked"))
     assert predict(silent, store=tmp_path, replay=True).answers["goal_red"] == ppl.GOALS[0]
     with pytest.raises(AnswerError, match=r"no answer to this request.*for other seeds only"):
