@@ -231,7 +231,14 @@ def ready(model: str | Model | Predict, options: Mapping[str, Any]) -> ReadyMode
             seed), or comes with options; or the model cannot be made with these.
     """
     if not isinstance(model, str) and not callable(model):
-        model, options = "simple", {"program": _program(model), **options}
+        from phase_ppl.models.model import Model
+
+        if not isinstance(model, Model):
+            raise InvalidSettingError(
+                f"model={shown(model)} is neither a name, a phase_ppl.Model nor a function "
+                "(scene, observation, seed)"
+            )
+        model, options = "simple", {"program": model, **options}
     source: Callable[..., Any]
     if isinstance(model, str):
         info = model_info(model)
@@ -257,17 +264,6 @@ def ready(model: str | Model | Predict, options: Mapping[str, Any]) -> ReadyMode
         "function_source": source_hash(source),
     }
     return ReadyModel(name, predict, parallel, isinstance(model, str), stable(plain(record)))
-
-
-def _program(model: object) -> Model:
-    from phase_ppl.models.model import Model
-
-    if not isinstance(model, Model):
-        raise InvalidSettingError(
-            f"model={shown(model)} is neither a name, a phase_ppl.Model nor a function "
-            "(scene, observation, seed)"
-        )
-    return model
 
 
 def _check_signature(model: Predict) -> None:
