@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import phase_ppl
-from phase_ppl.cli.compare_models import add_references, keep, named_references
+from phase_ppl.cli.compare_models import add_references, drawn, keep, named_references
 from phase_ppl.cli.shared import (
     BUDGET,
     FAILED,
@@ -19,7 +19,6 @@ from phase_ppl.cli.shared import (
     add_progress,
     budget,
     named_value,
-    one_line,
     report_hint,
     shows_progress,
     whole,
@@ -211,28 +210,11 @@ def _evaluate(options: argparse.Namespace) -> int:
     code = 0
     found: dict[str, Evaluation] = {}
     for label, model in models.items():
-        own = several and options.out is not None
         named = f"{label}: " if several else ""
-        try:
-            evaluation = phase_ppl.evaluate(
-                events,
-                model,
-                out=options.out / label if own else options.out,
-                workers=options.workers,
-                resume=bool(options.resume),
-                limit=options.limit,
-                seed=options.seed or 0,
-                judgments=options.judgments,
-                progress=shows_progress(options),
-                **of_models[label],
-            )
-        except phase_ppl.EvaluationInterrupted as stopped:
-            print(f"phase-ppl: {named}{stopped}", file=sys.stderr)
-            if options.out is not None:
-                print("Go on with the same command and --resume", file=sys.stderr)
+        out = options.out / label if several and options.out is not None else options.out
+        evaluation = _evaluation(options, events, model, out, of_models[label], named)
+        if evaluation is None:
             return INTERRUPTED
-        except phase_ppl.PhasePPLError as error:
-            raise type(error)(f"{named}{error}") from None
         if several:
             for event, failure in evaluation.failures.items():
                 print(f"{label}: failed: {event}: {failure}", file=sys.stderr)
@@ -257,6 +239,37 @@ def _evaluate(options: argparse.Namespace) -> int:
         print(_NOTHING_SAVED)
         return code
     return keep(comparison, options.out, options) or code
+
+
+def _evaluation(
+    options: argparse.Namespace,
+    events: Sequence[Event],
+    model: str,
+    out: Path | None,
+    of_model: Mapping[str, Any],
+    named: str,
+) -> Evaluation | None:
+    """Evaluate one model, ``named`` in messages; None where it was interrupted."""
+    try:
+        return phase_ppl.evaluate(
+            events,
+            model,
+            out=out,
+            workers=options.workers,
+            resume=bool(options.resume),
+            limit=options.limit,
+            seed=options.seed or 0,
+            judgments=options.judgments,
+            progress=shows_progress(options),
+            **of_model,
+        )
+    except phase_ppl.EvaluationInterrupted as stopped:
+        print(f"phase-ppl: {named}{stopped}", file=sys.stderr)
+        if out is not None:
+            print("Go on with the same command and --resume", file=sys.stderr)
+        return None
+    except phase_ppl.PhasePPLError as error:
+        raise type(error)(f"{named}{error}") from None
 
 
 def _check_one(
@@ -341,18 +354,10 @@ def _draw(folder: ResultsFolder, options: argparse.Namespace) -> list[str]:
     from phase_ppl.evaluation.figures import draw_figures
     from phase_ppl.evaluation.folder import PAGE
     from phase_ppl.evaluation.report import contents, write_page
-    from phase_ppl.inference.runs.progress import counted
 
-    problems = []
-    try:
-        draw_figures(folder, progress=not options.quiet)
-    except Exception as error:  # the results are there, whatever becomes of their pictures
-        problems.append(f"the figures cannot be drawn: {one_line(error)}")
+    def draw_page(event_id: str) -> None:
+        page = contents.page_in_folder(folder, event_id)
+        write_page(page, folder.folder_of(event_id) / PAGE)
+
     finished = [event.id for event in folder.events if folder.is_finished(event.id)]
-    for event_id in counted(finished, shows_progress(options), "page", "drawing"):
-        try:
-            page = contents.page_in_folder(folder, event_id)
-            write_page(page, folder.folder_of(event_id) / PAGE)
-        except Exception as error:
-            problems.append(f"the page of {event_id} cannot be drawn: {one_line(error)}")
-    return problems
+    return drawn(draw_figures, (folder,), finished, draw_page, options)
