@@ -33,6 +33,7 @@ from phase_ppl.evaluation.evaluate import EvaluationInterrupted as EvaluationInt
 from phase_ppl.evaluation.evaluate import evaluate as evaluate
 from phase_ppl.evaluation.evaluation import Evaluation as Evaluation
 from phase_ppl.evaluation.evaluation import carried_evaluation as carried_evaluation
+from phase_ppl.evaluation.evaluation import reference_evaluation as reference_evaluation
 from phase_ppl.evaluation.judgments import Study as Study
 from phase_ppl.evaluation.judgments import load_judgments as load_judgments
 from phase_ppl.evaluation.judgments import with_judgments as with_judgments

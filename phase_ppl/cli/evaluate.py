@@ -229,7 +229,8 @@ def _evaluate(options: argparse.Namespace) -> int:
             code = FAILED
         found[label] = evaluation
     if not several:
-        _end_of_one(evaluation, options)
+        (alone,) = found.values()
+        _end_of_one(alone, options)
         return code
     comparison = phase_ppl.compare_models(
         found, stored=named_references(options.stored), against=options.against
