@@ -63,12 +63,13 @@ class Simple:
 
     def warm_up(self) -> None:
         """Compile what the model needs, for all processes."""
-        from phase_ppl.closed_loop import reader
         from phase_ppl.models.stepwise import StepwiseLikelihood
 
-        stepwise = isinstance(self.model.likelihood, StepwiseLikelihood)
-        if stepwise and self.options.get("kernel") is None:
-            reader.warm_up()
+        summed = isinstance(self.model.likelihood, StepwiseLikelihood)
+        if summed and self.options.get("kernel") is None:
+            from phase_ppl.closed_loop.reader import warm_up
+
+            warm_up()
             return
         simulator = self.model.build_simulator()
         if hasattr(simulator, "warm_up"):

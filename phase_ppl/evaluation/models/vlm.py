@@ -48,7 +48,7 @@ from phase_ppl.evaluation.vlm.request import (
     rendering,
     writable,
 )
-from phase_ppl.evaluation.vlm.services import Service, make_service
+from phase_ppl.evaluation.vlm.services import LONGEST_WAIT, Service, make_service
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import (
     AnswerError,
@@ -69,8 +69,7 @@ ANSWER: Final = "answer.json"
 """The file in an event's folder that holds the request and all that came of it."""
 
 FIRST_WAIT: Final = 2.0
-LONGEST_WAIT: Final = 120.0
-"""Seconds to wait after a failure that may pass: doubled every time."""
+"""Seconds to wait after a failure that may pass: doubled every time, up to ``LONGEST_WAIT``."""
 
 Attempt: TypeAlias = dict[str, Any]
 
@@ -356,11 +355,8 @@ def vlm(
         where = "store is not given" if kept is None else f"there are none in {kept.path}"
         raise InvalidSettingError(f"replay needs a store with answers, but {where}")
     of_services = {
-        "base_url": base_url,
-        "key_env": key_env,
-        "temperature": temperature,
-        "video_fps": video_fps,
-        "timeout": timeout,
+        **{"base_url": base_url, "key_env": key_env, "timeout": timeout},
+        **{"temperature": temperature, "video_fps": video_fps},
     }
     given = {option: value for option, value in of_services.items() if value is not None}
     if callable(client):
