@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from phase_ppl.evaluation.folder import POSTERIOR
@@ -95,16 +95,12 @@ def _of_simple(given: Mapping[str, Any]) -> list[str] | None:
     of_kernel = described(given.get("kernel") or _KERNEL).options
     if of_kernel is None:
         return None
-    of_infer = [
-        parameter.name
-        for parameter in inspect.signature(infer).parameters.values()
-        if parameter.kind is parameter.KEYWORD_ONLY and parameter.name not in _NOT_OPTIONS
-    ]
+    of_infer = [name for name in _options_of(infer) if name not in _NOT_OPTIONS]
     return [*of_infer, *_names_of_settings(), *of_kernel]
 
 
-def _own_options() -> list[str]:
-    parameters = inspect.signature(simple).parameters.values()
+def _options_of(function: Callable[..., Any]) -> list[str]:
+    parameters = inspect.signature(function).parameters.values()
     return [p.name for p in parameters if p.kind is p.KEYWORD_ONLY]
 
 
@@ -146,7 +142,7 @@ def simple(
         if known is not None and name not in known:
             kernel = described(options.get("kernel") or _KERNEL).name
             what = f"option of model 'simple' with kernel {kernel!r}:"
-            raise unknown_name(what, name, [*_own_options(), *known])
+            raise unknown_name(what, name, [*_options_of(simple), *known])
     parts = {"prior": prior, "planner": planner, "simulator": simulator, "noise": noise}
     if program is None:
         program = Model(**parts)
@@ -236,7 +232,7 @@ def _without(changed: str) -> MoreOptions:
         others = _of_simple(given)
         if others is None:
             return None
-        return [name for name in (*_own_options(), *others) if name != changed]
+        return [name for name in (*_options_of(simple), *others) if name != changed]
 
     return more_options
 
