@@ -155,7 +155,7 @@ def test_seeds_follow_from_seed_and_content_alone() -> None:
     assert set(seeds(EVENTS, seed=1).values()).isdisjoint(every.values())
 
 
-def test_truth_judgments_and_stored_predictions_do_not_reach_a_model() -> None:
+def test_truth_judgments_and_references_do_not_reach_a_model() -> None:
     asked: list[Any] = []
 
     def curious(*given: Any) -> Any:
