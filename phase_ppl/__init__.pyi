@@ -27,13 +27,13 @@ from phase_ppl.dataset.load import save_event as save_event
 from phase_ppl.dataset.load import save_events as save_events
 from phase_ppl.dataset.statistics import statistics as statistics
 from phase_ppl.evaluation import figures as figures
-from phase_ppl.evaluation.answer import Answer as Answer
 from phase_ppl.evaluation.comparison.comparison import ModelComparison as ModelComparison
 from phase_ppl.evaluation.comparison.comparison import compare_models as compare_models
 from phase_ppl.evaluation.evaluate import EvaluationInterrupted as EvaluationInterrupted
 from phase_ppl.evaluation.evaluate import evaluate as evaluate
 from phase_ppl.evaluation.evaluation import Evaluation as Evaluation
 from phase_ppl.evaluation.evaluation import carried_evaluation as carried_evaluation
+from phase_ppl.evaluation.evaluation import reference_evaluation as reference_evaluation
 from phase_ppl.evaluation.judgments import Study as Study
 from phase_ppl.evaluation.judgments import load_judgments as load_judgments
 from phase_ppl.evaluation.judgments import with_judgments as with_judgments
@@ -43,6 +43,7 @@ from phase_ppl.evaluation.metrics import reference_models as reference_models
 from phase_ppl.evaluation.people import human_accuracy as human_accuracy
 from phase_ppl.evaluation.prediction import Prediction as Prediction
 from phase_ppl.evaluation.references import reference_predictions as reference_predictions
+from phase_ppl.evaluation.registry import Answer as Answer
 from phase_ppl.evaluation.registry import available_models as available_models
 from phase_ppl.evaluation.registry import model_info as model_info
 from phase_ppl.evaluation.registry import register_model as register_model

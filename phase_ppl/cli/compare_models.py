@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -47,7 +47,7 @@ def add_to(commands: Any) -> None:
         nargs="+",
         help="written by evaluate --out, of one model or of several; NAME=DIR gives it a name",
     )
-    add_stored(parser)
+    add_references(parser)
     parser.add_argument(
         "--against", metavar="NAME", help="differences from this model only; default: every pair"
     )
@@ -69,15 +69,15 @@ def add_to(commands: Any) -> None:
     add_progress(parser)
 
 
-def add_stored(parser: argparse.ArgumentParser) -> None:
-    """Add the option that names models whose answers the events carry."""
+def add_references(parser: argparse.ArgumentParser) -> None:
+    """Add the option that names reference models."""
     parser.add_argument(
         "--stored",
         metavar="NAME",
         action="append",
         default=[],
-        help="a model whose answers the events carry, to be compared too, or all; may be given "
-        "several times",
+        help="a reference model, whose answers the events carry, to be compared too, or all; may "
+        "be given several times",
     )
 
 
@@ -92,7 +92,7 @@ def _compare_models(options: argparse.Namespace) -> int:
     given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
     found = phase_ppl.compare_models(
         _sources(options.folders),
-        stored=stored_models(options.stored),
+        stored=named_references(options.stored),
         against=options.against,
         common=options.common,
         **given,
@@ -104,8 +104,8 @@ def _compare_models(options: argparse.Namespace) -> int:
     return keep(found, options.out, options)
 
 
-def stored_models(given: Sequence[str]) -> str | list[str]:
-    """Return what ``compare_models`` takes for the models named by ``--stored``."""
+def named_references(given: Sequence[str]) -> str | list[str]:
+    """Return what ``compare_models`` takes for the reference models named by ``--stored``."""
     from phase_ppl.evaluation.comparison.contenders import ALL
 
     return ALL if ALL in given else list(given)
@@ -134,27 +134,49 @@ def keep(found: ModelComparison, out: Path, options: argparse.Namespace) -> int:
     from phase_ppl.evaluation.figures import draw_comparison
     from phase_ppl.evaluation.folder import entry_name
     from phase_ppl.evaluation.report import contents, write_page
-    from phase_ppl.inference.runs.progress import counted
 
     found.save(out)
     problems = []
     if not options.no_figures:
-        try:
-            draw_comparison(found, out, progress=not options.quiet)
-        except Exception as error:  # the results are there, whatever becomes of their pictures
-            problems.append(f"the figures cannot be drawn: {one_line(error)}")
         results = ComparedResults(found)
         pages = writable_folder(out / PAGES)
         for old in pages.glob(_PAGE):  # of an earlier comparison, perhaps of other events
             old.unlink(missing_ok=True)
-        events = list(enumerate(found.events))
-        for place, event in counted(events, shows_progress(options), "page", "drawing"):
-            try:
-                page = contents.event_page(event, results.observers)
-                write_page(page, pages / f"{entry_name(place, event.id)}.html")
-            except Exception as error:
-                problems.append(f"the page of {event.id} cannot be drawn: {one_line(error)}")
+        events = {event.id: (place, event) for place, event in enumerate(found.events)}
+
+        def draw_page(event_id: str) -> None:
+            place, event = events[event_id]
+            page = contents.event_page(event, results.observers)
+            write_page(page, pages / f"{entry_name(place, event_id)}.html")
+
+        problems = drawn(draw_comparison, (found, out), list(events), draw_page, options)
     for problem in problems:
         print(f"phase-ppl: error: {problem}", file=sys.stderr)
     print(f"\nKept in {out}\n{report_hint(out)}")
     return FAILED if problems else 0
+
+
+def drawn(
+    draw_figures: Callable[..., object],
+    given: tuple[Any, ...],
+    events: Sequence[str],
+    draw_page: Callable[[str], None],
+    options: argparse.Namespace,
+) -> list[str]:
+    """Draw figures and the events' pages; return in words what could not be drawn.
+
+    The results are there, whatever becomes of their pictures.
+    """
+    from phase_ppl.inference.runs.progress import counted
+
+    problems = []
+    try:
+        draw_figures(*given, progress=not options.quiet)
+    except Exception as error:
+        problems.append(f"the figures cannot be drawn: {one_line(error)}")
+    for event_id in counted(events, shows_progress(options), "page", "drawing"):
+        try:
+            draw_page(event_id)
+        except Exception as error:
+            problems.append(f"the page of {event_id} cannot be drawn: {one_line(error)}")
+    return problems

@@ -1,4 +1,4 @@
-"""The command ``evaluate``."""
+"""The command ``evaluate``: one model or several, which are then compared."""
 
 from __future__ import annotations
 
@@ -6,40 +6,125 @@ import argparse
 import inspect
 import re
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import phase_ppl
-from phase_ppl.cli.compare_models import keep, stored_models
-from phase_ppl.cli.shared import FAILED, INTERRUPTED, shows_progress, writable_folder
-from phase_ppl.world.errors import InvalidSettingError, OutputError, unknown_name
-from phase_ppl.world.event import Event
-
-if TYPE_CHECKING:
-    from phase_ppl.evaluation.folder import ResultsFolder
-from pathlib import Path
-from typing import TYPE_CHECKING
-
-from phase_ppl.cli.compare_models import add_stored
+from phase_ppl.cli.compare_models import add_references, drawn, keep, named_references
 from phase_ppl.cli.shared import (
     BUDGET,
+    FAILED,
+    INTERRUPTED,
     add_progress,
     budget,
     named_value,
-    one_line,
     report_hint,
+    shows_progress,
     whole,
+    writable_folder,
 )
+from phase_ppl.world.errors import InvalidSettingError, OutputError, unknown_name
+from phase_ppl.world.event import Event
 from phase_ppl.world.files import write_json
 
 if TYPE_CHECKING:
     from phase_ppl.evaluation.evaluation import Evaluation
     from phase_ppl.evaluation.folder import ResultsFolder
 
+AGAINST: Final = "against.json"
+"""The file in the folder of results that holds the differences from another model."""
 
-Draw = Callable[["ResultsFolder", argparse.Namespace], Sequence[str]]
+_SHORT_FOR: Final = ("planner", "kernel", "budget", "weights", "prior")
+"""Options of models that have options of the command of their own."""
+
+_OF_WORK: Final = (
+    *("model", "resume", "split", "limit", "seed", "judgments", "option", "stored"),
+    *_SHORT_FOR,
+)
+"""Options that say nothing where an evaluation is only shown again."""
+
+_NOTHING_SAVED: Final = "\nNothing was saved; --out DIR keeps predictions, metrics and figures."
 
 _LABEL: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
+
+
+def add_to(commands: Any) -> None:
+    """Add the command."""
+    parser = commands.add_parser(
+        "evaluate",
+        help="ask a model about many events, and score what it answers",
+        description="Ask a model about many events, longest first, and score what it answers. "
+        "Without EVENTS, the evaluation in --out is read and shown again, to be compared by "
+        "--against.",
+        epilog="example: phase-ppl evaluate videos.json --model simple --planner fast --out out",
+    )
+    parser.set_defaults(run=_evaluate)
+    parser.add_argument(
+        "events",
+        metavar="EVENTS",
+        nargs="?",
+        help="an event file, a folder of event files, or a bundled event's name",
+    )
+    parser.add_argument(
+        "--model",
+        metavar="NAME",
+        action="append",
+        help="simple (the default), last_frame or another; given several times, all are evaluated, "
+        "each in a folder of its name in --out, and compared; LABEL=NAME gives another name",
+    )
+    parser.add_argument(
+        "--out", metavar="DIR", type=Path, help="for predictions, metrics, figures and pages"
+    )
+    parser.add_argument(
+        "--resume",
+        action="store_true",
+        default=None,
+        help="go on with what is in --out; events may have been added at the end",
+    )
+    parser.add_argument("--split", metavar="NAME", help="of a generated set, such as test")
+    parser.add_argument("--limit", metavar="N", type=whole(1), help="the first N events only")
+    parser.add_argument(
+        "--workers", metavar="N", type=whole(1), help="processes; default one per usable core"
+    )
+    parser.add_argument("--seed", metavar="N", type=whole(0), help="default 0")
+    parser.add_argument(
+        "--judgments", metavar="FILE", type=Path, help="people's judgments, a .csv file"
+    )
+    parser.add_argument(
+        "--against",
+        metavar="DIR",
+        help="results of another model, or a model whose predictions the events carry, for "
+        f"paired differences; written to {AGAINST}. With several models: the one of them from "
+        "which the others' differences are wanted; default: every pair",
+    )
+    add_references(parser)
+    model = parser.add_argument_group(
+        "options of the model; of several models, of all that take them"
+    )
+    model.add_argument("--planner", choices=("fast", "paper"))
+    model.add_argument("--kernel", metavar="NAME")
+    model.add_argument("--budget", metavar="B", type=budget, help=BUDGET)
+    model.add_argument("--weights", metavar="NAME")
+    model.add_argument("--prior", metavar="NAME")
+    model.add_argument(
+        "--option",
+        metavar="NAME=VALUE",
+        type=_option,
+        action="append",
+        default=[],
+        help="any other, such as chains=15 or rule=paper, or of one of several models, such as "
+        "simple.chains=15; may be given several times",
+    )
+    parser.add_argument("--no-figures", action="store_true", help="draw no figures and pages")
+    add_progress(parser)
+
+
+def _option(text: str) -> tuple[str, Any]:
+    """Return name and value of NAME=VALUE or MODEL.NAME=VALUE."""
+    label, dot, _ = text.partition("=")[0].rpartition(".")
+    name, value = named_value(text.removeprefix(f"{label}{dot}"))
+    return f"{label}{dot}{name}", value
 
 
 def models_of(given: Sequence[str] | None) -> dict[str, str]:
@@ -105,74 +190,102 @@ def options_of(
     return {label: {**found[label], **given} for label, given in own.items()}
 
 
-def evaluate_several(
-    options: argparse.Namespace,
-    events: Sequence[Event],
-    models: Mapping[str, str],
-    of_models: Mapping[str, Mapping[str, Any]],
-    draw: Draw,
-) -> int:
-    """Evaluate several models, each in a folder of its own, and compare them.
+def _evaluate(options: argparse.Namespace) -> int:
+    if options.events is None:
+        return _show_again(options)
+    from phase_ppl.evaluation.judgments import all_events
 
-    Args:
-        options: of the command.
-        events: of the evaluation.
-        models: label -> model.
-        of_models: label -> its options.
-        draw: draws figures and pages of an evaluation, and returns what went wrong.
+    models = models_of(options.model)
+    several = len(models) > 1 or list(models) != list(models.values())
+    if options.resume and options.out is None:
+        raise InvalidSettingError("--resume needs --out, the folder to go on in")
+    plain = {name: getattr(options, name) for name in _SHORT_FOR}
+    plain = {name: value for name, value in plain.items() if value is not None}
+    of_models = options_of(models, plain, options.option)
+    events = all_events(options.events, options.split)
+    (_check_several if several else _check_one)(options, events, models, of_models)
+    if options.out is not None:
+        writable_folder(options.out)
 
-    Returns:
-        The exit code.
-
-    Raises:
-        PhasePPLError: something cannot be used, found out before the work.
-    """
-    _check(options, events, models, of_models)
     code = 0
-    found = {}
+    found: dict[str, Evaluation] = {}
     for label, model in models.items():
-        out = None if options.out is None else options.out / label
-        try:
-            evaluation = phase_ppl.evaluate(
-                events,
-                model,
-                out=out,
-                workers=options.workers,
-                resume=bool(options.resume),
-                limit=options.limit,
-                seed=options.seed or 0,
-                judgments=options.judgments,
-                progress=shows_progress(options),
-                **of_models[label],
-            )
-        except phase_ppl.EvaluationInterrupted as stopped:
-            print(f"phase-ppl: {label}: {stopped}", file=sys.stderr)
-            if out is not None:
-                print("Go on with the same command and --resume", file=sys.stderr)
+        named = f"{label}: " if several else ""
+        out = options.out / label if several and options.out is not None else options.out
+        evaluation = _evaluation(options, events, model, out, of_models[label], named)
+        if evaluation is None:
             return INTERRUPTED
-        except phase_ppl.PhasePPLError as error:
-            raise type(error)(f"{label}: {error}") from None
-        problems = list(evaluation.failures.items())
-        for event, failure in problems:
-            print(f"{label}: failed: {event}: {failure}", file=sys.stderr)
+        if several:
+            for event, failure in evaluation.failures.items():
+                print(f"{label}: failed: {event}: {failure}", file=sys.stderr)
+        else:
+            print(evaluation)
+        problems = []
         if evaluation.folder is not None and not options.no_figures:
-            drawn = draw(evaluation.folder, options)
-            for problem in drawn:
-                print(f"phase-ppl: error: {label}: {problem}", file=sys.stderr)
-            code = FAILED if drawn else code
-        code = FAILED if problems else code
+            problems = _draw(evaluation.folder, options)
+        for problem in problems:
+            print(f"phase-ppl: error: {named}{problem}", file=sys.stderr)
+        if problems or evaluation.failures:
+            code = FAILED
         found[label] = evaluation
+    if not several:
+        (alone,) = found.values()
+        _end_of_one(alone, options)
+        return code
     comparison = phase_ppl.compare_models(
-        found, stored=stored_models(options.stored), against=options.against
+        found, stored=named_references(options.stored), against=options.against
     )
     print(comparison)
     if options.out is None:
-        print("\nNothing was saved; --out DIR keeps predictions, metrics and figures.")
+        print(_NOTHING_SAVED)
         return code
     return keep(comparison, options.out, options) or code
 
 
-def _check(
+def _evaluation(
+    options: argparse.Namespace,
+    events: Sequence[Event],
+    model: str,
+    out: Path | None,
+    of_model: Mapping[str, Any],
+    named: str,
+) -> Evaluation | None:
+    """Evaluate one model, ``named`` in messages; None where it was interrupted."""
+    try:
+        return phase_ppl.evaluate(
+            events,
+            model,
+            out=out,
+            workers=options.workers,
+            resume=bool(options.resume),
+            limit=options.limit,
+            seed=options.seed or 0,
+            judgments=options.judgments,
+            progress=shows_progress(options),
+            **of_model,
+        )
+    except phase_ppl.EvaluationInterrupted as stopped:
+        print(f"phase-ppl: {named}{stopped}", file=sys.stderr)
+        if out is not None:
+            print("Go on with the same command and --resume", file=sys.stderr)
+        return None
+    except phase_ppl.PhasePPLError as error:
+        raise type(error)(f"{named}{error}") from None
+
+
+def _check_one(
+    options: argparse.Namespace, events: Sequence[Event], *_: Mapping[str, object]
+) -> None:
+    """Find out what is wrong with ``--against`` before the model is asked."""
+    from phase_ppl.evaluation.evaluation import opponent
+
+    if options.stored:
+        raise InvalidSettingError("--stored is for several models; --against compares with one")
+    if options.against is not None:
+        opponent(events[: options.limit], options.against)
+
+
+def _check_several(
     options: argparse.Namespace,
     events: Sequence[Event],
     models: Mapping[str, str],
@@ -180,8 +293,8 @@ def _check(
 ) -> None:
     """Find out what is wrong before the first model is asked."""
     from phase_ppl.evaluation.comparison.contenders import check_names, stored_label, stored_names
-    from phase_ppl.evaluation.evaluate import check_resumable, settings_of
-    from phase_ppl.evaluation.folder import SETTINGS, holds_predictions
+    from phase_ppl.evaluation.evaluate import settings_of
+    from phase_ppl.evaluation.folder import SETTINGS, ResultsFolder, holds_predictions
     from phase_ppl.evaluation.references import reference_predictions
     from phase_ppl.evaluation.registry import ready
 
@@ -189,19 +302,17 @@ def _check(
     chosen = events[: options.limit]
     for label, model in models.items():
         asked = ready(model, of_models[label])
-        if options.resume:
+        if options.resume and holds_predictions(options.out / label):
             settings = settings_of(asked, options.seed or 0, chosen)
-            check_resumable(options.out / label, settings)
-    references = reference_predictions(chosen)
-    stored = stored_names(stored_models(options.stored), references)
-    known = [*models, *(stored_label(name, models) for name in stored)]
+            ResultsFolder.open(options.out / label).check_same(settings)
+    references = stored_names(named_references(options.stored), reference_predictions(chosen))
+    known = [*models, *(stored_label(name, models) for name in references)]
     if options.against is not None and options.against not in known:
         raise unknown_name("model to compare with", options.against, known)
     if options.out is None:
         return
     if (options.out / SETTINGS).is_file():
         raise OutputError(f"--out {options.out} holds an evaluation of one model: name another")
-    writable_folder(options.out)
     for label in models:
         if holds_predictions(options.out / label) and not options.resume:
             raise OutputError(
@@ -209,170 +320,8 @@ def _check(
             )
 
 
-# --- the command ``evaluate`` ---------------------------------------------------------------------
-
-AGAINST: Final = "against.json"
-"""The file in the folder of results that holds the differences from another model."""
-
-_RESUME_NEEDS: Final = "--resume needs --out, the folder to go on in"
-
-_SHORT_FOR: Final = ("planner", "kernel", "budget", "weights", "prior")
-"""Options of models that have options of the command of their own."""
-
-_OF_WORK: Final = (
-    *("model", "resume", "split", "limit", "seed", "judgments", "option", "stored"),
-    *_SHORT_FOR,
-)
-"""Options that say nothing where an evaluation is only shown again."""
-
-
-def add_to(commands: Any) -> None:
-    """Add the command."""
-    parser = commands.add_parser(
-        "evaluate",
-        help="ask a model about many events, and score what it answers",
-        description="Ask a model about many events, longest first, and score what it answers. "
-        "Without EVENTS, the evaluation in --out is read and shown again, to be compared by "
-        "--against.",
-        epilog="example: phase-ppl evaluate videos.json --model simple --planner fast --out out",
-    )
-    parser.set_defaults(run=_evaluate)
-    parser.add_argument(
-        "events",
-        metavar="EVENTS",
-        nargs="?",
-        help="an event file, a folder of event files, or a bundled event's name",
-    )
-    parser.add_argument(
-        "--model",
-        metavar="NAME",
-        action="append",
-        help="simple (the default), last_frame or another; given several times, all are evaluated, "
-        "each in a folder of its name in --out, and compared; LABEL=NAME gives another name",
-    )
-    parser.add_argument(
-        "--out", metavar="DIR", type=Path, help="for predictions, metrics, figures and pages"
-    )
-    parser.add_argument(
-        "--resume",
-        action="store_true",
-        default=None,
-        help="go on with what is in --out; events may have been added at the end",
-    )
-    parser.add_argument("--split", metavar="NAME", help="of a generated set, such as test")
-    parser.add_argument("--limit", metavar="N", type=whole(1), help="the first N events only")
-    parser.add_argument(
-        "--workers", metavar="N", type=whole(1), help="processes; default one per usable core"
-    )
-    parser.add_argument("--seed", metavar="N", type=whole(0), help="default 0")
-    parser.add_argument(
-        "--judgments", metavar="FILE", type=Path, help="people's judgments, a .csv file"
-    )
-    parser.add_argument(
-        "--against",
-        metavar="DIR",
-        help="results of another model, or a model whose predictions the events carry, for "
-        f"paired differences; written to {AGAINST}. With several models: the one of them from "
-        "which the others' differences are wanted; default: every pair",
-    )
-    add_stored(parser)
-    model = parser.add_argument_group(
-        "options of the model; of several models, of all that take them"
-    )
-    model.add_argument("--planner", choices=("fast", "paper"))
-    model.add_argument("--kernel", metavar="NAME")
-    model.add_argument("--budget", metavar="B", type=budget, help=BUDGET)
-    model.add_argument("--weights", metavar="NAME")
-    model.add_argument("--prior", metavar="NAME")
-    model.add_argument(
-        "--option",
-        metavar="NAME=VALUE",
-        type=_option,
-        action="append",
-        default=[],
-        help="any other, such as chains=15 or rule=paper, or of one of several models, such as "
-        "simple.chains=15; may be given several times",
-    )
-    parser.add_argument("--no-figures", action="store_true", help="draw no figures and pages")
-    add_progress(parser)
-
-
-def _option(text: str) -> tuple[str, Any]:
-    """Return name and value of NAME=VALUE or MODEL.NAME=VALUE."""
-    label, dot, _ = text.partition("=")[0].rpartition(".")
-    name, value = named_value(text.removeprefix(f"{label}{dot}"))
-    return f"{label}{dot}{name}", value
-
-
-def _evaluate(options: argparse.Namespace) -> int:
-    models = models_of(options.model)
-    several = len(models) > 1 or list(models) != list(models.values())
-    if several and options.events is not None:
-        return _several(options, models)
-    found = _again(options) if options.events is None else _anew(options, *models)
-    if found is None:
-        return INTERRUPTED
-    print(found)
-    code = FAILED if found.failures else 0
-    if found.folder is not None and options.events is not None and not options.no_figures:
-        for problem in _draw(found.folder, options):
-            print(f"phase-ppl: error: {problem}", file=sys.stderr)
-            code = FAILED
-    if found.folder is None:
-        print("\nNothing was saved; --out DIR keeps predictions, metrics and figures.")
-    else:
-        print(f"\nKept in {found.folder.path}\n{report_hint(found.folder.path)}")
-    if options.against is not None:
-        _write_difference(found, options)
-    return code
-
-
-def _several(options: argparse.Namespace, models: Mapping[str, str]) -> int:
-    from phase_ppl.evaluation.judgments import all_events
-
-    if options.resume and options.out is None:
-        raise InvalidSettingError(_RESUME_NEEDS)
-    of_models = options_of(models, _short_for(options), options.option)
-    events = all_events(options.events, options.split)
-    return evaluate_several(options, events, models, of_models, _draw)
-
-
-def _anew(options: argparse.Namespace, model: str) -> Evaluation | None:
-    """Evaluate; None where it was interrupted."""
-    from phase_ppl.evaluation.evaluation import opponent
-    from phase_ppl.evaluation.judgments import all_events
-
-    if options.resume and options.out is None:
-        raise InvalidSettingError(_RESUME_NEEDS)
-    if options.stored:
-        raise InvalidSettingError("--stored is for several models; --against compares with one")
-    events = all_events(options.events, options.split)
-    if options.against is not None:
-        opponent(events[: options.limit], options.against)  # what is wrong with it is said now
-    if options.out is not None:
-        writable_folder(options.out)
-    try:
-        return phase_ppl.evaluate(
-            events,
-            model,
-            out=options.out,
-            workers=options.workers,
-            resume=bool(options.resume),
-            limit=options.limit,
-            seed=options.seed or 0,
-            judgments=options.judgments,
-            progress=shows_progress(options),
-            **options_of({model: model}, _short_for(options), options.option)[model],
-        )
-    except phase_ppl.EvaluationInterrupted as stopped:
-        print(f"phase-ppl: {stopped}", file=sys.stderr)
-        if options.out is not None:
-            print("Go on with the same command and --resume", file=sys.stderr)
-        return None
-
-
-def _again(options: argparse.Namespace) -> Evaluation:
-    """Read an evaluation that is there."""
+def _show_again(options: argparse.Namespace) -> int:
+    """Show an evaluation that is there."""
     given = vars(options)
     nothing: tuple[Any, ...] = (None, [])
     of_work = [f"--{name}" for name in _OF_WORK if given[name] not in nothing]
@@ -381,22 +330,24 @@ def _again(options: argparse.Namespace) -> Evaluation:
         raise InvalidSettingError(
             f"EVENTS is missing{needed}; only to show the evaluation in --out again needs none"
         )
-    return phase_ppl.Evaluation.load(options.out)
+    found = phase_ppl.Evaluation.load(options.out)
+    print(found)
+    _end_of_one(found, options)
+    return FAILED if found.failures else 0
 
 
-def _short_for(options: argparse.Namespace) -> dict[str, Any]:
-    return {
-        name: getattr(options, name) for name in _SHORT_FOR if getattr(options, name) is not None
-    }
-
-
-def _write_difference(found: Evaluation, options: argparse.Namespace) -> None:
+def _end_of_one(found: Evaluation, options: argparse.Namespace) -> None:
+    """Say where an evaluation is kept, and how it differs from another."""
     from phase_ppl.evaluation.evaluation import difference_table
 
+    folder = None if found.folder is None else found.folder.path
+    print(_NOTHING_SAVED if folder is None else f"\nKept in {folder}\n{report_hint(folder)}")
+    if options.against is None:
+        return
     difference = found.against(options.against)
     print(f"\n{difference_table(difference)}")
-    if found.folder is not None:
-        write_json(found.folder.path / AGAINST, difference)
+    if folder is not None:
+        write_json(folder / AGAINST, difference)
 
 
 def _draw(folder: ResultsFolder, options: argparse.Namespace) -> list[str]:
@@ -404,18 +355,10 @@ def _draw(folder: ResultsFolder, options: argparse.Namespace) -> list[str]:
     from phase_ppl.evaluation.figures import draw_figures
     from phase_ppl.evaluation.folder import PAGE
     from phase_ppl.evaluation.report import contents, write_page
-    from phase_ppl.inference.runs.progress import counted
 
-    problems = []
-    try:
-        draw_figures(folder, progress=not options.quiet)
-    except Exception as error:  # the results are there, whatever becomes of their pictures
-        problems.append(f"the figures cannot be drawn: {one_line(error)}")
+    def draw_page(event_id: str) -> None:
+        page = contents.page_in_folder(folder, event_id)
+        write_page(page, folder.folder_of(event_id) / PAGE)
+
     finished = [event.id for event in folder.events if folder.is_finished(event.id)]
-    for event_id in counted(finished, shows_progress(options), "page", "drawing"):
-        try:
-            page = contents.page_in_folder(folder, event_id)
-            write_page(page, folder.folder_of(event_id) / PAGE)
-        except Exception as error:
-            problems.append(f"the page of {event_id} cannot be drawn: {one_line(error)}")
-    return problems
+    return drawn(draw_figures, (folder,), finished, draw_page, options)

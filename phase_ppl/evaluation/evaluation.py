@@ -16,177 +16,10 @@ from phase_ppl.evaluation.metrics import evaluate_predictions, paired_difference
 from phase_ppl.evaluation.people import human_accuracy
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.references import reference_predictions
-from phase_ppl.world.errors import (
-    InvalidEventError,
-    InvalidSettingError,
-    shown,
-    unknown_name,
-)
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown, unknown_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import SCENARIOS
 from phase_ppl.world.identity import event_digest
-
-PEOPLE: Final = "people"
-
-_LABEL: Final = 24
-_OWN: Final = 19
-_NAME: Final = 16
-_GAP: Final = "  "
-_NOTHING: Final = "-"
-_INTERVALS: Final = "95 %; of right answers Clopper-Pearson, of scores and r over resampled events"
-MetricPath = tuple[str, ...]
-
-
-class _Row(NamedTuple):
-    """A row: its label, where models have the figure, and where people have theirs.
-
-    People's figures with a path that begins with "human" are among the model's metrics, as they
-    are about the same events.
-    """
-
-    label: str
-    path: MetricPath
-    people: MetricPath = ()
-
-
-class _Column(NamedTuple):
-    """A column: whose figures it has, their metrics, and whether with intervals."""
-
-    name: str
-    metrics: Mapping[str, Any]
-    width: int
-    whole: bool = False
-
-
-def table(evaluation: Evaluation) -> str:
-    """Return the metrics of an evaluation by scenario, beside those of people and references."""
-    metrics = evaluation.metrics
-    head = f"{len(evaluation.predictions)} of {len(evaluation.events)} events"
-    lines = _wrapped(evaluation.name, f"{head}, seed {evaluation.settings['seed']}")
-    columns = [
-        _Column(evaluation.name, metrics, _OWN, whole=True),
-        _narrow(PEOPLE, metrics["people"]),
-        *(_narrow(name, found) for name, found in metrics["reference_models"].items()),
-    ]
-    lines += _figures(_rows(metrics), columns, metrics)
-    lines += ["", *_wrapped("intervals", _INTERVALS), *_wrapped("cost", _cost(evaluation.cost))]
-    for event, failure in evaluation.failures.items():
-        lines += _wrapped("failed", f"{event}: {failure}")
-    for note in evaluation.notes:
-        lines += _wrapped("note", note)
-    return "\n".join(lines)
-
-
-def difference_table(found: Mapping[str, Any]) -> str:
-    """Return the differences that ``Evaluation.against`` found."""
-    lines = _wrapped(
-        f"{found['one']} minus {found['other']}",
-        f"on the {found['n_events']} events that both "
-        "predict; intervals and p from resampled events",
-    )
-    column = _Column("difference", found, _OWN + 9, whole=True)
-    return "\n".join([*lines, *_figures(_rows(found), [column], {})])
-
-
-def _rows(metrics: Mapping[str, Any]) -> Iterator[_Row]:
-    """Yield the rows of a table."""
-    for kind, title in (("goal", "goals right"), ("relation", "relation right")):
-        name = f"{kind}_accuracy"
-        yield _Row(title, (name,), (name,))
-        for scenario in SCENARIOS:
-            n = metrics["by_scenario"].get(scenario, {}).get("n")
-            path = ("by_scenario", scenario, name)
-            yield _Row(f"  {scenario} ({n})" if n else f"  {scenario}", path, path)
-        if kind == "goal":
-            yield _Row("  among the top 3", ("goal_top3_accuracy",))
-        yield _Row("  log score of truth", (f"{kind}_log_score_truth",))
-    for kind, prefix in (("goal", "goal_"), ("relation", "")):
-        score, js = f"{prefix}log_score", f"{prefix}js"
-        yield _Row(
-            f"r with people, {kind}", ("human", f"{kind}_r"), ("human", f"{prefix}split_half_r")
-        )
-        if kind == "relation":
-            yield _Row("  given the truth", ("human", "relation_r_given_truth"))
-        yield _Row("  log score", ("human", score), ("human", f"{score}_people"))
-        yield _Row("  JS divergence", ("human", js))
-
-
-def _narrow(name: str, metrics: Mapping[str, Any]) -> _Column:
-    return _Column(name, metrics, min(len(name), _NAME) + len(_GAP))
-
-
-def _figures(
-    rows: Iterator[_Row], columns: Sequence[_Column], metrics: Mapping[str, Any]
-) -> list[str]:
-    """Return the lines of a table; rows and columns without a figure are left out."""
-    found = [(row, [_figure(row, column, metrics) for column in columns]) for row in rows]
-    used = [i for i in range(len(columns)) if any(figures[i] for _, figures in found)]
-    lines = []
-    for block in _blocks(used, columns):
-        names = "".join(f"{columns[i].name[:_NAME]:>{columns[i].width}}" for i in block)
-        lines += ["", f"{'':<{_LABEL}}{names}"]
-        for row, figures in found:
-            if any(figures[i] for i in block):
-                cells = "".join(_cell(figures[i], columns[i]) for i in block)
-                lines.append(f"{row.label:<{_LABEL}}{cells}")
-    return lines
-
-
-def _figure(row: _Row, column: _Column, metrics: Mapping[str, Any]) -> dict[str, Any] | None:
-    path, found = row.path, column.metrics
-    if column.name == PEOPLE:
-        path, found = row.people, metrics if row.people[:1] == ("human",) else found
-    place: Any = found if path else None
-    for name in path:
-        place = (place or {}).get(name)
-    return place
-
-
-def _blocks(used: Sequence[int], columns: Sequence[_Column]) -> Iterator[list[int]]:
-    """Yield as many columns as fit side by side, again and again."""
-    block: list[int] = []
-    width = _LABEL
-    for i in used:
-        if block and width + columns[i].width > WIDTH:
-            yield block
-            block, width = [], _LABEL
-        block.append(i)
-        width += columns[i].width
-    if block:
-        yield block
-
-
-def _cell(figure: Mapping[str, Any] | None, column: _Column) -> str:
-    if figure is None:
-        return f"{_NOTHING:>{column.width}}"
-    text = f"{figure['value']:.2f}"
-    if column.whole and figure["ci_low"] is not None:
-        text += f" [{figure['ci_low']:.2f}, {figure['ci_high']:.2f}]"
-    if figure.get("p") is not None:
-        text += f" p {figure['p']:.3f}"
-    return f"{text:>{column.width}}"
-
-
-def _cost(cost: Mapping[str, Any]) -> str:
-    words = f"{_time(cost['seconds'])} in all"
-    if cost["simulations"] is not None:
-        words = f"{cost['simulations']} simulations, {words}"
-    if cost["wall_seconds"] is not None:
-        on = f" with {cost['workers']} worker{'' if cost['workers'] == 1 else 's'}"
-        words += f"; this call took {_time(cost['wall_seconds'])}{on}"
-    return words
-
-
-def _time(seconds: float) -> str:
-    return f"{seconds:.1f} s" if seconds < 100 else f"{seconds / 60:.1f} min"
-
-
-def _wrapped(label: str, text: str) -> list[str]:
-    first = f"{label}: "
-    return textwrap.wrap(text, WIDTH, initial_indent=first, subsequent_indent=" " * 4)
-
-
-# --- what a model made of many events: predictions, metrics, differences from other... ------------
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -230,7 +63,7 @@ class Evaluation:
             "settings": self.settings,
             "cost": self.cost,
         }
-        return {name: plain(value) for name, value in found.items()}
+        return dict(plain(found))
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Evaluation:
@@ -244,8 +77,8 @@ class Evaluation:
             if name not in folder.settings:
                 raise InvalidEventError(f"{folder.path / SETTINGS} has no {name}")
         predictions = folder.predictions()
-        stored = (folder.metrics() or {}).get("cost") or {}
-        cost = cost_of(predictions, stored.get("workers"), stored.get("wall_seconds"))
+        last = (folder.metrics() or {}).get("cost") or {}
+        cost = cost_of(predictions, last.get("workers"), last.get("wall_seconds"))
         return cls(folder.events, predictions, folder.failures(), folder.settings, cost, folder)
 
     def against(self, other: Evaluation | str | os.PathLike[str]) -> dict[str, Any]:
@@ -268,8 +101,7 @@ class Evaluation:
         if not set(predictions) & set(self.predictions):
             raise InvalidSettingError(f"there is no event that {self.name} and {name} both predict")
         found = paired_difference(self.events, self.predictions, predictions)
-        return {name: plain(value) for name, value in
-                {"one": self.name, "other": name, **found}.items()}  # fmt: skip
+        return {"one": self.name, "other": name, **plain(found)}
 
     @property
     def name(self) -> str:
@@ -298,33 +130,29 @@ def opponent(
     Raises:
         As :meth:`Evaluation.against`.
     """
-    name: str
-    predictions: Mapping[str, Prediction]
     references = reference_predictions(events)
     if isinstance(other, str) and other in references:
-        name, predictions = other, references[other]
-    else:
-        if not isinstance(other, Evaluation):
-            if not isinstance(other, str | os.PathLike):
-                raise InvalidSettingError(
-                    f"{shown(other)} is neither an evaluation, the folder of one, nor the name of "
-                    "a model"
-                )
-            if not Path(other).exists():
-                known = f", and no reference model ({', '.join(references)})" if references else ""
-                raise InvalidEventError(f"{other}: no such folder{known}")
-            other = Evaluation.load(other)
-        mine = {event.id: event for event in events}
-        for event in other.events:
-            if event.id in mine and event_digest(event) != event_digest(mine[event.id]):
-                raise InvalidEventError(
-                    f"event {event.id!r} is not the same in both evaluations: its scene or "
-                    "observation differ"
-                )
-        name, predictions = other.name, other.predictions
-    if not any(event.id in predictions for event in events):
-        raise InvalidSettingError(f"{name} predicts none of the {len(events)} events")
-    return name, predictions
+        return other, references[other]
+    if not isinstance(other, Evaluation):
+        if not isinstance(other, str | os.PathLike):
+            raise InvalidSettingError(
+                f"{shown(other)} is neither an evaluation, the folder of one, nor the name of a "
+                "model"
+            )
+        if not Path(other).exists():
+            known = f", and no reference model ({', '.join(references)})" if references else ""
+            raise InvalidEventError(f"{other}: no such folder{known}")
+        other = Evaluation.load(other)
+    mine = {event.id: event for event in events}
+    for event in other.events:
+        if event.id in mine and event_digest(event) != event_digest(mine[event.id]):
+            raise InvalidEventError(
+                f"event {event.id!r} is not the same in both evaluations: its scene or "
+                "observation differ"
+            )
+    if not any(event.id in other.predictions for event in events):
+        raise InvalidSettingError(f"{other.name} predicts none of the {len(events)} events")
+    return other.name, other.predictions
 
 
 def cost_of(
@@ -345,13 +173,10 @@ def cost_of(
     }
 
 
-# --- evaluations of models whose predictions the events carry, beside those that are run ----------
+def reference_evaluation(events: Sequence[Event], name: str) -> Evaluation:
+    """Return the answers of a reference model as if it had been evaluated on the events.
 
-
-def carried_evaluation(events: Sequence[Event], name: str) -> Evaluation:
-    """Return what the events carry of a model, as if it had been evaluated on them.
-
-    It has no seed, nothing was timed, and it is kept nowhere. Events that carry nothing of the
+    It has no seed, nothing was timed, and there is no folder. Events without an answer of the
     model are in ``failures``.
 
     Args:
@@ -359,16 +184,16 @@ def carried_evaluation(events: Sequence[Event], name: str) -> Evaluation:
         name: of the model, as the events call it.
 
     Raises:
-        UnknownNameError: no event carries a prediction of that model.
+        UnknownNameError: no event has a prediction of that model.
         InvalidEventError: a prediction cannot be read.
     """
-    carried = reference_predictions(events)
-    if name not in carried:
-        raise unknown_name("model among those whose predictions the events carry", name, carried)
-    predictions = carried[name]
+    references = reference_predictions(events)
+    if name not in references:
+        raise unknown_name("reference model", name, references)
+    predictions = references[name]
     settings = {
         "model": name,
-        "carried": True,
+        "reference": True,
         "seed": None,
         "events": {event.id: event_digest(event) for event in events},
     }
@@ -377,6 +202,169 @@ def carried_evaluation(events: Sequence[Event], name: str) -> Evaluation:
         for event in events
         if event.id not in predictions
     }
-    return Evaluation(
-        list(events), predictions, failures, settings, cost_of(predictions, None, None)
+    cost = cost_of(predictions, None, None)
+    return Evaluation(list(events), predictions, failures, settings, cost)
+
+
+carried_evaluation = reference_evaluation
+"""An older name of :func:`reference_evaluation`."""
+
+
+# --- printed --------------------------------------------------------------------------------------
+
+PEOPLE: Final = "people"
+
+_LABEL: Final = 24
+_OWN: Final = 19
+_NAME: Final = 16
+_GAP: Final = 2
+"""Widths of columns: of the labels, of the model, of others' names at most, and between them."""
+
+_INTERVALS: Final = "95 %; of right answers Clopper-Pearson, of scores and r over resampled events"
+
+MetricPath = tuple[str, ...]
+
+
+class _Row(NamedTuple):
+    """A row: its label, where models have the figure, and where people have theirs.
+
+    People's figures with a path that begins with "human" are among the model's metrics, as they
+    are about the same events.
+    """
+
+    label: str
+    path: MetricPath
+    people: MetricPath = ()
+
+
+class _Column(NamedTuple):
+    """A column: whose figures it has, their metrics, and whether with intervals."""
+
+    name: str
+    metrics: Mapping[str, Any]
+    width: int
+    whole: bool = False
+
+
+def table(evaluation: Evaluation) -> str:
+    """Return the metrics of an evaluation by scenario, beside those of people and references."""
+    metrics = evaluation.metrics
+    head = f"{len(evaluation.predictions)} of {len(evaluation.events)} events"
+    others = [(PEOPLE, metrics["people"]), *metrics["reference_models"].items()]
+    columns = [
+        _Column(evaluation.name, metrics, _OWN, whole=True),
+        *(_Column(name, of, min(len(name), _NAME) + _GAP) for name, of in others),
+    ]
+    lines = [
+        *_wrapped(evaluation.name, f"{head}, seed {evaluation.settings['seed']}"),
+        *_figures(columns, metrics),
+        "",
+        *_wrapped("intervals", _INTERVALS),
+        *_wrapped("cost", _cost(evaluation.cost)),
+    ]
+    for event, failure in evaluation.failures.items():
+        lines += _wrapped("failed", f"{event}: {failure}")
+    for note in evaluation.notes:
+        lines += _wrapped("note", note)
+    return "\n".join(lines)
+
+
+def difference_table(found: Mapping[str, Any]) -> str:
+    """Return the differences that ``Evaluation.against`` found."""
+    lines = _wrapped(
+        f"{found['one']} minus {found['other']}",
+        f"on the {found['n_events']} events that both predict; intervals and p from resampled "
+        "events",
     )
+    column = _Column("difference", found, _OWN + 9, whole=True)
+    return "\n".join([*lines, *_figures([column], found)])
+
+
+def _rows(metrics: Mapping[str, Any]) -> Iterator[_Row]:
+    for kind, title in (("goal", "goals right"), ("relation", "relation right")):
+        name = f"{kind}_accuracy"
+        yield _Row(title, (name,), (name,))
+        for scenario in SCENARIOS:
+            n = metrics["by_scenario"].get(scenario, {}).get("n")
+            path = ("by_scenario", scenario, name)
+            yield _Row(f"  {scenario} ({n})" if n else f"  {scenario}", path, path)
+        if kind == "goal":
+            yield _Row("  among the top 3", ("goal_top3_accuracy",))
+        yield _Row("  log score of truth", (f"{kind}_log_score_truth",))
+    for kind, prefix in (("goal", "goal_"), ("relation", "")):
+        score, js = f"{prefix}log_score", f"{prefix}js"
+        yield _Row(
+            f"r with people, {kind}", ("human", f"{kind}_r"), ("human", f"{prefix}split_half_r")
+        )
+        if kind == "relation":
+            yield _Row("  given the truth", ("human", "relation_r_given_truth"))
+        yield _Row("  log score", ("human", score), ("human", f"{score}_people"))
+        yield _Row("  JS divergence", ("human", js))
+
+
+def _figures(columns: Sequence[_Column], metrics: Mapping[str, Any]) -> list[str]:
+    """Return the lines of a table; rows and columns without a figure are left out."""
+    found = [(row, [_figure(row, column, metrics) for column in columns]) for row in _rows(metrics)]
+    used = [i for i in range(len(columns)) if any(figures[i] for _, figures in found)]
+    lines = []
+    for block in _blocks(used, columns):
+        names = "".join(f"{columns[i].name[:_NAME]:>{columns[i].width}}" for i in block)
+        lines += ["", f"{'':<{_LABEL}}{names}"]
+        for row, figures in found:
+            if any(figures[i] for i in block):
+                cells = "".join(_cell(figures[i], columns[i]) for i in block)
+                lines.append(f"{row.label:<{_LABEL}}{cells}")
+    return lines
+
+
+def _figure(row: _Row, column: _Column, metrics: Mapping[str, Any]) -> dict[str, Any] | None:
+    path, found = row.path, column.metrics
+    if column.name == PEOPLE:
+        path, found = row.people, metrics if row.people[:1] == ("human",) else found
+    place: Any = found if path else None
+    for name in path:
+        place = (place or {}).get(name)
+    return place
+
+
+def _blocks(used: Sequence[int], columns: Sequence[_Column]) -> Iterator[list[int]]:
+    """Yield as many columns as fit side by side, again and again."""
+    block: list[int] = []
+    width = _LABEL
+    for i in used:
+        if block and width + columns[i].width > WIDTH:
+            yield block
+            block, width = [], _LABEL
+        block.append(i)
+        width += columns[i].width
+    if block:
+        yield block
+
+
+def _cell(figure: Mapping[str, Any] | None, column: _Column) -> str:
+    if figure is None:
+        return f"{'-':>{column.width}}"
+    text = f"{figure['value']:.2f}"
+    if column.whole and figure["ci_low"] is not None:
+        text += f" [{figure['ci_low']:.2f}, {figure['ci_high']:.2f}]"
+    if figure.get("p") is not None:
+        text += f" p {figure['p']:.3f}"
+    return f"{text:>{column.width}}"
+
+
+def _cost(cost: Mapping[str, Any]) -> str:
+    words = f"{_time(cost['seconds'])} in all"
+    if cost["simulations"] is not None:
+        words = f"{cost['simulations']} simulations, {words}"
+    if cost["wall_seconds"] is not None:
+        on = f" with {cost['workers']} worker{'' if cost['workers'] == 1 else 's'}"
+        words += f"; this call took {_time(cost['wall_seconds'])}{on}"
+    return words
+
+
+def _time(seconds: float) -> str:
+    return f"{seconds:.1f} s" if seconds < 100 else f"{seconds / 60:.1f} min"
+
+
+def _wrapped(label: str, text: str) -> list[str]:
+    return textwrap.wrap(text, WIDTH, initial_indent=f"{label}: ", subsequent_indent=" " * 4)

@@ -31,9 +31,16 @@ from phase_ppl.dataset.documents import read_json
 from phase_ppl.dataset.load import load_events, save_events
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.tables import KINDS
-from phase_ppl.world.errors import InvalidEventError, OutputError, PhasePPLError, shown
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    InvalidSettingError,
+    OutputError,
+    PhasePPLError,
+    shown,
+)
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import writable_folder, write_json
+from phase_ppl.world.identity import differences
 
 SCHEMA: Final = "phase-ppl-evaluation-1"
 """Value of ``schema`` in settings.json."""
@@ -48,6 +55,9 @@ FAILURES: Final = "failures.json"
 
 COMPARISON: Final = "comparison.json"
 """The file by which the folder of a comparison of models is known."""
+
+_DETERMINE: Final = ("model", "options", "model_settings", "function", "function_source", "seed")
+"""The settings that must be the same for an evaluation to go on, beside events and versions."""
 
 
 class ResultsFolder:
@@ -82,6 +92,96 @@ class ResultsFolder:
         made.update(settings, events)
         return made
 
+    @classmethod
+    def open(cls, path: str | os.PathLike[str]) -> ResultsFolder:
+        """Open the folder of an evaluation, finished or not.
+
+        Raises:
+            InvalidEventError: it is no such folder, or a file in it is damaged.
+        """
+        folder = Path(path)
+        if not (folder / SETTINGS).is_file():
+            raise InvalidEventError(f"{folder} holds no evaluation: it has no {SETTINGS}")
+        settings = read_json(folder / SETTINGS)
+        if settings.get("schema") != SCHEMA:
+            raise InvalidEventError(
+                f"{folder / SETTINGS}: its schema is {settings.get('schema')!r}, not {SCHEMA!r}"
+            )
+        return cls(folder, settings, load_events(folder / EVENTS))
+
+    @classmethod
+    def begin(
+        cls,
+        path: str | os.PathLike[str],
+        settings: Mapping[str, Any],
+        events: Sequence[Event],
+        resume: bool,
+    ) -> tuple[ResultsFolder, dict[str, Prediction], list[str]]:
+        """Return the folder of an evaluation that begins or, with ``resume``, goes on.
+
+        Returns:
+            The folder, the predictions that are in it, and notes about those that are damaged.
+
+        Raises:
+            OutputError: it holds an evaluation that is not to be resumed, or cannot be written.
+            InvalidSettingError: its evaluation has other settings or events.
+            InvalidEventError: it is damaged.
+        """
+        if not resume or not holds_predictions(Path(path)):
+            return cls.create(path, settings, events), {}, []
+        folder = cls.open(path)
+        folder.check_same(settings)
+        done: dict[str, Prediction] = {}
+        notes = []
+        for event in folder.events:
+            try:
+                prediction = folder.prediction(event.id)
+            except InvalidEventError as error:
+                notes.append(f"{error}; the event is predicted again")
+                continue
+            if prediction is not None:
+                done[event.id] = prediction
+        before = folder.settings.get("versions") or {}
+        other = differences(before, settings["versions"])
+        if other and len(done) < len(events):
+            raise InvalidSettingError(f"{path} was made with other versions: {'; '.join(other)}")
+        folder.update({**settings, "versions": before}, events)
+        return folder, done, notes
+
+    def check_same(self, settings: Mapping[str, Any]) -> None:
+        """Raise what :meth:`begin` would for other settings or events; change nothing.
+
+        Raises:
+            InvalidSettingError: the evaluation has other settings or events.
+            InvalidEventError: it is damaged.
+        """
+        before, now = (
+            {name: given.get(name) for name in _DETERMINE} for given in (self.settings, settings)
+        )
+        found = differences(before, now)
+        if before["model"] != now["model"]:  # of which the rest follows
+            found = found[:1]
+        holds = f"{self.path} holds an evaluation"
+        if found:
+            raise InvalidSettingError(f"{holds} with other settings: {'; '.join(found)}")
+        old, new = self.settings.get("events"), settings["events"]
+        ids = [event.id for event in self.events]
+        if not isinstance(old, dict) or list(old) != ids[: len(old)]:
+            raise InvalidEventError(
+                f"{self.path}: settings.json and events.json do not fit together"
+            )
+        if len(old) > len(new):
+            raise InvalidSettingError(f"{holds} of {len(old)} events, but {len(new)} are given")
+        for place, (was, given) in enumerate(zip(old, new, strict=False), start=1):
+            if was != given:
+                raise InvalidSettingError(
+                    f"{holds} of other events: number {place} is {given!r}, was {was!r}"
+                )
+            if old[was] != new[given]:
+                raise InvalidSettingError(
+                    f"{holds} of another event {was!r}: its scene or observation differ"
+                )
+
     def update(self, settings: Mapping[str, Any], events: Sequence[Event]) -> None:
         """Replace settings and events, of which more may come after those that are there.
 
@@ -103,24 +203,6 @@ class ResultsFolder:
         self.events = list(events)
         self._place = {event.id: index for index, event in enumerate(self.events)}
         write_json(self.path / SETTINGS, self.settings)
-
-    @classmethod
-    def open(cls, path: str | os.PathLike[str]) -> ResultsFolder:
-        """Open the folder of an evaluation, finished or not.
-
-        Raises:
-            InvalidEventError: it is no such folder, or a file in it is damaged.
-        """
-        folder = Path(path)
-        if not (folder / SETTINGS).is_file():
-            raise InvalidEventError(f"{folder} holds no evaluation: it has no {SETTINGS}")
-        settings = read_json(folder / SETTINGS)
-        if settings.get("schema") != SCHEMA:
-            raise InvalidEventError(
-                f"{folder / 'settings.json'}: its schema is {settings.get('schema')!r}, "
-                f"not {SCHEMA!r}"
-            )
-        return cls(folder, settings, load_events(folder / EVENTS))
 
     def folder_of(self, event_id: str) -> Path:
         """Return the folder of an event, whether it is there or not."""
@@ -184,11 +266,7 @@ class ResultsFolder:
         return prediction
 
     def write_failures(self, failures: Mapping[str, str]) -> None:
-        """Keep what went wrong, by event.
-
-        Raises:
-            OutputError: it cannot be written.
-        """
+        """Keep what went wrong, by event."""
         write_json(self.path / FAILURES, failures)
 
     def failures(self) -> dict[str, Any]:
@@ -226,10 +304,6 @@ def holds_predictions(folder: Path) -> bool:
 # --- whether metrics that were read from a file have the form in which they were written ----------
 
 _ACCURACIES: Final = tuple(f"{kind}_accuracy" for kind in KINDS)
-_FIGURES: Final = (*_ACCURACIES, "goal_top3_accuracy")
-_NO_FIGURE: Final = "split_half_by"
-_PARTS: Final = ("value", "ci_low", "ci_high")
-_COSTS: Final = ("workers", "wall_seconds")
 
 
 def check_metrics(record: Mapping[str, Any]) -> None:
@@ -239,37 +313,38 @@ def check_metrics(record: Mapping[str, Any]) -> None:
     absent is as good as null. The message names the field.
     """
     _check_model(record, "")
-    for name in _stored_object(record, "reference_models", ""):
+    references = _object(record, "reference_models", "")
+    for name in references:
         where = "reference_models."
-        _check_model(_stored_object(record["reference_models"], name, where), f"{where}{name}.")
-    cost = _stored_object(record, "cost", "")
-    for name in _COSTS:
-        _number(cost, name, "cost.")
+        _check_model(_object(references, name, where), f"{where}{name}.")
+    cost = _object(record, "cost", "")
+    for name in ("workers", "wall_seconds"):
+        _check_number(cost, name, "cost.")
 
 
 def _check_model(record: Mapping[str, Any], where: str) -> None:
-    for name in _FIGURES:
-        _figure(record, name, where)
-    for scenario in _stored_object(record, "by_scenario", where):
-        inner = f"{where}by_scenario."
-        found = _stored_object(record["by_scenario"], scenario, inner)
+    for name in (*_ACCURACIES, "goal_top3_accuracy"):
+        _check_figure(record, name, where)
+    scenarios = _object(record, "by_scenario", where)
+    for scenario in scenarios:
+        found = _object(scenarios, scenario, f"{where}by_scenario.")
         for name in _ACCURACIES:
-            _figure(found, name, f"{inner}{scenario}.")
-    human = _stored_object(record, "human", where)
+            _check_figure(found, name, f"{where}by_scenario.{scenario}.")
+    human = _object(record, "human", where)
     for name in human:
-        if name != _NO_FIGURE:
-            _figure(human, name, f"{where}human.")
+        if name != "split_half_by":  # which is no figure
+            _check_figure(human, name, f"{where}human.")
 
 
-def _figure(record: Mapping[str, Any], name: str, where: str) -> None:
-    figure = _stored_object(record, name, where)
-    for part in _PARTS if figure else ():
+def _check_figure(record: Mapping[str, Any], name: str, where: str) -> None:
+    figure = _object(record, name, where)
+    for part in ("value", "ci_low", "ci_high") if figure else ():
         if part not in figure:
             raise InvalidEventError(f"{where}{name} has no {part}")
-        _number(figure, part, f"{where}{name}.")
+        _check_number(figure, part, f"{where}{name}.")
 
 
-def _stored_object(record: Mapping[str, Any], name: str, where: str) -> Mapping[str, Any]:
+def _object(record: Mapping[str, Any], name: str, where: str) -> Mapping[str, Any]:
     found = record.get(name)
     if found is None:
         return {}
@@ -278,7 +353,7 @@ def _stored_object(record: Mapping[str, Any], name: str, where: str) -> Mapping[
     return found
 
 
-def _number(record: Mapping[str, Any], name: str, where: str) -> None:
+def _check_number(record: Mapping[str, Any], name: str, where: str) -> None:
     found = record.get(name)
     if isinstance(found, bool) or not isinstance(found, int | float | None):
         raise InvalidEventError(f"{where}{name} is {shown(found)}, expected a number or null")

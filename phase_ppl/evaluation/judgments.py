@@ -322,11 +322,9 @@ def judged(
     """Return the events with people's judgments; what cannot be scored is found out now.
 
     Raises:
-        InvalidEventError, UnknownNameError: judgments or stored predictions cannot be read.
+        InvalidEventError, UnknownNameError: judgments or references cannot be read.
     """
     if judgments is not None:
-        pass
-
         study = judgments if isinstance(judgments, Study) else load_judgments(judgments, events)
         events = with_judgments(events, study)
     reference_predictions(events)

@@ -130,6 +130,36 @@ class Prediction:
         )
 
 
+def as_prediction(given: object, event_id: str = "") -> Prediction:
+    """Return an answer as a prediction of the event.
+
+    Raises:
+        InvalidEventError, UnknownNameError: it is none; the message says what is wrong.
+    """
+    if isinstance(given, Prediction):
+        found = dataclasses.replace(given, event_id=event_id)
+    elif isinstance(given, Mapping):
+        probabilities, labels = {}, {}
+        for question, answer in given.items():
+            if answer is None:
+                continue
+            if isinstance(answer, str):
+                labels[question] = answer
+            elif isinstance(answer, Mapping):
+                probabilities[question] = probabilities_of(question, answer)
+            else:
+                probabilities[question] = np.asarray(answer)
+        found = Prediction(event_id, probabilities, labels)
+    else:
+        raise InvalidEventError(
+            f"the answer is {shown(given)}, expected a Prediction or a mapping with goal_red, "
+            "goal_green or relation"
+        )
+    if not found.answers:
+        raise InvalidEventError("the answer is empty: goal_red, goal_green or relation is needed")
+    return found
+
+
 def probabilities_of(question: str, shares: Mapping[str, Any]) -> FloatArray:
     """Return probabilities in label order from answer -> probability; those left out are 0.
 

@@ -7,7 +7,7 @@ Another package registers its model under the entry point group ``phase_ppl.mode
 
 where ``my_model`` is a function decorated with :func:`register_model`. It is called once, with
 the options that a user gives, and returns the model itself: ``predict(scene, observation, seed)``
-(:data:`~phase_ppl.evaluation.answer.Predict`). What was returned is pickled and sent to worker
+(:data:`Predict`). What was returned is pickled and sent to worker
 processes, so what is large is best loaded at the first prediction.
 """
 
@@ -17,16 +17,45 @@ import dataclasses
 import importlib.util
 import inspect
 from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 from phase_ppl.analysis.summary import plain
-from phase_ppl.evaluation.answer import Predict
+from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.identity import qualified_name, source_hash, stable
+from phase_ppl.world.observation import Observation
 from phase_ppl.world.registry import Registry
+from phase_ppl.world.scene import Scene
 
 if TYPE_CHECKING:
     from phase_ppl.models.model import Model
+
+Given: TypeAlias = Prediction | Mapping[str, Any]
+"""An answer: a prediction, whose event id does not matter; or a mapping from questions
+("goal_red", "goal_green", "relation") to a label, to label -> probability, or to probabilities in
+label order. What the model does not answer is absent, or None."""
+
+
+class Answer(NamedTuple):
+    """An answer with files that belong to it.
+
+    Attributes:
+        given: the answer.
+        artefacts: name of a file -> a function that writes it to the path it is given.
+    """
+
+    given: Given
+    artefacts: Mapping[str, Callable[[Path], object]] = {}
+
+
+Predict: TypeAlias = Callable[[Scene, Observation, int], Given | Answer]
+"""A model, ready to be asked: ``predict(scene, observation, seed)``. That is all that it gets to
+know of an event. The same three give the same answer.
+
+It may have a method ``warm_up()``, called once before the first event, for what all processes can
+share, such as compiled code on disk; and a method ``settings()``, which returns as plain data what
+else determines its answers."""
 
 Factory = Callable[..., Predict]
 """``factory(**options)`` checks the options and returns the model."""
@@ -185,7 +214,14 @@ def ready(model: str | Model | Predict, options: Mapping[str, Any]) -> ReadyMode
             seed), or comes with options; or the model cannot be made with these.
     """
     if not isinstance(model, str) and not callable(model):
-        model, options = "simple", {"program": _program(model), **options}
+        from phase_ppl.models.model import Model
+
+        if not isinstance(model, Model):
+            raise InvalidSettingError(
+                f"model={shown(model)} is neither a name, a phase_ppl.Model nor a function "
+                "(scene, observation, seed)"
+            )
+        model, options = "simple", {"program": model, **options}
     source: Callable[..., Any]
     if isinstance(model, str):
         info = model_info(model)
@@ -211,17 +247,6 @@ def ready(model: str | Model | Predict, options: Mapping[str, Any]) -> ReadyMode
         "function_source": source_hash(source),
     }
     return ReadyModel(name, predict, parallel, isinstance(model, str), stable(plain(record)))
-
-
-def _program(model: object) -> Model:
-    from phase_ppl.models.model import Model
-
-    if not isinstance(model, Model):
-        raise InvalidSettingError(
-            f"model={shown(model)} is neither a name, a phase_ppl.Model nor a function "
-            "(scene, observation, seed)"
-        )
-    return model
 
 
 def _check_signature(model: Predict) -> None:

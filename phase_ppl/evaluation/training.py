@@ -24,7 +24,6 @@ from pathlib import Path
 from typing import Any, Final, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from phase_ppl.dataset.documents import read_json
 from phase_ppl.dataset.generation.store import MANIFEST, GeneratedEvents
@@ -36,6 +35,7 @@ from phase_ppl.models.socialgnn import store
 from phase_ppl.models.socialgnn.examples import Examples
 from phase_ppl.models.socialgnn.graphs import frame_graphs
 from phase_ppl.models.socialgnn.store import Trained, TrainingSettings
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidEventError, OutputError, PhasePPLError, shown
 from phase_ppl.world.event import Event
@@ -48,13 +48,11 @@ the third, the report scores it too."""
 
 ASKED: Final = "training.json"
 MEMBERS: Final = "members"
-_RECORDED: Final = {"seed", "epochs", "best_epoch", "cpu_seconds", "curves"}
-"""What the record of a network has."""
 
-Shares: TypeAlias = dict[str, NDArray[np.float64]]
+Shares: TypeAlias = dict[str, FloatArray]
 """Question -> probabilities of its answers."""
 
-_SCORED: Final = ("goal_accuracy", "relation_accuracy")
+_MOST_SEEDS: Final = 1000
 _DIGITS: Final = 4
 
 
@@ -111,9 +109,6 @@ def train_socialgnn(
     return _finish(folder, wanted, splits, settings, asked, progress)
 
 
-_MOST_SEEDS: Final = 1000
-
-
 class _Epochs(Bar):
     """A bar that counts epochs of networks, which end early or late."""
 
@@ -165,7 +160,8 @@ def _is_finished(folder: Path, seed: int) -> bool:
         return False
     try:
         store.load(record.with_suffix(".npz"))
-        return read_json(record).keys() >= _RECORDED
+        recorded = {"seed", "epochs", "best_epoch", "cpu_seconds", "curves"}
+        return read_json(record).keys() >= recorded
     except PhasePPLError:  # damaged: it is trained again
         return False
 
@@ -193,16 +189,14 @@ def _train(
                 name: [round(value, _DIGITS) for value in values]
                 for name, values in fitted.curves.items()
             }
-            write_json(
-                folder / MEMBERS / f"{seed}.json",
-                {
-                    "seed": seed,
-                    "epochs": len(curves["training"]),
-                    "best_epoch": fitted.best + 1,
-                    "cpu_seconds": round(seconds, 1),
-                    "curves": curves,
-                },
-            )
+            record = {
+                "seed": seed,
+                "epochs": len(curves["training"]),
+                "best_epoch": fitted.best + 1,
+                "cpu_seconds": round(seconds, 1),
+                "curves": curves,
+            }
+            write_json(folder / MEMBERS / f"{seed}.json", record)
 
 
 def _finish(
@@ -244,13 +238,9 @@ def _command(settings: TrainingSettings, seeds: Sequence[int]) -> str:
     """Return the command that makes these networks, of a set and in a folder of any name."""
     usual = TrainingSettings(settings.variant).to_dict()
     changed = {name: v for name, v in settings.to_dict().items() if v != usual[name]}
-    return " ".join(
-        [
-            f"phase-ppl train socialgnn --data SET --variant {settings.variant}",
-            *(f"--option {name}={json.dumps(value)}" for name, value in changed.items()),
-            f"--seeds {len(seeds)} --seed {seeds[0]} --out DIR",
-        ]
-    )
+    given = [f"--option {name}={json.dumps(value)}" for name, value in changed.items()]
+    given.append(f"--seeds {len(seeds)} --seed {seeds[0]} --out DIR")
+    return f"phase-ppl train socialgnn --data SET --variant {settings.variant} {' '.join(given)}"
 
 
 def _said(
@@ -297,7 +287,7 @@ def _accuracy(
 
 def _scores(metrics: dict[str, Any], intervals: bool) -> dict[str, Any]:
     found = {}
-    for name in _SCORED:
+    for name in ("goal_accuracy", "relation_accuracy"):
         figure = metrics.get(name)
         if figure is not None:
             rounded = {

@@ -1,4 +1,8 @@
-"""From tracks to a symbolic trajectory: which predicates hold in each frame, by thresholds.
+"""Predicate inverse planning (paper, Appendix "Predicate Inverse Planning"): goals from symbols.
+
+A video becomes a symbolic trajectory, which predicates hold in each frame; a forward model says how
+probable that is for an agent with a goal; its inversion gives P(goals | trajectory). There is no
+physics in it.
 
 The predicates are those of the paper's table as SIMPLE's planner uses them: CLOSE(entity,
 landmark) is being in that landmark's room (in an arena without inner walls, its quarter), ATTACH
@@ -38,8 +42,6 @@ FACTOR: Final = 3.0
 """By how much wider ON, and TOUCH of items, are here than where SIMPLE's planner is done with them:
 recorded agents stop a little short. Chosen on half of 50 real videos
 (``benchmarks/predicate.py``)."""
-
-_PREDICATES: Final = ("rooms", "held", "near", "placed")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -96,24 +98,16 @@ def symbolic_trajectory(
     """Return the symbolic state of every frame."""
     given = Thresholds() if thresholds is None else thresholds
     trajectory = observation.trajectory
-    found = {
-        "rooms": scene.rooms.room_of(trajectory[..., :2]),
-        "held": items_held(trajectory, scene.radius, given.attach),
-        "near": _near(trajectory, scene, given),
-        "placed": _placed(trajectory, scene, given),
-    }
-    for name in _PREDICATES:
-        shape = found[name].shape
-        columns = found[name].reshape(shape[0], -1).T
-        lasting = [_lasting(column, given.lasting) for column in columns]
-        found[name] = np.stack(lasting, axis=1).reshape(shape)
+    found = (
+        scene.rooms.room_of(trajectory[..., :2]),
+        items_held(trajectory, scene.radius, given.attach),
+        _near(trajectory, scene, given),
+        _placed(trajectory, scene, given),
+    )
+    frames = (_lasting(values, given.lasting).tolist() for values in found)
     return [
-        SymbolicState(
-            tuple(rooms), tuple(held), tuple(tuple(agent) for agent in near), tuple(placed)
-        )
-        for rooms, held, near, placed in zip(
-            *(found[name].tolist() for name in _PREDICATES), strict=True
-        )
+        SymbolicState(tuple(rooms), tuple(held), tuple(map(tuple, near)), tuple(placed))  # type: ignore[arg-type]
+        for rooms, held, near, placed in zip(*frames, strict=True)
     ]
 
 
@@ -149,17 +143,17 @@ def _placed(trajectory: FloatArray, scene: Scene, given: Thresholds) -> Flags:
 
 
 def _lasting(values: NDArray[Any], frames: int) -> NDArray[Any]:
-    """Return a series in which runs shorter than ``frames`` go on with what was before them."""
-    result = values.copy()
-    edges = np.flatnonzero(values[1:] != values[:-1]) + 1
-    bounds = [0, *edges.tolist(), len(values)]
-    for start, end in itertools.pairwise(bounds[1:]):
-        if end - start < frames:
-            result[start:end] = result[start - 1]
-    return result
+    """Return series (time, ...) in which shorter runs go on with what was before them."""
+    result = values.reshape(len(values), -1).copy()
+    for series in result.T:
+        edges = np.flatnonzero(series[1:] != series[:-1]) + 1
+        for start, end in itertools.pairwise([*edges.tolist(), len(series)]):
+            if end - start < frames:
+                series[start:end] = series[start - 1]
+    return result.reshape(values.shape)
 
 
-# --- what is left to do for a goal, in symbols: the cost of the cheapest plan, without... ---------
+# --- what is left to do for a goal, in symbols: the cost of the cheapest plan ---------------------
 # Plans are those of SIMPLE's subgoal planner (:mod:`phase_ppl.agents.operators`) by bodies that
 # can do everything: they pass every door, close none, and carry any item alone. Costs are its
 # too: lengths of ways from room to room, and constants for touching, gripping and placing.
@@ -182,14 +176,9 @@ def without_physics(scene: Scene) -> Abilities:
 
 
 def operators(node: Node, agent: int, touched: Sequence[int], abilities: Abilities) -> list[Step]:
-    """Return all that an agent can do in a state.
+    """Return all that an agent can do in a state, in which it is at one entity only.
 
-    Args:
-        node: the state, in which an agent is at one entity only.
-        agent: 0 red, 1 green.
-        touched: all entities that it touches: none is touched anew, and any item among them can
-            be gripped.
-        abilities: of the bodies.
+    Of all entities that it touches, none is touched anew, and any item can be gripped.
     """
     found = dict[Literal, Step]()
     for near in dict.fromkeys([node.near[agent], *touched]):
@@ -308,10 +297,9 @@ class CostToGo:
         return frozenset(r for r in there if distance[room][r] >= most - _TIE)
 
 
-@functools.lru_cache(maxsize=1024)
-def cost_to_go(abilities: Abilities, agent: int, goal: Literal) -> CostToGo:
-    """Return the cost to go for these arguments; scenes of one layout share what it knows."""
-    return CostToGo(abilities, agent, goal)
+_cost_to_go = functools.lru_cache(maxsize=1024)(
+    CostToGo
+)  # scenes of one layout share what it knows
 
 
 # --- the forward model: how probable a symbolic trajectory is if an agent has a goal --------------
@@ -324,11 +312,6 @@ def cost_to_go(abilities: Abilities, agent: int, goal: Literal) -> CostToGo:
 # ``wait_cost`` as long as there is something left to do and nothing otherwise, and cannot be told
 # from completing nothing. What comes true without an operator of the agent that explains it has
 # only the lapse. Facts that are no agent's doing (a pushed item, where a holder is) are given.
-
-RATIONALITY: Final = 0.8
-OPERATOR_FRAMES: Final = 12.0
-WAIT_COST: Final = 2 * TOUCH_COST
-LAPSE: Final = 0.02
 
 
 @dataclasses.dataclass(frozen=True)
@@ -345,10 +328,10 @@ class Rationality:
         InvalidSettingError: a value outside its range.
     """
 
-    rationality: float = RATIONALITY
-    operator_frames: float = OPERATOR_FRAMES
-    wait_cost: float = WAIT_COST
-    lapse: float = LAPSE
+    rationality: float = 0.8
+    operator_frames: float = 12.0
+    wait_cost: float = 2 * TOUCH_COST
+    lapse: float = 0.02
 
     def __post_init__(self) -> None:
         for name in ("operator_frames", "lapse"):
@@ -399,18 +382,13 @@ def own_changes(
 
 
 class ForwardModel:
-    """Probabilities of symbolic trajectories in one scene.
-
-    Args:
-        scene: its layout is all that counts.
-        rationality: of both agents.
-    """
+    """Probabilities of symbolic trajectories in one scene, of which only the layout counts."""
 
     def __init__(self, scene: Scene, rationality: Rationality | None = None) -> None:
         self.rationality = Rationality() if rationality is None else rationality
         self._abilities = without_physics(scene)
         self._cost_to_go = {
-            (agent, goal): cost_to_go(self._abilities, agent, goal_literal(goal, agent))
+            (agent, goal): _cost_to_go(self._abilities, agent, goal_literal(goal, agent))
             for agent in range(len(AGENTS))
             for goal in range(N_GOALS)
             if not is_self_referring(goal, agent)
@@ -419,15 +397,9 @@ class ForwardModel:
         self._known: dict[tuple[SymbolicState, int, int], dict[Literal, float]] = {}
 
     def policy(self, state: SymbolicState, agent: int, goal: int) -> dict[Literal, float]:
-        """Return P(operator | state, goal) by the literal that the operator makes true.
+        """Return P(operator | state, goal) by the literal that the operator makes true, sum 1.
 
-        Args:
-            state: where the agent is.
-            agent: 0 red, 1 green.
-            goal: index of its effective goal.
-
-        Returns:
-            The sum is 1; ``STOP`` is waiting.
+        ``STOP`` is waiting; ``goal`` is the index of the effective goal.
         """
         key = state, agent, goal
         if key not in self._known:
@@ -489,7 +461,7 @@ class ForwardModel:
 
 
 def _weight(rationality: float, cost: float, least: float) -> float:
-    if rationality == 0 or cost == least:
+    if rationality == 0 or cost == least:  # costs may be infinite
         return 1.0
     return math.exp(-rationality * (cost - least))
 
@@ -502,7 +474,7 @@ def _with_near(state: SymbolicState, agent: int, entity: int) -> SymbolicState:
     return state._replace(near=_put(state.near, agent, _put(state.near[agent], entity, True)))
 
 
-# --- the inversion of the forward model: P(goals | trajectory), and with it that of... ------------
+# --- the inversion of the forward model -----------------------------------------------------------
 # P(g_red, g_green | tau) ~ P(tau | g_red) P(tau | g_green) P(g_red, g_green) (paper, Appendix
 # "Predicate Inverse Planning"), over all pairs of effective goals. The paper says "a prior over
 # goals, often uniform". Under SIMPLE's prior each agent's effective goal is uniform over the 34
@@ -565,16 +537,13 @@ def log_prior_of_pairs(name: str) -> FloatArray:
 
 @functools.cache
 def _log_prior_of_pairs(name: str) -> FloatArray:
-    possible = [
+    red, green = (
         np.array([not is_self_referring(goal, agent) for goal in range(N_GOALS)])
         for agent in range(len(AGENTS))
-    ]
-    allowed = possible[0][:, None] & possible[1]
-    if name == INDEPENDENT:
-        prior = allowed / allowed.sum()
-    else:
-        prior = np.where(allowed, _of_simple(name), 0.0)
-        prior /= prior.sum()
+    )
+    weights = 1.0 if name == INDEPENDENT else _of_simple(name)
+    prior = np.where(red[:, None] & green, weights, 0.0)
+    prior /= prior.sum()
     with np.errstate(divide="ignore"):
         log_prior: FloatArray = np.log(prior)
     log_prior.flags.writeable = False

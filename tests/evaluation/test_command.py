@@ -1,4 +1,4 @@
-"""``phase-ppl evaluate``: what it prints and writes, and how it ends."""
+"""``phase-ppl evaluate`` and ``compare-models``: what they print and write, and how they end."""
 
 from __future__ import annotations
 
@@ -11,22 +11,26 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.cli import main
+from phase_ppl.cli.evaluate import models_of, options_of
 from phase_ppl.evaluation import figures, registry
 from phase_ppl.evaluation.report import contents
+from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from tests.evaluation.small import make_folder, prediction, with_posterior
-from tests.evaluation.toys import FailsAt, right, several, still, wrong
-
-QUIET = ["--workers", "1", "--quiet"]
+from tests.evaluation.toys import FailsAt, raises, right, several, still, wrong
 
 
 @pytest.fixture(autouse=True)
-def _models(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Give some models names."""
+def _models(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Give some models names, in a folder of its own for each test."""
+    monkeypatch.chdir(tmp_path)
     registry.available_models()
     monkeypatch.setattr(registry.MODELS, "entries", dict(registry.MODELS.entries))
 
-    def raises() -> Any:
-        raise ValueError("not today")
+    def stops_once(scene: Any, observation: Any, seed: int) -> Any:
+        if Path("stop").exists():
+            Path("stop").unlink()
+            raise KeyboardInterrupt
+        return right(scene, observation, seed)
 
     def stops() -> Any:
         raise KeyboardInterrupt
@@ -36,17 +40,23 @@ def _models(monkeypatch: pytest.MonkeyPatch) -> None:
         "wrong": wrong,
         "fails": FailsAt(4, raises),
         "stops": FailsAt(4, stops),
+        "stops_once": stops_once,
     }
     for name, model in models.items():
-        ppl.register_model(name)(_factory(model))
+        ppl.register_model(name, parallel=False)(_factory(name, model))
+    ppl.register_model("any", parallel=False)(lambda **options: right)
 
 
-def _factory(model: Any) -> Any:
+def _factory(name: str, model: Any) -> Any:
     def make(size: int = 1) -> Any:
         return model
 
-    make.__qualname__ = repr(model)
-    return make
+    def make_without_options() -> Any:
+        return model
+
+    chosen = make if name == "right" else make_without_options
+    chosen.__qualname__ = name
+    return chosen
 
 
 @pytest.fixture
@@ -56,20 +66,27 @@ def events(tmp_path: Path) -> Path:
     return path
 
 
+def run(*arguments: object) -> int:
+    return main([str(argument) for argument in arguments])
+
+
 def evaluate(*arguments: object) -> int:
-    return main(["evaluate", *map(str, arguments), *QUIET])
+    return run("evaluate", *arguments, "--workers", "1", "--quiet")
 
 
 def fails(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     """Return the only line of an error with exit code 2."""
     try:
-        code = evaluate(*arguments)
+        code = run(*arguments)
     except SystemExit as stop:
         code = stop.code  # type: ignore[assignment]
-    written = capsys.readouterr()
+    error = capsys.readouterr().err
     assert code == 2
-    assert written.err.count("\n") == 1
-    return written.err
+    assert error.count("\n") == 1
+    return error
+
+
+BOTH = ("--model", "right", "--model")
 
 
 def test_it_prints_a_table_and_writes_predictions_metrics_figures_and_pages(
@@ -109,6 +126,11 @@ def test_a_failing_event_is_told_by_the_exit_code(
     assert evaluate(events, "--model", "fails", "--out", out, "--no-figures") == 1
     assert "failed: b: ValueError: not today" in capsys.readouterr().out
     assert not (out / "figures").exists()
+    assert evaluate(events, *BOTH, "fails", "--out", tmp_path / "two", "--no-figures") == 1
+    written = capsys.readouterr()
+    assert "fails: failed: b: ValueError: not today" in written.err
+    words = "fails predicts 2 of 3 events (1 failed); its scores are about those"
+    assert words in " ".join(written.out.split())
 
 
 def test_a_failing_figure_costs_no_results(
@@ -139,8 +161,8 @@ def test_ctrl_c_says_how_to_go_on_and_resume_does(
     errors = capsys.readouterr().err
     assert "1 of 3 events are finished" in errors
     assert "--resume" in errors
-    assert "already holds" in fails(capsys, events, "--model", "stops", "--out", out)
-    other = fails(capsys, events, "--model", "right", "--out", out, "--resume")
+    assert "already holds" in fails(capsys, "evaluate", events, "--model", "stops", "--out", out)
+    other = fails(capsys, "evaluate", events, "--model", "right", "--out", out, "--resume")
     assert other.endswith("with other settings: model is 'right', was 'stops'\n")
     assert evaluate(events, "--model", "stops", "--out", out, "--resume") == 130
 
@@ -161,34 +183,21 @@ def test_against_compares_with_another_folder_also_later(
     assert second["relation_accuracy"]["value"] == -1
 
 
-def test_a_folder_to_compare_with_that_is_none_is_refused_before_the_work(
+def test_what_cannot_be_compared_with_is_refused_before_the_work(
     events: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    other = tmp_path / "other"
-    other.mkdir()
-    error = fails(capsys, events, "--model", "stops", "--against", other)
-    assert "holds no evaluation" in error
-
-
-def test_a_model_to_compare_with_that_nobody_knows_is_refused_before_the_work(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path, out = tmp_path / "events.json", tmp_path / "out"
-    ppl.save_events([still("a", predictions={"theirs": {"relation": "neutral"}})], path)
-    error = fails(capsys, path, "--model", "stops", "--against", "thiers", "--out", out)
-    assert "thiers: no such folder, and no reference model (theirs)" in error
-    assert not out.exists()
-
-
-def test_what_is_compared_with_must_predict_one_of_the_events_at_least(
-    events: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path, other = tmp_path / "others.json", tmp_path / "other"
-    ppl.save_events([still("x")], path)
-    assert evaluate(path, "--model", "wrong", "--out", other, "--no-figures") == 0
+    Path("empty").mkdir()
+    ppl.save_events([still("x", predictions={"theirs": {"relation": "neutral"}})], "x.json")
+    assert evaluate("x.json", "--model", "wrong", "--out", "other", "--no-figures") == 0
     capsys.readouterr()
-    error = fails(capsys, events, "--model", "stops", "--against", other)
-    assert "wrong predicts none of the 3 events" in error
+    for given, against, message in (
+        (events, "empty", "holds no evaluation"),
+        (events, "other", "wrong predicts none of the 3 events"),
+        ("x.json", "thiers", "thiers: no such folder, and no reference model (theirs)"),
+    ):
+        command = ["evaluate", given, "--model", "stops", "--against", against, "--out", "out"]
+        assert message in fails(capsys, *command)
+        assert not Path("out").exists()
 
 
 def test_a_finished_evaluation_leads_to_its_report_and_is_no_folder_of_events(
@@ -197,7 +206,7 @@ def test_a_finished_evaluation_leads_to_its_report_and_is_no_folder_of_events(
     out = tmp_path / "out put"
     assert evaluate(events, "--model", "right", "--out", out, "--no-figures") == 0
     assert f"phase-ppl report '{out}'" in capsys.readouterr().out
-    error = fails(capsys, out, "--model", "right")
+    error = fails(capsys, "evaluate", out, "--model", "right")
     assert f"its events are in {out / 'events.json'}" in error
     assert main(["query", str(out), "P(goal_red)"]) == 2
     assert f"{out} holds no posterior.nc\n" in capsys.readouterr().err
@@ -249,14 +258,9 @@ def test_judgments_come_from_a_file(events: Path, tmp_path: Path) -> None:
     ],
 )
 def test_bad_input_ends_with_one_line(
-    arguments: str,
-    message: str,
-    capsys: pytest.CaptureFixture[str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    arguments: str, message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert message in fails(capsys, *shlex.split(arguments))
+    assert message in fails(capsys, "evaluate", *shlex.split(arguments))
 
 
 def test_ids_that_are_long_or_odd_have_folders_of_their_own(tmp_path: Path) -> None:
@@ -267,3 +271,149 @@ def test_ids_that_are_long_or_odd_have_folders_of_their_own(tmp_path: Path) -> N
     assert list(ppl.Evaluation.load(out).predictions) == odd
     assert len(list(out.glob("events/*/prediction.json"))) == 5
     assert {entry.name for entry in tmp_path.iterdir()} == {"odd.json", "out"}
+
+
+# --- several models ------------------------------------------------------------------------------
+
+
+def test_each_model_has_a_folder_as_if_it_were_alone_and_they_are_compared(
+    events: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    both = [*BOTH, "other=wrong", "--out", out, "--limit", 2]
+    (out / "pages").mkdir(parents=True)
+    (out / "pages" / "0007-of_an_event_no_more_compared.html").touch()
+    assert evaluate(events, *both) == 0
+    printed = capsys.readouterr().out
+    assert "2 models on 2 events" in printed
+    assert "right - other" in printed
+    assert f"Kept in {out}" in printed
+    for label, model in (("right", "right"), ("other", "wrong")):
+        found = ppl.Evaluation.load(out / label)
+        assert (found.name, len(found.predictions)) == (model, 2)
+        assert (out / label / "metrics.json").is_file()
+        assert (out / label / "figures" / "accuracy.png").is_file()
+        assert len(list((out / label).glob("events/*/page.html"))) == 2
+    assert ppl.ModelComparison.load(out).models == ["right", "other"]
+    assert (out / "figures" / "differences.png").is_file()
+    assert [page.name for page in sorted((out / "pages").iterdir())] == [
+        "0000-a.html", "0001-b.html",
+    ]  # fmt: skip
+
+
+def test_an_interrupted_evaluation_of_several_models_goes_on(
+    events: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    both = [*BOTH, "stops_once", "--out", out, "--no-figures"]
+    Path("stop").touch()
+    assert evaluate(events, *both) == 130
+    assert "--resume" in capsys.readouterr().err
+    assert not (out / "comparison.json").exists()
+    error = fails(capsys, "evaluate", events, *both)
+    assert f"{out / 'right'} already holds an evaluation" in error
+    # that one cannot go on is said before another is asked, which would stop
+    Path("stop").touch()
+    others = ["--model", "stops_once", "--model", "right", "--option", "right.size=2"]
+    error = fails(capsys, "evaluate", events, *others, *both[4:], "--resume")
+    assert "holds an evaluation with other settings: options.size is 2, was None" in error
+    Path("stop").unlink()
+    assert evaluate(events, *both, "--resume") == 0
+    assert ppl.ModelComparison.load(out).models == ["right", "stops_once"]
+
+
+def test_plain_options_go_to_the_models_that_take_them_and_others_to_the_one_they_name() -> None:
+    models = {"right": "right", "wrong": "wrong", "two": "right", "any": "any"}
+    given = [("size", 2), ("two.size", 3), ("any.what", 4)]
+    assert options_of(models, {}, given) == {
+        "right": {"size": 2},
+        "wrong": {},
+        "two": {"size": 3},
+        "any": {"size": 2, "what": 4},
+    }
+    simple = {"simple": "simple", "last_frame": "last_frame"}
+    given = [("rule", "paper"), ("chains", 3), ("beta", 0.1)]
+    assert options_of(simple, {"planner": "fast"}, given) == {
+        "simple": {"planner": "fast", "rule": "paper", "chains": 3, "beta": 0.1},
+        "last_frame": {},
+    }
+    assert options_of({"x": "y"}, {"a": 1}, [("b", 2), ("x.c", 3)]) == {
+        "x": {"a": 1, "b": 2, "c": 3}
+    }
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "message"),
+    [
+        ([("length", 2)], InvalidSettingError, "length: none of the models right, wrong takes it"),
+        ([("ritgh.size", 2)], UnknownNameError, "did you mean 'right'"),
+        ([("size", 2), ("size", 3)], InvalidSettingError, "--option size: given twice"),
+        ([("right.seed", 2)], InvalidSettingError, "no option of a model"),
+    ],
+)
+def test_options_that_go_nowhere_are_refused(
+    given: Any, error: type[Exception], message: str
+) -> None:
+    with pytest.raises(error, match=message):
+        options_of({"right": "right", "wrong": "wrong"}, {}, given)
+
+
+def test_labels_are_names_of_folders_and_different() -> None:
+    assert models_of(None) == {"simple": "simple"}
+    assert models_of(["a", "b=a"]) == {"a": "a", "b": "a"}
+    with pytest.raises(InvalidSettingError, match=r"--model a is given twice.*one=a"):
+        models_of(["a", "a"])
+    with pytest.raises(InvalidSettingError, match="no name for a folder"):
+        models_of(["../a=a"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ("--model right --model rigth", "'right'"),
+        ("--model right --model wrong --option wrong.size=2", "wrong"),
+        ("--model right --model wrong --planner fast", "planner: none of the models"),
+        ("--model right --model wrong --against nobody", "model to compare with 'nobody'"),
+        ("--model right --model wrong --stored theirs", "stored model 'theirs'"),
+        ("--model right --model people=wrong", "called 'people', as people are"),
+        ("--model right --model wrong --resume", "--resume needs --out"),
+        ("--model right --stored theirs", "--stored is for several models"),
+        ("--model right --model wrong --out single", "holds an evaluation of one model"),
+    ],
+)
+def test_what_is_wrong_is_found_before_the_first_model_is_asked(
+    arguments: str, message: str, events: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if "single" in arguments:
+        assert evaluate(events, "--model", "right", "--out", "single", "--no-figures") == 0
+        capsys.readouterr()
+    assert message in fails(capsys, "evaluate", events, *shlex.split(arguments))
+
+
+def test_folders_are_compared_later_and_under_names(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stored = {"theirs": {"relation": "neutral"}}
+    ppl.save_events([still(i, shift=k, predictions=stored) for k, i in enumerate("ab")], "e.json")
+    for model in ("right", "wrong"):
+        assert evaluate("e.json", "--model", model, "--out", model, "--no-figures") == 0
+    capsys.readouterr()
+    resamples = ["--resamples", 50]
+    assert run("compare-models", "right", "wrong", "--stored", "all", *resamples) == 0
+    printed = capsys.readouterr().out
+    assert "3 models on 2 events" in printed
+    assert "Nothing was saved" in printed
+    given = ["x=right", "y=wrong", "--against", "y", "--margin", 0.2, "--out", "c", "--no-figures"]
+    assert run("compare-models", *given, *resamples) == 0
+    kept = json.loads((tmp_path / "c" / "comparison.json").read_text())
+    assert [one["name"] for one in kept["models"]] == ["x", "y"]
+    assert kept["settings"] == {"margin": 0.2, "against": "y", "seed": 0, "resamples": 50}
+    for arguments, message in (
+        ("x=right wrong", "a different name for each"),
+        ("x=right =wrong", "a different name for each"),
+        ("right --margin 2", "margin=2.0"),
+        ("nowhere", "nowhere: no such folder"),
+        ("right --out wrong", "--out wrong holds an evaluation"),
+        ("right --stored thiers", "'theirs'"),
+    ):
+        assert message in fails(capsys, "compare-models", *arguments.split())

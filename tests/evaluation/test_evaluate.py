@@ -102,12 +102,14 @@ def test_a_model_that_always_fails_leaves_no_figures(tmp_path: Path) -> None:
     assert "0 of 4 events" in str(found)
 
 
-def test_a_setting_of_a_named_model_that_nothing_can_use_stops_at_once(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+@pytest.fixture
+def _registered_for_this_test_only(monkeypatch: pytest.MonkeyPatch) -> None:
     registry.available_models()
     monkeypatch.setattr(registry.MODELS, "entries", dict(registry.MODELS.entries))
 
+
+@pytest.mark.usefixtures("_registered_for_this_test_only")
+def test_a_setting_of_a_named_model_that_nothing_can_use_stops_at_once(tmp_path: Path) -> None:
     def fussy(scene: Any, observation: Any, seed: int) -> Any:
         raise InvalidSettingError("size=3 is too small")
 
@@ -117,18 +119,14 @@ def test_a_setting_of_a_named_model_that_nothing_can_use_stops_at_once(
     evaluate(out=tmp_path)  # nothing was done, so nothing is in the way
 
 
-def test_an_odd_answer_of_a_named_model_stops_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    registry.available_models()
-    monkeypatch.setattr(registry.MODELS, "entries", dict(registry.MODELS.entries))
+@pytest.mark.usefixtures("_registered_for_this_test_only")
+def test_an_odd_answer_of_a_named_model_stops_nothing() -> None:
     ppl.register_model("odd")(lambda: FailsAt(6, lambda: {"relation": "hostile"}))
     assert list(evaluate(model="odd").failures) == ["d"]
 
 
-def test_options_that_are_no_plain_data_are_kept_as_text(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    registry.available_models()
-    monkeypatch.setattr(registry.MODELS, "entries", dict(registry.MODELS.entries))
+@pytest.mark.usefixtures("_registered_for_this_test_only")
+def test_options_that_are_no_plain_data_are_kept_as_text(tmp_path: Path) -> None:
     ppl.register_model("any")(lambda **options: right)
     options = {"a": np.nan, "b": raises, "c": (1, np.float32(2))}
     evaluate(model="any", out=tmp_path, **options)
@@ -157,7 +155,7 @@ def test_seeds_follow_from_seed_and_content_alone() -> None:
     assert set(seeds(EVENTS, seed=1).values()).isdisjoint(every.values())
 
 
-def test_truth_judgments_and_stored_predictions_do_not_reach_a_model() -> None:
+def test_truth_judgments_and_references_do_not_reach_a_model() -> None:
     asked: list[Any] = []
 
     def curious(*given: Any) -> Any:
@@ -213,6 +211,9 @@ def test_events_come_from_a_file_a_folder_or_a_bundled_name(tmp_path: Path) -> N
     ppl.save_event(EVENTS[1], folder / "3.json")
     with pytest.raises(InvalidEventError, match=r"two events with the id 'b'.*1\.json and .*3\.js"):
         evaluate(folder)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InvalidEventError, match="holds no event files"):
+        evaluate(tmp_path / "empty")
 
 
 @pytest.mark.parametrize(
@@ -231,11 +232,6 @@ def test_events_that_cannot_be_evaluated_are_refused_at_once(
 ) -> None:
     with pytest.raises(error, match=message):
         evaluate(events, lambda *given: pytest.fail("it was asked"))
-
-
-def test_an_empty_folder_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InvalidEventError, match="holds no event files"):
-        evaluate(tmp_path)
 
 
 @pytest.mark.parametrize("setting", ["limit", "workers"])
@@ -336,6 +332,8 @@ def test_opponents_must_have_seen_the_same() -> None:
         one.against(evaluate(EVENTS[2:]))
     with pytest.raises(InvalidEventError, match="'a' is not the same in both"):
         one.against(evaluate([still("a", shift=0.7)]))
+    with pytest.raises(InvalidSettingError, match="3 is neither an evaluation"):
+        one.against(3)  # type: ignore[arg-type]
 
 
 # --- what is shown -----------------------------------------------------------------------------
@@ -355,11 +353,6 @@ def test_the_table_shows_everybody_and_fits_a_terminal(tmp_path: Path) -> None:
     assert repr(found) == "<Evaluation of FailsAt: 3 of 4 events, 1 failed>"
 
 
-def test_what_is_nothing_to_compare_with_is_refused() -> None:
-    with pytest.raises(InvalidSettingError, match="3 is neither an evaluation"):
-        evaluate().against(3)  # type: ignore[arg-type]
-
-
 def test_the_bar_counts_events_and_says_what_fails(capsys: pytest.CaptureFixture[str]) -> None:
     evaluate(model=FailsAt(4, raises), progress=True)
     shown = capsys.readouterr().err
@@ -370,7 +363,8 @@ def test_the_bar_counts_events_and_says_what_fails(capsys: pytest.CaptureFixture
 
 
 def test_the_time_left_rests_on_seconds_per_frame_and_workers() -> None:
-    with Progress({"long": 100, "short": 40, "other": 60}, 0, workers=2, shown=False) as bar:
+    events = [still("long", 100), still("short", 40), still("other", 60)]
+    with Progress(events, 0, workers=2, shown=False) as bar:
         assert bar.seconds_left() is None
         bar.one_more("long", 50.0)
         assert bar.seconds_left() == pytest.approx((40 + 60) * 0.5 / 2)

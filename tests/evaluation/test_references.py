@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import phase_ppl as ppl
+from phase_ppl.analysis.summary import plain
+from phase_ppl.evaluation.evaluation import carried_evaluation, reference_evaluation
 from phase_ppl.evaluation.metrics import reference_models
 from phase_ppl.evaluation.people import human_accuracy
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.references import reference_predictions
-from phase_ppl.world.errors import PhasePPLError
+from phase_ppl.world.errors import PhasePPLError, UnknownNameError
 from tests.evaluation.judged import (
     BLUE_TO_RED,
     COLLABORATIVE,
@@ -20,6 +23,7 @@ from tests.evaluation.judged import (
     PINK_TO_BLUE,
     make_event,
 )
+from tests.evaluation.toys import GREEN_TO_RED, RED_TO_RED, right, several
 from tests.world.examples import DEV, needs_dev
 
 SIMPLE = {
@@ -112,6 +116,34 @@ def test_models_that_predict_other_events_are_measured_on_theirs() -> None:
     assert found["one"]["human"]["split_half_r"] != found["two"]["human"]["split_half_r"]
 
 
+# --- as an evaluation --------------------------------------------------------------------------
+
+RIVAL = {"goals": {"red agent": RED_TO_RED, "green agent": GREEN_TO_RED}, "relation": "friendly"}
+EVENTS = [
+    dataclasses.replace(event, predictions={"rival": RIVAL} if event.id != "b" else None)
+    for event in several(3)
+]
+
+
+def test_it_is_scored_and_compared_as_any_other_evaluation() -> None:
+    found = reference_evaluation(EVENTS, "rival")
+    assert found.name == "rival"
+    assert found.metrics["goal_accuracy"]["value"] == 1
+    assert found.metrics["relation_accuracy"]["value"] == 0
+    assert list(found.predictions) == ["a", "c"]
+    assert found.failures == {"b": "the event carries no prediction of rival"}
+    assert "rival: 2 of 3 events" in str(found)
+    ran = ppl.evaluate(EVENTS, right, workers=1, progress=False)
+    assert ran.against(found)["relation_accuracy"]["value"] == 1
+    assert found.against(ran)["n_events"] == 2
+    assert ppl.carried_evaluation is carried_evaluation is reference_evaluation
+    with pytest.raises(UnknownNameError, match="'rival'"):
+        reference_evaluation(EVENTS, "rivals")
+
+
+# --- published figures -------------------------------------------------------------------------
+
+
 @needs_dev
 def test_published_figures_of_the_authors_models() -> None:
     events = ppl.load_events(DEV)
@@ -140,6 +172,9 @@ def test_published_figures_of_the_authors_models() -> None:
     # what people agree on least bounds how well they are predicted
     human = simple["human"]
     assert human["log_score"]["value"] < human["log_score_people"]["value"]
+    alone = reference_evaluation(events, "simple_authors").metrics
+    for name in ("goal_accuracy", "relation_accuracy", "by_scenario"):
+        assert alone[name] == plain(simple[name])
 
 
 @needs_dev

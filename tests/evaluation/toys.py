@@ -52,6 +52,7 @@ class Counted:
     """Leaves a file for every call, also in other processes; names are numbers of frames."""
 
     def __init__(self, folder: Path, does: Any = right) -> None:
+        folder.mkdir(exist_ok=True)
         self.folder, self.does = folder, does
 
     def __call__(self, scene: Scene, observation: Observation, seed: int) -> Any:

@@ -1,4 +1,4 @@
-"""A baseline that looks at the last frame only."""
+"""Baselines: one looks at the last frame only, one does not look at all."""
 
 from __future__ import annotations
 
@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.dataset.statistics import PHASE, goal_type
-from phase_ppl.evaluation.answer import Predict
 from phase_ppl.evaluation.prediction import Prediction
-from phase_ppl.evaluation.registry import register_model
+from phase_ppl.evaluation.registry import Predict, register_model
 from phase_ppl.world.goals import N_GOALS, is_self_referring
 from phase_ppl.world.hypothesis import RELATIONS, relation
 from phase_ppl.world.names import AGENTS, ENTITIES, ITEMS, LANDMARKS
@@ -44,20 +43,16 @@ def _predict(scene: Scene, observation: Observation, seed: int) -> Prediction:
     )
 
 
-# --- A baseline that does not look at all: it answers what is most frequent in PHASE --------------
-
-
 # a prediction takes less than a process does to start
 @register_model("majority", parallel=False)
 def majority() -> Predict:
     """The most frequent relation and goals of PHASE, whatever there is to see.
 
-    Shares are those of the 500 original events (:mod:`phase_ppl.dataset.statistics`), from
-    the paper and the names of the recordings, whatever events are asked about; PHASE's 100 test
-    videos are among the 500. For goals
-    they are known by type (item or agent, landmark or agent, to or away from); the goals of one
-    type are alike. So eight are the most frequent, and the first of them in label order is the
-    answer.
+    Shares are those of the 500 original events (:mod:`phase_ppl.dataset.statistics`), from the paper
+    and the names of the recordings, whatever events are asked about; PHASE's 100 test videos are
+    among the 500. For goals they are known by type (item or agent, landmark or agent, to or
+    away from); the goals of one type are alike. So eight are the most frequent, and the first of
+    them in label order is the answer.
     """
     goals = [goal_shares(agent) for agent in range(len(AGENTS))]
     shares = PHASE["tables"]["relation"]["shares"]
@@ -65,17 +60,7 @@ def majority() -> Predict:
     prediction = Prediction(
         "", {"goal_red": goals[0], "goal_green": goals[1], "relation": relations}
     )
-    return _Constant(prediction)
-
-
-class _Constant:
-    """A model that has one answer."""
-
-    def __init__(self, prediction: Prediction) -> None:
-        self._prediction = prediction
-
-    def __call__(self, scene: Scene, observation: Observation, seed: int) -> Prediction:
-        return self._prediction
+    return lambda scene, observation, seed: prediction
 
 
 def goal_shares(agent: int) -> NDArray[np.float64]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.evaluation.prediction import Prediction
+from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
 from phase_ppl.evaluation.registry import register_model
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.observation import Observation
@@ -26,8 +26,6 @@ class PredicateInversePlanning:
     Attributes:
         prior: name of the prior over pairs of effective goals.
         log_prior: (goal of red, goal of green).
-        thresholds: of the predicates.
-        rationality: of the agents.
     """
 
     prior: str
@@ -42,14 +40,7 @@ class PredicateInversePlanning:
         trajectory = symbolic_trajectory(scene, observation, self.thresholds)
         likelihood = ForwardModel(scene, self.rationality).log_likelihood(trajectory)
         found = posterior(likelihood, self.log_prior)
-        return Prediction(
-            "",
-            {
-                "goal_red": found.goal_red,
-                "goal_green": found.goal_green,
-                "relation": found.relation,
-            },
-        )
+        return Prediction("", {question: getattr(found, question) for question in QUESTIONS})
 
     def settings(self) -> dict[str, Any]:
         """Return what determines the answers."""
@@ -89,14 +80,11 @@ def predicate(*, prior: str = "uniform", **options: Any) -> PredicateInversePlan
                 f"{name} is no option of model 'predicate': allowed are "
                 f"{', '.join(['prior', *known])}"
             )
-
-    def given(kind: type) -> dict[str, Any]:
-        names = {field.name for field in dataclasses.fields(kind)}
-        return {name: value for name, value in options.items() if name in names}
-
+    thresholds, rationality = (
+        {field.name: options[field.name] for field in dataclasses.fields(kind)
+         if field.name in options}
+        for kind in (Thresholds, Rationality)
+    )  # fmt: skip
     return PredicateInversePlanning(
-        prior,
-        log_prior_of_pairs(prior),
-        Thresholds(**given(Thresholds)),
-        Rationality(**given(Rationality)),
+        prior, log_prior_of_pairs(prior), Thresholds(**thresholds), Rationality(**rationality)
     )

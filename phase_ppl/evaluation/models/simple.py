@@ -1,16 +1,18 @@
-"""SIMPLE, the paper's model: inference over goals, relation and strengths by simulation."""
+"""SIMPLE, the paper's model: inference over goals, relation and strengths by simulation.
+
+Beside it the closed-loop model, and lesions of SIMPLE.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import inspect
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
-from phase_ppl.evaluation.answer import Answer
 from phase_ppl.evaluation.folder import POSTERIOR
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
-from phase_ppl.evaluation.registry import register_model
+from phase_ppl.evaluation.registry import Answer, MoreOptions, Predict, register_model
 from phase_ppl.world.errors import InvalidSettingError, unknown_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.observation import Observation
@@ -18,8 +20,6 @@ from phase_ppl.world.scene import Scene
 
 if TYPE_CHECKING:
     from phase_ppl.models.model import Model
-from phase_ppl.evaluation.answer import Predict
-from phase_ppl.evaluation.registry import MoreOptions
 
 _COUNTED: Final = ("simulations", "frames", "frames_saved", "failures", "retries")
 _KERNEL: Final = "local_mh"
@@ -28,7 +28,7 @@ _NOT_OPTIONS: Final = ("checkpoint", "event", "executor", "progress", "seed", "w
 
 @dataclasses.dataclass(frozen=True)
 class Simple:
-    """SIMPLE with its options, ready to be asked.
+    """A model of this package with its options, ready to be asked.
 
     Attributes:
         model: prior, simulator and likelihood.
@@ -37,8 +37,8 @@ class Simple:
     """
 
     model: Model
-    weights: str | None
-    options: dict[str, Any]
+    weights: str | None = None
+    options: dict[str, Any] = dataclasses.field(default_factory=dict)
 
     def __call__(self, scene: Scene, observation: Observation, seed: int) -> Answer:
         """Return the marginals of both effective goals and of the relation."""
@@ -62,7 +62,15 @@ class Simple:
         return Answer(prediction, {POSTERIOR: post.save})
 
     def warm_up(self) -> None:
-        """Compile what the simulator needs, for all processes."""
+        """Compile what the model needs, for all processes."""
+        from phase_ppl.models.stepwise import StepwiseLikelihood
+
+        summed = isinstance(self.model.likelihood, StepwiseLikelihood)
+        if summed and self.options.get("kernel") is None:
+            from phase_ppl.closed_loop.goal_filter import warm_up
+
+            warm_up()
+            return
         simulator = self.model.build_simulator()
         if hasattr(simulator, "warm_up"):
             simulator.warm_up()
@@ -87,12 +95,13 @@ def _of_simple(given: Mapping[str, Any]) -> list[str] | None:
     of_kernel = described(given.get("kernel") or _KERNEL).options
     if of_kernel is None:
         return None
-    of_infer = [
-        parameter.name
-        for parameter in inspect.signature(infer).parameters.values()
-        if parameter.kind is parameter.KEYWORD_ONLY and parameter.name not in _NOT_OPTIONS
-    ]
+    of_infer = [name for name in _options_of(infer) if name not in _NOT_OPTIONS]
     return [*of_infer, *_names_of_settings(), *of_kernel]
+
+
+def _options_of(function: Callable[..., Any]) -> list[str]:
+    parameters = inspect.signature(function).parameters.values()
+    return [p.name for p in parameters if p.kind is p.KEYWORD_ONLY]
 
 
 @register_model("simple", more_options=_of_simple)
@@ -133,7 +142,7 @@ def simple(
         if known is not None and name not in known:
             kernel = described(options.get("kernel") or _KERNEL).name
             what = f"option of model 'simple' with kernel {kernel!r}:"
-            raise unknown_name(what, name, [*inspect.signature(simple).parameters, *known])
+            raise unknown_name(what, name, [*_options_of(simple), *known])
     parts = {"prior": prior, "planner": planner, "simulator": simulator, "noise": noise}
     if program is None:
         program = Model(**parts)
@@ -162,6 +171,51 @@ def _with_settings(options: dict[str, Any]) -> dict[str, Any]:
     return {**rest, "settings": SimpleSettings(**given)}
 
 
+# --- the closed-loop model: every frame explained from what was observed before it ----------------
+
+
+@register_model("stepwise")
+def stepwise(
+    *,
+    prior: Any = "uniform",
+    planner: Any = None,
+    sharpness: float | None = None,
+    lapse: float | None = None,
+    weight: float | None = None,
+    planner_seeds: int | None = None,
+    strengths: Any = None,
+    noise: float | None = None,
+) -> Simple:
+    """Closed loop: each frame given what was seen before, summed over all pairs of goals.
+
+    Args:
+        prior, planner: of the :class:`phase_ppl.Model`.
+        sharpness, lapse, weight, planner_seeds: of the
+            :class:`phase_ppl.StepwiseLikelihood`.
+        strengths, noise: of its :class:`phase_ppl.Tracking`.
+
+    Raises:
+        InvalidSettingError, UnknownNameError: one of them cannot be used.
+    """
+    from phase_ppl.closed_loop.hidden_state import Tracking
+    from phase_ppl.models.model import Model
+    from phase_ppl.models.stepwise import StepwiseLikelihood
+
+    tracking = Tracking(**_given(strengths=strengths, noise=noise))
+    given = _given(
+        sharpness=sharpness,
+        lapse=lapse,
+        weight=weight,
+        planner_seeds=planner_seeds,
+    )
+    likelihood = StepwiseLikelihood(tracking=tracking, **given)
+    return Simple(Model(prior=prior, planner=planner, likelihood=likelihood))
+
+
+def _given(**options: Any) -> dict[str, Any]:
+    return {name: value for name, value in options.items() if value is not None}
+
+
 # --- lesions: SIMPLE with one thing changed, and all of its other options -------------------------
 # What each leaves out shows what SIMPLE needs it for. Options are those of the model ``simple``;
 # what a lesion changes itself cannot be given.
@@ -174,9 +228,7 @@ def _without(changed: str) -> MoreOptions:
         others = _of_simple(given)
         if others is None:
             return None
-        parameters = inspect.signature(simple).parameters.values()
-        own = [p.name for p in parameters if p.kind is p.KEYWORD_ONLY]
-        return [name for name in (*own, *others) if name != changed]
+        return [name for name in (*_options_of(simple), *others) if name != changed]
 
     return more_options
 
@@ -216,8 +268,7 @@ def noisy_physics(
     _refuse(options, "simulator")
     from phase_ppl.simulator.joint import DynamicsNoise, JointSimulator
 
-    given = {"speed": speed_noise, "direction": direction_noise}
-    noise = DynamicsNoise(**{name: value for name, value in given.items() if value is not None})
+    noise = DynamicsNoise(**_given(speed=speed_noise, direction=direction_noise))
     return simple(simulator=JointSimulator(_planner(planner), noise=noise), **options)
 
 

@@ -1,53 +1,154 @@
-"""A vision-language model that watches the animation (paper, Appendix "Gemini 2.5 Pro")."""
+"""A vision-language model that watches the animation (paper, Appendix "Gemini 2.5 Pro").
+
+Its answers can be kept, so that an evaluation can be repeated without asking again: one JSON file
+for each request and seed, ``KEY-SEED.json``, where KEY is a hash of what determines the request::
+
+    {
+     "schema": "phase-ppl-answer-1",
+     "request": {...},         client, model, address, hashes of prompt and film, settings
+     "seed": 0,
+     "prompt": "...",
+     "film": {...},            what was drawn for it: sizes and hashes of the files
+     "attempts": [             each request that was made, once or again by a service's library
+      {"time": "2026-01-31T12:00:00+00:00", "seconds": 21.3, "text": "...", ...},
+      {"time": ..., "seconds": ..., "failure": "..."}
+     ]
+    }
+
+An attempt has either a text or a failure, and what is known of ``finish``, ``model``,
+``tokens_in``, ``tokens_out`` and ``requests`` (:class:`~phase_ppl.evaluation.vlm.request.Reply`);
+one request goes without saying. ``seconds`` include the drawing.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import datetime
 import hashlib
+import json
 import os
 import time
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import Any, Final, TypeAlias
 
-from phase_ppl.evaluation.answer import Answer
+from phase_ppl.dataset.documents import read_json
 from phase_ppl.evaluation.prediction import Prediction
-from phase_ppl.evaluation.registry import register_model
-from phase_ppl.evaluation.vlm.answers import Attempt, Parsed, Store, as_json, parse
+from phase_ppl.evaluation.registry import Answer, register_model
 from phase_ppl.evaluation.vlm.request import (
-    RENDERING,
+    REMAINING,
     TEXT,
     Client,
     NoReply,
+    Parsed,
     Reply,
     Request,
     in_a_line,
+    parse,
+    rendering,
     writable,
 )
-from phase_ppl.evaluation.vlm.services import Service
+from phase_ppl.evaluation.vlm.services import LONGEST_WAIT, Service, make_service
 from phase_ppl.world.checks import whole_number
-from phase_ppl.world.errors import AnswerError, InvalidSettingError, shown, unknown_name
+from phase_ppl.world.errors import (
+    AnswerError,
+    InvalidEventError,
+    InvalidSettingError,
+    OutputError,
+    shown,
+    unknown_name,
+)
 from phase_ppl.world.files import write_json
-from phase_ppl.world.identity import qualified_name
+from phase_ppl.world.identity import differences, qualified_name
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 
-if TYPE_CHECKING:
-    pass
-    from phase_ppl.evaluation.vlm.request import Client
-
+SCHEMA: Final = "phase-ppl-answer-1"
 
 ANSWER: Final = "answer.json"
 """The file in an event's folder that holds the request and all that came of it."""
 
 FIRST_WAIT: Final = 2.0
-LONGEST_WAIT: Final = 120.0
-"""Seconds to wait after a failure that may pass: doubled every time."""
+"""Seconds to wait after a failure that may pass: doubled every time, up to ``LONGEST_WAIT``."""
+
+Attempt: TypeAlias = dict[str, Any]
+
+_PARTS: Final[Mapping[str, type | tuple[type, ...]]] = {
+    **dict.fromkeys(("time", "text", "failure", "finish", "model"), str),
+    **dict.fromkeys(("tokens_in", "tokens_out", "requests"), int),
+    "seconds": (int, float),
+}
+
+pause = time.sleep
 
 
-def pause(seconds: float) -> None:
-    """Wait."""
-    time.sleep(seconds)
+class Store:
+    """A folder of answers, made when the first is kept.
+
+    Raises:
+        OutputError: there is something else at ``path``.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+        if self.path.exists() and not self.path.is_dir():
+            raise OutputError(f"{self.path} is a file, expected a folder for answers")
+
+    def file_of(self, request: Mapping[str, Any], seed: int) -> Path:
+        """Return the file of a request, whether it is there or not."""
+        text = json.dumps(request, sort_keys=True)
+        return self.path / f"{hashlib.sha256(text.encode()).hexdigest()[:20]}-{seed}.json"
+
+    def find(self, request: Mapping[str, Any], seed: int) -> dict[str, Any] | None:
+        """Return the record of a request; None where there is none.
+
+        Raises:
+            InvalidEventError: the file is damaged, or of another request.
+        """
+        source = self.file_of(request, seed)
+        if not source.exists():
+            return None
+        record = read_json(source)
+        if record.get("schema") != SCHEMA:
+            raise InvalidEventError(
+                f"{source}: its schema is {shown(record.get('schema'))}, not {SCHEMA!r}"
+            )
+        was = record.get("request")
+        found = differences(was, request) if isinstance(was, dict) else ["request is missing"]
+        if found or record.get("seed") != seed:
+            words = "; ".join(found) or f"seed is {seed}, was {shown(record.get('seed'))}"
+            raise InvalidEventError(f"{source}: is the answer to another request: {words}")
+        attempts = record.get("attempts")
+        if not isinstance(attempts, list):
+            raise InvalidEventError(f"{source}: attempts is {shown(attempts)}, expected a list")
+        for attempt in attempts:
+            given = attempt if isinstance(attempt, dict) else {}
+            if not {"time", "seconds"} <= set(given) or ("text" in given) == ("failure" in given):
+                raise InvalidEventError(
+                    f"{source}: an attempt is {shown(attempt)}, expected time, seconds, and text "
+                    "or failure"
+                )
+            for name, value in given.items():
+                if name not in _PARTS or not isinstance(value, _PARTS[name]):
+                    raise InvalidEventError(f"{source}: an attempt has {name}={shown(value)}")
+        return record
+
+    def knows(self, request: Mapping[str, Any]) -> bool:
+        """Whether the request has been answered for any seed."""
+        key = self.file_of(request, 0).name.partition("-")[0]
+        return any(self.path.glob(f"{key}-*.json"))
+
+    def keep(self, record: Mapping[str, Any]) -> None:
+        """Write a record, in place of the one before.
+
+        Raises:
+            OutputError: it cannot be written.
+        """
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise OutputError(f"cannot write into {self.path}: {error.strerror}") from None
+        write_json(self.file_of(record["request"], record["seed"]), record)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,7 +159,6 @@ class Vlm:
         client: answers.
         named: what of the client determines its answers: ``client``, ``model`` and settings.
         pictures: how many frames there are to see, at most.
-        as_video: whether the prompt speaks of a video.
         store: keeps the answers, if they are to be kept.
         replay: whether stored answers are all there is.
         retries: how often an event is asked about again, at most.
@@ -68,7 +168,6 @@ class Vlm:
     client: Client
     named: Mapping[str, Any]
     pictures: int
-    as_video: bool
     store: Store | None
     replay: bool
     retries: int
@@ -76,19 +175,21 @@ class Vlm:
 
     def __call__(self, scene: Scene, observation: Observation, seed: int) -> Answer:
         """Return what the model answers, or has answered to the same request and seed before."""
-        who = str(self.named["model"])
-        request = Request(scene, observation, who, self.pictures, self.as_video)
+        as_video = self.named["show"] == "video"
+        request = Request(scene, observation, str(self.named["model"]), self.pictures, as_video)
         determines = {
             **self.named,
             "prompt_sha256": hashlib.sha256(request.prompt.encode()).hexdigest(),
             "film_sha256": request.digest,
         }
-        found = self.store.find(determines, seed) if self.store else None
-        record = found or {"request": determines, "seed": seed, "prompt": request.prompt}
-        attempts: list[Attempt] = record.setdefault("attempts", [])
+        record = self.store.find(determines, seed) if self.store else None
+        if record is None:
+            record = {"schema": SCHEMA, "request": determines, "seed": seed}
+            record |= {"prompt": request.prompt, "attempts": []}
+        attempts: list[Attempt] = record["attempts"]
         parsed, place, reason = self._first_readable(attempts)
-        stored = parsed is not None
-        if not stored and self.replay:
+        from_store = parsed is not None
+        if self.replay and not from_store:
             raise AnswerError(self._missing(determines, seed, reason))
         made, wait = 0, FIRST_WAIT
         while parsed is None:
@@ -96,66 +197,68 @@ class Vlm:
             attempt, again = self._try(request, self.retries - made)
             attempts.append(attempt)
             record["film"] = request.drawn()
-            if self.store and any(each.text is not None for each in attempts):
+            if self.store and any("text" in each for each in attempts):
                 self.store.keep(record)
-            made += attempt.requests
+            made += _requests(attempt)
             parsed, _, reason = self._first_readable([attempt])
             place = len(attempts) - 1
             if parsed is None and (made > self.retries or not again):
                 requests = f"{made} request{'s' * (made > 1)}"
                 raise AnswerError(f"no answer that can be used in {requests}; the last: {reason}")
-            if attempt.text is None:
+            if "text" not in attempt:
                 pause(wait)
                 wait = min(2 * wait, LONGEST_WAIT)
-        cost = _cost(attempts[: place + 1], len(parsed.repairs), stored)
+        cost = _cost(attempts[: place + 1], len(parsed.repairs), from_store)
         prediction = Prediction("", probabilities=parsed.probabilities, cost=cost)
         kept = {**record, "repairs": list(parsed.repairs), "remaining": self.remaining}
-        return Answer(prediction, {ANSWER: lambda path: write_json(path, as_json(kept))})
+        return Answer(prediction, {ANSWER: lambda path: write_json(path, kept)})
 
     def settings(self) -> dict[str, Any]:
         """Return what is asked, and how the animation is drawn."""
         digest = hashlib.sha256(TEXT.encode()).hexdigest()
-        return {**self.named, "prompt_sha256": digest, "rendering": RENDERING}
+        return {**self.named, "prompt_sha256": digest, "rendering": rendering()}
 
     def _first_readable(self, attempts: Sequence[Attempt]) -> tuple[Parsed | None, int, str | None]:
-        """Return the first answer that can be used, its place, and why the last one cannot.
-
-        Where there is none, the place is the number of attempts.
-        """
+        """Return the first answer that can be used, its place, and why the last one cannot."""
         reason = None
         for place, attempt in enumerate(attempts):
-            if attempt.text is None:
-                reason = attempt.failure
+            if "text" not in attempt:
+                reason = attempt["failure"]
                 continue
             try:
-                return parse(attempt.text, self.remaining), place, None
+                return parse(attempt["text"], self.remaining), place, None
             except AnswerError as error:
-                reason = f"{error} (ended by: {attempt.finish})" if attempt.finish else str(error)
+                ended = attempt.get("finish")
+                reason = f"{error} (ended by: {ended})" if ended else str(error)
         return None, len(attempts), reason
 
     def _try(self, request: Request, retries: int) -> tuple[Attempt, bool]:
         """Return an attempt, and whether to try again if it was in vain."""
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-        clock, again, made = time.perf_counter(), True, 1
-        given: object = None
+        clock, again = time.perf_counter(), True
+        found: dict[str, Any] = {}
         try:
             client = self.client
             given = client(request, retries) if isinstance(client, Service) else client(request)
-            given = Reply(given) if isinstance(given, str) else given
-            failure = ""
+            reply: object = Reply(given) if isinstance(given, str) else given
+            if isinstance(reply, Reply):
+                found = dataclasses.asdict(reply) | {"text": writable(reply.text)}
+            else:
+                failure = f"the client returned {shown(reply)}, expected text"
+                found, again = {"failure": writable(failure)}, False
         except NoReply as error:
-            failure, again, made = str(error), error.again, error.requests
+            found = {"failure": writable(str(error)), "requests": error.requests}
+            again = error.again
         except (ConnectionError, TimeoutError) as error:
-            failure = in_a_line(f"{type(error).__name__}: {error}")
+            found = {"failure": in_a_line(f"{type(error).__name__}: {error}")}
         seconds = round(time.perf_counter() - clock, 3)
-        if not isinstance(given, Reply):
-            if not failure:
-                failure, again = f"the client returned {shown(given)}, expected text", False
-            return Attempt(now, seconds, failure=writable(failure), requests=made), again
-        parts = dataclasses.asdict(given) | {"text": writable(given.text)}
         for name in ("finish", "model"):
-            parts[name] = None if parts[name] is None else in_a_line(parts[name])
-        return Attempt(now, seconds, **parts), True
+            if found.get(name) is not None:
+                found[name] = in_a_line(found[name])
+        if found.get("requests") == 1:
+            del found["requests"]
+        known = {name: value for name, value in found.items() if value is not None}
+        return {"time": now, "seconds": seconds, **known}, again
 
     def _missing(self, determines: Mapping[str, Any], seed: int, reason: str | None) -> str:
         assert self.store is not None
@@ -167,25 +270,25 @@ class Vlm:
         return f"{words}; it has been answered for other seeds only" if other else words
 
 
-def _cost(attempts: Sequence[Attempt], repairs: int, stored: bool) -> dict[str, Any]:
+def _requests(attempt: Attempt) -> int:
+    return int(attempt.get("requests", 1))
+
+
+def _cost(attempts: Sequence[Attempt], repairs: int, from_store: bool) -> dict[str, Any]:
     """Return what an answer cost when it was given, even if that was long ago."""
     cost = {
-        "requests": sum(each.requests for each in attempts),
-        "failures": sum(each.requests - (each.text is not None) for each in attempts),
-        "refused": sum(each.text is not None for each in attempts[:-1]),
+        "requests": sum(_requests(each) for each in attempts),
+        "failures": sum(_requests(each) - ("text" in each) for each in attempts),
+        "refused": sum("text" in each for each in attempts[:-1]),
         "repairs": repairs,
-        "from_store": stored,
-        "answer_seconds": sum(each.seconds for each in attempts),
+        "from_store": from_store,
+        "answer_seconds": sum(each["seconds"] for each in attempts),
     }
     for name in ("tokens_in", "tokens_out"):
-        counts = [getattr(each, name) for each in attempts]
-        known = [count for count in counts if count is not None]
+        known = [each[name] for each in attempts if name in each]
         if known:
             cost[name] = sum(known)
     return cost
-
-
-# --- A vision-language model that watches the animation (paper, Appendix "Gemini 2.5... -----------
 
 
 @register_model("vlm", parallel=False, extra="vlm")  # one request at a time: services count them
@@ -226,18 +329,13 @@ def vlm(
         timeout: seconds for a request to a service, from its beginning to its end; by default 300.
         retries: how often the same request is made again after a failure that may pass or an
             answer that cannot be used.
-        remaining: "spread" or "zero" (:data:`phase_ppl.evaluation.vlm.answers.REMAINING`).
+        remaining: "spread" or "zero" (:data:`phase_ppl.evaluation.vlm.request.REMAINING`).
 
     Raises:
         InvalidSettingError, UnknownNameError: one of them cannot be used, or the client's
             library is not installed.
         OutputError: ``store`` is no folder.
     """
-    from phase_ppl.evaluation.vlm.answers import REMAINING, Store
-
-    pass
-    from phase_ppl.evaluation.vlm.services import make_service
-
     if client is None:
         raise InvalidSettingError(
             "model 'vlm' needs client='google', client='openai' or a function of a request"
@@ -257,11 +355,8 @@ def vlm(
         where = "store is not given" if kept is None else f"there are none in {kept.path}"
         raise InvalidSettingError(f"replay needs a store with answers, but {where}")
     of_services = {
-        "base_url": base_url,
-        "key_env": key_env,
-        "temperature": temperature,
-        "video_fps": video_fps,
-        "timeout": timeout,
+        **{"base_url": base_url, "key_env": key_env, "timeout": timeout},
+        **{"temperature": temperature, "video_fps": video_fps},
     }
     given = {option: value for option, value in of_services.items() if value is not None}
     if callable(client):
@@ -279,4 +374,4 @@ def vlm(
     else:
         service = make_service(client, name, show, given, to_be_asked=not replay)
         asked, named = service, service.named()
-    return Vlm(asked, named, frames, named["show"] == "video", kept, replay, retries, remaining)
+    return Vlm(asked, named, frames, kept, replay, retries, remaining)

@@ -1,4 +1,10 @@
-"""What passes between this package and whoever answers: an animation, a question, a reply."""
+"""What passes between this package and whoever answers: an animation, a question, a reply.
+
+An answer is read strictly: only what has one meaning is repaired, and every repair is noted;
+anything else is refused. Repaired are: a code fence around the object, case and spaces in names,
+keys that were not asked for, and sums that miss 1 by no more than ten numbers of two decimals can
+(0.05).
+"""
 
 from __future__ import annotations
 
@@ -8,17 +14,18 @@ import hashlib
 import io
 import json
 import numbers
+import re
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Final, NamedTuple, TypeAlias
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 
-from phase_ppl.evaluation.prediction import GOAL_QUESTIONS
-from phase_ppl.render.frames import HEIGHT, WIDTH, Painter
-from phase_ppl.render.video import FRAMES_PER_SECOND, FRAMES_PER_STEP, video
-from phase_ppl.world.errors import AnswerError
+from phase_ppl.dataset.documents import parse_text
+from phase_ppl.evaluation.prediction import GOAL_QUESTIONS, QUESTIONS
+from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.errors import AnswerError, InvalidEventError, shown, unknown_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import GOALS, N_GOALS
 from phase_ppl.world.hypothesis import RELATIONS
@@ -27,20 +34,19 @@ from phase_ppl.world.names import AGENTS, ITEMS, LANDMARKS
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 
+N_NAMED: Final = 10
+"""Goals that an answer names for each agent."""
+
+REMAINING: Final = ("spread", "zero")
+"""What becomes of probability that an answer gives to no goal: spread evenly over the goals that it
+does not name, or left out, those named being scaled to sum 1."""
+
 _EXCERPT: Final = 200
 """Characters of a line about a request, at most."""
 
-RENDERING: Final = {
-    "size": [WIDTH, HEIGHT],
-    "fps": FRAMES_PER_SECOND,
-    "frames_per_step": FRAMES_PER_STEP,
-}
-"""How videos are drawn: as people saw them, a step in 0.25 s."""
-
-_SECONDS_PER_STEP: Final = FRAMES_PER_STEP / FRAMES_PER_SECOND
-
-N_NAMED: Final = 10
-"""Goals that an answer names for each agent."""
+_SUM_TOLERANCE: Final = 0.05
+_SUM_EXACT: Final = 1e-6
+_FENCE: Final = re.compile(r"```[ \t]*(?:\w+[ \t]*)?\r?\n(.*?)```", re.DOTALL)
 
 _MEANING: Final = {
     "friendly": "they work towards the same goal",
@@ -90,13 +96,18 @@ Its form, with the names and numbers still to be put in:
 """The content of the paper's prompt, in words of our own."""
 
 
-class Picture(NamedTuple):
-    """A frame of the animation.
+# what draws is imported where it is used: this module is loaded with every model's name
+def rendering() -> dict[str, Any]:
+    """Return how videos are drawn: as people saw them, a step in 0.25 s."""
+    from phase_ppl.render.frames import HEIGHT, WIDTH
+    from phase_ppl.render.video import FRAMES_PER_SECOND, FRAMES_PER_STEP
 
-    Attributes:
-        seconds: when the video shows it.
-        png: 640 x 480 pixels.
-    """
+    size = [WIDTH, HEIGHT]
+    return {"size": size, "fps": FRAMES_PER_SECOND, "frames_per_step": FRAMES_PER_STEP}
+
+
+class Picture(NamedTuple):
+    """A frame of the animation: when the video shows it, and a PNG of 640 x 480 pixels."""
 
     seconds: float
     png: bytes
@@ -113,28 +124,25 @@ class Request:
     """
 
     def __init__(
-        self,
-        scene: Scene,
-        observation: Observation,
-        model: str,
-        n_pictures: int,
-        as_video: bool,
+        self, scene: Scene, observation: Observation, model: str, n_pictures: int, as_video: bool
     ) -> None:
         self.model = model
         self._scene, self._observation, self._as_video = scene, observation, as_video
         last = observation.n_frames - 1
         count = min(n_pictures, last + 1)
         self._chosen = np.linspace(0, last, count).round().astype(int).tolist()
+        self._rendering = rendering()
+        step = self._rendering["frames_per_step"] / self._rendering["fps"]
+        self._seconds = [index * step for index in self._chosen]
 
     @property
     def prompt(self) -> str:
         """The question; it says how the animation is shown."""
-        seconds = self._seconds
         shown = (
             "The video shows an animation."
             if self._as_video
-            else f"The {len(seconds)} pictures are frames of one animation of {seconds[-1]:g} "
-            "seconds, in the order of time, each with its time before it."
+            else f"The {len(self._seconds)} pictures are frames of one animation of "
+            f"{self._seconds[-1]:g} seconds, in the order of time, each with its time before it."
         )
         return TEXT.format(
             shown=shown,
@@ -145,6 +153,8 @@ class Request:
     @functools.cached_property
     def video(self) -> bytes:
         """The animation as MP4, 20 frames a second."""
+        from phase_ppl.render.video import video
+
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "event.mp4"
             video(self._observation, path, self._scene)
@@ -153,6 +163,8 @@ class Request:
     @functools.cached_property
     def pictures(self) -> tuple[Picture, ...]:
         """Frames from the first to the last, PNG, each with its second in the video."""
+        from phase_ppl.render.frames import Painter
+
         painter = Painter(self._scene)
         found = []
         for index, seconds in zip(self._chosen, self._seconds, strict=True):
@@ -162,17 +174,13 @@ class Request:
         return tuple(found)
 
     @property
-    def _seconds(self) -> tuple[float, ...]:
-        return tuple(index * _SECONDS_PER_STEP for index in self._chosen)
-
-    @property
     def digest(self) -> str:
         """A hash of what is drawn and how.
 
         Not of the files: other versions of an encoder write other bytes of the same animation.
         """
         seen = event_digest(Event(self._scene, self._observation))
-        record = json.dumps([seen, RENDERING, self._chosen])
+        record = json.dumps([seen, self._rendering, self._chosen])
         return hashlib.sha256(record.encode()).hexdigest()
 
     def drawn(self) -> dict[str, object]:
@@ -222,7 +230,10 @@ class Reply:
             given = getattr(self, name)
             object.__setattr__(self, name, None if given is None else str(given))
         for name in ("tokens_in", "tokens_out"):
-            object.__setattr__(self, name, _count(getattr(self, name)))
+            count = getattr(self, name)
+            whole = isinstance(count, numbers.Integral) and not isinstance(count, bool)
+            whole = whole or (isinstance(count, float) and count.is_integer())
+            object.__setattr__(self, name, int(count) if whole else None)
 
 
 Client: TypeAlias = Callable[[Request], str | Reply]
@@ -253,8 +264,124 @@ def in_a_line(text: str) -> str:
     return words if len(words) <= _EXCERPT else words[: _EXCERPT - 3] + "..."
 
 
-def _count(given: object) -> int | None:
-    whole = isinstance(given, numbers.Integral) and not isinstance(given, bool)
-    if whole or (isinstance(given, float) and given.is_integer()):
-        return int(given)  # type: ignore[call-overload]
-    return None
+# --- how an answer is read ------------------------------------------------------------------------
+
+
+class Parsed(NamedTuple):
+    """A readable answer.
+
+    Attributes:
+        probabilities: question -> probabilities in label order, sum 1.
+        repairs: what was done to read it, a line each.
+    """
+
+    probabilities: Mapping[str, FloatArray]
+    repairs: tuple[str, ...]
+
+
+def parse(text: str, remaining: str = REMAINING[0]) -> Parsed:
+    """Return the probabilities that an answer gives.
+
+    Args:
+        text: the answer.
+        remaining: one of :data:`REMAINING`.
+
+    Raises:
+        AnswerError: it cannot be read without guessing; the message says why.
+    """
+    repairs: list[str] = []
+    body = _without_fence(text, repairs)
+    try:
+        document = parse_text(body)
+    except InvalidEventError as error:
+        raise AnswerError(f"the answer {error}; it begins {shown(body[:60])}") from None
+    answers = _asked_for(document, repairs)
+    probabilities = {}
+    for question, labels in QUESTIONS.items():
+        shares = answers[question]
+        if not isinstance(shares, Mapping):
+            raise AnswerError(f"{question} is {shown(shares)}, expected names with probabilities")
+        named = _named(question, shares, repairs)
+        expected = min(N_NAMED, len(labels))
+        if len(named) != expected:
+            raise AnswerError(f"{question} has {len(named)} entries, expected exactly {expected}")
+        probabilities[question] = _distribution(question, named, remaining, repairs)
+    return Parsed(probabilities, tuple(repairs))
+
+
+def _without_fence(text: str, repairs: list[str]) -> str:
+    body = text.strip()
+    if not body:
+        raise AnswerError("the answer is empty")
+    fenced = _FENCE.findall(body)
+    if not fenced:
+        return body
+    if len(fenced) > 1:
+        raise AnswerError(f"the answer has {len(fenced)} blocks of code, expected one JSON object")
+    whole = _FENCE.fullmatch(body) is not None
+    repairs.append("code fence removed" if whole else "code fence and text around it removed")
+    return str(fenced[0]).strip()
+
+
+def _asked_for(document: Mapping[str, Any], repairs: list[str]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for key, value in document.items():
+        question = _same_name(key, QUESTIONS, repairs)
+        if question is None:
+            repairs.append(f"key {shown(key)} left out")
+        elif question in found:
+            raise AnswerError(f"the answer gives {question} twice")
+        else:
+            found[question] = value
+    missing = [question for question in QUESTIONS if question not in found]
+    if missing:
+        given = ", ".join(shown(key) for key in document) or "nothing"
+        raise AnswerError(f"the answer lacks {', '.join(missing)}; it has {given[:200]}")
+    return found
+
+
+def _named(question: str, shares: Mapping[str, Any], repairs: list[str]) -> dict[str, float]:
+    """Return label -> probability, as given."""
+    labels = QUESTIONS[question]
+    found: dict[str, float] = {}
+    for name, share in shares.items():
+        label = _same_name(name, labels, repairs)
+        if label is None:
+            what = "relation" if question == "relation" else "goal"
+            raise AnswerError(f"{question}: {unknown_name(what, name, labels)}")
+        if label in found:
+            raise AnswerError(f"{question} gives {label!r} twice")
+        if isinstance(share, bool) or not isinstance(share, int | float) or not 0 <= share <= 1:
+            raise AnswerError(
+                f"{question}: {label!r} has {shown(share)}, expected a number from 0 to 1"
+            )
+        found[label] = float(share)
+    return found
+
+
+def _same_name(given: str, allowed: Iterable[str], repairs: list[str]) -> str | None:
+    """Return the name that is the same but for case and spaces, if there is one."""
+    wanted = " ".join(given.split()).lower()
+    name = next((one for one in allowed if one.lower() == wanted), None)
+    if name not in (None, given):
+        repairs.append(f"{shown(given)} read as {name!r}")
+    return name
+
+
+def _distribution(
+    question: str, named: Mapping[str, float], remaining: str, repairs: list[str]
+) -> FloatArray:
+    labels = QUESTIONS[question]
+    values = np.array([named.get(label, 0.0) for label in labels])
+    unnamed = np.array([label not in named for label in labels])
+    total = float(values.sum())
+    off = abs(total - 1)
+    if off > _SUM_TOLERANCE + _SUM_EXACT:
+        raise AnswerError(f"{question} sums to {total:.4g}, expected 1")
+    if off > _SUM_EXACT:
+        done = "scaled to 1"
+        if total < 1 and remaining == "spread" and unnamed.any():
+            values[unnamed] = (1 - total) / unnamed.sum()
+            done = f"the rest spread over {unnamed.sum()} goals"
+        repairs.append(f"{question} sums to {total:.4g}; {done}")
+    return np.asarray(values / values.sum())

@@ -71,14 +71,9 @@ class Service:
 
     Attributes:
         name: one of :data:`SERVICES`.
-        model: as the service calls it.
-        base_url: address of the service.
+        model, base_url, show, timeout, temperature, video_fps: as of the model ``vlm``; None leaves
+            the last two to the service.
         variables: the environment variables that may hold the key, the first that does counts.
-        show: "video" or "pictures".
-        timeout: seconds from a request to the end of the answer.
-        temperature: None leaves it to the service, as for the paper.
-        video_fps: frames per second of a video that the service is to look at; None leaves it
-            to the service.
         needs_key: whether it is an error if there is none.
     """
 
@@ -104,10 +99,9 @@ class Service:
         box: queue.SimpleQueue[Reply | Exception] = queue.SimpleQueue()
 
         def ask() -> None:
+            through = _google if self.name == "google" else _openai
             try:
-                box.put(
-                    (_google if self.name == "google" else _openai)(self, request, retries, guard)
-                )
+                box.put(through(self, request, retries, guard))
             except Exception as error:
                 try:
                     box.put(self._failure(error, guard))
@@ -122,11 +116,12 @@ class Service:
             found = box.get(timeout=longest)
         except queue.Empty:
             found = NoReply(f"no complete answer within {longest:g} s")
+        requests = max(1, guard.requests)
         if isinstance(found, Reply):
-            parts = dataclasses.asdict(found) | {"requests": max(1, guard.requests)}
+            parts = dataclasses.asdict(found) | {"requests": requests}
             return Reply(**{name: guard.without_key(value) for name, value in parts.items()})
         if isinstance(found, NoReply):
-            found.requests = max(1, guard.requests)
+            found.requests = requests
         # raised here, where no exception that holds the request with its key hangs on to it
         raise found.with_traceback(None)
 
@@ -156,9 +151,8 @@ class Service:
         """Return an error of a library, or of what came, as one of ours."""
         status = getattr(error, "status_code", getattr(error, "code", None))  # openai's, Google's
         if isinstance(status, int):
-            return self._refused(
-                status, getattr(error, "body", getattr(error, "details", "")), guard
-            )
+            body = getattr(error, "body", getattr(error, "details", ""))
+            return self._refused(status, body, guard)
         cause: Any = error.__cause__ or error
         if isinstance(cause, NoReply):
             return NoReply(guard.line(str(cause)), cause.again)
@@ -168,7 +162,7 @@ class Service:
             words = "; ".join(f"{'.'.join(map(str, each['loc']))}: {each['msg']}" for each in wrong)
         return NoReply(guard.line(words if kind in words else f"{kind}: {words}"), again=True)
 
-    def _refused(self, status: int, body: object, guard: _Guard) -> Exception:
+    def _refused(self, status: int, body: Any, guard: _Guard) -> Exception:
         """Return the error for an answer of HTTP status 300 or more."""
         where = f"{self.base_url} answers HTTP {status}"
         # the words of such answers like to repeat part of the key
@@ -282,14 +276,14 @@ def _openai_parts(request: Request) -> Iterator[dict[str, Any]]:
 class _Guard:
     """Sees what a library's HTTP client (httpx or httpx2) sends and gets before the library does.
 
-    Args:
-        key: of the service; to be hidden in what comes back.
-        timeout: seconds from a request to the end of its answer. The libraries' own limits are for
-            each piece of an answer, and a server that sends a byte now and then keeps to them.
+    It hides the key in what comes back, and keeps the time from a request to the end of its answer:
+    the libraries' own limits are for each piece of an answer, and a server that sends a byte now
+    and then keeps to them.
     """
 
     def __init__(self, key: str, timeout: float) -> None:
         self.key, self.requests = key, 0
+        self._secret = len(key) >= _SECRET_LENGTH
         self._timeout, self._end = timeout, 0.0
         self._refusal: NoReply | None = None
 
@@ -299,8 +293,8 @@ class _Guard:
 
     def without_key(self, given: Any) -> Any:
         """Return ``given``, a text with the key hidden."""
-        secret = isinstance(given, str) and len(self.key) >= _SECRET_LENGTH
-        return given.replace(self.key, "[key]") if secret else given
+        hidden = self._secret and isinstance(given, str)
+        return given.replace(self.key, "[key]") if hidden else given
 
     def line(self, words: str) -> str:
         """Return what an answer says, or its beginning, in one line."""
@@ -327,7 +321,7 @@ class _Guard:
             if time.monotonic() > self._end:
                 raise NoReply(f"no complete answer within {self._timeout:g} s", again=True)
         stream.close()
-        if len(self.key) >= _SECRET_LENGTH:  # libraries write what they get into logs
+        if self._secret:  # libraries write what they get into logs
             content = content.replace(self.key.encode(), b"[key]")
         library = importlib.import_module(type(response).__module__.partition(".")[0])
         response.stream = library.ByteStream(bytes(content))
@@ -337,7 +331,7 @@ class _Guard:
         return self._refusal
 
 
-# --- settings --------------------------------------------------------------------------------
+# --- settings -------------------------------------------------------------------------------------
 
 
 def make_service(
@@ -347,8 +341,7 @@ def make_service(
 
     Args:
         name: one of :data:`SERVICES`.
-        model: as the service calls it.
-        show: "video", "pictures" or None, as of the model ``vlm``.
+        model, show: as of the model ``vlm``.
         given: those of ``base_url``, ``key_env``, ``temperature``, ``video_fps`` and ``timeout``
             that are not to be as usual.
         to_be_asked: whether its library is needed.
@@ -376,12 +369,12 @@ def make_service(
         settings["variables"] = (_variable(given["key_env"]),)
     if "base_url" in given:
         settings["base_url"] = address = _address(given["base_url"])
-        settings["needs_key"] = "key_env" in given
+        settings["needs_key"] = needs_key = "key_env" in given
         if to_be_asked and _is_open(address):
             words = (
                 f"base_url={shown(address)}: plain http:// to another machine; whoever is between"
             )
-            if settings["needs_key"]:
+            if needs_key:
                 raise InvalidSettingError(
                     f"{words} could read the key: use https://, or a tunnel to localhost"
                 )

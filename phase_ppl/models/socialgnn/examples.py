@@ -28,13 +28,7 @@ AS_IT_IS: Final = LOOKS.index(Look(UNCHANGED, agents=False, items=False))
 
 
 class Example(NamedTuple):
-    """An event in one look.
-
-    Attributes:
-        graphs: what is seen.
-        relation: index into ``RELATIONS``.
-        goals: effective goals of red and green.
-    """
+    """An event in one look: what is seen, index of the relation, effective goals of red, green."""
 
     graphs: Graphs
     relation: int
@@ -43,10 +37,6 @@ class Example(NamedTuple):
 
 class Examples:
     """Events with known truth, in any look; what was made once is kept.
-
-    Args:
-        events: to learn from.
-        variant: of the network.
 
     Raises:
         InvalidEventError: the truth of an event is not known.
@@ -57,18 +47,14 @@ class Examples:
             if event.truth is None:
                 raise InvalidEventError(f"event {event.id!r} has no truth to learn from")
         self._recordings = [_recording(event) for event in events]
-        self._relations = [RELATIONS.index(event.truth.relation) for event in events]  # type: ignore[union-attr]
+        self.relations = [RELATIONS.index(event.truth.relation) for event in events]  # type: ignore[union-attr]
+        """Relation of each event, as an index."""
         self._touching = [contacts(event.scene, event.observation) for event in events]
         self._variant = variant
         self._made: dict[tuple[int, int], Example] = {}
 
     def __len__(self) -> int:
         return len(self._recordings)
-
-    @property
-    def relations(self) -> list[int]:
-        """Relation of each event."""
-        return list(self._relations)
 
     def __call__(self, event: int, look: int = AS_IT_IS) -> Example:
         """Return an event in one of :data:`LOOKS`."""
@@ -91,7 +77,7 @@ class Examples:
         observation = Observation(seen.trajectory)
         return Example(
             frame_graphs(seen.scene, observation, self._variant, touching),
-            self._relations[event],
+            self.relations[event],
             seen.hypothesis.effective_goals,
         )
 

@@ -82,11 +82,7 @@ class Batch(NamedTuple):
 
 
 def checked_variant(variant: str) -> Variant:
-    """Return ``variant``.
-
-    Raises:
-        UnknownNameError: it is none of :data:`VARIANTS`.
-    """
+    """Return ``variant``; raise UnknownNameError if it is none of :data:`VARIANTS`."""
     if variant not in VARIANTS:
         raise unknown_name("variant", variant, VARIANTS)
     return variant  # type: ignore[return-value]
@@ -125,13 +121,7 @@ def frame_graphs(
     variant: Variant,
     touching: NDArray[np.bool_] | None = None,
 ) -> Graphs:
-    """Return the frames of an event as graphs.
-
-    Args:
-        scene, observation: what is seen of it.
-        variant: of the network.
-        touching: what :func:`contacts` returns, where it is known.
-    """
+    """Return the frames of an event as graphs; ``touching`` is as of :func:`contacts`."""
     if touching is None:
         touching = contacts(scene, observation)
     half = (scene.arena[1] - scene.arena[0]) / 2
@@ -166,14 +156,10 @@ def batch(graphs: Sequence[Graphs]) -> Batch:
     """Return the graphs of several events as one batch."""
     lengths = np.array([len(one.nodes) for one in graphs], np.int64)
     first = np.cumsum(lengths) - lengths
+    edges = [one.edges + np.array([n, 0, 0, 0]) for one, n in zip(graphs, first, strict=True)]
     return Batch(
         nodes=np.concatenate([one.nodes for one in graphs]),
-        edges=np.concatenate(
-            [
-                one.edges + np.array([start, 0, 0, 0])
-                for one, start in zip(graphs, first, strict=True)
-            ]
-        ),
+        edges=np.concatenate(edges),
         context=np.stack([one.context for one in graphs]),
         event=np.repeat(np.arange(len(graphs)), lengths),
         lengths=lengths,

@@ -1,4 +1,4 @@
-"""Trained networks in files: plain arrays in half precision, no code.
+"""How a network is made, and trained networks in files: plain arrays in half precision, no code.
 
 A file ``extended.npz`` or ``original.npz`` holds one or more *members*, networks of the same
 variant that were trained from different seeds; their arrays are called ``MEMBER/NAME``, MEMBER
@@ -11,7 +11,6 @@ import dataclasses
 import functools
 import hashlib
 import io
-import math
 import os
 import zipfile
 from collections.abc import Mapping, Sequence
@@ -37,13 +36,9 @@ from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import RELATIONS
 
 EDGE: Final = 32
-"""Units of an updated edge."""
-
 NODE: Final = 16
-"""Units of an updated node."""
-
 STATE: Final = 64
-"""Units of the LSTM's state."""
+"""Units of an updated edge, of an updated node, and of the LSTM's state."""
 
 HEADS: Final[Mapping[str, Mapping[str, int]]] = {
     "extended": {"relation": len(RELATIONS), "goal_red": N_GOALS, "goal_green": N_GOALS},
@@ -70,9 +65,6 @@ def shapes(variant: Variant) -> dict[str, tuple[int, ...]]:
         "lstm.bias_ih_l0": (4 * STATE,),
         "lstm.bias_hh_l0": (4 * STATE,),
     }
-
-
-# --- how a network is trained ---------------------------------------------------------------------
 
 
 @dataclasses.dataclass(frozen=True)
@@ -122,7 +114,7 @@ class TrainingSettings:
         ):  # fmt: skip
             value = getattr(self, name)
             number = isinstance(value, int | float) and not isinstance(value, bool)
-            if not (number and math.isfinite(value) and low <= value <= high):
+            if not (number and low <= value <= high):
                 raise InvalidSettingError(
                     f"{name}={shown(value)}, expected a number from {low:g} to {high:g}"
                 )
@@ -132,10 +124,7 @@ class TrainingSettings:
         return dataclasses.asdict(self)
 
 
-# --- trained networks in files: plain arrays in half precision, no code ---------------------------
-# A file ``extended.npz`` or ``original.npz`` holds one or more *members*, networks of the same
-# variant that were trained from different seeds; their arrays are called ``MEMBER/NAME``, MEMBER
-# being 0, 1, ... The JSON file beside it says how they were made.
+# --- files ----------------------------------------------------------------------------------------
 
 Arrays = Mapping[str, NDArray[np.float16]]
 
@@ -144,16 +133,9 @@ _LARGEST: Final = 64 * 2**20
 """Bytes, of a file or of what it unpacks to, above which it is not read: those of the package have
 under one megabyte."""
 
-_LONGEST_REASON: Final = 200
-
 
 class Trained(NamedTuple):
-    """Trained networks.
-
-    Attributes:
-        variant: "extended" or "original".
-        members: arrays by name, per member.
-    """
+    """Trained networks of one variant: their arrays by name, per member."""
 
     variant: Variant
     members: tuple[Arrays, ...]
@@ -182,11 +164,7 @@ def halved(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[np.float16]]
 
 
 def save(members: Sequence[Arrays], file: str | Path) -> None:
-    """Write members to an npz file.
-
-    Raises:
-        OutputError: it cannot be written.
-    """
+    """Write members to an npz file."""
     arrays = {
         f"{number}/{name}": array
         for number, member in enumerate(members)
@@ -227,8 +205,8 @@ def load(path: str | os.PathLike[str]) -> Trained:
         return _checked(arrays)
     except Exception as error:  # NumPy has a dozen kinds for what is not as it should be
         reason = str(getattr(error, "strerror", None) or error)
-        if len(reason) > _LONGEST_REASON:  # NumPy's shows what it could not read
-            reason = f"{reason[:_LONGEST_REASON]}..."
+        if len(reason) > 200:  # NumPy's shows what it could not read
+            reason = f"{reason[:200]}..."
         raise InvalidSettingError(f"{source} holds no weights of a SocialGNN: {reason}") from None
 
 

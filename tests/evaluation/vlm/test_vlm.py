@@ -9,7 +9,7 @@ import os
 import socket
 import subprocess
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -212,7 +212,7 @@ def test_a_replay_asks_nobody_and_draws_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     predict(Says(text()), store=tmp_path)
-    monkeypatch.setattr("phase_ppl.evaluation.vlm.request.video", None)
+    monkeypatch.setattr(Request, "video", property(lambda self: pytest.fail("it was drawn")))
     silent = Says(AssertionError("asked"))
     assert predict(silent, store=tmp_path, replay=True).answers["goal_red"] == ppl.GOALS[0]
     with pytest.raises(AnswerError, match=r"no answer to this request.*for other seeds only"):
@@ -241,44 +241,22 @@ def test_how_the_rest_is_treated_is_decided_when_an_answer_is_read(tmp_path: Pat
     assert zero.probabilities["goal_red"][35] == 0
 
 
-def other_request(record: dict[str, Any]) -> None:
-    record["request"]["model"] = "another"
-
-
-def nonsense(record: dict[str, Any]) -> None:
-    record["attempts"] = [{"time": "now"}]
-
-
-def other_schema(record: dict[str, Any]) -> None:
-    record["schema"] = "x"
-
-
-def no_list(record: dict[str, Any]) -> None:
-    record["attempts"] = None
-
-
-def text_as_number(record: dict[str, Any]) -> None:
-    record["attempts"][0]["text"] = 3
-
-
 @pytest.mark.parametrize(
     ("damage", "reason"),
     [
-        (other_request, "another request: model is 'toy', was 'another'"),
-        (nonsense, "an attempt is .* expected time, seconds"),
-        (other_schema, "its schema is 'x'"),
-        (no_list, "attempts is None"),
-        (text_as_number, "an attempt has text=3"),
+        ({"request": {"model": "another"}}, "another request: .*model is 'toy', was 'another'"),
+        ({"attempts": [{"time": "now"}]}, "an attempt is .* expected time, seconds"),
+        ({"attempts": [{"time": "", "seconds": 1, "text": 3}]}, "an attempt has text=3"),
+        ({"attempts": None}, "attempts is None"),
+        ({"schema": "x"}, "its schema is 'x'"),
     ],
 )
 def test_a_damaged_store_names_the_file(
-    tmp_path: Path, damage: Callable[[dict[str, Any]], None], reason: str
+    tmp_path: Path, damage: dict[str, Any], reason: str
 ) -> None:
     predict(Says(text()), store=tmp_path)
     (file,) = files(tmp_path)
-    record = json.loads(file.read_text())
-    damage(record)
-    file.write_text(json.dumps(record))
+    file.write_text(json.dumps({**json.loads(file.read_text()), **damage}))
     with pytest.raises(InvalidEventError, match=rf"{file.name}: .*{reason}"):
         predict(Says(text()), store=tmp_path)
     file.write_text("{")

@@ -1,4 +1,4 @@
-"""The baseline that looks at the last frame, on scenes worked out by hand."""
+"""The baselines: the last frame, on scenes worked out by hand, and the one that does not look."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.evaluation.models.baselines import last_frame
+from phase_ppl.evaluation.models.baselines import goal_shares, last_frame
+from phase_ppl.world.goals import GOALS, is_self_referring
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import LANDMARK_CENTRES
-from tests.evaluation.toys import START, still
+from tests.evaluation.toys import START, several, still
 from tests.world.examples import DEV, needs_dev
 
 BLUE, GREEN, RED, YELLOW = LANDMARK_CENTRES
@@ -58,9 +59,6 @@ def test_ties_go_to_the_own_body_and_to_the_first_landmark() -> None:
     middle = (BLUE + GREEN) / 2
     goals = answer(_0=middle, _1=middle, _3=middle)
     assert goals[:2] == ("Get red agent to blue lm", "Get green agent to blue lm")
-
-
-def test_it_gives_no_probabilities() -> None:
     assert not last_frame()(still().scene, still().observation, 0).probabilities
 
 
@@ -69,3 +67,26 @@ def test_it_finds_61_percent_of_the_goals_of_the_real_videos() -> None:
     found = ppl.evaluate(DEV, "last_frame", progress=False).metrics
     assert found["goal_accuracy"]["value"] == pytest.approx(0.61)
     assert found["reference_models"]["simple_authors"]["goal_accuracy"]["value"] == 0.88
+
+
+# --- majority -----------------------------------------------------------------------------------
+
+
+def test_the_majority_is_the_same_of_every_event() -> None:
+    found = ppl.evaluate(several(3), "majority", progress=False)
+    for given in found.predictions.values():
+        assert given.answers["relation"] == "friendly"
+        assert given.answers["goal_red"] == given.answers["goal_green"] == GOALS[0]
+        assert given.probabilities["relation"] == pytest.approx([0.4, 0.216, 0.384])
+        assert given.ties("goal_red") == 8
+
+
+@pytest.mark.parametrize("agent", [0, 1])
+def test_goals_are_as_frequent_as_their_types_in_the_original_events(agent: int) -> None:
+    shares = dict(zip(GOALS, goal_shares(agent), strict=True))
+    assert sum(shares.values()) == pytest.approx(1)
+    to_landmark = [goal for goal in GOALS if goal.startswith("Get blue item to")]
+    assert [shares[goal] for goal in to_landmark] == pytest.approx([0.584 / 8] * 4)
+    other = "green agent" if agent == 0 else "red agent"
+    assert shares[f"get to {other}"] == pytest.approx(0.063)
+    assert not np.any([shares[g] for i, g in enumerate(GOALS) if is_self_referring(i, agent)])
