@@ -81,7 +81,7 @@ def data_card(
     figure = new_figure(12, n_rows * _ROW + 0.4, "constrained")
     _heading(figure, statistics, beside)
     found = rows(statistics, beside)
-    parts = figure.subfigures(n_rows, 1)
+    parts = figure.subfigures(n_rows, 1, squeeze=False)[:, 0]
     panels = [
         part.subplots(1, len(w), width_ratios=w) for part, w in zip(parts, _WIDTHS, strict=False)
     ]

@@ -63,7 +63,7 @@ def diagnostics(post: Posterior, path: str | os.PathLike[str] | None = None) -> 
     figure = new_figure(10, 10.5 + 0.155 * len(verdict), "constrained")
     title = "\n".join([f"{post.event_id}\n", *verdict])
     figure.suptitle(title, x=0.012, ha="left", fontsize=NORMAL, color=INK, linespacing=1.3)
-    upper, middle, lower = figure.subfigures(3, 1, height_ratios=(2.9, 4, 2.8))
+    upper, middle, lower = figure.subfigures(3, 1, squeeze=False, height_ratios=(2.9, 4, 2.8))[:, 0]
     _goal_panels(upper, post)
     values = scalars(post.tree)
     panels = middle.subplots(2, 4, width_ratios=(2.1, 1, 2.1, 1)).reshape(-1, 2)

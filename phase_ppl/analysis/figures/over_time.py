@@ -129,7 +129,7 @@ def why(
     figure = new_figure(8, 5.6, "constrained")
     title = f"{post.event_id}\n{found.attrs['event']}  over  {found.attrs['over']}"
     figure.suptitle(title, x=0.012, ha="left", fontsize=NORMAL + 1, color=INK)
-    upper, lower = figure.subfigures(2, 1, height_ratios=(2, 1))
+    upper, lower = figure.subfigures(2, 1, squeeze=False, height_ratios=(2, 1))[:, 0]
     odds, steps = upper.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     odds.plot(time, found["log_odds"].values, color=INK, lw=1.8)
     dressed(odds, "", y="log odds [nats]")

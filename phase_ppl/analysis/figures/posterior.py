@@ -59,7 +59,7 @@ def posterior(
     """
     figure = new_figure(10, 6, "constrained")
     figure.suptitle(post.event_id, x=0.012, ha="left", fontsize=10, color=INK)
-    left, right = figure.subfigures(1, 2, width_ratios=(1, 1))
+    left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(1, 1))[0]
     goals_red, goals_green, relations = left.subplots(3, 1, height_ratios=(6, 6, 7.4))
     for axes, (agent, name) in zip((goals_red, goals_green), GOALS_OF.items(), strict=True):
         entries = [(goal, value) for goal, value in post.top(name, _N_GOALS_SHOWN) if value > 0]

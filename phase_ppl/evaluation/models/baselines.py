@@ -48,9 +48,9 @@ def _predict(scene: Scene, observation: Observation, seed: int) -> Prediction:
 def majority() -> Predict:
     """The most frequent relation and goals of PHASE, whatever there is to see.
 
-    Shares are those of the 500 original events (:mod:`phase_ppl.dataset.statistics`), from the paper
-    and the names of the recordings, whatever events are asked about; PHASE's 100 test videos are
-    among the 500. For goals they are known by type (item or agent, landmark or agent, to or
+    Shares are those of the 500 original events (:mod:`phase_ppl.dataset.statistics`), from the
+    paper and the names of the recordings, whatever events are asked about; PHASE's 100 test videos
+    are among the 500. For goals they are known by type (item or agent, landmark or agent, to or
     away from); the goals of one type are alike. So eight are the most frequent, and the first of
     them in label order is the answer.
     """
