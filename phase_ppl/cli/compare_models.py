@@ -21,7 +21,7 @@ from phase_ppl.cli.shared import (
 from phase_ppl.world.errors import InvalidSettingError
 
 if TYPE_CHECKING:
-    from phase_ppl.evaluation.comparison.comparison import ModelComparison
+    from phase_ppl.evaluation.comparison import ModelComparison
 
 PAGES: Final = "pages"
 """The folder of the pages, one per event, in that of a comparison."""
@@ -106,7 +106,7 @@ def _compare_models(options: argparse.Namespace) -> int:
 
 def stored_models(given: Sequence[str]) -> str | list[str]:
     """Return what ``compare_models`` takes for the models named by ``--stored``."""
-    from phase_ppl.evaluation.comparison.contenders import ALL
+    from phase_ppl.evaluation.entries import ALL
 
     return ALL if ALL in given else list(given)
 
@@ -130,8 +130,7 @@ def _sources(given: Sequence[str]) -> dict[str, Any] | list[str]:
 
 def keep(found: ModelComparison, out: Path, options: argparse.Namespace) -> int:
     """Write a comparison with its figures and pages; return the exit code."""
-    from phase_ppl.evaluation.comparison.results import ComparedResults
-    from phase_ppl.evaluation.figures import draw_comparison
+    from phase_ppl.evaluation.figures import draw_figures
     from phase_ppl.evaluation.folder import entry_name
     from phase_ppl.evaluation.report import contents, write_page
     from phase_ppl.inference.runs.progress import counted
@@ -140,17 +139,16 @@ def keep(found: ModelComparison, out: Path, options: argparse.Namespace) -> int:
     problems = []
     if not options.no_figures:
         try:
-            draw_comparison(found, out, progress=not options.quiet)
+            draw_figures(found, out, progress=not options.quiet)
         except Exception as error:  # the results are there, whatever becomes of their pictures
             problems.append(f"the figures cannot be drawn: {one_line(error)}")
-        results = ComparedResults(found)
         pages = writable_folder(out / PAGES)
         for old in pages.glob(_PAGE):  # of an earlier comparison, perhaps of other events
             old.unlink(missing_ok=True)
         events = list(enumerate(found.events))
         for place, event in counted(events, shows_progress(options), "page", "drawing"):
             try:
-                page = contents.event_page(event, results.observers)
+                page = contents.event_page(event, found.answers)
                 write_page(page, pages / f"{entry_name(place, event.id)}.html")
             except Exception as error:
                 problems.append(f"the page of {event.id} cannot be drawn: {one_line(error)}")

@@ -179,7 +179,7 @@ def _check(
     of_models: Mapping[str, Mapping[str, Any]],
 ) -> None:
     """Find out what is wrong before the first model is asked."""
-    from phase_ppl.evaluation.comparison.contenders import check_names, stored_label, stored_names
+    from phase_ppl.evaluation.entries import check_names, stored_label, stored_names
     from phase_ppl.evaluation.evaluate import check_resumable, settings_of
     from phase_ppl.evaluation.folder import SETTINGS, holds_predictions
     from phase_ppl.evaluation.references import reference_predictions
@@ -408,7 +408,7 @@ def _draw(folder: ResultsFolder, options: argparse.Namespace) -> list[str]:
 
     problems = []
     try:
-        draw_figures(folder, progress=not options.quiet)
+        draw_figures(folder, folder.path, progress=not options.quiet)
     except Exception as error:  # the results are there, whatever becomes of their pictures
         problems.append(f"the figures cannot be drawn: {one_line(error)}")
     finished = [event.id for event in folder.events if folder.is_finished(event.id)]

@@ -14,7 +14,7 @@ from phase_ppl.evaluation import agreement
 from phase_ppl.evaluation.bootstrap import correlation, resampled
 from phase_ppl.evaluation.metrics import evaluate_predictions, paired_difference
 from phase_ppl.evaluation.prediction import Prediction
-from phase_ppl.evaluation.votes import Judgments
+from phase_ppl.evaluation.ratings import Judgments
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import GOALS
 from tests.evaluation.judged import (

@@ -13,10 +13,10 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.evaluation import figures
-from phase_ppl.evaluation.comparison.comparison import WIDTH
-from phase_ppl.evaluation.comparison.results import ComparedResults
-from phase_ppl.evaluation.comparison.statistics import holm
-from phase_ppl.evaluation.figures import COMPARED, NothingToDrawError, draw_comparison
+from phase_ppl.evaluation.comparison import WIDTH
+from phase_ppl.evaluation.differences import holm
+from phase_ppl.evaluation.figures import DRAWINGS, NothingToDrawError, draw_figures
+from phase_ppl.evaluation.figures.layout import Results
 from phase_ppl.evaluation.folder import ResultsFolder
 from phase_ppl.evaluation.report.contents import event_page
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
@@ -254,9 +254,9 @@ def test_figures_say_of_how_many_events_who_predicts_fewer() -> None:
         for first in (0, 2)
     )
     models = evaluation("every", predictions=every), evaluation("part", predictions=part)
-    results = ComparedResults(compare(*models, resamples=50))
+    results = Results(compare(*models, resamples=50))
     for name in ("accuracy", "confusion", "equivalence"):
-        figure = COMPARED[name](results)
+        figure = DRAWINGS[name].draw(results)
         labels = [tick.get_text() for axes in figure.axes for tick in axes.get_yticklabels()]
         shown = [text.get_text() for text in figure.texts] + labels
         for numbers in ("3 to 4", "7 to 8"):
@@ -273,7 +273,7 @@ def test_a_model_that_answers_nothing_is_right_about_nothing(tmp_path: Path) -> 
     text = ppl.report(tmp_path, progress=False).read_text("utf-8")
     assert "right, silent, nothing on 12 events" in text
     assert text.count("right in all they answered: right<") == 12
-    draw_comparison(c, tmp_path, progress=False)
+    draw_figures(c, tmp_path, progress=False)
     assert c.metrics["nothing"]["relation_accuracy"] is None
     assert c.differences == []
 
@@ -286,8 +286,8 @@ def test_a_cost_that_has_no_place_on_the_axis_is_left_out(seconds: float) -> Non
     }
     free = evaluation("free", predictions=costed)
     with pytest.raises(NothingToDrawError, match="CPU seconds"):
-        COMPARED["costs"](ComparedResults(compare(free, resamples=50)))
-    figure = COMPARED["costs"](ComparedResults(compare(free, evaluation(), resamples=50)))
+        DRAWINGS["costs"].draw(Results(compare(free, resamples=50)))
+    figure = DRAWINGS["costs"].draw(Results(compare(free, evaluation(), resamples=50)))
     assert "free" not in {text.get_text() for text in figure.texts}
 
 
@@ -299,7 +299,7 @@ def test_without_truth_and_people_there_are_no_figures_but_costs() -> None:
     assert "right answers" in str(bare)  # the costs are there
     for name in ("accuracy", "costs", "equivalence", "correlation"):
         with pytest.raises(NothingToDrawError):
-            COMPARED[name](ComparedResults(bare))
+            DRAWINGS[name].draw(Results(bare))
 
 
 # --- who is compared ---------------------------------------------------------------------------
@@ -469,31 +469,31 @@ def test_a_damaged_file_is_refused(field: str, value: Any, message: str, tmp_pat
         ppl.ModelComparison.load(tmp_path / "nowhere")
 
 
-@pytest.mark.parametrize("name", sorted(COMPARED))
+@pytest.mark.parametrize("name", sorted(DRAWINGS))
 def test_no_text_of_a_figure_leaves_the_page_or_covers_another(
     name: str, crowd: ppl.ModelComparison
 ) -> None:
-    check_texts(COMPARED[name](ComparedResults(crowd)))
+    check_texts(DRAWINGS[name].draw(Results(crowd)))
 
 
 def test_names_of_columns_take_no_more_room_than_they_need(crowd: ppl.ModelComparison) -> None:
     one = dataclasses.replace(crowd, settings={**crowd.settings, "against": "vlm"})
-    pairs, column = (COMPARED["differences"](ComparedResults(c)) for c in (crowd, one))
+    pairs, column = (DRAWINGS["differences"].draw(Results(c)) for c in (crowd, one))
     check_texts(column)
     assert column.get_figheight() < pairs.get_figheight() - 0.5
 
 
 def test_a_page_has_a_column_for_everybody(crowd: ppl.ModelComparison) -> None:
-    results = ComparedResults(crowd)
-    shown = event_page(crowd.events[0], results.observers)
+    results = Results(crowd)
+    shown = event_page(crowd.events[0], results.answers)
     for words in ("people", "SIMPLE", "planning", "physics", "$y$"):
         assert words in shown
 
 
 def test_models_keep_their_colours(crowd: ppl.ModelComparison) -> None:
-    colours = {o.name: o.colour for o in ComparedResults(crowd).observers}
+    colours = {o.name: o.colour for o in Results(crowd).answers}
     assert len(set(colours.values())) == len(colours) == len(NAMES) + 2
-    few = {o.name: o.colour for o in ComparedResults(compare(evaluation("vlm"))).observers}
+    few = {o.name: o.colour for o in Results(compare(evaluation("vlm"))).answers}
     assert few["vlm"] == colours["vlm"]
 
 
@@ -504,8 +504,8 @@ def test_figures_and_the_report_take_the_folder_of_a_comparison(
     c.save(tmp_path)
     assert ppl.figures.costs(tmp_path, path=tmp_path / "costs.svg").axes
     assert ppl.figures.accuracy(c).axes
-    drawn = {path.stem for path in draw_comparison(c, tmp_path)}
-    assert drawn == set(COMPARED) - {
+    drawn = {path.stem for path in draw_figures(c, tmp_path)}
+    assert drawn == set(DRAWINGS) - {
         *("confusion", "correlation", "scatter_goals", "scatter_relations"),
     }
     assert capsys.readouterr().err.count("no figure") == 4

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 
 import phase_ppl as ppl
 from phase_ppl.evaluation import figures
-from phase_ppl.evaluation.figures import DRAWN, NothingToDrawError, draw_figures
-from phase_ppl.evaluation.figures.sheet import FolderResults
+from phase_ppl.evaluation.figures import NothingToDrawError, draw_figures, drawings_of
+from phase_ppl.evaluation.figures.layout import Results
 from phase_ppl.evaluation.folder import ResultsFolder
 from phase_ppl.evaluation.metrics import evaluate_predictions
 from phase_ppl.world.errors import InvalidEventError, OutputError
@@ -27,15 +27,20 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> ResultsFolder:
 
 
 def words(figure: Figure) -> list[str]:
-    texts = [*figure.texts, *(text for axes in figure.axes for text in axes.texts)]
+    texts = list(figure.texts)
+    for axes in figure.axes:
+        if axes.get_visible():
+            labels = [*axes.get_xticklabels(), *axes.get_yticklabels(), axes.yaxis.label]
+            titles = [axes.title, axes._left_title, axes._right_title]
+            texts += [*axes.texts, *titles, *labels]
     return [text.get_text() for text in texts]
 
 
 def left_out(folder: ResultsFolder, capsys: pytest.CaptureFixture[str]) -> set[str]:
     """Draw all; return the names of those that were not drawn, of which each was said."""
-    drawn = {path.stem for path in draw_figures(folder)}
+    drawn = {path.stem for path in draw_figures(folder, folder.path)}
     said = capsys.readouterr().err
-    missing = set(DRAWN) - drawn
+    missing = set(drawings_of(Results(folder))) - drawn
     assert said.count("\n") == len(missing)
     assert all(f"no figure {name}: " in said for name in missing)
     assert {p.name for p in (folder.path / "figures").iterdir()} == {f"{n}.png" for n in drawn}
@@ -67,7 +72,8 @@ def test_a_folder_without_predictions_has_people_and_references_only(
 ) -> None:
     folder = make_folder(tmp_path / "results", predicted=lambda _: False)
     # of an evaluation that has not begun nothing is compared
-    assert left_out(folder, capsys) == set(DRAWN) - {"film_strips"}
+    every = set(drawings_of(Results(folder)))
+    assert left_out(folder, capsys) == every - {"film_strips"}
 
 
 def test_one_event_of_one_scenario_is_enough(
@@ -85,7 +91,7 @@ def test_a_figure_that_the_results_no_longer_allow_is_taken_away(tmp_path: Path)
     folder = make_folder(tmp_path / "results", events(judgments=None))
     (folder.path / "figures").mkdir()
     (folder.path / "figures" / "correlation.png").write_bytes(b"old")
-    assert "correlation" not in {path.stem for path in draw_figures(folder, progress=False)}
+    assert "correlation" not in {path.stem for path in draw_figures(folder, folder.path, progress=False)}
     assert not (folder.path / "figures" / "correlation.png").exists()
 
 
@@ -151,9 +157,9 @@ def test_no_text_leaves_the_page_or_covers_another(tmp_path: Path) -> None:
     answers["relation_probs"] = {"adversarial": 0.7, "friendly": 0.3}
     names = ["x", "a model with a name that is long", "another"]
     folder = make_folder(tmp_path / "results", events(predictions=dict.fromkeys(names, answers)))
-    results = FolderResults(folder)
-    for draw in DRAWN.values():
-        check_texts(draw(results))
+    results = Results(folder)
+    for drawing in drawings_of(results).values():
+        check_texts(drawing.draw(results))
 
 
 def check_texts(figure: Figure) -> None:

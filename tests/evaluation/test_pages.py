@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from phase_ppl.evaluation.folder import POSTERIOR, ResultsFolder
-from phase_ppl.evaluation.observers import observers
+from phase_ppl.evaluation.answer_sets import answer_sets
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.report.contents import MAX_ROWS, page_in_folder, rows_of
 from phase_ppl.world.errors import InvalidEventError, UnknownNameError
@@ -66,7 +66,7 @@ def test_goals_that_were_answered_or_are_true_always_have_a_row(tmp_path: Path) 
     wide = Prediction("one", {"goal_red": [0.0] * 6 + [1 / 30] * 30}, {"goal_red": GOALS[0]})
     folder = ResultsFolder.create(tmp_path / "results", {"model": "simple"}, [event])
     folder.add(wide)
-    shown = [one for one in observers(folder) if one.kind == "model"]
+    shown = [one for one in answer_sets(folder) if one.kind == "model"]
     rows = rows_of("goal_red", shown, event)
     assert len(rows) == MAX_ROWS
     assert {GOALS[0], RED} <= set(rows)
