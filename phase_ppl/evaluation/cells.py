@@ -47,5 +47,6 @@ def number(value: float | None, digits: int = 2, *, signed: bool = False) -> str
     """Return a number as it is typeset; a dash where there is none."""
     if value is None:
         return "\N{EN DASH}"
-    sign = "+" if signed and round(value, digits) else ""
-    return f"{value:{sign}.{digits}f}".replace("-", "\N{MINUS SIGN}")
+    rounded = round(value, digits) + 0.0  # without the sign of a zero
+    sign = "+" if signed and rounded else ""
+    return f"{rounded:{sign}.{digits}f}".replace("-", "\N{MINUS SIGN}")

@@ -278,6 +278,8 @@ def _costs(axes: Axes, shown: Sequence[AnswerSet], kind: str) -> None:
     axes.set_axisbelow(True)
     axes.set_xlabel("CPU seconds per event", fontsize=NORMAL, color=INK, labelpad=2)
     direct_labels(axes, names)
+    for text in axes.texts:
+        text.set_parse_math(False)
 
 
 def differences(results: Results) -> Figure:
@@ -311,8 +313,8 @@ def differences(results: Results) -> Figure:
     names = width_of([o.label for rows, _ in grids.values() for o in rows])
     widths = [len(columns) for _, columns in grids.values()]
     figure = laid_out(
-        max(sum(names + 0.4 * n + slanted / 2 for n in widths), 4.2),
-        0.9 + slanted + 0.27 * max(len(rows) for rows, _ in grids.values()),
+        max(sum(names + 0.4 * n + slanted / 2 for n in widths), 2.6),
+        0.75 + slanted + 0.27 * max(len(rows) for rows, _ in grids.values()),
         "Row minus column, in right answers. Bold: p up to 0.05 after Holm's correction.",
     )
     panels = figure.subplots(1, len(grids), squeeze=False, width_ratios=widths)

@@ -134,7 +134,7 @@ def fitting(texts: Iterable[str], width: float = _WIDEST, most: float = NORMAL) 
 def width_of(texts: Sequence[str]) -> float:
     """Return about how many inches names take beside a figure, with what surrounds them."""
     longest = max(map(len, texts), default=0)
-    return max(0.8, _CHARACTER * longest * fitting(texts) / 72) + 0.2
+    return _CHARACTER * longest * fitting(texts) / 72 + 0.2
 
 
 def name_rows(axes: Axes, shown: Sequence[AnswerSet]) -> None:
@@ -158,12 +158,10 @@ def head(axes: Axes, title: str, below: str, **style: Any) -> None:
 
 def title_row(axes: Axes, title: str) -> None:
     """Write a title above the names of the rows of the axes."""
-    text = axes.annotate(
-        title, (0, 1), xycoords=("figure fraction", "axes fraction"), xytext=(6, 15),
-        textcoords="offset points", fontsize=NORMAL + 1, color=INK, fontweight="bold",
-        annotation_clip=False,
+    axes.annotate(
+        title, (0, 1), xycoords="axes fraction", xytext=(-6, 15), textcoords="offset points",
+        ha="right", fontsize=NORMAL + 1, color=INK, fontweight="bold", annotation_clip=False,
     )  # fmt: skip
-    text.set_in_layout(False)  # what is in the layout moves the axes away from the edge
 
 
 def cells(

@@ -124,7 +124,7 @@ def _by_scenario(
     columns = [None, *scenarios]
     heights = [len(rows) for rows in blocks.values()]
     width = width_of([o.label for rows in blocks.values() for o in rows])
-    width = max(width + cell[0] * len(columns), 4.0)
+    width = max(width, 1.0) + cell[0] * len(columns)
     figure = laid_out(width, cell[1] * sum(heights) + 0.8 * len(blocks) + 0.35, note)
     grid = figure.subplots(len(blocks), len(columns), squeeze=False, height_ratios=heights)
     for (kind, rows), line in zip(blocks.items(), grid, strict=True):
