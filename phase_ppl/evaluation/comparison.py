@@ -503,7 +503,10 @@ def _differences(c: ModelComparison) -> list[str]:
             cells = [f"{short(one, _NAME)} - {short(other, _NAME)}"]
             for name in measures:
                 row = found.get((one, other, name))
-                cells += [figure_text(row, signed=True), p_text(row and row["p_holm"])]
+                cells += [
+                    figure_text(row, signed=True),
+                    p_text(None if row is None else row["p_holm"]),
+                ]
             table.append(cells)
         lines += ["", f"paired differences in {title}", *aligned(table)]
     if lines:

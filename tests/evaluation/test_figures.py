@@ -32,7 +32,7 @@ def texts_of(figure: Figure) -> list[Text]:
     found = [*figure.texts]
     for axes in figure.axes:
         if axes.get_visible():
-            found += axes.findobj(Text)
+            found += [part for part in axes.findobj() if isinstance(part, Text)]
     return [text for text in found if text.get_visible() and text.get_text().strip()]
 
 

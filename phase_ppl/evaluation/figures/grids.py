@@ -57,6 +57,7 @@ _POINT: Final = 0.02
 _AREA: Final = 9.0
 
 _Cloud = Counter[tuple[float, float]]
+_Texts = dict[tuple[int, int], tuple[str, dict[str, Any]]]
 
 
 def confusion(results: Results) -> Figure:
@@ -88,7 +89,7 @@ def confusion(results: Results) -> Figure:
         _confusion(axes, counts)
         row, column = divmod(place, n_columns)
         axes.xaxis.tick_top()
-        style = {"rotation": 40, "ha": "left", "rotation_mode": "anchor"}
+        style: dict[str, Any] = {"rotation": 40, "ha": "left", "rotation_mode": "anchor"}
         axes.set_xticks(range(len(SCENARIOS)), SCENARIOS if row == 0 else [], **style)
         axes.set_yticks(range(len(SCENARIOS)), labels if column == 0 else [])
         name = f"{answers.label}, majority" if answers.kind == "people" else answers.label
@@ -113,7 +114,7 @@ def _confusion(axes: Axes, counts: IntArray) -> None:
     from matplotlib import colormaps
 
     shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
-    texts = {}
+    texts: _Texts = {}
     for (row, column), n in np.ndenumerate(counts):
         colour = "white" if shares[row, column] > _DARK else INK
         weight = "bold" if row == column else "normal"
@@ -331,7 +332,7 @@ def _differences(
     found: Mapping[tuple[str, str], Mapping[str, Any]],
 ) -> None:
     colours: FloatArray = np.ones((len(rows), len(columns), 3))
-    texts = {}
+    texts: _Texts = {}
     for (i, one), (j, other) in itertools.product(enumerate(rows), enumerate(columns)):
         row, sign = found.get((one.name, other.name)), 1
         if row is None:

@@ -61,10 +61,11 @@ class Results:
     @classmethod
     def of(cls, source: Source) -> Results:
         """Open the folder of an evaluation or of a comparison, where it is none of them itself."""
-        if isinstance(source, str | os.PathLike):
-            is_comparison = (Path(source) / COMPARISON).is_file()
-            return cls((ModelComparison.load if is_comparison else ResultsFolder.open)(source))
-        return cls(source)
+        if not isinstance(source, str | os.PathLike):
+            return cls(source)
+        if (Path(source) / COMPARISON).is_file():
+            return cls(ModelComparison.load(source))
+        return cls(ResultsFolder.open(source))
 
     @property
     def comparison(self) -> ModelComparison:

@@ -121,7 +121,7 @@ def _by_scenario(
     blocks = {kind: rows for kind, rows in blocks.items() if rows}
     if not blocks:
         raise NothingToDrawError(nothing)
-    columns = [None, *scenarios]
+    columns: list[str | None] = [None, *scenarios]
     heights = [len(rows) for rows in blocks.values()]
     width = width_of([o.label for rows in blocks.values() for o in rows])
     width = max(width, 1.0) + cell[0] * len(columns)
