@@ -156,10 +156,7 @@ def _scatter(results: Results, kind: str, what: str) -> Figure:
         "stands for."
     )
     figure = laid_out(width, 1.0 + 1.4 * len(clouds), note)
-    grid = figure.subplots(
-        len(clouds), len(columns), squeeze=False, sharex=True, sharey=True,
-        subplot_kw={"box_aspect": 1},
-    )  # fmt: skip
+    grid = figure.subplots(len(clouds), len(columns), squeeze=False, sharex=True, sharey=True)
     largest = max(n for _, points in clouds for part in points.values() for n in part.values())
     for line, (answers, points) in zip(grid, clouds, strict=True):
         for axes, name in zip(line, columns, strict=True):
