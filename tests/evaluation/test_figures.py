@@ -32,7 +32,9 @@ def texts_of(figure: Figure) -> list[Text]:
     found = [*figure.texts]
     for axes in figure.axes:
         if axes.get_visible():
-            found += [part for part in axes.findobj() if isinstance(part, Text)]
+            ticks = [] if axes.axison else [*axes.get_xticklabels(), *axes.get_yticklabels()]
+            parts = [part for part in axes.findobj() if isinstance(part, Text)]
+            found += [text for text in parts if text not in ticks]
     return [text for text in found if text.get_visible() and text.get_text().strip()]
 
 

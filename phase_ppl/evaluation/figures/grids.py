@@ -275,7 +275,7 @@ def _costs(axes: Axes, shown: Sequence[AnswerSet], kind: str) -> None:
     axes.grid(color="#e6e6e6", lw=0.6)
     axes.set_axisbelow(True)
     axes.set_xlabel("CPU seconds per event", fontsize=NORMAL, color=INK, labelpad=2)
-    direct_labels(axes, names)
+    direct_labels(axes, names, gap=0.08)
     for text in axes.texts:
         text.set_parse_math(False)
 
