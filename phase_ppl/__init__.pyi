@@ -27,8 +27,8 @@ from phase_ppl.dataset.load import save_event as save_event
 from phase_ppl.dataset.load import save_events as save_events
 from phase_ppl.dataset.statistics import statistics as statistics
 from phase_ppl.evaluation import figures as figures
-from phase_ppl.evaluation.comparison.comparison import ModelComparison as ModelComparison
-from phase_ppl.evaluation.comparison.comparison import compare_models as compare_models
+from phase_ppl.evaluation.comparison import ModelComparison as ModelComparison
+from phase_ppl.evaluation.comparison import compare_models as compare_models
 from phase_ppl.evaluation.evaluate import EvaluationInterrupted as EvaluationInterrupted
 from phase_ppl.evaluation.evaluate import evaluate as evaluate
 from phase_ppl.evaluation.evaluation import Evaluation as Evaluation
@@ -42,6 +42,7 @@ from phase_ppl.evaluation.metrics import paired_difference as paired_difference
 from phase_ppl.evaluation.metrics import reference_models as reference_models
 from phase_ppl.evaluation.people import human_accuracy as human_accuracy
 from phase_ppl.evaluation.prediction import Prediction as Prediction
+from phase_ppl.evaluation.ratings import Judgments as Judgments
 from phase_ppl.evaluation.references import reference_predictions as reference_predictions
 from phase_ppl.evaluation.registry import Answer as Answer
 from phase_ppl.evaluation.registry import available_models as available_models
@@ -49,7 +50,6 @@ from phase_ppl.evaluation.registry import model_info as model_info
 from phase_ppl.evaluation.registry import register_model as register_model
 from phase_ppl.evaluation.report import report as report
 from phase_ppl.evaluation.training import train_socialgnn as train_socialgnn
-from phase_ppl.evaluation.votes import Judgments as Judgments
 from phase_ppl.inference.compare import ComparisonInterrupted as ComparisonInterrupted
 from phase_ppl.inference.compare import compare as compare
 from phase_ppl.inference.infer import Interrupted as Interrupted

@@ -21,7 +21,7 @@ from phase_ppl.cli.shared import (
 from phase_ppl.world.errors import InvalidSettingError
 
 if TYPE_CHECKING:
-    from phase_ppl.evaluation.comparison.comparison import ModelComparison
+    from phase_ppl.evaluation.comparison import ModelComparison
 
 PAGES: Final = "pages"
 """The folder of the pages, one per event, in that of a comparison."""
@@ -106,7 +106,7 @@ def _compare_models(options: argparse.Namespace) -> int:
 
 def named_references(given: Sequence[str]) -> str | list[str]:
     """Return what ``compare_models`` takes for the reference models named by ``--stored``."""
-    from phase_ppl.evaluation.comparison.contenders import ALL
+    from phase_ppl.evaluation.entries import ALL
 
     return ALL if ALL in given else list(given)
 
@@ -130,15 +130,12 @@ def _sources(given: Sequence[str]) -> dict[str, Any] | list[str]:
 
 def keep(found: ModelComparison, out: Path, options: argparse.Namespace) -> int:
     """Write a comparison with its figures and pages; return the exit code."""
-    from phase_ppl.evaluation.comparison.results import ComparedResults
-    from phase_ppl.evaluation.figures import draw_comparison
     from phase_ppl.evaluation.folder import entry_name
     from phase_ppl.evaluation.report import contents, write_page
 
     found.save(out)
     problems = []
     if not options.no_figures:
-        results = ComparedResults(found)
         pages = writable_folder(out / PAGES)
         for old in pages.glob(_PAGE):  # of an earlier comparison, perhaps of other events
             old.unlink(missing_ok=True)
@@ -146,10 +143,10 @@ def keep(found: ModelComparison, out: Path, options: argparse.Namespace) -> int:
 
         def draw_page(event_id: str) -> None:
             place, event = events[event_id]
-            page = contents.event_page(event, results.observers)
+            page = contents.event_page(event, found.answers)
             write_page(page, pages / f"{entry_name(place, event_id)}.html")
 
-        problems = drawn(draw_comparison, (found, out), list(events), draw_page, options)
+        problems = drawn(found, out, list(events), draw_page, options)
     for problem in problems:
         print(f"phase-ppl: error: {problem}", file=sys.stderr)
     print(f"\nKept in {out}\n{report_hint(out)}")
@@ -157,21 +154,23 @@ def keep(found: ModelComparison, out: Path, options: argparse.Namespace) -> int:
 
 
 def drawn(
-    draw_figures: Callable[..., object],
-    given: tuple[Any, ...],
+    source: Any,
+    out: Path,
     events: Sequence[str],
     draw_page: Callable[[str], None],
     options: argparse.Namespace,
 ) -> list[str]:
-    """Draw figures and the events' pages; return in words what could not be drawn.
+    """Draw the figures of an evaluation or a comparison into ``out``, and the events' pages.
 
-    The results are there, whatever becomes of their pictures.
+    The results are there, whatever becomes of their pictures: what could not be drawn is
+    returned in words.
     """
+    from phase_ppl.evaluation.figures import draw_figures
     from phase_ppl.inference.runs.progress import counted
 
     problems = []
     try:
-        draw_figures(*given, progress=not options.quiet)
+        draw_figures(source, out, progress=not options.quiet)
     except Exception as error:
         problems.append(f"the figures cannot be drawn: {one_line(error)}")
     for event_id in counted(events, shows_progress(options), "page", "drawing"):

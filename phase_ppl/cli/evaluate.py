@@ -292,7 +292,7 @@ def _check_several(
     of_models: Mapping[str, Mapping[str, Any]],
 ) -> None:
     """Find out what is wrong before the first model is asked."""
-    from phase_ppl.evaluation.comparison.contenders import check_names, stored_label, stored_names
+    from phase_ppl.evaluation.entries import check_names, stored_label, stored_names
     from phase_ppl.evaluation.evaluate import settings_of
     from phase_ppl.evaluation.folder import SETTINGS, ResultsFolder, holds_predictions
     from phase_ppl.evaluation.references import reference_predictions
@@ -352,7 +352,6 @@ def _end_of_one(found: Evaluation, options: argparse.Namespace) -> None:
 
 def _draw(folder: ResultsFolder, options: argparse.Namespace) -> list[str]:
     """Draw figures and pages; return in words what could not be drawn."""
-    from phase_ppl.evaluation.figures import draw_figures
     from phase_ppl.evaluation.folder import PAGE
     from phase_ppl.evaluation.report import contents, write_page
 
@@ -361,4 +360,4 @@ def _draw(folder: ResultsFolder, options: argparse.Namespace) -> list[str]:
         write_page(page, folder.folder_of(event_id) / PAGE)
 
     finished = [event.id for event in folder.events if folder.is_finished(event.id)]
-    return drawn(draw_figures, (folder,), finished, draw_page, options)
+    return drawn(folder, folder.path, finished, draw_page, options)

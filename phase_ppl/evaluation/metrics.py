@@ -44,62 +44,58 @@ without "goal" are about the relation:
 ``split_half_r``,              r of the answers of two halves of the raters, mean over 1000 random
 ``goal_split_half_r``          splits, without Spearman-Brown correction
 ``split_half_by``              "participants": the halves are of all participants, as in the paper;
-                               "votes": it is not known who gave which answer, so that the votes of
-                               each event are split on their own
+                               "votes": it is not known who gave which answer, so that the ratings
+                               of each event are split on their own
 =============================  ===================================================================
 """
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Final, NamedTuple
 
-from phase_ppl.evaluation import agreement, tables
+import numpy as np
+
+from phase_ppl.evaluation import tables
 from phase_ppl.evaluation.agreement import (
-    PREFIX,
-    Curve,
-    Path,
-    confusion,
-    count_scenarios,
-    events_with,
-    model_curves,
-    people_curves,
-    put,
+    jensen_shannon,
+    log_probabilities,
+    log_score,
+    negative_entropy,
+    split_half,
 )
-from phase_ppl.evaluation.bootstrap import Figure, difference, figure, resampled
+from phase_ppl.evaluation.bootstrap import (
+    Figure,
+    correlation,
+    difference,
+    figure,
+    proportion,
+    resampled,
+    weighted_mean,
+)
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
+from phase_ppl.evaluation.ratings import Judgments
 from phase_ppl.evaluation.references import reference_predictions
 from phase_ppl.evaluation.tables import KINDS, Facts, Said
-from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.event import Event
+from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS
+
+Path = tuple[str, ...]
+"""Keys under which a figure is found in the metrics."""
+
+PREFIX: Final[Mapping[str, str]] = {"goal": "goal_", "relation": ""}
+"""Kind -> what the names of figures under ``human`` begin with."""
 
 _ORDER: Final = (
-    "n_events",
-    "n",
-    "goal_accuracy",
-    "goal_top3_accuracy",
-    "relation_accuracy",
-    "goal_log_score_truth",
-    "relation_log_score_truth",
-    "by_scenario",
-    "confusion",
-    "human",
+    *("n_events", "n", "goal_accuracy", "goal_top3_accuracy", "relation_accuracy"),
+    *("goal_log_score_truth", "relation_log_score_truth", "by_scenario", "confusion", "human"),
     "ties",
 )
 _HUMAN_ORDER: Final = (
-    "relation_r",
-    "relation_r_given_truth",
-    "goal_r",
-    "log_score",
-    "log_score_people",
-    "goal_log_score",
-    "goal_log_score_people",
-    "js",
-    "goal_js",
-    "split_half_r",
-    "goal_split_half_r",
-    "split_half_by",
+    *("relation_r", "relation_r_given_truth", "goal_r", "log_score", "log_score_people"),
+    *("goal_log_score", "goal_log_score_people", "js", "goal_js", "split_half_r"),
+    *("goal_split_half_r", "split_half_by"),
 )
 
 
@@ -126,8 +122,7 @@ def evaluate_predictions(
         InvalidSettingError: a prediction is of another event than it is filed under, or
             ``seed`` or ``resamples`` is out of range.
     """
-    chosen = tables.predicted(events, predictions)
-    return _metrics(_given(chosen, seed, resamples), chosen, predictions, len(events))
+    return metrics_of_each(events, {"": predictions}, seed=seed, resamples=resamples)[""]
 
 
 def reference_models(
@@ -153,14 +148,28 @@ def metrics_of_each(
     Arguments and errors as for :func:`evaluate_predictions`. What people say among themselves is
     computed once for all models that predict the same events.
     """
-    given: dict[tuple[str, ...], _Given] = {}
+    given: dict[tuple[str, ...], tuple[Facts, FloatArray, dict[Path, Any]]] = {}
     found = {}
     for name, predictions in models.items():
         chosen = tables.predicted(events, predictions)
         ids = tuple(event.id for event in chosen)
         if ids not in given:
-            given[ids] = _given(chosen, seed, resamples)
-        found[name] = _metrics(given[ids], chosen, predictions, len(events))
+            known, weights = tables.facts(chosen), resampled(len(chosen), seed, resamples)
+            given[ids] = known, weights, _among_people(known, weights, seed)
+        known, weights, among_people = given[ids]
+        model = tables.said(chosen, predictions)
+        judged = {f"{k}_judgments": events_with(p.sum(axis=-1)) for k, p in known.people.items()}
+        result: dict[str, Any] = {
+            "n_events": len(chosen),
+            "n": {"events": len(events), "truth": int((known.scenario >= 0).sum()), **judged},
+        }
+        curves = model_curves(known, model, weights) | people_curves(known, model, weights)
+        put(result, {path: curve.figure() for path, curve in curves.items()})
+        put(result, among_people)
+        count_scenarios(result, known.scenario)
+        result["confusion"] = confusion(zip(known.scenario, model.scenario, strict=True))
+        result["ties"] = count_ties([predictions[event.id] for event in chosen])
+        found[name] = _ordered(result)
     return found
 
 
@@ -237,27 +246,12 @@ class Paired:
         return self._curves[key]
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class _Given:
-    """What is the same for all models that predict the same events.
-
-    Attributes:
-        known: about the events.
-        weights: of their resamples.
-        halves: the figures of people's agreement with each other.
-    """
-
-    known: Facts
-    weights: FloatArray
-    halves: Mapping[Path, Figure | str | None]
-
-
-def _given(chosen: Sequence[Event], seed: int, resamples: int) -> _Given:
-    known, weights = tables.facts(chosen), resampled(len(chosen), seed, resamples)
-    halves: dict[Path, Figure | str | None] = {}
+def _among_people(known: Facts, weights: FloatArray, seed: int) -> dict[Path, Any]:
+    """Return the figures of people's agreement with each other."""
+    found: dict[Path, Any] = {}
     for kind, prefix in PREFIX.items():
-        halves["human", f"{prefix}split_half_r"] = figure(
-            *agreement.split_half(
+        found["human", f"{prefix}split_half_r"] = figure(
+            *split_half(
                 known.judgments,
                 KINDS[kind],
                 weights,
@@ -267,38 +261,155 @@ def _given(chosen: Sequence[Event], seed: int, resamples: int) -> _Given:
         )
     judged = any(one is not None for one in known.judgments)
     by = "participants" if known.by_participant else "votes"
-    halves["human", "split_half_by"] = by if judged else None
-    return _Given(known, weights, halves)
-
-
-def _metrics(
-    given: _Given,
-    chosen: Sequence[Event],
-    predictions: Mapping[str, Prediction],
-    n_events: int,
-) -> dict[str, Any]:
-    known, weights = given.known, given.weights
-    model = tables.said(chosen, predictions)
-    result: dict[str, Any] = {
-        "n_events": len(chosen),
-        "n": {
-            "events": n_events,
-            "truth": int((known.scenario >= 0).sum()),
-            **{f"{kind}_judgments": events_with(known.people[kind].sum(axis=-1)) for kind in KINDS},
-        },
-    }
-    curves = model_curves(known, model, weights) | people_curves(known, model, weights)
-    put(result, {path: curve.figure() for path, curve in curves.items()})
-    put(result, given.halves)
-    count_scenarios(result, known.scenario)
-    result["confusion"] = confusion(zip(known.scenario, model.scenario, strict=True))
-    result["ties"] = {}
-    for question in QUESTIONS:
-        ties = [predictions[event.id].ties(question) for event in chosen]
-        result["ties"][question] = sum(n > 1 for n in ties) if any(ties) else None
-    return _ordered(result)
+    found["human", "split_half_by"] = by if judged else None
+    return found
 
 
 def _ordered(result: Mapping[str, Any]) -> dict[str, Any]:
     human = {name: result["human"][name] for name in _HUMAN_ORDER if name in result["human"]}
     return {name: {**result, "human": human}[name] for name in _ORDER if name in result}
+
+
+# --- every metric of a model as a curve: its value, and its values on the resamples ---------------
+
+
+class Curve(NamedTuple):
+    """A figure and its values on the resamples.
+
+    Attributes:
+        values: (1 + resamples,) its value, then the resampled ones.
+        n: number of events that count in it.
+        scores: (event, answer) what it is the share of, from 0 to 1; None for what is no share.
+    """
+
+    values: FloatArray
+    n: int
+    scores: FloatArray | None = None
+
+    def figure(self) -> Figure | None:
+        """Return value and 95 % interval: of shares the binomial one, else from the resamples."""
+        return figure(self.values, self.n) if self.scores is None else proportion(self.scores)
+
+
+def model_curves(known: Facts, model: Said, weights: FloatArray) -> dict[Path, Curve]:
+    """Return all figures that are about the model."""
+    curves = accuracy_curves(model.right, known.scenario, weights)
+
+    def mean(values: FloatArray) -> Curve:
+        return Curve(weighted_mean(weights, values), events_with(values))
+
+    curves["goal_top3_accuracy",] = share_curve(weights, model.in_top)
+    for kind, prefix in PREFIX.items():
+        probabilities, people, truth = (
+            model.probabilities[kind],
+            known.people[kind],
+            known.truth[kind],
+        )
+        logs = log_probabilities(probabilities)
+        of_truth = np.take_along_axis(logs, np.maximum(truth, 0)[..., None], axis=-1)[..., 0]
+        curves[f"{kind}_log_score_truth",] = mean(np.where(truth < 0, np.nan, of_truth))
+        curves["human", f"{kind}_r"] = _r(weights, probabilities, people)
+        curves["human", f"{prefix}log_score"] = mean(log_score(probabilities, people))
+        curves["human", f"{prefix}js"] = mean(jensen_shannon(probabilities, people))
+    true, n = known.truth["relation"], len(RELATIONS)
+    groups = np.where(true < 0, -1, true * n + np.arange(n))
+    curves["human", "relation_r_given_truth"] = _r(
+        weights, model.probabilities["relation"], known.people["relation"], groups
+    )
+    return curves
+
+
+def _r(weights: FloatArray, x: FloatArray, y: FloatArray, groups: IntArray | None = None) -> Curve:
+    flat = (x.shape[0], int(np.prod(x.shape[1:])))
+    left, right = x.reshape(flat), y.reshape(flat)
+    return Curve(correlation(weights, left, right, groups), events_with(left * right))
+
+
+def share_curve(weights: FloatArray, scores: FloatArray) -> Curve:
+    """Return the mean of (event, answer) scores from 0 to 1."""
+    return Curve(weighted_mean(weights, scores), events_with(scores), scores)
+
+
+def people_curves(known: Facts, model: Said, weights: FloatArray) -> dict[Path, Curve]:
+    """Return people's own log scores, on the events on which the model has one."""
+    curves: dict[Path, Curve] = {}
+    for kind, prefix in PREFIX.items():
+        people = np.where(np.isnan(model.probabilities[kind]), np.nan, known.people[kind])
+        bound = negative_entropy(people)
+        path = ("human", f"{prefix}log_score_people")
+        curves[path] = Curve(weighted_mean(weights, bound), events_with(bound))
+    return curves
+
+
+def accuracy_curves(
+    right: Mapping[str, FloatArray], scenario: IntArray, weights: FloatArray
+) -> dict[Path, Curve]:
+    """Return the accuracies, overall and by true scenario.
+
+    Args:
+        right: kind -> (event, question) how far the answer is right, 0 to 1, NaN unknown.
+        scenario: (event,) index of the true scenario.
+        weights: see :func:`~phase_ppl.evaluation.bootstrap.resampled`.
+    """
+    curves: dict[Path, Curve] = {}
+    for kind, values in right.items():
+        curves[f"{kind}_accuracy",] = share_curve(weights, values)
+        for place, name in enumerate(SCENARIOS):
+            part = np.where((scenario == place)[:, None], values, np.nan)
+            path = ("by_scenario", name, f"{kind}_accuracy")
+            curves[path] = share_curve(weights, part)
+    return curves
+
+
+def events_with(values: FloatArray) -> int:
+    """Return the number of events (first axis) with any value that is not NaN."""
+    return int((~np.isnan(values)).any(axis=tuple(range(1, values.ndim))).sum())
+
+
+def confusion(pairs: Iterable[tuple[int, int]]) -> dict[str, dict[str, int]] | None:
+    """Return true scenario -> other scenario -> number of pairs (true, other) of indices.
+
+    Pairs with an unknown scenario (-1) do not count; None where all are unknown.
+    """
+    counts = np.zeros((len(SCENARIOS), len(SCENARIOS)), np.int64)
+    for true, other in pairs:
+        if true >= 0 and other >= 0:
+            counts[true, other] += 1
+    if not counts.any():
+        return None
+    return {
+        name: dict(zip(SCENARIOS, row, strict=True))
+        for name, row in zip(SCENARIOS, counts.tolist(), strict=True)
+    }
+
+
+def count_ties(given: Sequence[Prediction | Judgments]) -> dict[str, int | None]:
+    """Return question -> events in which several answers lead; None where none is known."""
+    found = {}
+    for question in QUESTIONS:
+        ties = [one.ties(question) for one in given]
+        found[question] = sum(n > 1 for n in ties) if any(ties) else None
+    return found
+
+
+def count_scenarios(result: dict[str, Any], scenario: IntArray) -> None:
+    """Put the number of events of each true scenario into ``by_scenario``."""
+    for place, name in enumerate(SCENARIOS):
+        result["by_scenario"][name]["n"] = int((scenario == place).sum())
+
+
+def put(result: dict[str, Any], entries: Mapping[Path, Any]) -> None:
+    """Put each entry where its path says."""
+    for path, value in entries.items():
+        place = result
+        for name in path[:-1]:
+            place = place.setdefault(name, {})
+        place[path[-1]] = value
+
+
+def at(metrics: Mapping[str, Any], path: Path) -> Any:
+    """Return what is where a path says; None where there is nothing."""
+    found: Any = metrics
+    for name in path:
+        found = found.get(name) if isinstance(found, Mapping) else None
+    return found

@@ -8,11 +8,17 @@ from typing import Any, Final
 import numpy as np
 
 from phase_ppl.evaluation import tables
-from phase_ppl.evaluation.agreement import accuracy_curves, confusion, count_scenarios, put
 from phase_ppl.evaluation.bootstrap import figure, resampled, weighted_mean
-from phase_ppl.evaluation.prediction import GOAL_QUESTIONS, QUESTIONS
+from phase_ppl.evaluation.metrics import (
+    accuracy_curves,
+    confusion,
+    count_scenarios,
+    count_ties,
+    put,
+)
+from phase_ppl.evaluation.prediction import GOAL_QUESTIONS
+from phase_ppl.evaluation.ratings import event_judgments
 from phase_ppl.evaluation.tables import KINDS, true_answer
-from phase_ppl.evaluation.votes import event_judgments
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import SCENARIOS, scenario
@@ -63,10 +69,7 @@ def human_accuracy(
         put(place, {path: curve.figure() for path, curve in curves.items()})
         count_scenarios(place, known.scenario)
     result["majority"] = of_majority
-    result["ties"] = {}
-    for question in QUESTIONS:
-        ties = [one.ties(question) for one in known.judgments if one is not None]
-        result["ties"][question] = sum(n > 1 for n in ties) if any(ties) else None
+    result["ties"] = count_ties([one for one in known.judgments if one is not None])
     result["by_participant"] = result["confusion"] = None
     if known.by_participant:
         result["by_participant"] = participant_accuracy(chosen, seed=seed, resamples=resamples)

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from phase_ppl.evaluation.prediction import GOAL_QUESTIONS, QUESTIONS, Prediction
-from phase_ppl.evaluation.votes import Judgments, event_judgments
+from phase_ppl.evaluation.ratings import Judgments, event_judgments
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
 from phase_ppl.world.event import Event

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from phase_ppl.evaluation import agreement
 from phase_ppl.evaluation.bootstrap import correlation, resampled
 from phase_ppl.evaluation.metrics import evaluate_predictions, paired_difference
 from phase_ppl.evaluation.prediction import Prediction
-from phase_ppl.evaluation.votes import Judgments
+from phase_ppl.evaluation.ratings import Judgments
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import GOALS
 from tests.evaluation.judged import (
@@ -44,12 +45,16 @@ def model(probabilities: list[list[float]] = MODEL) -> dict[str, Prediction]:
     return by_id(*(shares(str(i), relation=row) for i, row in enumerate(probabilities)))
 
 
+def human(made: dict[str, Prediction] | None = None) -> dict[str, Any]:
+    return evaluate_predictions(events(), made or model())["human"]  # type: ignore[no-any-return]
+
+
 def test_relation_r_is_pearsons_of_the_concatenated_shares() -> None:
-    human = evaluate_predictions(events(), model())["human"]
+    found = human()
     expected = pearsonr(np.ravel(MODEL), PEOPLE.ravel()).statistic
-    assert human["relation_r"]["value"] == pytest.approx(expected, abs=1e-12)
-    assert human["relation_r"]["ci_low"] < expected < human["relation_r"]["ci_high"]
-    assert human["goal_r"] is None
+    assert found["relation_r"]["value"] == pytest.approx(expected, abs=1e-12)
+    assert found["relation_r"]["ci_low"] < expected < found["relation_r"]["ci_high"]
+    assert found["goal_r"] is None
 
 
 def test_resampled_r_is_that_of_the_drawn_events() -> None:
@@ -82,59 +87,59 @@ def test_goal_r_is_over_both_agents_and_all_36_goals() -> None:
 
     x, y = flat(said), flat([list(one.values()) for one in counts])  # type: ignore[arg-type]
     assert x.shape == (72 * 2,)
-    human = evaluate_predictions(watched, made)["human"]
-    assert human["goal_r"]["value"] == pytest.approx(pearsonr(x, y).statistic, abs=1e-12)
-    assert human["relation_r"] is None
+    found = evaluate_predictions(watched, made)["human"]
+    assert found["goal_r"]["value"] == pytest.approx(pearsonr(x, y).statistic, abs=1e-12)
+    assert found["relation_r"] is None
     mixed = 0.99 * x + 0.01 / 36
-    assert human["goal_log_score"]["value"] == pytest.approx((y * np.log(mixed)).sum() / 4)
+    assert found["goal_log_score"]["value"] == pytest.approx((y * np.log(mixed)).sum() / 4)
     pairs = zip(x.reshape(4, 36), y.reshape(4, 36), strict=True)
     distances = [jensenshannon(*pair, base=2) for pair in pairs]
-    assert human["goal_js"]["value"] == pytest.approx(np.mean(np.square(distances)))
+    assert found["goal_js"]["value"] == pytest.approx(np.mean(np.square(distances)))
 
 
 def test_js_is_the_squared_distance_of_scipy_in_bits() -> None:
-    human = evaluate_predictions(events(), model())["human"]
+    found = human()
     distances = [jensenshannon(m, h, base=2) for m, h in zip(MODEL, PEOPLE, strict=True)]
-    assert human["js"]["value"] == pytest.approx(np.mean(np.square(distances)), abs=1e-12)
+    assert found["js"]["value"] == pytest.approx(np.mean(np.square(distances)), abs=1e-12)
     apart = agreement.jensen_shannon(np.array([[1.0, 0, 0]]), np.array([[0, 0.5, 0.5]]))
     assert apart == pytest.approx(1)
 
 
 def test_log_score_is_the_mean_log_probability_of_an_answer() -> None:
-    human = evaluate_predictions(events(), model())["human"]
+    found = human()
     scores = [
         np.mean(np.repeat(np.log(0.99 * np.array(m) + 0.01 / 3), v))
         for m, v in zip(MODEL, VOTES, strict=True)
     ]
-    assert human["log_score"]["value"] == pytest.approx(np.mean(scores), abs=1e-12)
+    assert found["log_score"]["value"] == pytest.approx(np.mean(scores), abs=1e-12)
 
 
 def test_peoples_own_entropy_bounds_the_log_score() -> None:
     bound = -np.mean([entropy(h) for h in PEOPLE])
-    human = evaluate_predictions(events(), model())["human"]
-    assert human["log_score_people"]["value"] == pytest.approx(bound, abs=1e-12)
-    themselves = evaluate_predictions(events(), model(PEOPLE.tolist()))["human"]
+    found = human()
+    assert found["log_score_people"]["value"] == pytest.approx(bound, abs=1e-12)
+    themselves = human(model(PEOPLE.tolist()))
     assert bound - 0.05 < themselves["log_score"]["value"] < bound
     assert themselves["js"]["value"] == pytest.approx(0, abs=1e-12)
     assert themselves["relation_r"]["value"] == pytest.approx(1)
 
 
 def test_r_given_truth_is_that_of_deviations_from_the_mean_of_the_same_relation() -> None:
-    human = evaluate_predictions(events(), model())["human"]
+    found = human()
     relation = np.array(["f", "f", "a", "n", "f", "a"])
     x, y = np.array(MODEL), PEOPLE.copy()
     for name in "fna":
         x[relation == name] -= x[relation == name].mean(axis=0)
         y[relation == name] -= y[relation == name].mean(axis=0)
     expected = pearsonr(x.ravel(), y.ravel()).statistic
-    assert human["relation_r_given_truth"]["value"] == pytest.approx(expected, abs=1e-12)
+    assert found["relation_r_given_truth"]["value"] == pytest.approx(expected, abs=1e-12)
 
 
 def test_r_given_truth_does_not_reward_being_right() -> None:
     truth = [[1, 0, 0], [1, 0, 0], [0, 0, 1], [0, 1, 0], [1, 0, 0], [0, 0, 1]]
-    human = evaluate_predictions(events(), model(truth))["human"]
-    assert human["relation_r"]["value"] > 0.8
-    assert human["relation_r_given_truth"] is None
+    found = human(model(truth))
+    assert found["relation_r"]["value"] > 0.8
+    assert found["relation_r_given_truth"] is None
     # the groups of a resample have means of their own
     groups = np.argmax(truth, axis=1)[:, None] * 3 + np.arange(3)
     weights = resampled(6, seed=1, resamples=10)
@@ -153,10 +158,10 @@ def test_r_given_truth_does_not_reward_being_right() -> None:
 
 def test_r_of_a_constant_vector_is_none() -> None:
     flat = model([[1 / 3] * 3] * 6)
-    human = evaluate_predictions(events(), flat)["human"]
-    assert human["relation_r"] is None
-    assert human["relation_r_given_truth"] is None
-    assert human["log_score"]["value"] == pytest.approx(np.log(1 / 3))
+    found = human(flat)
+    assert found["relation_r"] is None
+    assert found["relation_r_given_truth"] is None
+    assert found["log_score"]["value"] == pytest.approx(np.log(1 / 3))
 
 
 def test_events_without_probabilities_or_judgments_do_not_count() -> None:
@@ -239,9 +244,9 @@ def test_unanimous_people_agree_and_single_raters_have_no_halves() -> None:
 
 
 def test_metrics_say_how_the_raters_were_split() -> None:
-    human = evaluate_predictions(events(), model())["human"]
-    assert human["split_half_by"] == "votes"
-    assert human["split_half_r"]["ci_low"] < human["split_half_r"]["value"]
+    found = human()
+    assert found["split_half_by"] == "votes"
+    assert found["split_half_r"]["ci_low"] < found["split_half_r"]["value"]
     named = {
         "responses": [
             {"participant": who, "relation": answer}

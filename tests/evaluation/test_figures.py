@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Any
 
 import pytest
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 import phase_ppl as ppl
 from phase_ppl.evaluation import figures
-from phase_ppl.evaluation.figures import DRAWN, NothingToDrawError, draw_figures
-from phase_ppl.evaluation.figures.sheet import FolderResults
+from phase_ppl.evaluation.figures import NothingToDrawError, draw_figures, drawings_of
+from phase_ppl.evaluation.figures.layout import Results
 from phase_ppl.evaluation.folder import ResultsFolder
 from phase_ppl.evaluation.metrics import evaluate_predictions
 from phase_ppl.world.errors import InvalidEventError, OutputError
@@ -26,16 +26,27 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> ResultsFolder:
     return make_folder(tmp_path_factory.mktemp("a folder") / "results")
 
 
-def words(figure: Figure) -> list[str]:
-    texts = [*figure.texts, *(text for axes in figure.axes for text in axes.texts)]
-    return [text.get_text() for text in texts]
+def texts_of(figure: Figure) -> list[Text]:
+    """Return all texts that are seen once the figure is drawn."""
+    figure.canvas.draw()
+    found = [*figure.texts]
+    for axes in figure.axes:
+        if axes.get_visible():
+            ticks = [] if axes.axison else [*axes.get_xticklabels(), *axes.get_yticklabels()]
+            parts = [part for part in axes.findobj() if isinstance(part, Text)]
+            found += [text for text in parts if text not in ticks]
+    return [text for text in found if text.get_visible() and text.get_text().strip()]
+
+
+def shown_in(figure: Figure) -> list[str]:
+    return [text.get_text() for text in texts_of(figure)]
 
 
 def left_out(folder: ResultsFolder, capsys: pytest.CaptureFixture[str]) -> set[str]:
     """Draw all; return the names of those that were not drawn, of which each was said."""
-    drawn = {path.stem for path in draw_figures(folder)}
+    drawn = {path.stem for path in draw_figures(folder, folder.path)}
     said = capsys.readouterr().err
-    missing = set(DRAWN) - drawn
+    missing = set(drawings_of(Results(folder))) - drawn
     assert said.count("\n") == len(missing)
     assert all(f"no figure {name}: " in said for name in missing)
     assert {p.name for p in (folder.path / "figures").iterdir()} == {f"{n}.png" for n in drawn}
@@ -67,7 +78,8 @@ def test_a_folder_without_predictions_has_people_and_references_only(
 ) -> None:
     folder = make_folder(tmp_path / "results", predicted=lambda _: False)
     # of an evaluation that has not begun nothing is compared
-    assert left_out(folder, capsys) == set(DRAWN) - {"film_strips"}
+    every = set(drawings_of(Results(folder)))
+    assert left_out(folder, capsys) == every - {"film_strips"}
 
 
 def test_one_event_of_one_scenario_is_enough(
@@ -76,7 +88,7 @@ def test_one_event_of_one_scenario_is_enough(
     only = dataclasses.replace(events()[0], predictions=None)
     folder = make_folder(tmp_path / "results", [only])
     assert left_out(folder, capsys) == set()
-    shown = words(figures.accuracy(folder))
+    shown = shown_in(figures.accuracy(folder))
     assert "all" in shown
     assert "competing" not in shown  # it would be the same again
 
@@ -85,12 +97,14 @@ def test_a_figure_that_the_results_no_longer_allow_is_taken_away(tmp_path: Path)
     folder = make_folder(tmp_path / "results", events(judgments=None))
     (folder.path / "figures").mkdir()
     (folder.path / "figures" / "correlation.png").write_bytes(b"old")
-    assert "correlation" not in {path.stem for path in draw_figures(folder, progress=False)}
+    assert "correlation" not in {
+        path.stem for path in draw_figures(folder, folder.path, progress=False)
+    }
     assert not (folder.path / "figures" / "correlation.png").exists()
 
 
 def test_accuracy_has_the_numbers_of_the_metrics(folder: ResultsFolder) -> None:
-    shown = words(figures.accuracy(folder))
+    shown = shown_in(figures.accuracy(folder))
     # SIMPLE: goals right, wrong | right, right; relation wrong | right
     assert shown.count("n = 2 to 4") == 1  # the other model answers red's goal only
     assert {"SIMPLE", "people", "<b>other</b>", "collaborative", "competing"} <= set(shown)
@@ -105,17 +119,15 @@ def test_accuracy_is_read_from_the_finished_metrics(tmp_path: Path) -> None:
     metrics = evaluate_predictions(folder.events, folder.predictions())
     metrics["goal_accuracy"] = {"value": 0.123, "ci_low": None, "ci_high": None}
     write_json(folder.path / "metrics.json", metrics)
-    assert "0.12" in words(figures.accuracy(folder))
+    assert "0.12" in shown_in(figures.accuracy(folder))
 
 
 def test_confusion_counts_events(folder: ResultsFolder) -> None:
     figure = figures.confusion(folder)
-    names = [text.get_text() for text in figure.texts]
-    assert "SIMPLE" in names
-    assert "people, majority" in names
-    assert "<b>other</b>" not in names  # it does not answer green's goal
-    model = figure.axes[names.index("SIMPLE")]
-    cells = [text.get_text() for text in model.texts]
+    named = {axes.get_title("left"): axes for axes in figure.axes}
+    # the other model does not answer green's goal
+    assert set(named) == {"SIMPLE", "people, majority"}
+    cells = [text.get_text() for text in named["SIMPLE"].texts]
     # both true scenarios are taken for collaborative: competing is the third row
     assert [i for i, text in enumerate(cells) if text != "\N{MIDDLE DOT}"] == [0, 8]
     assert {text for text in cells if text.isdigit()} == {"1"}
@@ -124,7 +136,7 @@ def test_confusion_counts_events(folder: ResultsFolder) -> None:
 def test_scatter_has_a_column_per_scenario_and_one_for_the_unknown(
     folder: ResultsFolder,
 ) -> None:
-    shown = words(figures.scatter_goals(folder))
+    shown = shown_in(figures.scatter_goals(folder))
     assert "competing" in shown
     assert "scenario not known" in shown
     assert "collaborative" not in shown  # nobody judged it
@@ -151,21 +163,14 @@ def test_no_text_leaves_the_page_or_covers_another(tmp_path: Path) -> None:
     answers["relation_probs"] = {"adversarial": 0.7, "friendly": 0.3}
     names = ["x", "a model with a name that is long", "another"]
     folder = make_folder(tmp_path / "results", events(predictions=dict.fromkeys(names, answers)))
-    results = FolderResults(folder)
-    for draw in DRAWN.values():
-        check_texts(draw(results))
+    results = Results(folder)
+    for drawing in drawings_of(results).values():
+        check_texts(drawing.draw(results))
 
 
 def check_texts(figure: Figure) -> None:
-    figure.canvas.draw()
-    texts: list[Any] = [text for text in figure.texts if text.get_text().strip()]
-    for axes in figure.axes:
-        texts += [text for text in axes.texts if text.get_text().strip()]
-        if axes.axison:
-            labels = [*axes.get_xticklabels(), *axes.get_yticklabels()]
-            labels += [axes.xaxis.label, axes.yaxis.label]
-            texts += [t for t in labels if t.get_visible() and t.get_text().strip()]
-    boxes = [(t.get_text(), t.get_window_extent()) for t in texts if not (t.get_rotation() % 90)]
+    texts = [text for text in texts_of(figure) if not text.get_rotation() % 90]
+    boxes = [(text.get_text(), text.get_window_extent()) for text in texts]
     page = figure.bbox
     for text, box in boxes:
         inside = page.x0 <= box.x0 and box.x1 <= page.x1 and page.y0 <= box.y0 and box.y1 <= page.y1

@@ -15,7 +15,7 @@ import pytest
 import phase_ppl as ppl
 from phase_ppl.evaluation import judgments as studies
 from phase_ppl.evaluation.judgments import load_judgments, with_judgments
-from phase_ppl.evaluation.votes import Judgments, event_judgments
+from phase_ppl.evaluation.ratings import Judgments, event_judgments
 from phase_ppl.world.errors import InvalidEventError, PhasePPLError, UnknownNameError
 from phase_ppl.world.goals import GOALS
 from tests.evaluation.judged import (

@@ -12,6 +12,7 @@ from phase_ppl.evaluation.bootstrap import proportion
 from phase_ppl.evaluation.metrics import evaluate_predictions, paired_difference
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
+from phase_ppl.world.event import Event
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import SCENARIOS
 from tests.evaluation.judged import (
@@ -42,6 +43,17 @@ ANSWERS = by_id(
 )
 
 
+def alike(n: int) -> list[Event]:
+    """Return collaborative events, called 0, 1, ..."""
+    return [make_event(str(i), COLLABORATIVE) for i in range(n)]
+
+
+def relations(n: int, right: int) -> dict[str, Prediction]:
+    """Return answers about the relation of :func:`alike` events, the first of them right."""
+    said = ["friendly"] * right + ["neutral"] * (n - right)
+    return by_id(*(answers(str(i), relation=one) for i, one in enumerate(said)))
+
+
 def test_accuracies_are_shares_of_goals_and_of_relations() -> None:
     metrics = evaluate_predictions(EVENTS, ANSWERS)
     assert metrics["n_events"] == 4
@@ -69,20 +81,15 @@ def test_confusion_counts_true_scenarios_against_those_of_the_goals_answered() -
 
 
 def test_interval_of_an_accuracy_is_the_binomial_one() -> None:
-    events = [make_event(str(i), COLLABORATIVE) for i in range(40)]
-    made = by_id(
-        *(answers(str(i), relation="friendly" if i < 30 else "neutral") for i in range(40))
-    )
-    found = evaluate_predictions(events, made)["relation_accuracy"]
+    found = evaluate_predictions(alike(40), relations(40, right=30))["relation_accuracy"]
     exact = stats.binomtest(30, 40).proportion_ci(method="exact")
     assert found["value"] == 0.75
     assert (found["ci_low"], found["ci_high"]) == pytest.approx((exact.low, exact.high))
 
 
 def test_all_right_is_not_certain() -> None:
-    events = [make_event(str(i), COLLABORATIVE) for i in range(5)]
     made = by_id(*(answers(str(i), *COLLABORATIVE, relation="friendly") for i in range(5)))
-    metrics = evaluate_predictions(events, made)
+    metrics = evaluate_predictions(alike(5), made)
     for place in (metrics, metrics["by_scenario"]["collaborative"]):
         for kind in ("goal", "relation"):
             found = place[f"{kind}_accuracy"]
@@ -141,14 +148,11 @@ def test_goals_that_are_right_on_their_own_say_more_than_those_that_go_together(
 
 def test_goals_of_an_event_go_together() -> None:
     """Both goals right or both wrong: the interval is as wide as of one answer per event."""
-    events = [make_event(str(i), COLLABORATIVE) for i in range(40)]
-    made = by_id(
-        *(
-            answers(str(i), *(COLLABORATIVE if i < 20 else OPPOSING), relation=relation)
-            for i, relation in enumerate(["friendly"] * 20 + ["neutral"] * 20)
-        )
-    )
-    metrics = evaluate_predictions(events, made)
+    made = relations(40, right=20)
+    for i in range(40):
+        goals = COLLABORATIVE if i < 20 else OPPOSING
+        made[str(i)] = answers(str(i), *goals, relation=made[str(i)].answers["relation"])
+    metrics = evaluate_predictions(alike(40), made)
     assert metrics["goal_accuracy"] == metrics["relation_accuracy"]
 
 
@@ -297,14 +301,11 @@ def test_difference_is_that_of_the_two_figures() -> None:
 
 def test_difference_is_paired() -> None:
     """Each model's accuracy varies with the events drawn; their difference here does not."""
-    events = [make_event(str(i), COLLABORATIVE) for i in range(20)]
-    one = by_id(
-        *(answers(str(i), BLUE_TO_RED, (PINK_TO_BLUE, BLUE_TO_RED)[i % 2]) for i in range(20))
+    one, other = (
+        by_id(*(answers(str(i), red, (PINK_TO_BLUE, BLUE_TO_RED)[i % 2]) for i in range(20)))
+        for red in (BLUE_TO_RED, PINK_TO_BLUE)
     )
-    other = by_id(
-        *(answers(str(i), PINK_TO_BLUE, (PINK_TO_BLUE, BLUE_TO_RED)[i % 2]) for i in range(20))
-    )
-    found = paired_difference(events, one, other, resamples=999)["goal_accuracy"]
+    found = paired_difference(alike(20), one, other, resamples=999)["goal_accuracy"]
     assert [found[name] for name in ("value", "ci_low", "ci_high")] == pytest.approx([0.5] * 3)
     assert found["p"] == pytest.approx(2 / 1000)
 
@@ -315,14 +316,10 @@ def test_equal_models_do_not_differ() -> None:
 
 
 def test_p_is_small_only_where_the_difference_is_clear() -> None:
-    events = [make_event(str(i), COLLABORATIVE) for i in range(30)]
-    wrong = by_id(*(answers(str(i), relation="neutral") for i in range(30)))
-
-    def right_in(n: int) -> dict[str, Prediction]:
-        return {**wrong, **by_id(*(answers(str(i), relation="friendly") for i in range(n)))}
-
-    clear = paired_difference(events, right_in(12), wrong)["relation_accuracy"]
-    unclear = paired_difference(events, right_in(2), wrong)["relation_accuracy"]
+    clear, unclear = (
+        paired_difference(alike(30), relations(30, right), relations(30, 0))["relation_accuracy"]
+        for right in (12, 2)
+    )
     assert clear["p"] < 0.01
     assert clear["ci_low"] > 0
     # none of the two is drawn in (28 / 30) ** 30 = 13 % of the resamples
@@ -331,13 +328,9 @@ def test_p_is_small_only_where_the_difference_is_clear() -> None:
 
 @pytest.mark.parametrize(("n", "least"), [(2, 1 / 2), (3, 1 / 4), (5, 1 / 16)])
 def test_a_few_events_that_agree_are_no_more_than_their_signs(n: int, least: float) -> None:
-    events = [make_event(str(i), COLLABORATIVE) for i in range(n)]
-    right, wrong = (
-        by_id(*(answers(str(i), relation=relation) for i in range(n)))
-        for relation in ("friendly", "neutral")
-    )
-    for one, other in ((right, wrong), (wrong, right)):
-        assert paired_difference(events, one, other)["relation_accuracy"]["p"] == least
+    for right in (0, n):
+        one, other = relations(n, right), relations(n, n - right)
+        assert paired_difference(alike(n), one, other)["relation_accuracy"]["p"] == least
 
 
 def test_difference_is_over_what_both_answer() -> None:

@@ -16,6 +16,8 @@ import phase_ppl as ppl
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.cli import main
 from phase_ppl.evaluation.folder import POSTERIOR
+from phase_ppl.evaluation.report import write_page
+from phase_ppl.evaluation.report.contents import page_in_folder
 from phase_ppl.evaluation.report.html import page
 from phase_ppl.world.errors import InvalidEventError, OutputError
 from phase_ppl.world.files import write_json
@@ -25,6 +27,9 @@ from .small import HOSTILE, events, make_folder, make_posterior, prediction, wit
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
 needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="there is no chromium here")
+
+PAGES = ("evaluation", "run", "comparison", "event")
+"""Names of fixtures, of which each is a page."""
 
 
 class Page(html.parser.HTMLParser):
@@ -80,6 +85,12 @@ def comparison(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return ppl.report(found.save(folder.path.parent / "both"), progress=False)
 
 
+@pytest.fixture(scope="module")
+def event(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = make_folder(tmp_path_factory.mktemp("event") / "results")
+    return write_page(page_in_folder(folder, HOSTILE), folder.path / "page.html")
+
+
 def test_the_report_of_an_evaluation_has_all_its_parts(evaluation: Path) -> None:
     page = Page(evaluation.read_text("utf-8"))
     for words in ("Evaluation of SIMPLE", "3 of 3 events", "Summary", "Figures", "Failures",
@@ -112,7 +123,7 @@ def test_the_report_of_a_stepwise_run_says_what_decided(tmp_path: Path) -> None:
     assert len(page.all("img")) == 3, "a film strip, the posterior, and what decided"
 
 
-@pytest.mark.parametrize("which", ["evaluation", "run", "comparison"])
+@pytest.mark.parametrize("which", PAGES)
 def test_nothing_is_fetched_and_nothing_of_a_file_becomes_html(
     which: str, request: pytest.FixtureRequest
 ) -> None:
@@ -131,7 +142,7 @@ def test_nothing_is_fetched_and_nothing_of_a_file_becomes_html(
     assert "unsafe-inline" not in policy.split("script-src")[1]
 
 
-@pytest.mark.parametrize("which", ["evaluation", "run", "comparison"])
+@pytest.mark.parametrize("which", PAGES)
 def test_pictures_and_tables_say_what_they_are(which: str, request: pytest.FixtureRequest) -> None:
     page = Page(request.getfixturevalue(which).read_text("utf-8"))
     assert page.all("html")[0]["lang"] == "en"
@@ -214,7 +225,7 @@ def opened(path: Path, folder: Path) -> tuple[str, str]:
 
 
 @needs_chromium
-@pytest.mark.parametrize("which", ["evaluation", "run", "comparison"])
+@pytest.mark.parametrize("which", PAGES)
 def test_a_browser_shows_the_page_without_complaint(
     which: str, request: pytest.FixtureRequest, tmp_path: Path
 ) -> None:

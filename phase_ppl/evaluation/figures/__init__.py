@@ -8,109 +8,117 @@ what a figure is about, it raises :class:`NothingToDrawError`.
 
 from __future__ import annotations
 
-import functools
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 from phase_ppl.analysis.figures.style import written
-from phase_ppl.evaluation.figures import accuracies as _accuracies
-from phase_ppl.evaluation.figures import agreement as _agreement
-from phase_ppl.evaluation.figures import costs as _costs
-from phase_ppl.evaluation.figures import matrices as _matrices
-from phase_ppl.evaluation.figures import pairs as _pairs
-from phase_ppl.evaluation.figures import sheet as _strips
-from phase_ppl.evaluation.figures.sheet import FolderResults, NothingToDrawError, Results
-from phase_ppl.evaluation.folder import COMPARISON, ResultsFolder
+from phase_ppl.evaluation.comparison import ModelComparison
+from phase_ppl.evaluation.figures import grids as _grids
+from phase_ppl.evaluation.figures import rows as _rows
+from phase_ppl.evaluation.figures.layout import NothingToDrawError, Results, Source
 from phase_ppl.world.files import writable_folder
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from phase_ppl.evaluation.comparison.comparison import ModelComparison
-    from phase_ppl.evaluation.comparison.results import ComparedResults
-
-Source: TypeAlias = "ResultsFolder | ModelComparison | str | os.PathLike[str]"
-Target = str | os.PathLike[str] | None
-
-FIGURES: Final = "figures"
+FOLDER: Final = "figures"
 """The folder of the figures in that of the results."""
 
-DRAWN: Final[dict[str, Callable[[Results], Figure]]] = {
-    "accuracy": _accuracies.accuracy,
-    "confusion": _matrices.confusion,
-    "correlation": _agreement.correlation,
-    "scatter_goals": functools.partial(_agreement.scatter, kind="goal"),
-    "scatter_relations": functools.partial(_agreement.scatter, kind="relation"),
-    "film_strips": _strips.film_strips,
+
+class Drawing(NamedTuple):
+    """A kind of figure.
+
+    Attributes:
+        title: what it shows, in a few words.
+        alt: what stands in its place for those who do not see it.
+        draw: draws it.
+        compares: whether it is one of comparisons of models only.
+    """
+
+    title: str
+    alt: str
+    draw: Callable[[Results], Figure]
+    compares: bool = False
+
+
+DRAWINGS: Final = {
+    "accuracy": Drawing(
+        "Accuracy by scenario",
+        "Bars: share of right goals and relations of everybody, over all events and by true "
+        "scenario, with 95 % intervals; the numbers are in the tables above.",
+        _rows.accuracy,
+    ),
+    "confusion": Drawing(
+        "Which scenario is taken for which",
+        "Matrices of counts: true scenario against the scenario of the goals answered.",
+        _grids.confusion,
+    ),
+    "correlation": Drawing(
+        "Correlation with people",
+        "Bars: correlation of each model with people; the numbers are in the table.",
+        _rows.correlation,
+    ),
+    "scatter_goals": Drawing(
+        "Goals: models against people",
+        "Points: probability of a goal for a model against that for people.",
+        _grids.scatter_goals,
+    ),
+    "scatter_relations": Drawing(
+        "Relations: models against people",
+        "Points: probability of a relation for a model against that for people.",
+        _grids.scatter_relations,
+    ),
+    "film_strips": Drawing(
+        "An event of every scenario",
+        "Film strips: an event of every scenario, from first to last frame.",
+        _grids.film_strips,
+    ),
+    "costs": Drawing(
+        "Accuracy against CPU seconds",
+        "Points: share of right answers against CPU seconds per event, with intervals.",
+        _grids.costs,
+        compares=True,
+    ),
+    "differences": Drawing(
+        "Differences between models",
+        "Matrices: difference in right answers between every two models.",
+        _grids.differences,
+        compares=True,
+    ),
+    "equivalence": Drawing(
+        "Models beside people",
+        "Points with intervals: right answers of models minus those of people, beside the margin "
+        "of equivalence; the numbers are in the table.",
+        _rows.equivalence,
+        compares=True,
+    ),
 }
-"""Name of a figure, and of its file -> what draws it."""
-
-COMPARED: Final[dict[str, Callable[[ComparedResults], Figure]]] = {
-    **DRAWN,
-    "costs": _costs.costs,
-    "differences": _pairs.differences,
-    "equivalence": _pairs.equivalence,
-}
-"""The same of a comparison of models."""
-
-TITLES: Final = {
-    "accuracy": "Accuracy by scenario",
-    "confusion": "Which scenario is taken for which",
-    "correlation": "Correlation with people",
-    "scatter_goals": "Goals: models against people",
-    "scatter_relations": "Relations: models against people",
-    "film_strips": "An event of every scenario",
-    "costs": "Accuracy against CPU seconds",
-    "differences": "Differences between models",
-    "equivalence": "Models beside people",
-}
-"""Name of a figure -> what it shows, in words."""
+"""Name of a figure, and of its file -> what it is."""
 
 
-def draw_figures(folder: ResultsFolder, *, progress: bool = True) -> list[Path]:
+def draw_figures(source: Source, folder: Path, *, progress: bool = True) -> list[Path]:
     """Write all figures that the results allow into ``figures/``, as PNG; return the files.
 
     Args:
-        folder: with metrics.json, or they are computed from the finished events.
+        source: the folder of an evaluation, with metrics.json, or they are computed from the
+            finished events; or a comparison of models.
+        folder: to which ``figures/`` belongs.
         progress: say on the standard error output which are left out, and why.
 
     Raises:
         InvalidEventError, UnknownNameError: a file in the folder is damaged.
         OutputError: a file cannot be written.
     """
-    return _draw_all(DRAWN, FolderResults(folder), folder.path / FIGURES, progress)
-
-
-def draw_comparison(
-    comparison: ModelComparison, folder: str | os.PathLike[str], *, progress: bool = True
-) -> list[Path]:
-    """Write all figures of a comparison of models into ``figures/`` of a folder; return the files.
-
-    Args:
-        comparison: of the models.
-        folder: to which ``figures/`` belongs.
-        progress: say on the standard error output which are left out, and why.
-
-    Raises:
-        OutputError: a file cannot be written.
-    """
-    from phase_ppl.evaluation.comparison.results import ComparedResults
-
-    return _draw_all(COMPARED, ComparedResults(comparison), Path(folder) / FIGURES, progress)
-
-
-def _draw_all(
-    drawn: Mapping[str, Callable[[Any], Figure]], results: Results, target: Path, progress: bool
-) -> list[Path]:
-    writable_folder(target)
+    results = Results.of(source)
+    target = writable_folder(folder / FOLDER)
     files = []
-    for name, draw in drawn.items():
+    for name, drawing in drawings_of(results).items():
         file = target / f"{name}.png"
         try:
-            written(draw(results), file)
+            written(drawing.draw(results), file)
         except NothingToDrawError as reason:
             file.unlink(missing_ok=True)  # of an earlier state of the results
             if progress:
@@ -120,60 +128,35 @@ def _draw_all(
     return files
 
 
-def accuracy(source: Source, path: Target = None) -> Figure:
-    """Draw the accuracy of goals and relations, over all events and by true scenario."""
-    return _drawn("accuracy", source, path)
+def drawings_of(results: Results) -> dict[str, Drawing]:
+    """Return the figures that there are of such results."""
+    compares = isinstance(results.source, ModelComparison)
+    return {name: one for name, one in DRAWINGS.items() if compares or not one.compares}
 
 
-def confusion(source: Source, path: Target = None) -> Figure:
-    """Draw true scenarios against those of the goals answered."""
-    return _drawn("confusion", source, path)
+class _Public(Protocol):
+    def __call__(self, source: Source, path: str | os.PathLike[str] | None = None) -> Figure: ...
 
 
-def correlation(source: Source, path: Target = None) -> Figure:
-    """Draw how well models, and people among themselves, correlate with people's answers."""
-    return _drawn("correlation", source, path)
+def _public(name: str) -> _Public:
+    drawing = DRAWINGS[name]
 
-
-def scatter_goals(source: Source, path: Target = None) -> Figure:
-    """Draw models' probabilities of goals against people's."""
-    return _drawn("scatter_goals", source, path)
-
-
-def scatter_relations(source: Source, path: Target = None) -> Figure:
-    """Draw models' probabilities of relations against people's."""
-    return _drawn("scatter_relations", source, path)
-
-
-def film_strips(source: Source, path: Target = None) -> Figure:
-    """Draw an event of every true scenario as a film strip."""
-    return _drawn("film_strips", source, path)
-
-
-def costs(source: ModelComparison | str | os.PathLike[str], path: Target = None) -> Figure:
-    """Draw the accuracy of the models of a comparison against CPU seconds per event."""
-    return _drawn("costs", source, path)
-
-
-def differences(source: ModelComparison | str | os.PathLike[str], path: Target = None) -> Figure:
-    """Draw the differences in right answers between every two models of a comparison."""
-    return _drawn("differences", source, path)
-
-
-def equivalence(source: ModelComparison | str | os.PathLike[str], path: Target = None) -> Figure:
-    """Draw how much more often models are right than people, beside the margin of equivalence."""
-    return _drawn("equivalence", source, path)
-
-
-def _drawn(name: str, source: Source, path: Target) -> Figure:
-    if isinstance(source, str | os.PathLike) and not (Path(source) / COMPARISON).is_file():
-        source = ResultsFolder.open(source)
-    if isinstance(source, ResultsFolder):
-        if name not in DRAWN:
+    def drawn(source: Source, path: str | os.PathLike[str] | None = None) -> Figure:
+        results = Results.of(source)
+        if name not in drawings_of(results):
             raise NothingToDrawError(f"{name} is a figure of a comparison of models")
-        return written(DRAWN[name](FolderResults(source)), path)
-    from phase_ppl.evaluation.comparison.comparison import ModelComparison
-    from phase_ppl.evaluation.comparison.results import ComparedResults
+        return written(drawing.draw(results), path)
 
-    comparison = source if isinstance(source, ModelComparison) else ModelComparison.load(source)
-    return written(COMPARED[name](ComparedResults(comparison)), path)
+    drawn.__name__, drawn.__doc__ = name, drawing.draw.__doc__
+    return drawn
+
+
+accuracy = _public("accuracy")
+confusion = _public("confusion")
+correlation = _public("correlation")
+scatter_goals = _public("scatter_goals")
+scatter_relations = _public("scatter_relations")
+film_strips = _public("film_strips")
+costs = _public("costs")
+differences = _public("differences")
+equivalence = _public("equivalence")

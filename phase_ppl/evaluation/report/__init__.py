@@ -54,7 +54,7 @@ def report(
         opened = ResultsFolder.open(source)
         text = contents.evaluation_page(opened, videos=videos, progress=progress)
     elif of_comparison:
-        from phase_ppl.evaluation.comparison.comparison import ModelComparison
+        from phase_ppl.evaluation.comparison import ModelComparison
 
         text = contents.comparison_page(ModelComparison.load(source), progress=progress)
     else:

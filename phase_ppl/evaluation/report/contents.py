@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -14,13 +13,13 @@ from phase_ppl.analysis import plots
 from phase_ppl.analysis.hypotheses import HDI_PROBABILITY
 from phase_ppl.analysis.posterior import Posterior, load_posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-from phase_ppl.evaluation.agreement import at
-from phase_ppl.evaluation.comparison.comparison import ModelComparison
-from phase_ppl.evaluation.comparison.results import ComparedResults
-from phase_ppl.evaluation.figures import COMPARED, DRAWN, TITLES
-from phase_ppl.evaluation.figures.sheet import FolderResults, NothingToDrawError
+from phase_ppl.evaluation.answer_sets import MODEL_COLOUR, AnswerSet, answer_sets, label_of
+from phase_ppl.evaluation.cells import number
+from phase_ppl.evaluation.comparison import ModelComparison
+from phase_ppl.evaluation.figures import drawings_of
+from phase_ppl.evaluation.figures.layout import NothingToDrawError, Results
 from phase_ppl.evaluation.folder import POSTERIOR, ResultsFolder
-from phase_ppl.evaluation.observers import MODEL_COLOUR, Observer, label_of, observers
+from phase_ppl.evaluation.metrics import at
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
 from phase_ppl.evaluation.report.html import (
     LEAST,
@@ -29,7 +28,6 @@ from phase_ppl.evaluation.report.html import (
     figure_of,
     flat,
     in_words,
-    number,
     page,
     picture_of,
 )
@@ -43,10 +41,6 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS
 from phase_ppl.world.names import AGENTS
 from phase_ppl.world.scene import Scene
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 REPLAY: Final = "replay.mp4"
 """The film in the folder of a run."""
@@ -107,21 +101,6 @@ _MEASURES: Final = {
     "relation_log_score_truth": "log probability of true relation, nats",
 }
 
-_ALTS: Final = {
-    "accuracy": "Bars: share of right goals and relations of everybody, over all events and by "
-    "true scenario, with 95 % intervals; the numbers are in the tables above.",
-    "confusion": "Matrices of counts: true scenario against the scenario of the goals answered.",
-    "correlation": "Bars: correlation of each model with people; the numbers are in the table.",
-    "scatter_goals": "Points: probability of a goal for a model against that for people.",
-    "scatter_relations": "Points: probability of a relation for a model against that for people.",
-    "film_strips": "Film strips: an event of every scenario, from first to last frame.",
-    "costs": "Points: share of right answers against CPU seconds per event, with intervals.",
-    "differences": "Matrices: difference in right answers between every two models.",
-    "equivalence": "Points with intervals: right answers of models minus those of people, beside "
-    "the margin of equivalence; the numbers are in the table.",
-}
-"""Name of a figure -> what stands in its place for those who do not see it."""
-
 _OUTCOMES: Final = {
     "right": "all right",
     "wrong": "something wrong",
@@ -141,56 +120,18 @@ _SHORT: Final = {"goal_red": "red's goal", "goal_green": "green's goal", "relati
 # --- an event --------------------------------------------------------------------------------
 
 
-@dataclasses.dataclass(frozen=True)
-class Block:
-    """What everybody answers to a question about an event: a row per answer, a column each."""
+class Question(NamedTuple):
+    """What all answer to a question about an event: a row per answer, a column each."""
 
     name: str
-    rows: list[str]
+    title: str
+    labels: Sequence[str]
+    rows: Sequence[str]
     truth: str | None
-    observers: list[Observer]
-
-    @property
-    def title(self) -> str:
-        return ASKED[self.name]
-
-    def place(self, answer: str) -> int:
-        """Return where the probability of an answer stands."""
-        return QUESTIONS[self.name].index(answer)
+    answers: Sequence[AnswerSet]
 
 
-@dataclasses.dataclass(frozen=True)
-class Item:
-    """An event as pages show it.
-
-    Attributes:
-        id: of the event.
-        scenario: the true one, or "".
-        strips: film strips with their captions.
-        questions: those that anybody answered.
-        film: its address and what it shows.
-        verdict: of the posterior's diagnostics.
-        cost: of the model's prediction.
-        outcome: one of those that the filter knows.
-        marks: what became of each answer, with the class of its style.
-        belief: product of the probabilities that the model gives to the true answers.
-        right: who is right in all they answered; None where the truth is not known.
-    """
-
-    id: str
-    scenario: str
-    strips: list[tuple[str, Picture]]
-    questions: list[Block]
-    film: tuple[str, str] | None = None
-    verdict: str = ""
-    cost: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    outcome: str = ""
-    marks: list[tuple[str, str]] = dataclasses.field(default_factory=list)
-    belief: float | None = None
-    right: list[str] | None = None
-
-
-def event_page(event: Event, shown: Sequence[Observer], post: Posterior | None = None) -> str:
+def event_page(event: Event, shown: Sequence[AnswerSet], post: Posterior | None = None) -> str:
     """Return the page of an event.
 
     Args:
@@ -214,10 +155,10 @@ def page_in_folder(folder: ResultsFolder, event_id: str) -> str:
     event = next((event for event in folder.events if event.id == event_id), None)
     if event is None:
         raise unknown_name("event", event_id, [event.id for event in folder.events])
-    return event_page(event, observers(folder, [event]), _posterior(folder, event_id))
+    return event_page(event, answer_sets(folder, [event]), _posterior(folder, event_id))
 
 
-def rows_of(question: str, shown: Sequence[Observer], event: Event) -> list[str]:
+def rows_of(question: str, shown: Sequence[AnswerSet], event: Event) -> list[str]:
     """Return the answers worth a row: those given, the true one, those probable to somebody.
 
     Relations are always all shown. Goals are at most :data:`MAX_ROWS`, unless more were given,
@@ -228,8 +169,8 @@ def rows_of(question: str, shown: Sequence[Observer], event: Event) -> list[str]
     labels = QUESTIONS[question]
     highest = np.zeros(len(labels))
     asked: list[str] = [answer for answer in [true_answer(event, question)] if answer]
-    for observer in shown:
-        prediction = observer.predictions[event.id]
+    for answers in shown:
+        prediction = answers.predictions[event.id]
         if question in prediction.answers:
             asked.append(prediction.answers[question])
         if question in prediction.probabilities:
@@ -242,11 +183,14 @@ def rows_of(question: str, shown: Sequence[Observer], event: Event) -> list[str]
 
 def _item(
     event: Event,
-    everybody: Sequence[Observer],
+    everybody: Sequence[AnswerSet],
     post: Posterior | None = None,
     film: bool = False,
-    **more: Any,
-) -> Item:
+) -> dict[str, Any]:
+    """Return what pages show of an event: ``right`` are those right in all they answered.
+
+    What is not known is None, or empty.
+    """
     shown = [one for one in everybody if event.id in one.predictions]
     given = {one.label: one.predictions[event.id].answers for one in shown if one.kind != "people"}
     trajectory = event.observation.trajectory
@@ -255,8 +199,15 @@ def _item(
     if replay is not None:
         strips.append(_strip("Best hypothesis, simulated", replay, event.scene, event.id))
     questions = [
-        Block(name, rows_of(name, shown, event), true_answer(event, name), shown)
-        for name in QUESTIONS
+        Question(
+            name,
+            title,
+            QUESTIONS[name],
+            rows_of(name, shown, event),
+            true_answer(event, name),
+            shown,
+        )
+        for name, title in ASKED.items()
         if any(name in one.predictions[event.id].answers for one in shown)
     ]
     right = [
@@ -264,18 +215,16 @@ def _item(
         for label, answers in given.items()
         if answers and all(answer == true_answer(event, q) for q, answer in answers.items())
     ]
-    own = next((one.predictions[event.id] for one in shown if one.kind == "model"), None)
-    return Item(
-        event.id,
-        "" if event.truth is None else event.truth.scenario,
-        strips,
-        questions,
-        _film(event, replay) if film else None,
-        "" if post is None else str(post.diagnostics()["verdict"]),
-        {} if own is None else own.cost,
-        right=None if event.truth is None else right,
-        **more,
-    )
+    return {
+        "id": event.id,
+        "scenario": "" if event.truth is None else event.truth.scenario,
+        "film": _film(event, replay) if film else None,
+        "strips": strips,
+        "questions": questions,
+        "verdict": "" if post is None else str(post.diagnostics()["verdict"]),
+        "cost": next((o.predictions[event.id].cost for o in shown if o.kind == "model"), {}),
+        "right": None if event.truth is None else right,
+    }
 
 
 def _strip(
@@ -380,44 +329,33 @@ def _strength(post: Posterior | StepwisePosterior, agent: str) -> tuple[str, str
 # --- an evaluation ---------------------------------------------------------------------------
 
 
-@dataclasses.dataclass(frozen=True)
-class Summary:
-    """Everybody's metrics: figures with or without an interval, None where there is none.
+def _summary(shown: Sequence[AnswerSet]) -> dict[str, Any]:
+    """Return the metrics of all: a row each, a column per metric that anybody has.
 
-    Attributes:
-        columns: headings of those that anybody has.
-        rows: observer, and a figure per column.
-        between_people: what halves of the people agree on, in words.
-        by_scenario: observer, what is right, and a figure per true scenario.
+    And what halves of the people agree on, in words, and the accuracies by true scenario.
     """
-
-    columns: list[str]
-    rows: list[tuple[Observer, list[Any]]]
-    between_people: str
-    by_scenario: list[tuple[Observer, str, list[Any]]]
-    scenarios: list[str] = dataclasses.field(default_factory=lambda: list(SCENARIOS))
-
-    @classmethod
-    def of(cls, shown: Sequence[Observer]) -> Summary:
-        used = [place for place in _COLUMNS if any(at(o.metrics, place) for o in shown)]
-        halves = []
-        for name, what in (("goal_split_half_r", "goals"), ("split_half_r", "relations")):
-            found = next(filter(None, (at(o.metrics, ("human", name)) for o in shown)), None)
-            if found is not None:
-                halves.append(f"{number(found['value'])} on {what}")
-        by_scenario = []
-        for kind, word in (("goal", "goals"), ("relation", "relations")):
-            for one in shown:
-                places = [("by_scenario", name, f"{kind}_accuracy") for name in SCENARIOS]
-                cells = [at(one.metrics, place) for place in places]
-                if any(cells):
-                    by_scenario.append((one, word, cells))
-        return cls(
-            [_COLUMNS[place] for place in used],
-            [(one, [at(one.metrics, place) for place in used]) for one in shown],
-            f"Halves of the people correlate {' and '.join(halves)}." if halves else "",
-            by_scenario,
-        )
+    used = [place for place in _COLUMNS if any(at(o.metrics, place) for o in shown)]
+    halves = []
+    for name, what in (("goal_split_half_r", "goals"), ("split_half_r", "relations")):
+        found = next(filter(None, (at(o.metrics, ("human", name)) for o in shown)), None)
+        if found is not None:
+            halves.append(f"{number(found['value'])} on {what}")
+    by_scenario = []
+    for kind, word in (("goal", "goals"), ("relation", "relations")):
+        for one in shown:
+            places = [("by_scenario", name, f"{kind}_accuracy") for name in SCENARIOS]
+            cells = [at(one.metrics, place) for place in places]
+            if any(cells):
+                by_scenario.append((one, word, cells))
+    return {
+        "columns": [_COLUMNS[place] for place in used],
+        "rows": [(one, [at(one.metrics, place) for place in used]) for one in shown],
+        "between_people": f"Halves of the people correlate {' and '.join(halves)}."
+        if halves
+        else "",
+        "by_scenario": by_scenario,
+        "scenarios": list(SCENARIOS),
+    }
 
 
 def evaluation_page(
@@ -433,26 +371,26 @@ def evaluation_page(
     Raises:
         InvalidEventError, UnknownNameError: a file in the folder is damaged.
     """
-    results = FolderResults(folder)
+    results = Results(folder)
     metrics = folder.metrics()
     n, finished = len(folder.events), sum(folder.is_finished(event.id) for event in folder.events)
     state = f"{finished} of {n} events predicted"
     if finished < n and metrics is None:
         state += "; not finished: tables and figures are about these"
     cost = (metrics or {}).get("cost")
-    drawn, left_out = _figures(results, DRAWN)
+    drawn, left_out = _figures(results)
     present = {name: name for name in SCENARIOS if name in results.scenarios.values()}
     items = []
     for event in counted(results.events, progress, "event", "showing"):
-        shown = [one for one in results.observers if event.id in one.predictions]
+        shown = [one for one in results.answers if event.id in one.predictions]
         own = next((o.predictions[event.id] for o in shown if o.kind == "model"), None)
         post = None if own is None else _posterior(folder, event.id)
-        items.append(_item(event, shown, post, videos, **_outcome(event, own)))
+        items.append({**_item(event, shown, post, videos), **_outcome(event, own)})
     return page(
         "evaluation.html",
         title=f"Evaluation of {label_of(str(folder.settings.get('model', 'model')))}",
         state=f"{state}.",
-        summary=Summary.of(results.measured),
+        summary=_summary(results.measured),
         drawn=drawn,
         left_out=left_out,
         failures=[(event_id, in_words(what)) for event_id, what in folder.failures().items()],
@@ -468,12 +406,16 @@ def evaluation_page(
 
 
 def _outcome(event: Event, own: Prediction | None) -> dict[str, Any]:
-    """Return what became of the model's answers about an event, as of :class:`Item`."""
+    """Return what became of the model's answers about an event.
+
+    ``outcome`` is one of those that the filter knows, ``marks`` what became of each answer with the
+    class of its style, ``belief`` the product of the probabilities of the true answers.
+    """
     if own is None:
-        return {"outcome": "none", "marks": [("no prediction", "bad")]}
+        return {"outcome": "none", "marks": [("no prediction", "bad")], "belief": None}
     right = {q: answer == true_answer(event, q) for q, answer in own.answers.items()}
     if event.truth is None or not right:
-        return {"outcome": "unknown"}
+        return {"outcome": "unknown", "marks": [], "belief": None}
     belief = None
     if own.probabilities:
         shares = [
@@ -491,21 +433,14 @@ def _outcome(event: Event, own: Prediction | None) -> dict[str, Any]:
     }
 
 
-def _figures(
-    results: Any, drawn: Mapping[str, Callable[[Any], Figure]]
-) -> tuple[list[tuple[str, Picture]], list[str]]:
-    """Return the figures that the results allow with their titles, and why others are not there.
-
-    Args:
-        results: as the functions take them.
-        drawn: name of a figure -> what draws it.
-    """
+def _figures(results: Results) -> tuple[list[tuple[str, Picture]], list[str]]:
+    """Return the figures that the results allow with their titles, and why others are not there."""
     found, left_out = [], []
-    for name, draw in drawn.items():
+    for drawing in drawings_of(results).values():
         try:
-            found.append((TITLES[name], figure_of(draw(results), _ALTS[name])))
+            found.append((drawing.title, figure_of(drawing.draw(results), drawing.alt)))
         except NothingToDrawError as reason:
-            left_out.append(f"{TITLES[name]}: {reason}.")
+            left_out.append(f"{drawing.title}: {reason}.")
     return found, left_out
 
 
@@ -519,18 +454,18 @@ def comparison_page(comparison: ModelComparison, *, progress: bool | None = None
         comparison: of models.
         progress: show a bar over the events; None: where stderr is a terminal.
     """
-    results = ComparedResults(comparison)
-    shown = {observer.name: observer for observer in results.observers}
-    drawn, left_out = _figures(results, COMPARED)
-    settings = {one.name: {"folder": one.folder, **one.settings} for one in comparison.contenders}
+    results = Results(comparison)
+    shown = {answers.name: answers for answers in results.answers}
+    drawn, left_out = _figures(results)
+    settings = {one.name: {"folder": one.folder, **one.settings} for one in comparison.entries}
     return page(
         "comparison.html",
         title="Comparison of models",
-        # a model that predicts nothing observes nothing
+        # a model that predicts nothing has no answers
         names=[shown[n].label if n in shown else label_of(n) for n in comparison.models],
         notes=comparison.notes,
-        summary=Summary.of(results.measured),
-        observers=shown,
+        summary=_summary(results.measured),
+        answers=shown,
         measures=_MEASURES,
         differences=[
             row
@@ -542,7 +477,7 @@ def comparison_page(comparison: ModelComparison, *, progress: bool | None = None
         drawn=drawn,
         left_out=left_out,
         items=[
-            _item(event, results.observers)
+            _item(event, results.answers)
             for event in counted(comparison.events, progress, "event", "showing")
         ],
         settings=comparison.settings,

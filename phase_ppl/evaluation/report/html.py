@@ -18,6 +18,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 import phase_ppl
+from phase_ppl.evaluation.cells import number
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -70,17 +71,10 @@ def embedded(content: bytes, kind: str) -> str:
     return f"data:{kind};base64,{base64.b64encode(content).decode()}"
 
 
-def number(value: Any, digits: int = 2) -> str:
-    """Return a number as it is read; a dash where there is none."""
-    if value is None:
-        return "\N{EN DASH}"
-    return f"{value:.{digits}f}".replace("-", "\N{MINUS SIGN}")
-
-
 def in_words(value: Any) -> str:
     """Return a plain value, such as of a JSON file, in a line of text."""
     if value is None:
-        return "\N{EN DASH}"
+        return number(None)
     if isinstance(value, Mapping):
         return ", ".join(f"{str(k).replace('_', ' ')} {in_words(v)}" for k, v in value.items())
     if isinstance(value, list | tuple):

@@ -8,9 +8,9 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
+from phase_ppl.evaluation.answer_sets import PEOPLE
 from phase_ppl.evaluation.evaluation import Evaluation
 from phase_ppl.evaluation.folder import SETTINGS
-from phase_ppl.evaluation.observers import PEOPLE
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.references import reference_predictions
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown, unknown_name
@@ -24,7 +24,7 @@ ALL: Final = "all"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Contender:
+class Entry:
     """A model that is compared.
 
     Attributes:
@@ -145,7 +145,11 @@ def shared_events(
                 "compares them on the events that all share"
             )
         chosen = {i: event for i, event in chosen.items() if i in same}
-        changed = [i for i, e in chosen.items() if not _known_alike(e, theirs[i])]
+        changed = [
+            i
+            for i, e in chosen.items()
+            if (e.truth, e.judgments) != (theirs[i].truth, theirs[i].judgments)
+        ]
         if changed:
             notes.append(
                 f"truth or judgments of {len(changed)} events, such as {changed[0]!r}, are not the "
@@ -157,10 +161,6 @@ def shared_events(
     if len(chosen) < largest:
         notes.insert(0, f"on the {len(chosen)} events that all share, of up to {largest}")
     return list(chosen.values()), notes
-
-
-def _known_alike(one: Event, other: Event) -> bool:
-    return one.truth == other.truth and one.judgments == other.judgments
 
 
 def _differences(
@@ -177,9 +177,9 @@ def _differences(
     )
 
 
-def contenders(
+def entries(
     found: Mapping[str, Evaluation], events: Sequence[Event], stored: str | Sequence[str] = ()
-) -> list[Contender]:
+) -> list[Entry]:
     """Return the models that are compared, with their answers about the events.
 
     Args:
@@ -194,7 +194,7 @@ def contenders(
     """
     ids = [event.id for event in events]
     made = [
-        Contender(
+        Entry(
             name,
             "model",
             {i: one.predictions[i] for i in ids if i in one.predictions},
@@ -206,7 +206,7 @@ def contenders(
     ]
     references = reference_predictions(events)
     for name in stored_names(stored, references):
-        made.append(Contender(stored_label(name, found), "stored", references[name]))
+        made.append(Entry(stored_label(name, found), "stored", references[name]))
     return made
 
 

@@ -1,4 +1,4 @@
-"""What people said about one event: votes, and who gave them where that is known."""
+"""People's ratings of one event, and who gave them where that is known."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from phase_ppl.world.goals import GOALS, goal_index
 from phase_ppl.world.hypothesis import RELATIONS
 from phase_ppl.world.names import AGENTS
 
-MAX_VOTES: Final = 10**9 - 1
-"""Most votes on one question of one event."""
+MAX_RATINGS: Final = 10**9 - 1
+"""Most ratings on one question of one event."""
 
 _COUNTS: Final = ("relation_counts", "goal_counts", "responses")
 
-_WITHOUT_VOTES: Final = ("n_raters", "majority")
+_WITHOUT_RATINGS: Final = ("n_raters", "majority")
 """What may be all that is known of people: the authors' pickles have the majority only."""
 
 
@@ -30,7 +30,7 @@ class Judgments:
     """People's judgments of one event. What nobody answered is absent.
 
     Attributes:
-        counts: question -> votes for its answers, in label order.
+        counts: question -> ratings for its answers, in label order.
         n_raters: people who answered at least one question.
         responses: participant -> question -> answer; empty where only counts are known.
     """
@@ -43,8 +43,8 @@ class Judgments:
         """Return the share of each answer among those given (paper, Appendix 5); None if none."""
         if question not in self.counts:
             return None
-        votes = self.counts[question]
-        return votes / votes.sum()
+        ratings = self.counts[question]
+        return ratings / ratings.sum()
 
     def share(self, question: str, answer: str) -> float | None:
         """Return the share of people who gave ``answer``; None where nobody answered."""
@@ -58,15 +58,15 @@ class Judgments:
         return QUESTIONS[question][int(self.counts[question].argmax())]
 
     def ties(self, question: str) -> int:
-        """Return how many answers share the most votes: 1 where it is clear, 0 unknown."""
+        """Return how many answers share the most ratings: 1 where it is clear, 0 unknown."""
         if question not in self.counts:
             return 0
-        votes = self.counts[question]
-        return int((votes == votes.max()).sum())
+        ratings = self.counts[question]
+        return int((ratings == ratings.max()).sum())
 
     @classmethod
     def of_responses(cls, responses: Mapping[str, Mapping[str, str]]) -> Judgments:
-        """Count the votes in participant -> question -> answer; who answered nothing is no rater.
+        """Count the ratings in participant -> question -> answer; who answered nothing is no rater.
 
         Raises:
             UnknownNameError: there is no such question or answer.
@@ -78,27 +78,27 @@ class Judgments:
         }
         counts = {}
         for question, labels in QUESTIONS.items():
-            votes = [labels.index(row[question]) for row in given.values() if question in row]
-            if votes:
-                counts[question] = np.bincount(votes, minlength=len(labels)).astype(np.int64)
+            ratings = [labels.index(row[question]) for row in given.values() if question in row]
+            if ratings:
+                counts[question] = np.bincount(ratings, minlength=len(labels)).astype(np.int64)
         return cls(counts, len(given), given)
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any]) -> Judgments | None:
         """Read the judgments of an event file; None where nobody judged.
 
-        Fields: ``relation_counts`` {relation: votes}, ``goal_counts`` {agent: {goal: votes}},
+        Fields: ``relation_counts`` {relation: ratings}, ``goal_counts`` {agent: {goal: ratings}},
         ``n_raters``, and ``responses``, a list of objects with ``participant`` and answers to the
-        questions. All are optional, answers without votes may be left out, fields of other names
+        questions. All are optional, answers without ratings may be left out, fields of other names
         (such as ``majority``) are not read. ``goal_counts`` are of effective goals.
 
         Raises:
-            InvalidEventError: votes that are negative or no whole number, more votes than raters,
-                fewer raters than votes can come from, responses that contradict the counts; or
-                the record has fields, but none of those that hold votes.
+            InvalidEventError: ratings that are negative or no whole number, more ratings than
+                raters, fewer raters than ratings can come from, responses that contradict the
+                counts; or the record has fields, but none of those that hold ratings.
             UnknownNameError: no such agent, goal, relation or question.
         """
-        if record and not any(name in record for name in (*_COUNTS, *_WITHOUT_VOTES)):
+        if record and not any(name in record for name in (*_COUNTS, *_WITHOUT_RATINGS)):
             raise InvalidEventError(
                 f"has {shown(sorted(map(str, record)))}, expected one of {', '.join(_COUNTS)}"
             )
@@ -106,11 +106,11 @@ class Judgments:
         listed = record.get("responses")
         if listed is not None:
             found = cls.of_responses(_responses(listed))
-            for question, votes in counts.items():
-                if not np.array_equal(votes, found.counts.get(question, ())):
+            for question, ratings in counts.items():
+                if not np.array_equal(ratings, found.counts.get(question, ())):
                     raise InvalidEventError(f"the counts of {question} contradict the responses")
             counts = dict(found.counts)
-        totals = [int(votes.sum()) for votes in counts.values()]
+        totals = [int(ratings.sum()) for ratings in counts.values()]
         n_raters = _n_raters(record, totals)
         if listed is not None:
             if n_raters not in (None, found.n_raters):
@@ -126,8 +126,8 @@ class Judgments:
         """Return it as plain data, fit for JSON; :meth:`from_record` gives it back."""
         record: dict[str, Any] = {"n_raters": self.n_raters}
         if "relation" in self.counts:
-            votes = self.counts["relation"].tolist()
-            record["relation_counts"] = dict(zip(RELATIONS, votes, strict=True))
+            ratings = self.counts["relation"].tolist()
+            record["relation_counts"] = dict(zip(RELATIONS, ratings, strict=True))
         goals = {
             agent: {
                 goal: n for goal, n in zip(GOALS, self.counts[question].tolist(), strict=True) if n
@@ -182,17 +182,17 @@ def _counts(record: Mapping[str, Any]) -> dict[str, IntArray]:
         for agent in _mapping("goal_counts", goals):
             if agent not in AGENTS:
                 raise unknown_name("agent in goal_counts", agent, AGENTS)
-        given = {GOAL_QUESTIONS[agent]: votes for agent, votes in goals.items()}
+        given = {GOAL_QUESTIONS[agent]: ratings for agent, ratings in goals.items()}
     given["relation"] = record.get("relation_counts")
     counts = {}
-    for question, votes in given.items():
-        if votes is not None:
+    for question, ratings in given.items():
+        if ratings is not None:
             values = np.zeros(len(QUESTIONS[question]), np.int64)
-            for answer, n in _mapping(f"the counts of {question}", votes).items():
+            for answer, n in _mapping(f"the counts of {question}", ratings).items():
                 place = QUESTIONS[question].index(checked_answer(question, answer))
-                values[place] += _votes(f"{question}: {answer!r}", n)
-            if values.sum() > MAX_VOTES:
-                raise InvalidEventError(f"{question} has more than {MAX_VOTES} votes")
+                values[place] += _people(f"{question}: {answer!r}", n)
+            if values.sum() > MAX_RATINGS:
+                raise InvalidEventError(f"{question} has more than {MAX_RATINGS} votes")
             if values.any():
                 counts[question] = values
     return counts
@@ -201,7 +201,7 @@ def _counts(record: Mapping[str, Any]) -> dict[str, IntArray]:
 def _n_raters(record: Mapping[str, Any], totals: Sequence[int]) -> int | None:
     if record.get("n_raters") is None:
         return None
-    number = _votes("n_raters", record["n_raters"])
+    number = _people("n_raters", record["n_raters"])
     for total in totals:
         if total > number:
             raise InvalidEventError(f"n_raters is {number}, but a question has {total} votes")
@@ -231,7 +231,7 @@ def _mapping(name: str, value: object) -> Mapping[str, Any]:
     return value
 
 
-def _votes(name: str, value: object) -> int:
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= MAX_VOTES:
+def _people(name: str, value: object) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= MAX_RATINGS:
         raise InvalidEventError(f"{name} has {shown(value)}, expected a number of people")
     return value

@@ -13,18 +13,15 @@ from typing import Any, Final
 import numpy as np
 
 from phase_ppl.evaluation import tables
-from phase_ppl.evaluation.agreement import events_with
 from phase_ppl.evaluation.bootstrap import (
     LEVEL,
-    Figure,
     difference,
-    figure,
     interval,
     resampled,
     weighted_mean,
 )
-from phase_ppl.evaluation.comparison.contenders import Contender
-from phase_ppl.evaluation.metrics import Paired
+from phase_ppl.evaluation.entries import Entry
+from phase_ppl.evaluation.metrics import Paired, events_with
 from phase_ppl.evaluation.tables import KINDS
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event
@@ -41,12 +38,10 @@ ALPHA: Final = 1 - LEVEL
 _ROUNDING: Final = 1e-12
 """Difference of shares that is rounding: what is the margin but for it is the margin."""
 
-COSTS: Final = ("cpu_seconds", "seconds")
-
 
 def differences(
     events: Sequence[Event],
-    compared: Sequence[Contender],
+    compared: Sequence[Entry],
     *,
     against: str | None = None,
     seed: int = 0,
@@ -104,7 +99,7 @@ def _figures(found: Mapping[str, Any]) -> list[tuple[str | None, str, dict[str, 
 
 def equivalence(
     events: Sequence[Event],
-    compared: Sequence[Contender],
+    compared: Sequence[Entry],
     *,
     margin: float,
     seed: int = 0,
@@ -205,15 +200,3 @@ def holm(p: Sequence[float]) -> list[float]:
     corrected = np.empty(len(values))
     corrected[order] = np.minimum(np.maximum.accumulate(steps), 1)
     return [float(one) for one in corrected]
-
-
-def costs(one: Contender, seed: int = 0) -> dict[str, Figure | None]:
-    """Return the mean ``cpu_seconds`` and ``seconds`` per event; None where they are not known."""
-    found: dict[str, Figure | None] = {}
-    weights = resampled(len(one.predictions), seed)
-    for name in COSTS:
-        given = [prediction.cost.get(name) for prediction in one.predictions.values()]
-        numbers = [value if isinstance(value, int | float) else np.nan for value in given]
-        values = np.array(numbers, np.float64).reshape(-1, 1)
-        found[name] = figure(weighted_mean(weights, values), events_with(values))
-    return found

@@ -1,4 +1,4 @@
-"""Everybody who watched the events of an evaluation: people, its model, models in the file."""
+"""All answers of one source about the events of an evaluation: people, its model, other models."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from phase_ppl.evaluation.folder import ResultsFolder
 from phase_ppl.evaluation.metrics import evaluate_predictions
 from phase_ppl.evaluation.people import human_accuracy
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
+from phase_ppl.evaluation.ratings import event_judgments
 from phase_ppl.evaluation.references import reference_predictions
-from phase_ppl.evaluation.votes import event_judgments
 from phase_ppl.world.event import Event
 
 PEOPLE: Final = "people"
+PEOPLE_COLOUR: Final = "#3c3c3c"
+MODEL_COLOUR: Final = "#0072b2"
 
 LABELS: Final[Mapping[str, str]] = {
-    PEOPLE: "people",
     "simple": "SIMPLE",
-    "last_frame": "last frame",
     "simple_authors": "authors' SIMPLE",
     "socialgnn": "SocialGNN",
     "socialgnn_2023": "SocialGNN 2023",
@@ -27,10 +27,8 @@ LABELS: Final[Mapping[str, str]] = {
     "predicate": "predicate planning",
     "vlm": "VLM",
 }
-"""How known observers are called in figures; others by their names, with spaces."""
+"""How known sources are called in figures; others by their names, with spaces."""
 
-PEOPLE_COLOUR: Final = "#3c3c3c"
-MODEL_COLOUR: Final = "#0072b2"
 COLOURS: Final[Mapping[str, str]] = {
     "simple": MODEL_COLOUR,
     "simple_authors": "#d55e00",
@@ -42,7 +40,7 @@ COLOURS: Final[Mapping[str, str]] = {
     "last_frame": "#7f7f7f",
     "majority": "#a5ad00",
 }
-"""Colours of known observers, the same in all figures, to be told apart without seeing red and
+"""Colours of known sources, the same in all figures, to be told apart without seeing red and
 green apart."""
 
 PALETTE: Final = (
@@ -53,16 +51,16 @@ PALETTE: Final = (
 
 
 @dataclasses.dataclass(frozen=True)
-class Observer:
-    """Who answered questions about events.
+class AnswerSet:
+    """What one source answered about events.
 
     Attributes:
-        name: as in files.
+        name: of the source, as in files.
         kind: "people", "model" (the evaluation's own) or "reference" (a model whose answers the
             events carry).
-        label: as in figures.
+        label: of the source, as in figures.
         colour: in figures.
-        predictions: event id -> answers; people's probabilities are shares of their votes.
+        predictions: event id -> answers; people's probabilities are shares of their ratings.
         metrics: see :func:`measured`.
     """
 
@@ -73,13 +71,13 @@ class Observer:
     predictions: Mapping[str, Prediction]
     metrics: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
-    def answered(self, question: str) -> bool:
+    def has(self, question: str) -> bool:
         """Whether the question was answered about any event."""
         return any(question in given.answers for given in self.predictions.values())
 
 
-def observers(folder: ResultsFolder, events: Sequence[Event] | None = None) -> list[Observer]:
-    """Return those who answered anything: people, the model, references in the file's order.
+def answer_sets(folder: ResultsFolder, events: Sequence[Event] | None = None) -> list[AnswerSet]:
+    """Return all answers there are: people's, the model's, those in the file in its order.
 
     Args:
         folder: of the evaluation.
@@ -89,45 +87,31 @@ def observers(folder: ResultsFolder, events: Sequence[Event] | None = None) -> l
         InvalidEventError, UnknownNameError: a stored prediction or judgment is damaged.
     """
     chosen = folder.events if events is None else events
-    own = {event.id: folder.prediction(event.id) for event in chosen}
-    name = str(folder.settings.get("model", "model"))
+    given = {event.id: folder.prediction(event.id) for event in chosen}
+    own = str(folder.settings.get("model", "model"))
     # the order, and so the colour, is the same whichever events are asked for
     names = dict.fromkeys(name for event in folder.events for name in event.predictions or {})
-    own_colour, *colours = colours_of([name, *names])
-    found = [
-        Observer(PEOPLE, PEOPLE, LABELS[PEOPLE], PEOPLE_COLOUR, people(chosen)),
-        Observer(
-            name,
-            "model",
-            label_of(name),
-            own_colour,
-            {id: given for id, given in own.items() if given is not None},
-        ),
-    ]
+    own_colour, *colours = colours_of([own, *names])
+    made = {name: answer for name, answer in given.items() if answer is not None}
+    found = [people_answers(chosen), AnswerSet(own, "model", label_of(own), own_colour, made)]
     references = reference_predictions(chosen)
-    for reference, colour in zip(names, colours, strict=True):
-        label = label_of(reference)
-        found.append(
-            Observer(
-                reference,
-                "reference",
-                f"{label} (in the file)" if label == found[1].label else label,
-                colour,
-                references.get(reference, {}),
-            )
-        )
-    return [observer for observer in found if observer.predictions]
+    for name, colour in zip(names, colours, strict=True):
+        label = label_of(name)
+        if label == label_of(own):
+            label += " (in the file)"
+        found.append(AnswerSet(name, "reference", label, colour, references.get(name, {})))
+    return [answers for answers in found if answers.predictions]
 
 
-def measured(folder: ResultsFolder) -> list[Observer]:
-    """Return :func:`observers` with their metrics.
+def measured(folder: ResultsFolder) -> list[AnswerSet]:
+    """Return :func:`answer_sets` with their metrics.
 
     They are those of metrics.json. Where an evaluation is not finished, and has none, they are
-    computed, and everybody's answers are about the events that are finished. Those of people are
+    computed, and all answers are about the events that are finished. Those of people are
     :func:`~phase_ppl.evaluation.people.human_accuracy`.
 
     Raises:
-        InvalidEventError, UnknownNameError: as :func:`observers`; or metrics.json is damaged.
+        InvalidEventError, UnknownNameError: as :func:`answer_sets`; or metrics.json is damaged.
     """
     stored = folder.metrics() or {}
     events = folder.events
@@ -135,21 +119,18 @@ def measured(folder: ResultsFolder) -> list[Observer]:
         events = [event for event in events if folder.is_finished(event.id)]
     of_references = stored.get("reference_models") or {}
     found = []
-    for observer in observers(folder, events):
-        if observer.kind == "people":
+    for answers in answer_sets(folder, events):
+        if answers.kind == "people":
             metrics = human_accuracy(events)
-        elif observer.kind == "model":
-            metrics = stored
         else:
-            metrics = of_references.get(observer.name) or {}
-        if not metrics:
-            metrics = evaluate_predictions(events, observer.predictions)
-        found.append(dataclasses.replace(observer, metrics=metrics))
+            known = stored if answers.kind == "model" else of_references.get(answers.name)
+            metrics = known or evaluate_predictions(events, answers.predictions)
+        found.append(dataclasses.replace(answers, metrics=metrics))
     return found
 
 
-def people(events: Sequence[Event]) -> dict[str, Prediction]:
-    """Return event id -> the shares of people's votes, of the events that people judged."""
+def people_answers(events: Sequence[Event]) -> AnswerSet:
+    """Return the shares of people's ratings, of the events that people judged."""
     found = {}
     for event in events:
         judgments = event_judgments(event)
@@ -157,11 +138,11 @@ def people(events: Sequence[Event]) -> dict[str, Prediction]:
             shares = {question: judgments.distribution(question) for question in QUESTIONS}
             given = {question: share for question, share in shares.items() if share is not None}
             found[event.id] = Prediction(event.id, given)
-    return found
+    return AnswerSet(PEOPLE, "people", PEOPLE, PEOPLE_COLOUR, found)
 
 
 def label_of(name: str) -> str:
-    """Return how figures call an observer."""
+    """Return how figures call a source."""
     return LABELS.get(name, name.replace("_", " "))
 
 
