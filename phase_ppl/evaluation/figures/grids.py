@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from phase_ppl.analysis.figures.style import INK, NORMAL, SMALL, bare, direct_labels
+from phase_ppl.analysis.figures.style import INK, NORMAL, SMALL, bare
 from phase_ppl.evaluation.answer_sets import AnswerSet
 from phase_ppl.evaluation.cells import number
 from phase_ppl.evaluation.differences import ALPHA
@@ -55,6 +55,10 @@ _POINT: Final = 0.02
 """Points nearer than this, in each probability, are drawn as one, with the area of all."""
 
 _AREA: Final = 9.0
+
+_HIGHEST: Final = 1.02
+_NAME_GAP: Final = 0.07
+"""Least distance of two names beside axes, as a share of their height."""
 
 _Cloud = Counter[tuple[float, float]]
 _Texts = dict[tuple[int, int], tuple[str, dict[str, Any]]]
@@ -262,11 +266,11 @@ def _costs(axes: Axes, shown: Sequence[AnswerSet], kind: str) -> None:
             ends += [cost["ci_low"], cost["ci_high"]]
         axes.plot([x], [y], "o", ms=5.5, color=answers.colour, mec="white", mew=0.8, zorder=3)
         ends.append(x)
-        names.append((x, y, answers.label, answers.colour))
+        names.append((y / _HIGHEST, answers.label, answers.colour))
     bare(axes)
     low, high = math.floor(math.log10(min(ends))), math.ceil(math.log10(max(ends)))
     high = max(high, low + 1)
-    axes.set(xscale="log", xlim=(10.0**low * 0.7, 10.0**high * 1.4), ylim=(0, 1.02))
+    axes.set(xscale="log", xlim=(10.0**low * 0.7, 10.0**high * 1.4), ylim=(0, _HIGHEST))
     axes.set_yticks([0, 0.25, 0.5, 0.75, 1], ["0", "", "0.5", "", "1"])
     axes.minorticks_off()
     decades = range(low, high + 1)
@@ -275,9 +279,22 @@ def _costs(axes: Axes, shown: Sequence[AnswerSet], kind: str) -> None:
     axes.grid(color="#e6e6e6", lw=0.6)
     axes.set_axisbelow(True)
     axes.set_xlabel("CPU seconds per event", fontsize=NORMAL, color=INK, labelpad=2)
-    direct_labels(axes, names, gap=0.08)
-    for text in axes.texts:
-        text.set_parse_math(False)
+    _names_beside(axes, names)
+
+
+def _names_beside(axes: Axes, names: Sequence[tuple[float, str, str]]) -> None:
+    """Write names on the right at their heights (shares of the axes), moved apart downwards."""
+    names = sorted(names, key=lambda name: -name[0])
+    steps = _NAME_GAP * np.arange(len(names))
+    places = np.minimum.accumulate([height for height, _, _ in names] + steps) - steps
+    # none below the axes
+    places = np.maximum(places, steps[::-1])
+    size = fitting([label for _, label, _ in names])
+    for place, (_, label, colour) in zip(places, names, strict=True):
+        axes.annotate(
+            label, (1.03, place), xycoords="axes fraction", va="center", fontsize=size,
+            color=colour, annotation_clip=False, parse_math=False,
+        )  # fmt: skip
 
 
 def differences(results: Results) -> Figure:
@@ -351,8 +368,8 @@ def _differences(
         range(len(columns)), labels, rotation=45, ha="left", rotation_mode="anchor",
         fontsize=fitting(labels), parse_math=False,
     )  # fmt: skip
-    for text, answers in zip(axes.get_xticklabels(), columns, strict=True):
-        text.set_color(answers.colour)
+    for tick, answers in zip(axes.get_xticklabels(), columns, strict=True):
+        tick.set_color(answers.colour)
 
 
 def film_strips(results: Results) -> Figure:
