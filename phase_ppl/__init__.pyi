@@ -12,13 +12,13 @@ from phase_ppl.analysis.stepwise_posterior import StepwisePosterior as StepwiseP
 from phase_ppl.closed_loop.hidden_state import Tracking as Tracking
 from phase_ppl.dataset.events_netcdf import event_dataset as event_dataset
 from phase_ppl.dataset.events_netcdf import event_from_dataset as event_from_dataset
+from phase_ppl.dataset.generated import GeneratedEvents as GeneratedEvents
 from phase_ppl.dataset.generation.families import available_families as available_families
 from phase_ppl.dataset.generation.families import register_family as register_family
 from phase_ppl.dataset.generation.generate import (
     GenerationInterrupted as GenerationInterrupted,
 )
 from phase_ppl.dataset.generation.generate import generate as generate
-from phase_ppl.dataset.generation.store import GeneratedEvents as GeneratedEvents
 from phase_ppl.dataset.load import bundled_events as bundled_events
 from phase_ppl.dataset.load import export_events as export_events
 from phase_ppl.dataset.load import load_event as load_event

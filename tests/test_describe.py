@@ -9,7 +9,7 @@ import pytest
 
 import phase_ppl
 from phase_ppl.cli import main
-from phase_ppl.dataset.generation.store import MANIFEST_SCHEMA
+from phase_ppl.dataset.generated import MANIFEST_SCHEMA
 from tests.world.examples import make_event
 
 

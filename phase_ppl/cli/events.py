@@ -20,7 +20,7 @@ from phase_ppl.cli.shared import (
     whole,
     writable_folder,
 )
-from phase_ppl.dataset.generation.store import MANIFEST, read_manifest
+from phase_ppl.dataset.generated import MANIFEST, read_manifest
 from phase_ppl.dataset.load import EXPORTS, PHASE_PICKLE
 from phase_ppl.dataset.load import SUFFIXES as EVENT_SUFFIXES
 from phase_ppl.dataset.statistics import PHASE

@@ -22,9 +22,9 @@ from phase_ppl.cli.shared import (
     shows_progress,
     whole,
 )
+from phase_ppl.dataset.generated import GeneratedEvents, verify
 from phase_ppl.dataset.generation.generate import PRESETS, GenerationInterrupted, generate
 from phase_ppl.dataset.generation.plan import PHASE500
-from phase_ppl.dataset.generation.store import GeneratedEvents, verify
 from phase_ppl.world.scene import TURNINGS
 
 VIDEOS: Final = "videos"

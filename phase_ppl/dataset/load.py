@@ -120,7 +120,7 @@ def load_events(
 
     Args:
         path: as for :func:`load_event`, or the folder of a generated data set, which comes as
-            :class:`~phase_ppl.dataset.generation.store.GeneratedEvents`, whose events are read
+            :class:`~phase_ppl.dataset.generated.GeneratedEvents`, whose events are read
             when they are asked for.
         turning, format: as for :func:`load_event`.
 
@@ -132,7 +132,7 @@ def load_events(
     if folder.is_dir() and any(
         (folder / name).is_file() for name in ("plan.json", "manifest.json")
     ):
-        from phase_ppl.dataset.generation.store import GeneratedEvents
+        from phase_ppl.dataset.generated import GeneratedEvents
 
         return GeneratedEvents(folder, turning)
     return [_read(path, entry, turning) for entry in _entries(path, format)]

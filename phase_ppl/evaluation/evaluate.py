@@ -21,7 +21,7 @@ from phase_ppl.evaluation.folder import METRICS, POSTERIOR, ResultsFolder
 from phase_ppl.evaluation.judgments import Study, all_events, judged
 from phase_ppl.evaluation.prediction import Prediction, as_prediction
 from phase_ppl.evaluation.registry import Answer, Predict, ReadyModel, ready
-from phase_ppl.inference.runs.progress import Bar
+from phase_ppl.inference.progress import Bar
 from phase_ppl.simulator.contract import described
 from phase_ppl.simulator.jobs import Failure, results
 from phase_ppl.simulator.processes import in_worker

@@ -30,7 +30,7 @@ from typing import Any, Final
 import pandas as pd
 
 from phase_ppl.dataset.documents import MAX_BYTES
-from phase_ppl.dataset.generation.store import MANIFEST, PLAN, GeneratedEvents
+from phase_ppl.dataset.generated import MANIFEST, PLAN, GeneratedEvents
 from phase_ppl.dataset.load import load_events
 from phase_ppl.evaluation.folder import EVENTS, SETTINGS
 from phase_ppl.evaluation.people import participant_accuracy

@@ -26,10 +26,10 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 
 from phase_ppl.dataset.documents import read_json
-from phase_ppl.dataset.generation.store import MANIFEST, GeneratedEvents
+from phase_ppl.dataset.generated import MANIFEST, GeneratedEvents
 from phase_ppl.evaluation.metrics import evaluate_predictions
 from phase_ppl.evaluation.prediction import Prediction
-from phase_ppl.inference.runs.progress import Bar, counted
+from phase_ppl.inference.progress import Bar, counted
 from phase_ppl.models.neural import needs_torch
 from phase_ppl.models.socialgnn import store
 from phase_ppl.models.socialgnn.examples import Examples

@@ -20,8 +20,8 @@ from phase_ppl.analysis.summary import plain
 from phase_ppl.analysis.weights import WEIGHTINGS
 from phase_ppl.inference.entries import Entry, Spec, entries
 from phase_ppl.inference.infer import CHAINS
+from phase_ppl.inference.progress import is_shown
 from phase_ppl.inference.reference import Reference, reference_of
-from phase_ppl.inference.runs.progress import is_shown
 from phase_ppl.inference.runs.run import check_event
 from phase_ppl.inference.settings import BUDGETS, Budget, SimpleSettings, simulations
 from phase_ppl.models.model import Model

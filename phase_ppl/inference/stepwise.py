@@ -23,7 +23,7 @@ from phase_ppl.analysis.stepwise_table import (
     log_prior_of_pairs,
 )
 from phase_ppl.closed_loop.goal_filter import Reading
-from phase_ppl.inference.runs.progress import counted, is_shown
+from phase_ppl.inference.progress import counted, is_shown
 from phase_ppl.models.model import Model
 from phase_ppl.models.stepwise import StepwiseLikelihood, level_of, prior_table
 from phase_ppl.physics.actions import ACTION_NAMES

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from phase_ppl.dataset.events_netcdf import checksum
+from phase_ppl.dataset.generated import EVENTS, MANIFEST, MANIFEST_SCHEMA, PLAN
 from phase_ppl.dataset.generation.plan import Plan
-from phase_ppl.dataset.generation.store import EVENTS, MANIFEST, MANIFEST_SCHEMA, PLAN
 from phase_ppl.dataset.load import save_events
 from phase_ppl.world.event import Event, Truth
 from phase_ppl.world.files import write_json

@@ -16,10 +16,8 @@ from typing import Any, Final, NamedTuple
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.dataset.documents import read_json
 from phase_ppl.dataset.events_json import event_from_record, event_record
-from phase_ppl.dataset.events_netcdf import checksum
-from phase_ppl.dataset.generation.making import Made, event_of, make
-from phase_ppl.dataset.generation.plan import PHASE500, Plan, Slot, scaled
-from phase_ppl.dataset.generation.store import (
+from phase_ppl.dataset.events_netcdf import checksum, many, to_bytes
+from phase_ppl.dataset.generated import (
     EVENTS,
     MANIFEST,
     MANIFEST_SCHEMA,
@@ -27,7 +25,8 @@ from phase_ppl.dataset.generation.store import (
     REJECTED,
     GeneratedEvents,
 )
-from phase_ppl.dataset.load import save_events
+from phase_ppl.dataset.generation.making import Made, event_of, make
+from phase_ppl.dataset.generation.plan import PHASE500, Plan, Slot, scaled
 from phase_ppl.simulator.jobs import Failure, results
 from phase_ppl.world.checks import number_of_workers
 from phase_ppl.world.errors import (
@@ -38,7 +37,7 @@ from phase_ppl.world.errors import (
     shown,
 )
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import locked, writable_folder, write_json
+from phase_ppl.world.files import locked, writable_folder, write_bytes, write_json
 from phase_ppl.world.identity import differences, versions_so_far
 
 PLAN_SCHEMA: Final = "phase-ppl-plan-1"
@@ -207,9 +206,9 @@ class DatasetBuilder:
             raise OutputError(f"{self.path}: no draw of any kind was kept")
         for event, entry in zip(events, entries, strict=True):
             entry["checksum"] = checksum(event)
-        save_events(events, self.path / EVENTS)
+        write_bytes(self.path / EVENTS, (".nc",), to_bytes(many(events)))
         if refused:
-            save_events(refused, self.path / f"{REJECTED}.nc")
+            write_bytes(self.path / f"{REJECTED}.nc", (".nc",), to_bytes(many(refused)))
             write_json(self.path / f"{REJECTED}.json", {"rejected": told})
         write_json(
             self.path / MANIFEST,
@@ -283,7 +282,7 @@ def generate(
     of workers, and after any interruption.
 
     Args:
-        out: folder of the data set (:mod:`phase_ppl.dataset.generation.store`).
+        out: folder of the data set (:mod:`phase_ppl.dataset.generated`).
         n: number of events in the proportions of ``cells``; None: the numbers of ``cells``.
         cells: FAMILY or FAMILY:VARIANT -> number; by default the paper's 500
             (``available_families`` lists the families).

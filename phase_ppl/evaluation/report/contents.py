@@ -32,7 +32,7 @@ from phase_ppl.evaluation.report.html import (
     picture_of,
 )
 from phase_ppl.evaluation.tables import true_answer
-from phase_ppl.inference.runs.progress import counted
+from phase_ppl.inference.progress import counted
 from phase_ppl.render.stills import draw_strip
 from phase_ppl.render.video import video
 from phase_ppl.world.arrays import FloatArray

@@ -25,12 +25,12 @@ import numpy as np
 from jax import random
 
 from phase_ppl.analysis.posterior import Posterior
+from phase_ppl.inference.progress import Progress
 from phase_ppl.inference.proposals.strength import estimator_name
 from phase_ppl.inference.runs import length
 from phase_ppl.inference.runs.checkpoint import Checkpoint, write_checkpoint
 from phase_ppl.inference.runs.draws import Columns, build_tree, particles_of
 from phase_ppl.inference.runs.length import Pace, counted, run_length
-from phase_ppl.inference.runs.progress import Progress
 from phase_ppl.inference.runs.run import Run, compiled, fields_of, make_kernel
 from phase_ppl.inference.settings import Budget
 from phase_ppl.inference.stepwise import TableRunner, filter_event

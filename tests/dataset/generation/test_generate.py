@@ -15,12 +15,12 @@ import pytest
 import phase_ppl as ppl
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.cli import main
+from phase_ppl.dataset.generated import GeneratedEvents, verify
 from phase_ppl.dataset.generation import generate as module
 from phase_ppl.dataset.generation import making
 from phase_ppl.dataset.generation.families import family_and_variant
 from phase_ppl.dataset.generation.generate import GenerationInterrupted, generate
 from phase_ppl.dataset.generation.plan import PHASE500, SPLITS, Plan, apportioned, scaled
-from phase_ppl.dataset.generation.store import GeneratedEvents, verify
 from phase_ppl.dataset.statistics import goal_type
 from phase_ppl.world.errors import (
     InvalidEventError,
