@@ -10,8 +10,8 @@ from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import Hypothesis
+from phase_ppl.world.observation import State
 from phase_ppl.world.scene import Scene
-from phase_ppl.world.state import State
 
 STRENGTHS = (450.0, 300.0)
 WALLS = [[[16, 12], [16, 22]], [[16, 12], [11, 12]], [[16, 12], [16, 7]], [[16, 12], [21, 12]]]

@@ -18,8 +18,7 @@ from phase_ppl.world.event import Event, Truth
 from phase_ppl.world.goals import GOALS, N_GOALS, is_self_referring
 from phase_ppl.world.hypothesis import ALPHAS
 from phase_ppl.world.names import AGENTS, ENTITIES, ITEMS
-from phase_ppl.world.observation import Observation
-from phase_ppl.world.state import State
+from phase_ppl.world.observation import Observation, State
 
 ALPHA_PROBABILITIES = (1 / 3, *[1 / 6] * 4)
 """Of the uniform prior, in the order of ``ALPHAS``."""

@@ -25,7 +25,7 @@ from phase_ppl.physics.jit import bare_kernel
 from phase_ppl.physics.welds import in_reach
 from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
 from phase_ppl.world.names import AGENTS, ENTITIES, NOTHING
-from phase_ppl.world.state import State
+from phase_ppl.world.observation import State
 
 OBSERVED_ENLARGEMENT: Final = 1.1
 """An unobserved entity must not overlap an observed shape enlarged this much."""

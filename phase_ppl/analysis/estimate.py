@@ -33,6 +33,7 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import stdtrit
 
 from phase_ppl.world.arrays import FloatArray
 
@@ -223,6 +224,17 @@ def leaving_out(
         parts += [np.where(half, left, 0.0) for half in halves]
     n_sets = len(sets) if len(parts) > 1 else None
     return Jackknife(np.concatenate(parts), factor, n_sets).only(np.ones(len(weights), bool))
+
+
+def widened(size: float) -> float:
+    """Return by what the error of a mean over ``size`` draws grows for their spread being unknown.
+
+    So that 1.96 errors hold as much as Student's t would: 6.5 for two draws, 1.04 for thirty; 1
+    where the size is NaN.
+    """
+    if math.isnan(size):
+        return 1.0
+    return float(stdtrit(max(size - 1.0, 1.0), 0.975)) / 1.96
 
 
 def with_unseen(mass: ArrayLike, error: ArrayLike, size: float) -> FloatArray:

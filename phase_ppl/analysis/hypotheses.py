@@ -469,6 +469,7 @@ class Hypotheses:
             # a few draws that agree by chance do not make it sure
             size = self._effective_size * float(self._rows.weights[rows].sum())
             error = np.fmax(error, float(estimate.sd(values, weights)) / math.sqrt(size + 1))
+            error *= estimate.widened(size)
         return Estimate(number, float(error))
 
 

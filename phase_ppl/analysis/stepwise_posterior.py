@@ -51,7 +51,7 @@ explained by no action: one body some 3 units from where it could be. 41 real vi
 have none (16 at most); of the model's own videos, whose positions have noise of heavy tails, 3 %
 of the frames come to as much (``benchmarks/stepwise.py calibration``)."""
 
-SURPRISE: Final = 4.1
+SURPRISE: Final = 4.0
 """Nats by which what was done was less probable than one sure action, beyond what is unexplained;
 the model's own videos have ``SURPRISING`` of their frames above it
 (``benchmarks/stepwise.py calibration``)."""

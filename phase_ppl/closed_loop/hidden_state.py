@@ -27,8 +27,8 @@ from phase_ppl.world.checks import nonnegative_number, positive_number
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS, STRENGTH_RANGE
 from phase_ppl.world.names import AGENTS, BLUE_ITEM, ENTITIES
+from phase_ppl.world.observation import State
 from phase_ppl.world.scene import Scene
-from phase_ppl.world.state import State
 
 UNSEEN: Final = 0.05
 """Units that are assumed before there is anything to estimate the noise from."""

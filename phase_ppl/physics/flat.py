@@ -15,8 +15,8 @@ from phase_ppl.physics import constants
 from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
 from phase_ppl.world.geometry import CENTRE_OF_MASS_Y, UNIT_TRAPEZOID
 from phase_ppl.world.names import AGENTS, ENTITIES
+from phase_ppl.world.observation import State
 from phase_ppl.world.scene import Scene
-from phase_ppl.world.state import State
 
 X: Final = 0
 Y: Final = 1

@@ -42,8 +42,8 @@ from phase_ppl.world.geometry import (
     rotation,
 )
 from phase_ppl.world.names import AGENTS, ENTITIES, ITEMS, NOTHING
+from phase_ppl.world.observation import State
 from phase_ppl.world.scene import Scene
-from phase_ppl.world.state import State
 
 _BORDER_DEPTH: Final = 5.0
 """Half thickness of the arena's border. A thin border could be jumped by a fast body and would

@@ -23,10 +23,9 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import positive_number
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.names import AGENTS, NOTHING, Literal, Predicate
-from phase_ppl.world.observation import FRAMES_PER_SECOND
+from phase_ppl.world.observation import FRAMES_PER_SECOND, State
 from phase_ppl.world.rooms import N_ROOMS
 from phase_ppl.world.scene import Scene
-from phase_ppl.world.state import State
 
 SPEED: Final = 10.0
 """Of everything that moves, units per simulated second: about that of the recorded agents while

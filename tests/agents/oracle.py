@@ -22,7 +22,7 @@ from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.world.arrays import IntArray
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.names import Literal
-from phase_ppl.world.state import State
+from phase_ppl.world.observation import State
 
 
 @dataclasses.dataclass

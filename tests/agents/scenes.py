@@ -11,8 +11,8 @@ from phase_ppl.agents import vision
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.world_model import WorldModel
 from phase_ppl.physics import compiled
+from phase_ppl.world.observation import State
 from phase_ppl.world.scene import Scene
-from phase_ppl.world.state import State
 
 CENTRE = (16.0, 12.0)
 FULL_WALL_UP = [[16.0, 12.0], [16.0, 22.0]]

@@ -17,8 +17,8 @@ from phase_ppl.physics.welds import in_reach
 from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.goals import goal_index
 from phase_ppl.world.hypothesis import Hypothesis
+from phase_ppl.world.observation import State
 from phase_ppl.world.scene import Scene
-from phase_ppl.world.state import State
 from tests.agents.scenes import FULL_WALL_UP, NARROW_WALL_DOWN, scene
 
 GOALS = (goal_index("Get blue item to red lm"), goal_index("Get green agent to red lm"))

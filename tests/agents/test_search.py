@@ -18,8 +18,8 @@ from phase_ppl.physics.actions import Action
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from phase_ppl.world.goals import goal_index
 from phase_ppl.world.names import STOP, Literal, Predicate
+from phase_ppl.world.observation import State
 from phase_ppl.world.scene import Scene
-from phase_ppl.world.state import State
 from tests.agents.scenes import scene
 
 CONFIG = PlannerConfig(simulations=400, full_observation=True)

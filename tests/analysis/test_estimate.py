@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from phase_ppl.analysis import Posterior
-from phase_ppl.analysis.estimate import Estimate, Mode, sets_to_leave_out
+from phase_ppl.analysis.estimate import Estimate, Mode, sets_to_leave_out, widened
 from phase_ppl.world.goals import GOALS
 
 from .factory import BLUE_TO_RED, PINK_TO_BLUE, Simulation, hypothesis, make_tree, random_tree
@@ -60,7 +60,9 @@ def test_with_single_chains_left_out_the_error_of_a_mean_is_sd_over_root_n() -> 
     strengths = [200.0, 260.0, 320.0, 500.0]
     simulations = [Simulation(hypothesis(strengths=(s, 300)), i) for i, s in enumerate(strengths)]
     post = Posterior(make_tree(simulations, [[i] for i in range(4)]))
-    assert post.mean("strength_red").error == pytest.approx(np.std(strengths, ddof=1) / 2)
+    assert post.mean("strength_red").error == pytest.approx(
+        np.std(strengths, ddof=1) / 2 * widened(4)
+    )
     indicator = np.std([1, 1, 0, 0], ddof=1) / 2
     assert post.probability(strength_red=(0, 300)).error == pytest.approx(indicator)
     assert post.mean("strength_green").error == 0
@@ -244,3 +246,14 @@ def test_errors_of_importance_weights_are_as_large_as_runs_differ() -> None:
     check(np.array(results), least=0.75, most=1.35)
     exact = np.exp(-np.array(goals) / 5) / np.exp(-np.array(goals) / 5).sum()
     assert np.mean([value for value, _ in results]) == pytest.approx(exact[0], abs=0.02)
+
+
+@pytest.mark.parametrize("n", [2, 3, 5, 30])
+def test_errors_of_a_mean_of_few_draws_hold_what_they_say(n: int) -> None:
+    draws = np.random.default_rng(0).normal(size=(4000, n))
+    error = draws.std(axis=1, ddof=1) / np.sqrt(n) * widened(n)
+    assert (np.abs(draws.mean(axis=1)) <= 1.96 * error).mean() == pytest.approx(0.95, abs=0.015)
+
+
+def test_an_error_without_a_number_of_draws_stays() -> None:
+    assert widened(float("nan")) == 1.0

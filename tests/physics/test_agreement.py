@@ -18,8 +18,8 @@ from phase_ppl.physics.actions import ACTION_NAMES, DIRECTIONS, N_ACTIONS, Actio
 from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.geometry import UNIT_TRAPEZOID
+from phase_ppl.world.observation import State
 from phase_ppl.world.scene import Scene
-from phase_ppl.world.state import State
 
 REPLAYS = Path(__file__).parents[3] / "shared" / "phase-test" / "dev_replays.json"
 WALLS = [[[16, 12], [16, 22]], [[16, 12], [11, 12]], [[16, 12], [16, 7]], [[16, 12], [21, 12]]]

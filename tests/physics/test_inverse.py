@@ -8,8 +8,8 @@ from scipy import stats
 
 from phase_ppl.physics import compiled, inverse
 from phase_ppl.physics.actions import N_ACTIONS, Action
+from phase_ppl.world.observation import State
 from phase_ppl.world.scene import Scene
-from phase_ppl.world.state import State
 from tests.agents.scenes import scene
 
 APART = scene(red=(10.0, 18.0, 0.4), green=(22.0, 18.0, -1.0))

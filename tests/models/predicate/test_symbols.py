@@ -16,9 +16,8 @@ from phase_ppl.physics import compiled
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.geometry import GRAB_REACH
 from phase_ppl.world.names import NOTHING
-from phase_ppl.world.observation import Observation
+from phase_ppl.world.observation import Observation, State
 from phase_ppl.world.scene import LANDMARK_CENTRES
-from phase_ppl.world.state import State
 from tests.agents.scenes import FULL_WALL_UP, scene
 
 
