@@ -75,6 +75,9 @@ CALLS: dict[str, tuple[Callable[[], Any], str]] = {
         "wall [[16.0, 12.0], [16.0, 12.0]] has no length",
     ),
     "fps": (lambda: ppl.render.video(EVENT, "a.mp4", fps="x"), "fps='x', expected"),
+    "figure": (lambda: ppl.plot.posterior(None), "posterior of None, expected a phase_ppl.Post"),
+    "figure of another": (lambda: ppl.plot.chains(EVENT), "chains of"),
+    "estimate": (lambda: ppl.Estimate("x", "y"), "Estimate('x', 'y'), expected a number"),
 }
 
 

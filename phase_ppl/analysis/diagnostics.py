@@ -16,10 +16,20 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from phase_ppl.analysis.quantities import ScenarioFunction, quantities, relation_codes
-from phase_ppl.analysis.tree import HYPOTHESIS, SITES, log_weight_of_draws, untried
+from phase_ppl.analysis.tree import (
+    HYPOTHESIS,
+    SITES,
+    array,
+    kept_scene,
+    log_weight_of_draws,
+    untried,
+)
 from phase_ppl.analysis.weights import Rows, aborted_mass_bound
+from phase_ppl.dataset.generation.situation import overlaps
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.goals import GOALS, N_GOALS
+from phase_ppl.world.names import ENTITIES
+from phase_ppl.world.scene import Scene
 
 MIN_DRAWS: Final = 4
 """Draws per chain below which neither R-hat nor an effective sample size is estimated."""
@@ -149,7 +159,8 @@ def verdict(found: Mapping[str, Any]) -> str:
     What speaks most against it comes first. Only where nothing does, this is said.
     """
     weighted = found["weighted_draws_ess"] is not None
-    signs = _biased(found)
+    signs = [overlap_sign(found["overlapping_frames"])] if found["overlapping_frames"] else []
+    signs += _biased(found)
     if not weighted:
         signs += _acceptance(found["acceptance_rate"])
     size = found["effective_size"]
@@ -355,6 +366,7 @@ def diagnostics(
     * ``aborted_mass_bound``: see :func:`phase_ppl.analysis.weights.aborted_mass_bound`.
     * ``best_error_per_frame``: smallest mean error of a draw, units: the norm over x, y of all
       four entities.
+    * ``overlapping_frames``: in which bodies lie on each other or in a wall.
     * ``verdict``: a few sentences.
 
     R-hat and effective sizes are None where they do not exist: for fewer than four draws per
@@ -421,6 +433,9 @@ def diagnostics(
         **_simulation_costs(tree, n_frames),
         "aborted_mass_bound": aborted_mass_bound(tree),
         "best_error_per_frame": float(stats["total_error"].min()) / n_frames,
+        "overlapping_frames": overlapping_frames(
+            array(tree, "observed_data", "trajectory"), kept_scene(tree["constant_data"].dataset)
+        ),
     }
     result["verdict"] = verdict(result)
     return result
@@ -540,3 +555,41 @@ def _simulation_costs(tree: xr.DataTree, n_frames: int) -> dict[str, Any]:
         "frames_saved": saved,
         "frames_saved_share": saved / wanted if wanted else 0.0,
     }
+
+
+# --- a video that this world cannot show --------------------------------------------------------
+
+_SHRUNK: Final = 0.8
+"""Part of their size with which bodies must meet to be said to lie on each other: in contact they
+press into each other a little."""
+
+_FRAMES_NAMED: Final = 3
+"""Frames that a verdict names."""
+
+
+def overlapping_frames(trajectory: FloatArray, scene: Scene) -> list[int]:
+    """Return the frames in which bodies lie on each other, or in a wall."""
+    radius, walls = scene.radius, scene.walls
+    small = _SHRUNK * radius
+    near = np.full(len(trajectory), len(walls) > 0)
+    for one, other in itertools.combinations(range(len(ENTITIES)), 2):
+        apart = np.hypot(*(trajectory[:, one, :2] - trajectory[:, other, :2]).T)
+        # an agent reaches 3 radii from its origin at most
+        near |= apart < 3 * (radius[one] + radius[other])
+    return [t for t in np.flatnonzero(near).tolist() if overlaps(trajectory[t], small, walls)]
+
+
+def overlap_sign(frames: list[int]) -> str:
+    """Return what the frames in which bodies lie on each other say of a posterior."""
+    return (
+        f"Bodies lie on each other or in a wall in {frames_text(frames)}, which bodies of this "
+        "world cannot: what they do there says little of goals."
+    )
+
+
+def frames_text(frames: list[int]) -> str:
+    """Return frames by number, the first few if they are many."""
+    named = ", ".join(map(str, frames[:_FRAMES_NAMED]))
+    if len(frames) > _FRAMES_NAMED:
+        return f"{len(frames)} frames ({named}, ...)"
+    return f"frame{'s' if len(frames) > 1 else ''} {named}"

@@ -36,6 +36,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import stdtrit
 
 from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.errors import InvalidSettingError, shown
 
 ROUNDING: Final = 1e-12
 """What is smaller, as a share of what was summed up, is left over from rounding."""
@@ -103,8 +104,12 @@ class Estimate(float):
     error: float
 
     def __new__(cls, value: float, error: float = math.nan) -> Estimate:
-        self = super().__new__(cls, value)
-        self.error = float(error)
+        try:
+            self = super().__new__(cls, value)
+            self.error = float(error)
+        except (TypeError, ValueError):
+            given = f"Estimate({shown(value)}, {shown(error)})"
+            raise InvalidSettingError(f"{given}, expected a number and its error") from None
         return self
 
     def __getnewargs__(self) -> tuple[float, float]:  # type: ignore[override]

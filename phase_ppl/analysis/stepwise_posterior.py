@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import json
 import os
 from collections.abc import Mapping
@@ -14,6 +13,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from phase_ppl.analysis.diagnostics import frames_text, overlap_sign, overlapping_frames
 from phase_ppl.analysis.estimate import Jackknife
 from phase_ppl.analysis.hypotheses import Hypotheses, hypothesis_record
 from phase_ppl.analysis.over_time import by_label
@@ -28,14 +28,12 @@ from phase_ppl.analysis.stepwise_table import SCHEMAS, STRENGTHS, Table, brought
 from phase_ppl.analysis.summary import plain, wrapped
 from phase_ppl.analysis.tree import kept_scene
 from phase_ppl.analysis.weights import log_sum_exp
-from phase_ppl.dataset.generation.situation import overlaps
 from phase_ppl.dataset.hdf5 import netcdf_bytes, read_netcdf, root_attribute
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.files import check_output, existing_file, write_bytes
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
-from phase_ppl.world.names import ENTITIES
 from phase_ppl.world.scene import Scene
 
 FILTERING: Final = (
@@ -60,15 +58,8 @@ SURPRISING: Final = 0.1
 _TOO_SURPRISING: Final = 0.5
 """Share of such frames from which on the agents are said not to do what any goals make likely."""
 
-SHRUNK: Final = 0.8
-"""Part of their size with which bodies must meet to be said to lie on each other: in contact they
-press into each other a little."""
-
 DISAGREE: Final = 0.1
 """Standard error of a leading probability from which on the sets of searches disagree."""
-
-_NAMED: Final = 3
-"""Frames that a verdict names."""
 
 
 class StepwisePosterior(Hypotheses):
@@ -210,9 +201,7 @@ class StepwisePosterior(Hypotheses):
             "surprising_share": float((surprise[1:] > SURPRISE).mean()) if known.any() else None,
             "unexplained_most": float(unexplained[1:].max()) if known.any() else None,
             "unexplained_frames": np.flatnonzero(unexplained > UNEXPLAINED).tolist(),
-            "overlapping_frames": _overlapping(
-                self.observed(), found["radius"].values, found["walls"].values
-            ),
+            "overlapping_frames": overlapping_frames(self.observed(), self.scene),
         }
         return {**result, "verdict": _verdict(result)}
 
@@ -368,31 +357,17 @@ class StepwisePosterior(Hypotheses):
         return f"<StepwisePosterior of {self.event_id} after frame {self._frame}>"
 
 
-def _overlapping(trajectory: FloatArray, radius: FloatArray, walls: FloatArray) -> list[int]:
-    """Return the frames in which bodies lie on each other, or in a wall."""
-    small = SHRUNK * radius
-    near = np.full(len(trajectory), len(walls) > 0)
-    for one, other in itertools.combinations(range(len(ENTITIES)), 2):
-        apart = np.hypot(*(trajectory[:, one, :2] - trajectory[:, other, :2]).T)
-        # an agent reaches 3 radii from its origin at most
-        near |= apart < 3 * (radius[one] + radius[other])
-    return [t for t in np.flatnonzero(near).tolist() if overlaps(trajectory[t], small, walls)]
-
-
 def _verdict(found: Mapping[str, Any]) -> str:
     """Return in a few sentences whether the posterior can be trusted, the worst sign first."""
     n = found["frames"] - 1
     signs = []
     if found["unexplained_frames"]:
         signs.append(
-            f"No action explains {_frames(found['unexplained_frames'])}: a body is where nothing "
-            "could have put it. The probabilities hold only for a video that this is not."
+            f"No action explains {frames_text(found['unexplained_frames'])}: a body is where "
+            "nothing could have put it. The probabilities hold only for a video that this is not."
         )
     if found["overlapping_frames"]:
-        signs.append(
-            f"Bodies lie on each other or in a wall in {_frames(found['overlapping_frames'])}, "
-            "which bodies of this world cannot: what they do there says little of goals."
-        )
+        signs.append(overlap_sign(found["overlapping_frames"]))
     share = found["surprising_share"]
     if share is not None and share > _TOO_SURPRISING:
         signs.append(
@@ -421,13 +396,6 @@ def _verdict(found: Mapping[str, Any]) -> str:
             f"a leading probability: {errors[worst]:.2g})."
         )
     return " ".join(signs)
-
-
-def _frames(frames: list[int]) -> str:
-    named = ", ".join(map(str, frames[:_NAMED]))
-    if len(frames) > _NAMED:
-        return f"{len(frames)} frames ({named}, ...)"
-    return f"frame{'s' if len(frames) > 1 else ''} {named}"
 
 
 def _satisfied(columns: Mapping[str, NDArray[np.float64]], text: str) -> NDArray[np.bool_]:

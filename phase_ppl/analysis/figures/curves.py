@@ -19,6 +19,7 @@ from phase_ppl.analysis.figures.style import (
     direct_labels,
     dressed,
     faint_lines,
+    figure_of,
     new_figure,
     written,
 )
@@ -46,6 +47,7 @@ HEADINGS: Final = {
 _POINTS: Final = 200
 
 
+@figure_of(Comparison)
 def comparison(
     c: Comparison,
     path: str | os.PathLike[str] | None = None,

@@ -20,10 +20,12 @@ from phase_ppl.analysis.figures.style import (
     SMALL,
     bare,
     dressed,
+    figure_of,
     new_figure,
     written,
 )
 from phase_ppl.analysis.hypotheses import GOALS_OF
+from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.tree import array
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.goals import GOALS, N_GOALS
@@ -32,7 +34,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure, SubFigure
 
-    from phase_ppl.analysis.posterior import Posterior
 
 NAMES: Final = {
     "log_joint": "log joint",
@@ -52,6 +53,7 @@ _MOST_LINES: Final = 60
 """Rows of a map, at most, that lines keep apart."""
 
 
+@figure_of(Posterior)
 def diagnostics(post: Posterior, path: str | os.PathLike[str] | None = None) -> Figure:
     """Draw on one page, 10 inches wide and about 11 high, whether a posterior can be trusted.
 
@@ -77,6 +79,7 @@ def diagnostics(post: Posterior, path: str | os.PathLike[str] | None = None) -> 
     return written(figure, path)
 
 
+@figure_of(Posterior)
 def goal_map(post: Posterior, path: str | os.PathLike[str] | None = None) -> Figure:
     """Draw which goal each particle held at each draw, in shared colours, 10 x 3.2 inches.
 
@@ -87,6 +90,7 @@ def goal_map(post: Posterior, path: str | os.PathLike[str] | None = None) -> Fig
     return written(figure, path)
 
 
+@figure_of(Posterior)
 def chains(post: Posterior, path: str | os.PathLike[str] | None = None) -> Figure:
     """Draw traces of the real quantities, and where each particle's draws rank among all.
 
@@ -104,6 +108,7 @@ def chains(post: Posterior, path: str | os.PathLike[str] | None = None) -> Figur
     return written(figure, path)
 
 
+@figure_of(Posterior)
 def errors(post: Posterior, path: str | os.PathLike[str] | None = None) -> Figure:
     """Draw how far each particle's last draw is from the observation in every frame.
 

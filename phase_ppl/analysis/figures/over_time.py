@@ -19,10 +19,13 @@ from phase_ppl.analysis.figures.style import (
     SMALL,
     direct_labels,
     dressed,
+    figure_of,
     in_shares,
     new_figure,
     written,
 )
+from phase_ppl.analysis.posterior import Posterior
+from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.render.frames import Painter, panel
 from phase_ppl.world.hypothesis import RELATIONS
 
@@ -30,8 +33,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from phase_ppl.analysis.posterior import Posterior
-    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 
 PANELS: Final = {
     "goal_red": "Goal of the red agent",
@@ -61,6 +62,7 @@ _APART: Final = 4
 """Frames between two stills, at least."""
 
 
+@figure_of(Posterior, StepwisePosterior)
 def over_time(
     post: Posterior | StepwisePosterior, path: str | os.PathLike[str] | None = None
 ) -> Figure:
@@ -113,6 +115,7 @@ def _panel(axes: Axes, marginal: xr.DataArray, labels: list[str], colours: dict[
     direct_labels(axes, ends, gap=_LINE_HEIGHT)
 
 
+@figure_of(StepwisePosterior)
 def why(
     post: StepwisePosterior,
     event: str,

@@ -16,10 +16,12 @@ from phase_ppl.analysis.figures.style import (
     SMALL,
     bare,
     dressed,
+    figure_of,
     new_figure,
     written,
 )
 from phase_ppl.analysis.hypotheses import GOALS_OF, STRENGTHS_OF
+from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.render.frames import ENTITY_COLOURS, LANDMARK_COLOURS
 from phase_ppl.world.arrays import FloatArray
@@ -32,7 +34,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from phase_ppl.analysis.hypotheses import Hypotheses
-    from phase_ppl.analysis.posterior import Posterior
     from phase_ppl.world.scene import Scene
 
 Colour = tuple[float, float, float]
@@ -49,6 +50,7 @@ _ROOM_FOR_NAMES: Final = 1.3
 """Strip above and below the arena that holds the landmarks' names, units."""
 
 
+@figure_of(Posterior, StepwisePosterior)
 def posterior(
     post: Posterior | StepwisePosterior, path: str | os.PathLike[str] | None = None
 ) -> Figure:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import functools
 import os
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Final, Literal
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Final, Literal, ParamSpec
 
 import numpy as np
 
+from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.files import atomic_output
 
 if TYPE_CHECKING:
@@ -38,6 +40,9 @@ OTHER: Final = "#d0d0d0"
 """Colour of what has none of its own."""
 
 
+P = ParamSpec("P")
+
+
 def new_figure(width: float, height: float, layout: Literal["constrained"] | None = None) -> Figure:
     """Return an empty white figure, inches, that belongs to no global state."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -46,6 +51,24 @@ def new_figure(width: float, height: float, layout: Literal["constrained"] | Non
     figure = Figure(figsize=(width, height), facecolor="white", layout=layout)
     FigureCanvasAgg(figure)
     return figure
+
+
+def figure_of(*kinds: type) -> Callable[[Callable[P, Figure]], Callable[P, Figure]]:
+    """Have a function refuse, in one line, to draw anything but these kinds of objects."""
+    expected = " or ".join(f"a phase_ppl.{kind.__name__}" for kind in kinds)
+
+    def checking(draw: Callable[P, Figure]) -> Callable[P, Figure]:
+        @functools.wraps(draw)
+        def checked(*args: P.args, **options: P.kwargs) -> Figure:
+            if args and not isinstance(args[0], kinds):
+                raise InvalidSettingError(
+                    f"{draw.__name__} of {shown(args[0])}, expected {expected}"
+                )
+            return draw(*args, **options)
+
+        return checked
+
+    return checking
 
 
 def written(figure: Figure, path: str | os.PathLike[str] | None) -> Figure:
