@@ -117,6 +117,21 @@ def test_verdict_warns_of_few_acceptances() -> None:
     assert "Only 2% of the proposals" in verdict([[0] * 24 + [1], [0] * 25], simulations)
 
 
+def test_verdict_begins_with_bodies_that_lie_on_each_other() -> None:
+    apart = np.zeros((3, 4, 3))
+    apart[..., 0] = [2.0, 8.0, 14.0, 18.0]
+    apart[..., 1] = 5.0
+    meeting = apart.copy()
+    meeting[1, 1] = meeting[1, 0]
+    found = {}
+    for name, seen in (("apart", apart), ("meeting", meeting)):
+        tree = make_tree([initial(A, 0), initial(A, 1)], [[0], [1]], observed=seen)
+        found[name] = Posterior(tree, "count").diagnostics()
+    assert found["apart"]["overlapping_frames"] == []
+    assert found["meeting"]["overlapping_frames"] == [1]
+    assert found["meeting"]["verdict"].startswith("Bodies lie on each other or in a wall in fra")
+
+
 def test_verdict_of_a_single_particle_asks_for_more() -> None:
     post = Posterior(make_tree([proposed(A, 0)], [[0]]))
     found = post.diagnostics()
