@@ -32,7 +32,6 @@ from phase_ppl.evaluation.comparison import compare_models as compare_models
 from phase_ppl.evaluation.evaluate import EvaluationInterrupted as EvaluationInterrupted
 from phase_ppl.evaluation.evaluate import evaluate as evaluate
 from phase_ppl.evaluation.evaluation import Evaluation as Evaluation
-from phase_ppl.evaluation.evaluation import carried_evaluation as carried_evaluation
 from phase_ppl.evaluation.evaluation import reference_evaluation as reference_evaluation
 from phase_ppl.evaluation.judgments import Study as Study
 from phase_ppl.evaluation.judgments import load_judgments as load_judgments

@@ -16,7 +16,7 @@ HEAVY = {"arviz", "jax", "matplotlib", "numba", "numpy", "numpyro", "pandas", "t
 def test_every_public_name_is_there_and_is_what_it_is_called(name: str) -> None:
     found = getattr(ppl, name)
     called = getattr(found, "__name__", name).split(".")[-1]
-    others = {"plot": "plots", "carried_evaluation": "reference_evaluation"}
+    others = {"plot": "plots"}
     assert called == others.get(name, name)
 
 

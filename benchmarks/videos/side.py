@@ -1,4 +1,4 @@
-"""Closed loop: real and simulated trajectories side by side, under the true hypothesis.
+"""Running free: real and simulated trajectories side by side, under the true hypothesis.
 
 Figures are over the steps of each video whose actions are known, real and simulated alike. Beside
 each difference stands its spread over seeds: a difference within it says nothing.

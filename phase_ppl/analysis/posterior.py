@@ -152,8 +152,8 @@ class Posterior(Hypotheses):
         """Return the hypothesis of the completed simulation with the highest log joint.
 
         Among all simulations that were paid for, accepted or not. Its goals are the stated
-        ones, as the simulator takes them; ``.effective_goals``, ``.relation`` and ``.scenario``
-        give the rest. The simulator is noisy, so this is the best single simulation.
+        ones; the simulator was given the effective ones, ``.effective_goals``. ``.relation`` and
+        ``.scenario`` give the rest. The simulator is noisy, so this is the best single simulation.
         """
         row = self._tree["simulations"].dataset.isel(simulation=self._best_simulation())
         return Hypothesis(

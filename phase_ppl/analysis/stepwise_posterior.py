@@ -122,7 +122,7 @@ class StepwisePosterior(Hypotheses):
 
     @property
     def dataset(self) -> xr.Dataset:
-        """What was read."""
+        """Log likelihoods, strengths and the trajectory: ``stepwise_table.DIMENSIONS``."""
         return self._found
 
     @property
@@ -132,7 +132,7 @@ class StepwisePosterior(Hypotheses):
 
     @property
     def settings(self) -> dict[str, Any]:
-        """What determined the result."""
+        """Model, likelihood and seed: all that the numbers depend on."""
         return dict(json.loads(self._found.attrs["settings"]))
 
     @property

@@ -53,7 +53,7 @@ _LEAST: Final = 1e-12
 
 
 def brought_up(found: xr.Dataset) -> xr.Dataset:
-    """Return a reading of an earlier schema as one of today's, with what it lacks left unknown."""
+    """Return what was stored under an earlier schema in today's form, unknown where it lacks it."""
     if found.attrs.get("schema") != _FIRST_SCHEMA or "time" not in found.sizes:
         return found
     n = found.sizes["time"]
@@ -67,14 +67,14 @@ def brought_up(found: xr.Dataset) -> xr.Dataset:
 
 
 def check(found: xr.Dataset) -> None:
-    """Raise InvalidEventError, naming what is missing or wrong, if ``found`` is no such reading."""
+    """Raise InvalidEventError, naming what is missing or wrong, if ``found`` is no such table."""
     schema = found.attrs.get("schema")
     if schema not in SCHEMAS:
         raise InvalidEventError(f"this was not read step by step: its schema is {schema!r}")
     missing = [name for name in REQUIRED_ATTRS if name not in found.attrs]
     missing += [name for name in DIMENSIONS if name not in found.variables]
     if missing:
-        raise InvalidEventError(f"the reading lacks {', '.join(missing)}")
+        raise InvalidEventError(f"it lacks {', '.join(missing)}")
     for name, dims in DIMENSIONS.items():
         if found[name].dims != dims:
             raise InvalidEventError(f"{name} has dimensions {found[name].dims}, expected {dims}")
@@ -101,7 +101,7 @@ def effective_pairs() -> IntArray:
 
 
 class Table:
-    """All hypotheses of a reading and their log masses at any frame."""
+    """All hypotheses of a video and their log masses at any frame."""
 
     def __init__(self, found: xr.Dataset) -> None:
         self._weight = float(found.attrs["weight"])

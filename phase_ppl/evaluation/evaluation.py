@@ -206,10 +206,6 @@ def reference_evaluation(events: Sequence[Event], name: str) -> Evaluation:
     return Evaluation(list(events), predictions, failures, settings, cost)
 
 
-carried_evaluation = reference_evaluation
-"""An older name of :func:`reference_evaluation`."""
-
-
 # --- printed --------------------------------------------------------------------------------------
 
 PEOPLE: Final = "people"

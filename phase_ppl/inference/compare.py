@@ -97,7 +97,7 @@ def compare(
             suffices for it, else ``local_mh``. A reference has an error of its own, which is
             measured and printed; kernels are not ranked within it.
         weights: of the draws; "count" is the only valid one for judging kernels.
-        settings: of SIMPLE; by default the paper's.
+        settings: of SIMPLE; by default the paper's numbers, with learned proposals.
         workers: processes; by default one per usable core.
         progress: whether to show a bar on stderr; by default where that is a terminal.
         checkpoint: a .json file that is rewritten after every run. If it exists, the runs in it

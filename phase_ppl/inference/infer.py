@@ -39,8 +39,9 @@ __all__ = [
 CHAINS: Final = 15
 """M, the paper's number of particles."""
 
-_ALSO_FOR_READING: Final = ("workers", "progress", "versions", "began")
-"""Options of a run that a video read step by step has a use for."""
+_NOT_REFUSED: Final = ("workers", "progress", "versions", "began")
+"""Not refused for a video read step by step: it uses the first two; the others are made anew in
+every call."""
 
 
 def infer(
@@ -70,8 +71,8 @@ def infer(
     :class:`phase_ppl.StepwiseLikelihood` and no kernel is named, summed: the video is read once
     under all hypotheses, and the result is a :class:`phase_ppl.StepwisePosterior`.
 
-    Only ``event.scene`` and ``event.observation`` are read. The same seed gives the same result
-    with any number of workers.
+    Only ``event.scene`` and ``event.observation`` are used; the id is kept as a name. The same
+    seed gives the same result with any number of workers.
 
     What becomes of a simulation that fails (``on_failure``) is part of the model:
 
@@ -111,7 +112,7 @@ def infer(
         checkpoint: file, ending in .ckpt, in which the run is kept after the initial particles
             and after every iteration, for :func:`resume`. There must be none of that name yet.
         progress: whether to show a bar on stderr; by default where that is a terminal.
-        settings: of SIMPLE; by default the paper's.
+        settings: of SIMPLE; by default the paper's numbers, with learned proposals.
         burn_in: draws at the beginning of each chain that do not count; by default a quarter of
             twenty iterations or more, else none. They are kept: ``Posterior(post.tree, burn_in=0)``
             counts them.
@@ -145,7 +146,7 @@ def infer(
     if kernel is None and gives_table(model.likelihood):
         usual = {**vars(RunOptions()), "chains": CHAINS}
         for name, value in given.items():
-            if name not in _ALSO_FOR_READING and value != usual.get(name):
+            if name not in _NOT_REFUSED and value != usual.get(name):
                 raise InvalidSettingError(
                     f"{name}={value!r} is for sampling: a stepwise likelihood is summed over all "
                     "hypotheses, unless a kernel is named"

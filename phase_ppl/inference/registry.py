@@ -1,4 +1,4 @@
-"""Kernels by name: ours, a file each in ``phase_ppl.inference.kernels``, and other people's.
+"""Kernels by name: ours, in ``phase_ppl.inference.kernels``, and other people's.
 
 Another package registers its kernel under the entry point group ``phase_ppl.kernels``::
 

@@ -324,7 +324,8 @@ class TableRunner:
 
     Attributes:
         statistics, workers, on_failure, retries, on_result, limit, patience, deadline: as of a
-            :class:`~phase_ppl.simulator.runner.Runner`; nothing takes long enough for the latter.
+            :class:`~phase_ppl.simulator.runner.Runner`; nothing takes long enough for
+            ``limit``, ``patience`` and ``deadline`` to matter.
     """
 
     workers, on_failure, retries = 1, "reject", 0

@@ -286,7 +286,7 @@ class _PriorField:
 
 @dataclasses.dataclass(frozen=True)
 class Model:
-    """What is simulated, inferred, compared and evaluated.
+    """Prior, simulator and likelihood.
 
     Attributes:
         prior: NumPyro program that samples the five hypothesis sites, and perhaps more; or the

@@ -113,7 +113,7 @@ class EventProgram:
 
 
 def event_salt(scene: Scene, observation: Observation) -> int:
-    """Return a number below 2**31 that stands for what is seen of an event."""
+    """Return a number below 2**31 that stands for an event's start, sizes, walls and trajectory."""
     digest = hashlib.sha256(scene.turning.encode())
     for array in (scene.start, scene.radius, scene.walls, observation.trajectory):
         digest.update(np.ascontiguousarray(array, np.float64).tobytes())

@@ -1,4 +1,4 @@
-"""What an observer sees: the entities' trajectories, and nothing else."""
+"""The full state of the world, and what an observer sees of it: the trajectories."""
 
 from __future__ import annotations
 

@@ -22,8 +22,8 @@ class Registry(Generic[Entry]):
 
     Args:
         what: is registered, for messages.
-        package: of ours, by its full name, each module of which registers something; None: ours
-            are known already.
+        package: of ours, by its full name, whose modules register theirs; None: ours are known
+            already.
         entry_points: the group of those of other packages; None: they offer none.
     """
 

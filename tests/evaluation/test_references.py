@@ -10,7 +10,7 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.analysis.summary import plain
-from phase_ppl.evaluation.evaluation import carried_evaluation, reference_evaluation
+from phase_ppl.evaluation.evaluation import reference_evaluation
 from phase_ppl.evaluation.metrics import reference_models
 from phase_ppl.evaluation.people import human_accuracy
 from phase_ppl.evaluation.prediction import Prediction
@@ -136,7 +136,6 @@ def test_it_is_scored_and_compared_as_any_other_evaluation() -> None:
     ran = ppl.evaluate(EVENTS, right, workers=1, progress=False)
     assert ran.against(found)["relation_accuracy"]["value"] == 1
     assert found.against(ran)["n_events"] == 2
-    assert ppl.carried_evaluation is carried_evaluation is reference_evaluation
     with pytest.raises(UnknownNameError, match="'rival'"):
         reference_evaluation(EVENTS, "rivals")
 

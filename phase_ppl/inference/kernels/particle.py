@@ -51,7 +51,8 @@ class EventKernel(MCMCKernel, Generic[State]):
         program: the model of an event; None until :meth:`bound_to` is called.
         guide: proposal program ``guide(window)``, for kernels that need one. Windows count by
             their first frame; the index after the last one stands for the whole observation.
-        settings: of SIMPLE, for kernels that need them; by default the paper's.
+        settings: of SIMPLE, for kernels that need them; by default the paper's numbers,
+            with learned proposals.
     """
 
     sample_field: ClassVar[str] = "z"
@@ -246,7 +247,7 @@ class WeightedState(NamedTuple):
         simulated: jax.Array,
         window: jax.Array | int = -1,
     ) -> WeightedState:
-        """Return the state after a draw, and whether it could be simulated."""
+        """Return the state after a draw; ``simulated`` says whether it could be."""
         sites, seed = chosen(simulated, (sites, seed), (self.z, self.sim_seed))
         return WeightedState(
             self.i + 1,

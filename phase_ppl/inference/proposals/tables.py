@@ -4,7 +4,7 @@ Computed once per event, in NumPy, in one of two forms.
 
 "learned". Goals are scored by :mod:`~phase_ppl.inference.proposals.goal_features`, which also see
 what the agent itself did, and proposed together with alpha
-(:mod:`~phase_ppl.inference.proposals.tables`). The weights of the features were learned from
+(:func:`joint_logits`). The weights of the features were learned from
 simulated events. Strengths are estimated from the whole observation.
 
 "paper". A goal is proposed for a window from t1 to t2 in proportion to

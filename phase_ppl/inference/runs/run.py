@@ -36,8 +36,8 @@ Data: TypeAlias = tuple[BottomUpTables, jax.Array | int, jax.Array | int]
 a number that stands for it, and the handle of the bridge that simulates."""
 
 Recipe: TypeAlias = tuple[KernelInfo, tuple[tuple[str, Any], ...], Model, SimpleSettings, int]
-"""Of a kernel: its options, name and value; prior, simulator, likelihood; settings; and length T of
-the observation. Events with as many frames share compiled programs."""
+"""What compiled programs depend on: kernel, its options (name, value), model, settings and
+number of frames. Events with as many frames share them."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
