@@ -247,7 +247,8 @@ class StepwisePosterior(Hypotheses):
             over: what to compare with, likewise; by default that ``event`` is false.
 
         Returns:
-            ``log_odds`` (time,) of one over the other given the frames so far, in nats, and
+            ``log_odds`` (time,) of one over the other given the frames so far, in nats, its
+            ``error`` (time,) by the jackknife over planner seeds (NaN: there is one), and
             ``change`` (time,) by each frame.
 
         Raises:
@@ -258,11 +259,18 @@ class StepwisePosterior(Hypotheses):
         columns |= derived_codes(columns["goal_red"], columns["goal_green"], self._scenario)
         wanted = _satisfied(columns, event)
         other = ~wanted if over is None else _satisfied(columns, over)
-        odds = np.empty(self._frame + 1)
-        for t in range(self._frame + 1):
-            log_mass = self._table.log_mass(t).ravel()
+        odds, error = np.full((2, self._frame + 1), np.nan)
+
+        def log_odds(log_mass: FloatArray) -> float:
+            flat = log_mass.ravel()
             with np.errstate(invalid="ignore"):
-                odds[t] = log_sum_exp(log_mass[wanted]) - log_sum_exp(log_mass[other])
+                return float(log_sum_exp(flat[wanted]) - log_sum_exp(flat[other]))
+
+        for t in range(self._frame + 1):
+            odds[t] = log_odds(self._table.log_mass(t))
+            without = np.array([log_odds(mass) for mass in self._table.log_masses_without(t)])
+            if len(without) > 1 and np.isfinite(without).all():
+                error[t] = np.sqrt((len(without) - 1) * without.var())
         if not np.isfinite(odds[0]):
             possible = np.isfinite(log_sum_exp(self._table.log_mass(0).ravel()[wanted]))
             raise InvalidSettingError(
@@ -270,7 +278,11 @@ class StepwisePosterior(Hypotheses):
             )
         time = self._found["time"].values[: self._frame + 1]
         return xr.Dataset(
-            {"log_odds": ("time", odds), "change": ("time", np.diff(odds, prepend=odds[0]))},
+            {
+                "log_odds": ("time", odds),
+                "error": ("time", error),
+                "change": ("time", np.diff(odds, prepend=odds[0])),
+            },
             coords={"time": ("time", time, {"units": "s"})},
             attrs={"event": event, "over": over or f"not {event}"},
         )

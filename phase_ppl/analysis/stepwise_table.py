@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Iterator
 from typing import Any, Final
 
 import numpy as np
@@ -163,12 +164,14 @@ class Table:
     def weights_without(self, frame: int) -> FloatArray:
         """Return (planner_seed, row) weights of :meth:`rows` without each set of searches."""
         kept, _ = self._kept(frame)
-        found = []
+        masses = (log_mass[kept] for log_mass in self.log_masses_without(frame))
+        return np.array([np.exp(mass - log_sum_exp(mass)) for mass in masses])
+
+    def log_masses_without(self, frame: int) -> Iterator[FloatArray]:
+        """Yield :meth:`log_mass` without each set of searches; nothing where there is one set."""
         for one in self._without:
             so_far = one[: frame + 1].sum(axis=0, dtype=np.float64).ravel()
-            log_mass = self._masses(frame, self._weight * so_far)[kept]
-            found.append(np.exp(log_mass - log_sum_exp(log_mass)))
-        return np.array(found)
+            yield self._masses(frame, self._weight * so_far)
 
     def pair_masses(self) -> FloatArray:
         """Return (time, goal_red, goal_green) probabilities, given the frames so far."""

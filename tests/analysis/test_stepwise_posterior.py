@@ -123,6 +123,20 @@ def test_why_gives_the_log_odds_and_who_changed_them() -> None:
     assert alone["log_odds"].values[-1] == pytest.approx(np.log(share / (1 - share)))
 
 
+def test_log_odds_have_the_jackknifes_error_over_the_sets_of_searches() -> None:
+    found = StepwisePosterior(FOUND).why("relation=friendly")
+    without = [
+        StepwisePosterior(reading(columns={"log_likelihood": one.values}))
+        for one in FOUND["log_likelihood_without"].astype(float)
+    ]
+    odds = np.array([post.why("relation=friendly")["log_odds"].values for post in without])
+    expected = np.sqrt((len(odds) - 1) / len(odds) * ((odds - odds.mean(axis=0)) ** 2).sum(axis=0))
+    np.testing.assert_allclose(found["error"].values, expected, rtol=1e-6, atol=1e-9)
+    assert (found["error"].values[1:] > 0).all()
+    single = StepwisePosterior(reading(planner_seeds=1)).why("relation=friendly")
+    assert np.isnan(single["error"].values).all()
+
+
 @pytest.mark.parametrize(
     ("event", "error", "message"),
     [

@@ -124,7 +124,7 @@ def why(
 ) -> Figure:
     """Draw the log odds of ``event`` over ``over`` by frame, and the frames that decided.
 
-    8 x 5.6 inches. Arguments and errors are those of
+    The band is 1.96 errors wide on either side. 8 x 5.6 inches. Arguments and errors are those of
     :meth:`phase_ppl.analysis.stepwise_posterior.StepwisePosterior.why`.
     """
     found = post.why(event, over)
@@ -134,7 +134,9 @@ def why(
     figure.suptitle(title, x=0.012, ha="left", fontsize=NORMAL + 1, color=INK)
     upper, lower = figure.subfigures(2, 1, squeeze=False, height_ratios=(2, 1))[:, 0]
     odds, steps = upper.subplots(2, 1, sharex=True, height_ratios=(3, 2))
-    odds.plot(time, found["log_odds"].values, color=INK, lw=1.8)
+    values, within = found["log_odds"].values, 1.96 * found["error"].values
+    odds.fill_between(time, values - within, values + within, color="#dddddd", lw=0)
+    odds.plot(time, values, color=INK, lw=1.8)
     dressed(odds, "", y="log odds [nats]")
     width = float(time[1] - time[0]) if len(time) > 1 else 1.0
     colours = [COLOURS[2] if step > 0 else COLOURS[1] for step in change]
