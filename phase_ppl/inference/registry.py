@@ -40,8 +40,6 @@ NEEDS: Final = ("guide", "settings")
 """What a factory can ask for beside the program: the bottom-up proposal program
 ``guide(window)`` and the :class:`~phase_ppl.inference.settings.SimpleSettings`."""
 
-CHAIN_METHODS: Final = ("vectorized", "sequential", "parallel")
-
 Factory = Callable[..., MCMCKernel]
 """``factory(program, **needs, **options)`` returns a NumPyro kernel."""
 
@@ -57,7 +55,6 @@ class KernelInfo:
             posterior as particles grow; "approximate": neither; "unknown" where nobody says.
         sims_per_step: the most simulations that a step takes per particle; what a bar and a
             budget of seconds expect at first. Budgets are spent by what was really simulated.
-        chain_methods: NumPyro's ``chain_method`` values it works with.
         needs: keyword arguments that the factory asks for, of :data:`NEEDS`.
         summary: first line of the factory's documentation.
         even_chains: whether it needs an even number of chains.
@@ -70,7 +67,6 @@ class KernelInfo:
     factory: Factory
     validity: str
     sims_per_step: int
-    chain_methods: tuple[str, ...]
     needs: tuple[str, ...]
     summary: str
     even_chains: bool = False
@@ -119,7 +115,6 @@ def register_kernel(
     *,
     validity: Validity,
     sims_per_step: int = 1,
-    chain_methods: Sequence[str] = ("vectorized", "sequential"),
     needs: Sequence[str] = (),
     even_chains: bool = False,
     keeps: Keeps = "all",
@@ -136,7 +131,7 @@ def register_kernel(
         raise InvalidSettingError(f"validity={validity!r} is none of {VALIDITIES}")
     if isinstance(sims_per_step, bool) or not isinstance(sims_per_step, int) or sims_per_step < 1:
         raise InvalidSettingError(f"sims_per_step={sims_per_step!r}, expected a number >= 1")
-    for given, allowed in ((chain_methods, CHAIN_METHODS), (needs, NEEDS), ((keeps,), KEEPS)):
+    for given, allowed in ((needs, NEEDS), ((keeps,), KEEPS)):
         for entry in given:
             if entry not in allowed:
                 raise InvalidSettingError(f"kernel {name!r}: {entry!r} is none of {allowed}")
@@ -147,7 +142,6 @@ def register_kernel(
             factory,
             validity,
             sims_per_step,
-            tuple(chain_methods),
             tuple(needs),
             summary,
             even_chains,
@@ -205,7 +199,6 @@ def described(kernel: str | Factory | MCMCKernel) -> KernelInfo:
         factory,
         validity="unknown",
         sims_per_step=getattr(kernel, "sims_per_step", 1),
-        chain_methods=("vectorized",),
         needs=tuple(need for need in NEEDS if need in parameters),
         summary=(inspect.getdoc(kernel) or "").split("\n")[0],
         even_chains=getattr(kernel, "even_chains", False),

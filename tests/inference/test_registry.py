@@ -21,7 +21,6 @@ def program() -> EventProgram:
 def test_a_kernel_says_what_it_is() -> None:
     info = kernel_info("local_mh")
     assert (info.validity, info.sims_per_step) == ("exact", 1)
-    assert {"vectorized", "sequential"} <= set(info.chain_methods)
     assert info.options == ("rule", "early_reject")
 
 
@@ -64,7 +63,6 @@ def test_a_kernel_of_ones_own_is_registered_by_a_decorator(
     [
         {"validity": "perfect"},
         {"validity": "exact", "sims_per_step": 0},
-        {"validity": "exact", "chain_methods": ("diagonal",)},
         {"validity": "exact", "needs": ("luck",)},
         {"validity": "exact", "keeps": "first"},
     ],

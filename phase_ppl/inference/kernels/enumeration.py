@@ -124,7 +124,6 @@ MAX_SIMULATIONS: Final = 50_000
 @register_kernel(
     "enumerate",
     validity="consistent",
-    chain_methods=("vectorized",),
     keeps="start",
     weighted=True,
 )

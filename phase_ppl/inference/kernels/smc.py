@@ -168,7 +168,6 @@ class SMCState(NamedTuple):
 @register_kernel(
     "smc",
     validity="consistent",
-    chain_methods=("vectorized",),
     needs=("guide", "settings"),
     keeps="last",
     weighted=True,

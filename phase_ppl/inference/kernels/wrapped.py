@@ -218,7 +218,7 @@ class UniformKernel(EventKernel[WrappedState]):
         """Return (chain, dimension) the points at which the sampler is."""
 
 
-@register_kernel("aies", validity="exact", chain_methods=("vectorized",), even_chains=True)
+@register_kernel("aies", validity="exact", even_chains=True)
 class Ensemble(UniformKernel):
     """Affine-invariant ensemble sampling on the uniformised model.
 
