@@ -221,7 +221,7 @@ def watch(
 
 def _parts(model: Model) -> tuple[StepwiseLikelihood, PlannerConfig]:
     instance_of("model", model, Model, "a phase_ppl.Model")
-    likelihood, planner = model.likelihood, model.planner
+    likelihood = model.likelihood
     if not isinstance(likelihood, StepwiseLikelihood):
         raise InvalidSettingError(
             f"likelihood={shown(likelihood)}: to read step by step takes a StepwiseLikelihood"
@@ -231,7 +231,7 @@ def _parts(model: Model) -> tuple[StepwiseLikelihood, PlannerConfig]:
             "the stepwise likelihood asks the agents of the joint simulator for their policies; "
             "the model has a simulator of its own"
         )
-    return likelihood, PlannerConfig.named(planner if planner is not None else "fast")
+    return likelihood, model.planner_config()
 
 
 # --- the whole video ------------------------------------------------------------------------------

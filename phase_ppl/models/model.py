@@ -318,7 +318,7 @@ class Model:
         if self.noise not in ("fresh", "fixed"):
             raise unknown_name("noise", self.noise, ("fresh", "fixed"))
         if self.simulator is None:
-            object.__setattr__(self, "planner", self._planner_config())
+            object.__setattr__(self, "planner", self.planner_config())
         elif not callable(self.simulator):
             raise InvalidSettingError(
                 f"simulator={self.simulator!r}: expected a generator function "
@@ -347,7 +347,8 @@ class Model:
             return InNats()
         return cast("TrajectoryLikelihood", self.likelihood)
 
-    def _planner_config(self) -> PlannerConfig:
+    def planner_config(self) -> PlannerConfig:
+        """Return the settings of the joint simulator's planner."""
         from phase_ppl.agents.config import PlannerConfig
 
         return PlannerConfig.named(DEFAULT_PLANNER if self.planner is None else self.planner)
@@ -358,7 +359,7 @@ class Model:
             return self.simulator
         from phase_ppl.simulator.joint import JointSimulator
 
-        return JointSimulator(self._planner_config())
+        return JointSimulator(self.planner_config())
 
     def fingerprint(self) -> dict[str, Any]:
         """Return what distinguishes this model, as plain data for a run's settings.
@@ -376,6 +377,6 @@ class Model:
             "simulator": qualified_name(self.simulator) if own else "joint",
             "simulator_source": source_hash(self.simulator) if own else None,
             "likelihood": repr(self.likelihood),
-            "planner": None if own else self._planner_config().to_dict(),
+            "planner": None if own else self.planner_config().to_dict(),
             "noise": self.noise,
         }
