@@ -77,6 +77,7 @@ CALLS: dict[str, tuple[Callable[[], Any], str]] = {
     "fps": (lambda: ppl.render.video(EVENT, "a.mp4", fps="x"), "fps='x', expected"),
     "figure": (lambda: ppl.plot.posterior(None), "posterior of None, expected a phase_ppl.Post"),
     "figure of another": (lambda: ppl.plot.chains(EVENT), "chains of"),
+    "figure by name": (lambda: ppl.plot.goal_map(post=3), "goal_map of 3, expected"),
     "estimate": (lambda: ppl.Estimate("x", "y"), "Estimate('x', 'y'), expected a number"),
 }
 

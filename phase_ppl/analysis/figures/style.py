@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import inspect
 import os
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Final, Literal, ParamSpec
@@ -58,12 +59,13 @@ def figure_of(*kinds: type) -> Callable[[Callable[P, Figure]], Callable[P, Figur
     expected = " or ".join(f"a phase_ppl.{kind.__name__}" for kind in kinds)
 
     def checking(draw: Callable[P, Figure]) -> Callable[P, Figure]:
+        first = next(iter(inspect.signature(draw).parameters))
+
         @functools.wraps(draw)
         def checked(*args: P.args, **options: P.kwargs) -> Figure:
-            if args and not isinstance(args[0], kinds):
-                raise InvalidSettingError(
-                    f"{draw.__name__} of {shown(args[0])}, expected {expected}"
-                )
+            given = args[0] if args else options.get(first)
+            if not isinstance(given, kinds):
+                raise InvalidSettingError(f"{draw.__name__} of {shown(given)}, expected {expected}")
             return draw(*args, **options)
 
         return checked
