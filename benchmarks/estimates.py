@@ -180,7 +180,9 @@ def main() -> None:
     parser.add_argument("--world", nargs="+", default=list(WORLDS), choices=list(WORLDS))
     parser.add_argument("--runs", type=int, default=40)
     parser.add_argument("--lengths", type=int, nargs="+", default=LENGTHS)
-    parser.add_argument("--weights", nargs="+", default=["count", "visited"])
+    parser.add_argument(
+        "--weights", nargs="+", default=["count", "stratified", "importance", "visited"]
+    )
     parser.add_argument("--keep", metavar="DIR")
     parser.add_argument("--json", metavar="FILE")
     options = parser.parse_args()

@@ -58,6 +58,7 @@ from phase_ppl.inference.infer import infer as infer
 from phase_ppl.inference.infer import resume as resume
 from phase_ppl.inference.infer import seconds as seconds
 from phase_ppl.inference.infer import simulations as simulations
+from phase_ppl.inference.presets import preset as preset
 from phase_ppl.inference.registry import available_kernels as available_kernels
 from phase_ppl.inference.registry import kernel_info as kernel_info
 from phase_ppl.inference.registry import register_kernel as register_kernel

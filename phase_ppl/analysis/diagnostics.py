@@ -15,6 +15,7 @@ import scipy.special
 import xarray as xr
 from numpy.typing import NDArray
 
+from phase_ppl.analysis.estimate import with_error
 from phase_ppl.analysis.quantities import ScenarioFunction, quantities, relation_codes
 from phase_ppl.analysis.tree import (
     HYPOTHESIS,
@@ -148,7 +149,11 @@ MIXED: Final = 1.1
 UNTRIED: Final = 0.05
 """Prior mass of pairs of goals without a simulation from which on it is a sign."""
 
+_CONSISTENT: Final = ("stratified", "importance")
+"""Weightings that do not depend on the law that a kernel's draws follow."""
+
 _NAMES: Final = {"goal_red": "red", "goal_green": "green"}
+_ASKED: Final = {"goal_red": "red's goal", "goal_green": "green's goal", "relation": "the relation"}
 _NAMED: Final = 2
 """Goals that are named where particles disagree."""
 
@@ -160,7 +165,7 @@ def verdict(found: Mapping[str, Any]) -> str:
     """
     weighted = found["weighted_draws_ess"] is not None
     signs = [overlap_sign(found["overlapping_frames"])] if found["overlapping_frames"] else []
-    signs += _biased(found)
+    signs += _biased(found) + undecided(found["leaders"]) + _by_prior(found["leaders"])
     if not weighted:
         signs += _acceptance(found["acceptance_rate"])
     size = found["effective_size"]
@@ -170,7 +175,7 @@ def verdict(found: Mapping[str, Any]) -> str:
             "decide, and another run may well differ."
         )
     if weighted:
-        signs.append(_weighted(found))
+        signs += _weighted(found)
     else:
         signs += _disagreement(found) + _mixing(found) + _other_leaders(found["categories"])
     untried = found["untried"]
@@ -182,6 +187,8 @@ def verdict(found: Mapping[str, Any]) -> str:
     simulations = found["simulations"]
     if simulations["failed"]:
         signs.append(f"{simulations['failed']} of {simulations['total']} simulations failed.")
+    if weighted and found["decided"]:
+        signs.append("Both goals and the relation are decided, by more than their errors.")
     sentences = [*signs, *([] if weighted else _notes(found))]
     if not weighted and found["particles"] > 1 and not _split(found):
         agreed = f"The {found['particles']} particles agree on both agents' goals {_margin(found)}"
@@ -201,7 +208,7 @@ def _biased(found: Mapping[str, Any]) -> list[str]:
         )
     elif found["weights"] == "likelihood":
         sentences.append("The weights 'likelihood' make every probability too extreme.")
-    if found["validity"] == "approximate" and found["weights"] != "importance":
+    if found["validity"] == "approximate" and found["weights"] not in _CONSISTENT:
         sentences.append(
             f"The kernel {found['kernel']} is approximate: its probabilities are biased however "
             "long it runs."
@@ -306,12 +313,42 @@ def _other_leaders(categories: Mapping[str, Any]) -> list[str]:
     return sentences
 
 
-def _weighted(found: Mapping[str, Any]) -> str:
+def undecided(leaders: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Return what is not decided, and between what; see ``Hypotheses.leaders``."""
+    open_ones = []
+    for name, one in leaders.items():
+        if not one["sure"]:
+            error = math.nan if one["error"] is None else one["error"]
+            first = f"'{one['label']}' ({with_error(one['probability'], error)})"
+            second = f"'{one['next']}' ({one['next_probability']:.2f})"
+            open_ones.append(f"{_ASKED[name]} {first} or {second}")
+    return [f"Not decided: {'; '.join(open_ones)}."] if open_ones else []
+
+
+def _by_prior(leaders: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Return what is sure by the prior only."""
+    names = [
+        f"{_ASKED[name]} '{one['label']}' {one['without_prior']:.2f}"
+        for name, one in leaders.items()
+        if one["sure"] and one["without_prior"] is not None and one["without_prior"] <= 0.5
+    ]
+    if not names:
+        return []
+    return [
+        "The prior decides, not the video: with all pairs of goals alike beforehand, "
+        f"{' and '.join(names)} would have no more."
+    ]
+
+
+def _weighted(found: Mapping[str, Any]) -> list[str]:
     ess, draws = found["weighted_draws_ess"], found["particles"] * found["iterations"]
+    if found["weights"] != "count":  # all simulations count, not the draws alone
+        return []
     text = f"The {draws} weighted draws are worth {ess * draws:.1f} equal ones"
     margin = _margin(found)
     text += f" {margin}" if margin else ""
-    return f"{text}: so few decide that another run may well differ." if ess < FEW else f"{text}."
+    few = ": so few decide that another run may well differ." if ess < FEW else "."
+    return [text + few]
 
 
 # --- in numbers ------------------------------------------------------------------------------
@@ -327,7 +364,7 @@ def diagnostics(
     tree: xr.DataTree,
     weights: str,
     rows: Rows,
-    errors: Mapping[str, float],
+    leaders: Mapping[str, dict[str, Any]],
     effective_size: float,
     scenario: ScenarioFunction | None = None,
 ) -> dict[str, Any]:
@@ -347,6 +384,11 @@ def diagnostics(
     * ``leading_goals``: per goal, how many particles each goal leads in, most first.
     * ``between_chain_tv``: per goal, mean and max over pairs of particles of the total
       variation between their marginals; None with one particle.
+    * ``leaders``: the most probable goals and relation, with errors, the next ones, and what they
+      would have ``without_prior``: with all pairs of goals that were simulated equally probable
+      beforehand; None where the file does not hold the prior of pairs.
+    * ``decided``: whether all three are sure, with the prior and without it, by ``FEW_DRAWS``
+      independent draws or more.
     * ``monte_carlo_error``: per goal, the error of the leading goal's probability under the
       weighting in use; None with one particle.
     * ``effective_size``: how many independent draws would be as sure of the goals as the
@@ -376,7 +418,7 @@ def diagnostics(
     Args:
         tree: of draws.
         weights: name of the weighting in use; ``rows``: its table, with relation and scenario.
-        errors: of the leading goals' probabilities, by name of the goal.
+        leaders: see :meth:`phase_ppl.analysis.hypotheses.Hypotheses.leaders`.
         effective_size: see above; NaN: not known.
         scenario: as in :class:`~phase_ppl.analysis.posterior.Posterior`.
     """
@@ -414,7 +456,13 @@ def diagnostics(
         "agreement": {name: _agreement(p, shares) for name, p in by_chain.items()},
         "leading_goals": {name: _leading_goals(p, shares) for name, p in by_chain.items()},
         "between_chain_tv": {name: _between_chain_tv(p, shares) for name, p in by_chain.items()},
-        "monte_carlo_error": {name: _finite(error) for name, error in errors.items()},
+        "leaders": (answers := _without_prior(tree, rows, leaders)),
+        "decided": effective_size >= FEW_DRAWS
+        and all(
+            one["sure"] and one["without_prior"] is not None and one["without_prior"] > 0.5
+            for one in answers.values()
+        ),
+        "monte_carlo_error": {name: _finite(leaders[name]["error"]) for name in goals},
         "effective_size": _finite(effective_size),
         "untried": _finite(untried(tree)),
         "scalars": {
@@ -439,6 +487,25 @@ def diagnostics(
     }
     result["verdict"] = verdict(result)
     return result
+
+
+def _without_prior(
+    tree: xr.DataTree, rows: Rows, leaders: Mapping[str, dict[str, Any]]
+) -> dict[str, dict[str, Any]]:
+    """Return the leaders with what they would have, were all pairs of goals alike beforehand."""
+    constant, share = tree["constant_data"].dataset, dict.fromkeys(leaders)
+    if "prior_of_pairs" in constant:
+        prior = constant["prior_of_pairs"].values[
+            rows.values["goal_red"], rows.values["goal_green"]
+        ]
+        weights = np.divide(rows.weights, prior, out=np.zeros(len(prior)), where=prior > 0)
+        for name, one in leaders.items():
+            code = quantities()[name].categories().index(one["label"])
+            share[name] = float(weights[rows.values[name] == code].sum() / weights.sum())
+    return {
+        name: {**one, "error": _finite(one["error"]), "without_prior": share[name]}
+        for name, one in leaders.items()
+    }
 
 
 def scalars(tree: xr.DataTree) -> dict[str, FloatArray]:

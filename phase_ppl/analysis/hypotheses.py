@@ -58,6 +58,10 @@ _LISTED: Final = 5
 """Labels that a message names at most, the most probable first."""
 
 
+SURE: Final = 1.64
+"""Errors by which the probability of an answer must exceed 1/2, for it to be decided."""
+
+
 class Hypotheses:
     """A weighted table of hypotheses, and what one can ask it.
 
@@ -200,6 +204,27 @@ class Hypotheses:
         if without is None:
             return Mode(label)
         return Mode(label, doubt(mass, without, estimate.shares(codes, without.weights, size)))
+
+    def leaders(self) -> dict[str, dict[str, Any]]:
+        """Return the leading goals and relation, and whether it is sure that they lead.
+
+        Returns:
+            quantity -> ``label``, ``probability`` and ``error``; ``next``, the second label, and
+            ``next_probability``; ``sure``: whether the probability exceeds 1/2 by
+            :data:`SURE` errors. With errors that are not known nothing is sure.
+        """
+        found = {}
+        for name in (*GOALS_OF.values(), "relation"):
+            (label, share), (second, second_share) = self.top(name, 2)
+            found[name] = {
+                "label": label,
+                "probability": float(share),
+                "error": share.error,
+                "next": second,
+                "next_probability": float(second_share),
+                "sure": bool(share - SURE * share.error > 0.5),
+            }
+        return found
 
     def entropy(self, *names: str, given: Mapping[str, Any] | None = None) -> Estimate:
         """Return the entropy, in nats, of the joint distribution of quantities with categories.

@@ -15,6 +15,7 @@ from phase_ppl.analysis.weights import (
     evaluations,
     has_proposals,
     log_reciprocal_proposal,
+    log_shares,
     normalised,
     truncated,
 )
@@ -36,9 +37,10 @@ def over_time(tree: xr.DataTree, scenario: ScenarioFunction | None = None) -> xr
 
     This is hindsight: see :data:`HINDSIGHT`. At frame t every simulation that came so far weighs as
     under weights ``"importance"``, but with the likelihood of frames 0 to t only; at the last frame
-    the result is that of weights ``"importance"``. For runs whose proposals have no density that is
-    known it is that of weights ``"visited"``: every pair of effective goals weighs its prior times
-    the mean likelihood of its simulations. Nothing is simulated.
+    the result is that of these weights. For runs that are to be weighted by ``"stratified"`` it is
+    those, and for runs whose proposals have no density that is known ``"visited"``: every pair of
+    effective goals weighs its prior times the mean likelihood of its simulations. Nothing is
+    simulated.
 
     Returns:
         ``goal_red``, ``goal_green``, ``relation``, ``scenario``: probabilities (time, label),
@@ -57,8 +59,13 @@ def over_time(tree: xr.DataTree, scenario: ScenarioFunction | None = None) -> xr
         )
     if not (simulations["completed"].values & ~simulations["failed"].values).any():
         raise InvalidSettingError("there is nothing to weight: no simulation was completed")
-    name = "importance" if has_proposals(tree) else "visited"
-    rows, weights = (_by_importance if name == "importance" else _by_visits)(tree)
+    if not has_proposals(tree):
+        name, (rows, weights) = "visited", _by_visits(tree)
+    elif tree.attrs["weights"] == "stratified":
+        name, (rows, weights) = "stratified", _by_proposals(tree, log_shares(tree), normalised)
+    else:
+        name, log_prior = "importance", simulations["log_prior"].values
+        rows, weights = _by_proposals(tree, log_prior, lambda log: truncated(normalised(log)))
     codes = {goal: simulations[goal].values[rows] for goal in FOLLOWED[:2]}
     codes |= relation_codes(codes["goal_red"], codes["goal_green"], scenario)
     time = array(tree, "observed_data", "time")
@@ -86,8 +93,16 @@ def by_label(
     return result
 
 
-def _by_importance(tree: xr.DataTree) -> tuple[NDArray[np.int64], FloatArray]:
-    """Return the rows of simulations and their weights (row, time)."""
+def _by_proposals(
+    tree: xr.DataTree, log_base: FloatArray, made: Callable[[FloatArray], FloatArray]
+) -> tuple[NDArray[np.int64], FloatArray]:
+    """Return the rows of simulations and their weights (row, time).
+
+    Args:
+        tree: of draws.
+        log_base: (simulation,) log weight beside the likelihood and the proposal's density.
+        made: of log weights the weights, sum 1.
+    """
     simulations = tree["simulations"].dataset
     known, so_far = _likelihood_so_far(tree)
     # a frame that was not simulated counts as one without error where a simulation may be stopped
@@ -100,7 +115,7 @@ def _by_importance(tree: xr.DataTree) -> tuple[NDArray[np.int64], FloatArray]:
     for t in range(n_frames):
         rest = (n_frames - 1 - t) * perfect if np.isfinite(perfect) else np.inf
         at_best = so_far[:, t] + (rest if t < n_frames - 1 else 0.0)
-        found = simulations["log_prior"].values + so_far[:, t]
+        found = log_base + so_far[:, t]
         found = found + log_reciprocal_proposal(tree, at_best)
         usable = known[:, t] & ~simulations["failed"].values & np.isfinite(found)
         log_weight[:, t] = np.where(usable, found, -np.inf)
@@ -108,7 +123,7 @@ def _by_importance(tree: xr.DataTree) -> tuple[NDArray[np.int64], FloatArray]:
     weights = np.zeros((len(rows), n_frames))
     for t, column in enumerate(log_weight[rows].T):
         usable = np.isfinite(column)
-        weights[usable, t] = truncated(normalised(column[usable]))
+        weights[usable, t] = made(column[usable])
     return rows, weights
 
 

@@ -59,11 +59,12 @@ class Posterior(Hypotheses):
 
     Args:
         tree: draws and simulations, as inference writes them (``phase_ppl.analysis.tree``).
-        weights: "count", "importance", "visited" or "likelihood" (``phase_ppl.analysis.weights``
-            says when each is valid); None: what the run recorded as its default.
+        weights: "count", "stratified", "importance", "visited" or "likelihood"
+            (``phase_ppl.analysis.weights`` says when each is valid); None: what the run recorded
+            as its default.
         burn_in: draws at the beginning of each chain that do not count; None: what the run
             recorded, a quarter of a run of twenty iterations or more, else none. Weights
-            "importance" and "visited" are of all simulations.
+            other than "count" and "likelihood" are of all simulations.
         scenario: replaces the paper's scenario of two effective goals: (goal of red, goal of
             green) -> one of "collaborative", "independent", "competing", "opposing". The
             relation follows from it.
@@ -215,16 +216,21 @@ class Posterior(Hypotheses):
 
     def diagnostics(self) -> dict[str, Any]:
         """Return how the chains went and a verdict; see :mod:`phase_ppl.analysis.diagnostics`."""
-        errors = {name: self.top(name, 1)[0][1].error for name in ("goal_red", "goal_green")}
         return diagnostics(
-            self._kept, self._weights, self._rows, errors, self._effective_size, self._scenario
+            self._kept,
+            self._weights,
+            self._rows,
+            self.leaders(),
+            self._effective_size,
+            self._scenario,
         )
 
     def over_time(self) -> xr.Dataset:
         """Return the marginals on ever more of the video, in hindsight.
 
         See :func:`phase_ppl.analysis.over_time.over_time`; at the last frame they are those of
-        weights ``"importance"`` where the kernel allows them, whatever the weighting in use.
+        weights ``"importance"`` where the kernel allows them, whatever the weighting in use; of
+        kernels that need ``"stratified"``, of those.
         """
         return over_time(self._tree, self._scenario)
 

@@ -13,7 +13,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.diagnostics import frames_text, overlap_sign, overlapping_frames
+from phase_ppl.analysis.diagnostics import (
+    frames_text,
+    overlap_sign,
+    overlapping_frames,
+    undecided,
+)
 from phase_ppl.analysis.estimate import Jackknife
 from phase_ppl.analysis.hypotheses import Hypotheses, hypothesis_record
 from phase_ppl.analysis.over_time import by_label
@@ -176,26 +181,23 @@ class StepwisePosterior(Hypotheses):
         """Return whether this can be trusted.
 
         Keys: ``frames``; ``planner_seeds`` and ``weight``, of the likelihood; ``leading``, the most
-        probable goals and relation with their errors; ``surprise_median`` (nats, of
-        :meth:`surprise` less what no action explains) and ``surprising_share``, that of frames
-        above ``surprise_reference``;
-        ``unexplained_most`` and ``unexplained_frames``, which no action explains;
-        ``overlapping_frames``, in which bodies lie on each other or in a wall; and ``verdict``, in
-        words, the worst sign first.
+        probable goals and relation (:meth:`leaders`), and whether all are ``decided``;
+        ``surprise_median`` (nats, of :meth:`surprise` less what no action explains) and
+        ``surprising_share``, that of frames above ``surprise_reference``; ``unexplained_most`` and
+        ``unexplained_frames``, which no action explains; ``overlapping_frames``, in which bodies
+        lie on each other or in a wall; and ``verdict``, in words, the worst sign first.
         """
         found = self._found.isel(time=slice(None, self._frame + 1))
         unexplained = np.array(found["unexplained"].values, float)
         surprise = self.surprise() - unexplained
-        leading = {name: self.top(name, 1)[0] for name in ("goal_red", "goal_green", "relation")}
+        leading = self.leaders()
         known = np.isfinite(surprise[1:])
         result = {
             "frames": self._frame + 1,
             "planner_seeds": self.planner_seeds,
             "weight": float(found.attrs["weight"]),
-            "leading": {
-                name: {"label": label, "probability": float(share), "error": share.error}
-                for name, (label, share) in leading.items()
-            },
+            "leading": leading,
+            "decided": all(one["sure"] for one in leading.values()),
             "surprise_median": float(np.median(surprise[1:])) if known.any() else None,
             "surprise_reference": SURPRISE,
             "surprising_share": float((surprise[1:] > SURPRISE).mean()) if known.any() else None,
@@ -221,22 +223,31 @@ class StepwisePosterior(Hypotheses):
 
         Returns:
             ``goal_red``, ``goal_green``, ``relation``, ``scenario``: probabilities (time, label),
-            labels in ``goal_red_is`` and so on; ``time`` in seconds. The attribute ``filtering``
-            says what it is: nothing of later frames, but for ``turning`` (which way agents can
-            turn) where the scene's was read off a whole video, as the reader of the authors' files
-            does.
+            labels in ``goal_red_is`` and so on; ``goal_red_error`` and so on: their standard
+            errors, NaN where there is a single set of searches; ``time`` in seconds. The attribute
+            ``filtering`` says what it is: nothing of later frames, but for ``turning`` (which way
+            agents can turn) where the scene's was read off a whole video, as the reader of the
+            authors' files does.
         """
-        masses = self._table.pair_masses()[: self._frame + 1]
         red, green = (codes.ravel() for codes in np.indices((N_GOALS, N_GOALS)))
         codes = {"goal_red": red, "goal_green": green}
         codes |= relation_codes(red, green, self._scenario)
         time = self._found["time"].values[: self._frame + 1]
-        flat = masses.reshape(len(masses), -1)
+        masses = self._table.pair_masses().reshape(-1, N_GOALS**2)[: len(time)]
+        found = by_label(time, codes, lambda indicators: masses @ indicators)
+        n = self.planner_seeds
+        without = self._table.pair_masses_without().reshape(-1, *masses.shape[1:])
+        without = without.reshape(-1, self._table.n_frames, N_GOALS**2)[:, : len(time)]
+        errors = Jackknife(np.empty((n, 0)), n - 1.0)
 
-        def summed(indicators: NDArray[np.bool_]) -> FloatArray:
-            return np.stack([flat[:, which].sum(axis=1) for which in indicators.T], axis=1)
+        def error(indicators: NDArray[np.bool_]) -> FloatArray:
+            if n == 1:
+                return np.full((len(time), indicators.shape[1]), np.nan)
+            return errors.error(without @ indicators, masses @ indicators)
 
-        return by_label(time, codes, summed).assign_attrs(filtering=FILTERING)
+        of_error = by_label(time, codes, error)
+        found = found.assign({f"{name}_error": of_error[name] for name in of_error.data_vars})
+        return found.assign_attrs(filtering=FILTERING)
 
     def why(self, event: str, over: str | None = None) -> xr.Dataset:
         """Return which frames speak for ``event``, and against what.
@@ -386,6 +397,8 @@ def _verdict(found: Mapping[str, Any]) -> str:
             f"{share:.0%} of the frames surprise whatever the goals, where the model's own videos "
             f"have {SURPRISING:.0%}: these agents act otherwise than it expects."
         )
+    if found["planner_seeds"] > 1 and n:
+        signs += undecided(found["leading"])
     errors = {name: one["error"] for name, one in found["leading"].items()}
     worst = max(errors, key=lambda name: np.nan_to_num(errors[name]))
     if found["planner_seeds"] > 1 and errors[worst] > DISAGREE:

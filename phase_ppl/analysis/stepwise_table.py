@@ -175,6 +175,15 @@ class Table:
 
     def pair_masses(self) -> FloatArray:
         """Return (time, goal_red, goal_green) probabilities, given the frames so far."""
+        return self._pair_masses(self._so_far)
+
+    def pair_masses_without(self) -> FloatArray:
+        """Return (planner_seed, time, goal_red, goal_green) likewise without each set."""
+        so_far = self._without.cumsum(axis=1, dtype=np.float64)
+        masses = [self._pair_masses(one.reshape(len(one), -1)) for one in so_far]
+        return np.array(masses).reshape(so_far.shape)
+
+    def _pair_masses(self, so_far: FloatArray) -> FloatArray:
         size = N_GOALS**2
         flat = effective_pairs().ravel()
         n = self._levels[0].size * self._levels[1].size
@@ -184,7 +193,7 @@ class Table:
         for frame in range(self.n_frames):
             log_strengths = self._log_strengths[frame].ravel()
             log_mass = np.logaddexp.reduce(by_strength + log_strengths, axis=1)
-            log_mass += self._weight * self._so_far[frame]
+            log_mass += self._weight * so_far[frame]
             found[frame] = np.exp(log_mass - log_sum_exp(log_mass))
         return found.reshape(self.n_frames, N_GOALS, N_GOALS)
 

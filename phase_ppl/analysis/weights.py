@@ -8,6 +8,16 @@ Every query is a sum over such a table. Which weighting is valid when:
     it began. Kernels such as importance sampling give each draw a weight of its own. Valid for
     every kernel whose stationary law is the posterior, and for those that approach it as particles
     grow.
+``"stratified"``
+    Every completed simulation of known proposal density, accepted or not: its pair of effective
+    goals weighs P(pair) times the mean likelihood of the pair's simulations, each of which counts
+    in it by P(h) / Q(h) (post-stratification: importance sampling where the share of each stratum
+    is not estimated by how often it was drawn, since the prior says it). It does not matter how it
+    was chosen which pairs are simulated, and how often: any rule that looks at the results so far
+    will do. Consistent as the simulations of every pair grow; a pair without any counts as
+    impossible, and how much of the prior that is is known. Until then biased towards what is
+    proposed often: of pairs simulated once or twice P / Q hardly counts. The weights P / Q within a
+    pair are truncated as under "importance".
 ``"importance"``
     Every completed simulation weighs P(h) L / Q(h), accepted or not, with Q the density of the
     proposal that it was drawn from, given all that was done before (Rudolf & Sprungk 2020,
@@ -157,24 +167,75 @@ def visited(tree: xr.DataTree) -> Rows:
     return Rows(values, weights, index)
 
 
+def stratified(tree: xr.DataTree) -> Rows:
+    """Return every completed simulation, by P(pair) times its part of the pair's mean L."""
+    if not has_proposals(tree):
+        raise _no_proposals("stratified", tree)
+    if "prior_of_pairs" not in tree["constant_data"]:
+        raise InvalidSettingError(
+            "weights 'stratified' need the prior of pairs of goals, which files of earlier "
+            "versions do not hold; 'importance' does without"
+        )
+    simulations = tree["simulations"].dataset
+    log_weight = log_shares(tree) + simulations["log_likelihood"].values
+    log_weight = log_weight + log_reciprocal_proposal(tree)
+    return _weighted_simulations(tree, "stratified", log_weight)
+
+
+def log_shares(tree: xr.DataTree) -> FloatArray:
+    """Return (simulation,) the log of Q(h) P(pair) times a simulation's share of its pair's mean.
+
+    The share is P(h) / Q(h), truncated, of a sum of 1 over the simulations of the pair, stopped
+    ones too; NaN where the simulation failed, or Q is not known.
+    """
+    simulations = tree["simulations"].dataset
+    log_proposal = simulations["log_proposal"].values.astype(float)
+    log_ratio = simulations["log_prior"].values - log_proposal
+    known = np.flatnonzero(np.isfinite(log_ratio) & ~simulations["failed"].values)
+    pair = np.stack([simulations[name].values[known].astype(np.int64) for name in _PAIR])
+    _, stratum = np.unique(pair, axis=1, return_inverse=True)
+    found = np.full(len(log_ratio), np.nan)
+    for number in range(int(stratum.max(initial=-1)) + 1):
+        rows = known[stratum == number]
+        found[rows] = np.log(truncated(normalised(log_ratio[rows])))
+    prior = tree["constant_data"]["prior_of_pairs"].values[tuple(pair)]
+    with np.errstate(divide="ignore"):
+        found[known] += np.log(prior)
+    return found + log_proposal
+
+
+def _weighted_simulations(tree: xr.DataTree, weights: str, log_weight: FloatArray) -> Rows:
+    """Return the completed simulations among those with a weight."""
+    simulations = tree["simulations"].dataset
+    usable = simulations["completed"].values & ~simulations["failed"].values
+    row = np.flatnonzero(usable & np.isfinite(log_weight))
+    if not row.size:
+        raise InvalidSettingError(f"weights {weights!r} need at least one completed simulation")
+    values = {name: simulations[name].values[row] for name in _sites(tree)}
+    index = {"simulation": row, "chain": simulations["chain"].values[row].astype(np.int64)}
+    return Rows(values, normalised(log_weight[row]), index)
+
+
+def _no_proposals(weights: str, tree: xr.DataTree) -> InvalidSettingError:
+    return InvalidSettingError(
+        f"weights {weights!r} need the density of each proposal, which kernel "
+        f"{tree.attrs['kernel']!r} does not give; 'count' counts its draws"
+    )
+
+
 def importance(tree: xr.DataTree) -> Rows:
     """Return every completed simulation of known proposal density, by P(h) L / Q(h), truncated."""
     if not has_proposals(tree):
+        raise _no_proposals("importance", tree)
+    if "only_weights" in tree.attrs:
         raise InvalidSettingError(
-            f"weights 'importance' need the density of each proposal, which kernel "
-            f"{tree.attrs['kernel']!r} does not give; 'count' counts its draws"
+            f"what kernel {tree.attrs['kernel']!r} simulates goes by earlier results: weights "
+            f"'importance' would be wrong; those for it are {tree.attrs['only_weights']!r}"
         )
-    log_reciprocal = log_reciprocal_proposal(tree)
     simulations = tree["simulations"].dataset
     log_joint = (simulations["log_prior"] + simulations["log_likelihood"]).values.astype(float)
-    row = np.flatnonzero(simulations["completed"].values & ~simulations["failed"].values)
-    log_weight = log_joint[row] + log_reciprocal[row]
-    row, log_weight = row[np.isfinite(log_weight)], log_weight[np.isfinite(log_weight)]
-    if not row.size:
-        raise InvalidSettingError("weights 'importance' need at least one completed simulation")
-    values = {name: simulations[name].values[row] for name in _sites(tree)}
-    index = {"simulation": row, "chain": simulations["chain"].values[row].astype(np.int64)}
-    return Rows(values, truncated(normalised(log_weight)), index)
+    rows = _weighted_simulations(tree, "importance", log_joint + log_reciprocal_proposal(tree))
+    return dataclasses.replace(rows, weights=truncated(rows.weights))
 
 
 def has_proposals(tree: xr.DataTree) -> bool:
@@ -278,6 +339,7 @@ def _draws(tree: xr.DataTree) -> tuple[dict[str, NDArray[Any]], dict[str, NDArra
 
 WEIGHTINGS: Final[Mapping[str, Callable[[xr.DataTree], Rows]]] = {
     "count": count,
+    "stratified": stratified,
     "importance": importance,
     "visited": visited,
     "likelihood": likelihood,

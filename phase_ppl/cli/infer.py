@@ -66,6 +66,14 @@ def add_to(commands: Any) -> None:
         "phase-ppl infer collaborate --planner fast --seed 0 --out out",
     )
     add_planner(infer)
+    infer.set_defaults(planner=None)  # the preset's
+    infer.add_argument(
+        "--preset",
+        metavar="NAME",
+        default="default",
+        help="as_printed, as_intended or default: kernel, proposal, planner and weights in one "
+        "word; what else is given goes before it",
+    )
     infer.add_argument("--prior", metavar="NAME", default="uniform", help="default uniform")
     infer.add_argument(
         "--model",
@@ -132,6 +140,11 @@ def _add_run_options(parser: argparse.ArgumentParser) -> None:
         "iterations or more, else none",
     )
     parser.add_argument(
+        "--weights",
+        metavar="NAME",
+        help="of the posterior; default: those that are valid for the kernel and the length",
+    )
+    parser.add_argument(
         "--simulation-seconds",
         metavar="S",
         type=float,
@@ -159,18 +172,32 @@ def _infer(options: argparse.Namespace) -> int:
         if options.watch:
             return _watched(event, out, options)
         exact = options.model == "stepwise" and options.kernel is None
+        given = {**_run_options(options), **_kernel_options(options.option)}
+        given |= {
+            name: getattr(options, name)
+            for name in ("kernel", "chains")
+            if getattr(options, name) is not None
+        }
         run = functools.partial(
             phase_ppl.infer,
             event,
             _model_of(options),
-            kernel=options.kernel,
             seed=options.seed,
             checkpoint=None if exact else kept,
-            **({} if options.chains is None else {"chains": options.chains}),
-            **_run_options(options),
-            **_kernel_options(options.option),
+            **_completed(phase_ppl.preset(options.preset), options.planner, given),
         )
         return _finish(run, event, out, kept, options)
+
+
+def _completed(usual: dict[str, Any], planner: str | None, given: dict[str, Any]) -> dict[str, Any]:
+    """Return what was given, and of a preset the rest."""
+    if planner is not None:
+        usual.pop("planner", None)
+    if "budget" in given:
+        usual.pop("iterations", None)
+    if "kernel" in given:
+        usual.pop("rule", None)
+    return {**usual, **given}
 
 
 def _model_of(options: argparse.Namespace) -> phase_ppl.Model:
@@ -238,7 +265,7 @@ def _finish(
 def _run_options(options: argparse.Namespace) -> dict[str, Any]:
     given = (
         *("iterations", "budget", "workers", "on_failure", "retries"),
-        *("simulation_seconds", "burn_in"),
+        *("simulation_seconds", "burn_in", "weights"),
     )
     found = {name: getattr(options, name) for name in given}
     return {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import numbers
 from collections.abc import Mapping
 from typing import Any, Final
@@ -10,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from phase_ppl.analysis.estimate import Estimate
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, shown, unknown_name
 from phase_ppl.world.goals import GOALS, goal_index
@@ -36,6 +38,8 @@ class Prediction:
     Attributes:
         event_id: of the event.
         probabilities: question -> probabilities of its answers, in label order, sum 1.
+        errors: question -> Monte-Carlo errors of the probabilities, in label order, NaN where
+            unknown; of questions that have probabilities only.
         answers: question -> the answer given (top 1). Where only probabilities are given it is
             the most probable one, of equals the first in label order.
         cost: seconds, simulations and whatever else the model counts.
@@ -43,16 +47,18 @@ class Prediction:
     Raises:
         UnknownNameError: there is no such question or answer; the message names close matches.
         InvalidEventError: probabilities of another number, negative, not finite, or whose sum
-            is not 1 (within 0.001; they are normalised exactly).
+            is not 1 (within 0.001; they are normalised exactly); errors that are not one number
+            >= 0 or NaN for each probability.
     """
 
     event_id: str
     probabilities: Mapping[str, FloatArray] = dataclasses.field(default_factory=dict)
     answers: Mapping[str, str] = dataclasses.field(default_factory=dict)
     cost: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    errors: Mapping[str, FloatArray] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        given = {**self.probabilities, **self.answers}
+        given = {**self.probabilities, **self.answers, **self.errors}
         for question in given:
             if question not in QUESTIONS:
                 raise unknown_name("question", question, QUESTIONS)
@@ -68,6 +74,18 @@ class Prediction:
             for question in QUESTIONS
             if question in given
         }
+        errors = {}
+        for question, given_errors in self.errors.items():
+            if question not in probabilities:
+                raise InvalidEventError(f"{question} has errors, but no probabilities")
+            found = np.array(given_errors, np.float64)
+            if found.shape != probabilities[question].shape or (found < 0).any():
+                raise InvalidEventError(
+                    f"{question} has errors {shown(given_errors)}, expected "
+                    f"{len(probabilities[question])} numbers >= 0 or NaN"
+                )
+            errors[question] = found
+        object.__setattr__(self, "errors", errors)
         object.__setattr__(self, "probabilities", probabilities)
         object.__setattr__(self, "answers", answers)
 
@@ -76,6 +94,13 @@ class Prediction:
         """Scenario of the two goals answered; None where one is missing."""
         red, green = (self.answers.get(question) for question in GOAL_QUESTIONS.values())
         return None if red is None or green is None else scenario(red, green)
+
+    def estimate(self, question: str, answer: str) -> Estimate:
+        """Return the probability of an answer, with its error where that is known."""
+        place = QUESTIONS[question].index(answer)
+        errors = self.errors.get(question)
+        error = math.nan if errors is None else float(errors[place])
+        return Estimate(float(self.probabilities[question][place]), error)
 
     def top(self, question: str, n: int) -> tuple[str, ...] | None:
         """Return the ``n`` most probable answers, ties in label order; None where not given."""
@@ -99,8 +124,18 @@ class Prediction:
                 question: dict(zip(QUESTIONS[question], values.tolist(), strict=True))
                 for question, values in self.probabilities.items()
             },
+            **({"errors": self._plain_errors()} if self.errors else {}),
             "answers": dict(self.answers),
             "cost": dict(self.cost),
+        }
+
+    def _plain_errors(self) -> dict[str, dict[str, float | None]]:
+        return {
+            question: {
+                label: None if math.isnan(error) else error
+                for label, error in zip(QUESTIONS[question], errors.tolist(), strict=True)
+            }
+            for question, errors in self.errors.items()
         }
 
     @classmethod
@@ -111,8 +146,9 @@ class Prediction:
             InvalidEventError, UnknownNameError: as for the class; or a field is missing or of
                 another type.
         """
-        given = {**record, "cost": record.get("cost") or {}}
-        fields = {"event": str, "probabilities": dict, "answers": dict, "cost": dict}
+        given = {**record, **{name: record.get(name) or {} for name in ("cost", "errors")}}
+        fields = {"event": str, "probabilities": dict, "errors": dict, "answers": dict}
+        fields["cost"] = dict
         for name, kind in fields.items():
             if not isinstance(given.get(name), kind):
                 raise InvalidEventError(
@@ -127,6 +163,10 @@ class Prediction:
             },
             answers=record["answers"],
             cost=given["cost"],
+            errors={
+                question: _in_order(question, errors)
+                for question, errors in given["errors"].items()
+            },
         )
 
 
@@ -167,12 +207,19 @@ def probabilities_of(question: str, shares: Mapping[str, Any]) -> FloatArray:
         UnknownNameError: there is no such question or answer.
         InvalidEventError: a value is no number, or ``shares`` is no mapping.
     """
+    return _in_order(question, shares, 0.0)
+
+
+def _in_order(question: str, shares: Mapping[str, Any], default: float = math.nan) -> FloatArray:
+    """Return numbers in label order; ``default`` for answers that are left out, or null."""
     if question not in QUESTIONS:
         raise unknown_name("question", question, QUESTIONS)
     if not isinstance(shares, Mapping):
         raise InvalidEventError(f"{question} is {shown(shares)}, expected answers with numbers")
-    values = np.zeros(len(QUESTIONS[question]))
+    values = np.full(len(QUESTIONS[question]), default)
     for answer, share in shares.items():
+        if share is None and math.isnan(default):
+            continue
         if isinstance(share, bool) or not isinstance(share, numbers.Real):
             raise InvalidEventError(f"{question}: {answer!r} has {shown(share)}, expected a number")
         values[QUESTIONS[question].index(_answer(question, answer))] = share

@@ -63,6 +63,7 @@ def infer(
     progress: bool | None = None,
     settings: SimpleSettings | None = None,
     burn_in: int | None = None,
+    weights: str | None = None,
     **kernel_options: Any,
 ) -> Posterior | StepwisePosterior:
     """Return the posterior over goals, relation and strengths, given what was seen.
@@ -116,6 +117,8 @@ def infer(
         burn_in: draws at the beginning of each chain that do not count; by default a quarter of
             twenty iterations or more, else none. They are kept: ``Posterior(post.tree, burn_in=0)``
             counts them.
+        weights: of the posterior, see ``phase_ppl.analysis.weights``; by default those that are
+            valid for the kernel and the length.
         **kernel_options: for the kernel, such as ``rule="paper"``.
 
     Raises:
@@ -139,6 +142,7 @@ def infer(
         progress=progress,
         checkpoint=checkpoint,
         burn_in=burn_in,
+        weights=weights,
     )
     given = {**vars(options), "chains": chains, "settings": settings, **kernel_options}
     settings = SimpleSettings() if settings is None else settings
@@ -183,6 +187,7 @@ def resume(
     progress: bool | None = None,
     settings: SimpleSettings | None = None,
     burn_in: int | None = None,
+    weights: str | None = None,
     other_versions: bool = False,
     **kernel_options: Any,
 ) -> Posterior:
@@ -204,7 +209,7 @@ def resume(
         workers, executor, progress: as in :func:`infer`.
         on_failure, retries: as in :func:`infer`; by default as before. They can be changed for
             others as long as no simulation has failed.
-        burn_in: as in :func:`infer`.
+        burn_in, weights: as in :func:`infer`.
         simulation_seconds: as in :func:`infer`; by default as before.
         other_versions: whether to go on although the versions are others; the attributes
             ``versions`` and ``earlier_versions`` of the posterior's tree keep both.
@@ -270,6 +275,7 @@ def resume(
         progress=progress,
         checkpoint=path,
         burn_in=burn_in,
+        weights=weights,
         versions=versions,
         began=began,
     )

@@ -61,6 +61,8 @@ class KernelInfo:
         keeps: which particles are draws of the posterior: "all", those after every iteration;
             "last", those after the last one; "start", all and the initial ones.
         weighted: whether draws carry a weight, the state's ``log_weight``.
+        weights: name of the weighting that makes a posterior of a run, where its draws, counted,
+            are none; None: they are.
     """
 
     name: str
@@ -72,6 +74,7 @@ class KernelInfo:
     even_chains: bool = False
     keeps: Keeps = "all"
     weighted: bool = False
+    weights: str | None = None
 
     def make(self, program: EventProgram, **options: Any) -> MCMCKernel:
         """Return the kernel for the model of an event.
@@ -119,6 +122,7 @@ def register_kernel(
     even_chains: bool = False,
     keeps: Keeps = "all",
     weighted: bool = False,
+    weights: str | None = None,
 ) -> Callable[[AnyFactory], AnyFactory]:
     """Return a decorator that makes a kernel class, or a factory, known under ``name``.
 
@@ -147,6 +151,7 @@ def register_kernel(
             even_chains,
             keeps,
             weighted,
+            weights,
         ),
     )
 
@@ -204,4 +209,5 @@ def described(kernel: str | Factory | MCMCKernel) -> KernelInfo:
         even_chains=getattr(kernel, "even_chains", False),
         keeps=getattr(kernel, "keeps", "all"),
         weighted=getattr(kernel, "weighted", False),
+        weights=getattr(kernel, "weights", None),
     )

@@ -8,6 +8,7 @@ user's own are averaged out over draws from the prior.
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -20,23 +21,20 @@ from numpy.typing import NDArray
 from numpyro import handlers
 
 from phase_ppl.models.density import (
-    compiled_quickly,
-    draw,
     latent_sites,
     remembered,
     trace_log_density,
 )
-from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, effective_table
+from phase_ppl.models.sites import STRENGTH_SITES, effective_table
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.goals import N_GOALS
+from phase_ppl.world.hypothesis import STRENGTH_LEVELS
 
 Prior = Callable[[], object]
 
 _CHUNK = 4096
 _OWN_DRAWS = 64
-_PAIR_DRAWS = 2**13
 _PRIORS_KEPT = 16
-_PAIR_SITES = (*GOAL_SITES, ALPHA_SITE)
 
 
 @functools.cache
@@ -81,25 +79,6 @@ def _density(prior: Prior, names: tuple[str, ...]) -> Callable[[dict[str, jax.Ar
     return density
 
 
-@remembered(_PRIORS_KEPT)
-def prior_of_pairs(prior: Prior) -> FloatArray:
-    """Return (goal_red, goal_green) prior masses of the pairs of effective goals, their sum 1.
-
-    By the prior's own draws, 2^13 of them: any sum of masses has a standard error below 0.006.
-    """
-
-    def pair(key: jax.Array) -> jax.Array:
-        sites = draw(prior, key)
-        return jnp.asarray(effective_table())[tuple(sites[name] for name in _PAIR_SITES)]
-
-    drawn = compiled_quickly(jax.vmap(pair))
-    pairs = np.asarray(drawn(jax.random.split(jax.random.key(0), _PAIR_DRAWS)))
-    mass = np.zeros((N_GOALS, N_GOALS))
-    np.add.at(mass, tuple(pairs.T), 1.0 / len(pairs))
-    mass.setflags(write=False)
-    return mass
-
-
 def log_prior_of_effective(
     prior: Prior, goals: NDArray[np.int64], strengths: Mapping[str, NDArray[np.float64]]
 ) -> FloatArray:
@@ -130,6 +109,28 @@ def log_prior_of_effective(
     total = np.full(len(goals), -np.inf)
     np.logaddexp.at(total, row, log_densities)
     return total
+
+
+@remembered(_PRIORS_KEPT)
+def prior_of_pairs(prior: Prior) -> FloatArray:
+    """Return (goal_red, goal_green) prior masses of the pairs of effective goals, their sum 1.
+
+    The mean over the least and greatest strengths, which is the prior mass where strengths do
+    not depend on goals, and approximates it where a user's prior makes them.
+    """
+    pairs = np.array(list(stated_hypotheses()))
+    ends = STRENGTH_LEVELS[0], STRENGTH_LEVELS[-1]
+    strengths = np.array(list(itertools.product(ends, repeat=len(STRENGTH_SITES))))
+    columns = {
+        name: np.repeat(values, len(pairs))
+        for name, values in zip(STRENGTH_SITES, strengths.T, strict=True)
+    }
+    log_mass = log_prior_of_effective(prior, np.tile(pairs, (len(strengths), 1)), columns)
+    mass = np.zeros((N_GOALS, N_GOALS))
+    mass[tuple(pairs.T)] = np.exp(log_mass - log_mass.max()).reshape(len(strengths), -1).sum(axis=0)
+    mass /= mass.sum()
+    mass.setflags(write=False)
+    return mass
 
 
 def _trace(prior: Prior, key: jax.Array, given: Mapping[str, Any]) -> dict[str, Any]:

@@ -78,8 +78,9 @@ def test_at_the_last_frame_it_is_the_posterior_of_the_visited(seed: int) -> None
     assert found.attrs["weights"] == "visited"
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_where_proposals_have_a_density_it_ends_as_weights_importance(seed: int) -> None:
+@pytest.mark.parametrize("weights", ["stratified", "importance"])
+@pytest.mark.parametrize("seed", range(2))
+def test_where_proposals_have_a_density_it_ends_as_their_weights(seed: int, weights: str) -> None:
     tree = tree_by_frame(seed)
     simulations = tree["simulations"].to_dataset()
     rng = np.random.default_rng(seed)
@@ -90,8 +91,13 @@ def test_where_proposals_have_a_density_it_ends_as_weights_importance(seed: int)
     simulations["log_bound"] = "simulation", np.where(first, np.inf, at_end)
     simulations["log_again"] = "simulation", np.full(n, -np.inf)
     tree["simulations"] = xr.DataTree(simulations)
-    found, post = Posterior(tree).over_time(), Posterior(tree, "importance")
-    assert found.attrs["weights"] == "importance"
+    if weights == "stratified":
+        constant = tree["constant_data"].to_dataset()
+        prior = ("pair_red", "pair_green"), rng.random((36, 36))
+        tree["constant_data"] = xr.DataTree(constant.assign(prior_of_pairs=prior))
+        tree.attrs["weights"] = weights
+    found, post = Posterior(tree).over_time(), Posterior(tree, weights)
+    assert found.attrs["weights"] == weights
     for name in FOLLOWED:
         np.testing.assert_allclose(found[name].isel(time=-1), post.marginal(name), atol=1e-12)
         np.testing.assert_allclose(found[name].sum(f"{name}_is"), 1)

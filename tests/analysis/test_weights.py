@@ -19,6 +19,8 @@ from phase_ppl.analysis.weights import (
     visited,
 )
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
+from phase_ppl.world.goals import GOALS
+from phase_ppl.world.hypothesis import Hypothesis
 
 from .factory import (
     BLUE_TO_RED,
@@ -272,6 +274,47 @@ def test_importance_makes_up_for_how_simulations_came_about(
     tree = proposed(make_tree(simulations, [[0, 1]]), **options)
     found = goal_probabilities(Posterior(tree, "importance"))
     assert found == pytest.approx({BLUE_TO_RED: 1 / 3, PINK_TO_BLUE: 2 / 3})
+
+
+def with_prior(tree: xr.DataTree, masses: list[tuple[Hypothesis, float]]) -> xr.DataTree:
+    """Return the tree with the prior masses of pairs, given by hypotheses."""
+    prior = np.zeros((len(GOALS), len(GOALS)))
+    for one, mass in masses:
+        prior[one.effective_goals] = mass
+    constant = tree["constant_data"].to_dataset()
+    tree["constant_data"] = xr.DataTree(
+        constant.assign(prior_of_pairs=(("pair_red", "pair_green"), prior))
+    )
+    return tree
+
+
+def test_stratified_weighs_a_pair_by_its_prior_and_its_mean_likelihood() -> None:
+    # A was drawn thrice as often as B, and by proposals of other densities; its mean L is
+    # (1/2 x 0.2 + 1/4 x 0.4 + 1/4 x 0) for shares P / Q of 2 : 1 : 1, the stopped one at 0
+    simulations = [
+        Simulation(A, 0, LOG(0.1), LOG(0.2)),
+        Simulation(A, 1, LOG(0.1), LOG(0.4), iteration=1),
+        Simulation(A, 2, LOG(0.1), LOG(0.9), completed=False, iteration=1),
+        Simulation(B, 3, LOG(0.1), LOG(0.6), iteration=1),
+        Simulation(C, 4, LOG(0.1), LOG(0.9), failed=True, iteration=1),
+    ]
+    tree = make_tree(simulations, [[0, 1, 3]])
+    tree = proposed(tree, [LOG(q) for q in (0.2, 0.4, 0.4, 0.01, 0.1)])
+    found = goal_probabilities(
+        Posterior(with_prior(tree, [(A, 0.6), (B, 0.1), (C, 0.3)]), "stratified")
+    )
+    of_a, of_b = 0.6 * 0.2, 0.1 * 0.6
+    assert found == pytest.approx(
+        {BLUE_TO_RED: of_a / (of_a + of_b), PINK_TO_BLUE: of_b / (of_a + of_b)}
+    )
+
+
+def test_stratified_needs_densities_and_the_prior_of_pairs() -> None:
+    tree = make_tree([Simulation(A), Simulation(B, 1, iteration=1)], [[0, 1]])
+    with pytest.raises(InvalidSettingError, match="density of each proposal"):
+        Posterior(tree, "stratified")
+    with pytest.raises(InvalidSettingError, match="'importance' does without"):
+        Posterior(proposed(tree, [0.0, 0.0]), "stratified")
 
 
 def test_truncated_weights_are_at_most_the_root_of_their_number_times_the_mean() -> None:

@@ -39,7 +39,8 @@ _SOFT: Final = (225, 225, 225)
 def watch_film(post: StepwisePosterior, path: str | os.PathLike[str]) -> None:
     """Write the video with the posterior at each frame beside it, as MP4.
 
-    The goals shown are those that are the most probable at any time.
+    The goals shown are those that are the most probable at any time; thin lines reach one standard
+    error to either side.
 
     Args:
         post: what was read.
@@ -58,7 +59,16 @@ def watch_film(post: StepwisePosterior, path: str | os.PathLike[str]) -> None:
         # a drawn frame shows what is on the way to the next; that one is not known yet
         at = found.isel(time=index // FRAMES_PER_STEP)
         groups = {
-            name: [(label, float(at[name].sel({f"{name}_is": label}))) for label in labels]
+            name: [
+                (
+                    label,
+                    *(
+                        float(at[part].sel({f"{name}_is": label}))
+                        for part in (name, f"{name}_error")
+                    ),
+                )
+                for label in labels
+            ]
             for name, labels in shown.items()
         }
         return side_by_side([panel(painter.draw(poses[index])), _bars(groups)])
@@ -67,8 +77,8 @@ def watch_film(post: StepwisePosterior, path: str | os.PathLike[str]) -> None:
         encode_mp4(map(draw, range(len(poses))), part, FRAMES_PER_SECOND)
 
 
-def _bars(groups: dict[str, list[tuple[str, float]]]) -> Image.Image:
-    """Return probabilities (quantity -> label, share) as bars on a panel as high as a frame."""
+def _bars(groups: dict[str, list[tuple[str, float, float]]]) -> Image.Image:
+    """Return probabilities (quantity -> label, share, error) as bars, as high as a frame."""
     picture = Image.new("RGB", (PANEL, PANEL), BACKGROUND)
     draw = ImageDraw.Draw(picture)
     title_font, font = ImageFont.load_default(_TITLE_SIZE), ImageFont.load_default(_TEXT_SIZE)
@@ -78,12 +88,16 @@ def _bars(groups: dict[str, list[tuple[str, float]]]) -> Image.Image:
         title, colour = _GROUPS[name]
         draw.text((_MARGIN, y), title, fill=_INK, font=title_font, anchor="lm")
         y += _ROW + 2
-        for label, share in entries:
+        for label, share, error in entries:
             draw.text((_MARGIN, y), label, fill=_INK, font=font, anchor="lm")
             draw.rectangle((left, y - 6, right, y + 6), fill=_SOFT)
             if share > 0:
                 end = left + max(1, round(share * (right - left)))
                 draw.rectangle((left, y - 6, end, y + 6), fill=colour)
+            if error > 0:
+                reach = np.clip([share - error, share + error], 0, 1)
+                ends = [left + round(float(part) * (right - left)) for part in reach]
+                draw.line((ends[0], y, ends[1], y), fill=_INK, width=2)
             draw.text((right + 6, y), f"{share:.2f}", fill=_INK, font=font, anchor="lm")
             y += _ROW
         y += _GAP

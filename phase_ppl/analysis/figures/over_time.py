@@ -69,7 +69,8 @@ def over_time(
     """Draw how the probabilities of goals and relation grow out of the video, 7.5 x 6.6 inches.
 
     In hindsight, or as they could be believed at the time: see ``over_time`` of the posterior.
-    Both agents' goals share their colours.
+    Both agents' goals share their colours. Bands are 1.96 errors wide on either side, where errors
+    are known.
 
     Raises:
         InvalidEventError, InvalidSettingError: there is no such posterior over time.
@@ -86,7 +87,7 @@ def over_time(
     panels = figure.subplots(3, 1, sharex=True, height_ratios=(5, 5, 4))
     for axes, (name, title) in zip(panels, PANELS.items(), strict=True):
         dressed(axes, title, x="time [s]" if axes is panels[-1] else "")
-        _panel(axes, found[name], shown[name], colours)
+        _panel(axes, found[name], found.get(f"{name}_error"), shown[name], colours)
     return written(figure, path)
 
 
@@ -98,13 +99,23 @@ def _leading(marginal: xr.DataArray) -> list[str]:
     return [str(labels[i]) for i in order if peak[i] >= _SEEN]
 
 
-def _panel(axes: Axes, marginal: xr.DataArray, labels: list[str], colours: dict[str, str]) -> None:
+def _panel(
+    axes: Axes,
+    marginal: xr.DataArray,
+    errors: xr.DataArray | None,
+    labels: list[str],
+    colours: dict[str, str],
+) -> None:
     dim = f"{marginal.name}_is"
     time = marginal["time"].values
     ends = []
     for label in labels:
         values = marginal.sel({dim: label}).values
         axes.plot(time, values, color=colours[label], lw=1.8, solid_capstyle="round", zorder=3)
+        if errors is not None:
+            within = 1.96 * errors.sel({dim: label}).values
+            low, high = np.clip([values - within, values + within], 0, 1)
+            axes.fill_between(time, low, high, color=colours[label], alpha=0.18, lw=0, zorder=2)
         ends.append((float(values[-1]), label, colours[label]))
     rest = np.clip(1 - marginal.sel({dim: labels}).sum(dim).values, 0, 1)
     if rest.max() >= _SEEN / 2:

@@ -54,10 +54,12 @@ class Simple:
             counted = _COUNTED
             if self.weights is not None:
                 post = Posterior(post.tree, self.weights)
+        marginals = {question: post.marginal(question) for question in QUESTIONS}
         prediction = Prediction(
             "",
-            probabilities={question: post.marginal(question).values for question in QUESTIONS},
+            probabilities={question: found.values for question, found in marginals.items()},
             cost={name: post.cost[name] for name in counted},
+            errors={question: found["error"].values for question, found in marginals.items()},
         )
         return Answer(prediction, {POSTERIOR: post.save})
 
@@ -113,6 +115,7 @@ def simple(
     noise: str = "fresh",
     program: Model | None = None,
     weights: str | None = None,
+    preset: str = "default",
     **options: Any,
 ) -> Simple:
     """SIMPLE: inference over goals, relation and strengths by simulation.
@@ -121,6 +124,7 @@ def simple(
         prior, planner, simulator, noise: of the :class:`phase_ppl.Model`.
         program: a model instead of these.
         weights: of the draws; by default the run's.
+        preset: of :func:`phase_ppl.preset`; what else is given goes before it.
         **options: for :func:`phase_ppl.infer`: ``kernel`` and its options, ``chains``,
             ``iterations`` or ``budget``, ``on_failure``, ``settings``; or fields of the settings
             by name, such as ``proposal="paper"``.
@@ -129,9 +133,20 @@ def simple(
         InvalidSettingError, UnknownNameError: one of them cannot be used.
     """
     from phase_ppl.analysis.weights import WEIGHTINGS
+    from phase_ppl.inference.presets import preset as arguments
     from phase_ppl.inference.registry import described
     from phase_ppl.models.model import Model
 
+    usual = arguments(preset)
+    planner = usual.pop("planner", None) if planner is None else planner
+    weights = usual.pop("weights", None) if weights is None else weights
+    if "kernel" in options:  # the preset's options are of its own
+        usual = {name: value for name, value in usual.items() if name in ("settings", "chains")}
+    if not {"budget", "iterations"}.isdisjoint(options):
+        usual.pop("iterations", None)
+    if not {*_names_of_settings(), "settings"}.isdisjoint(options):
+        usual.pop("settings", None)
+    options = {**usual, **options}
     for name in options:
         if name in _NOT_OPTIONS:
             raise InvalidSettingError(f"{name} is no option of model 'simple'")

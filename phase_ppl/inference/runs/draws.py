@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from phase_ppl.analysis.tree import SCHEMA, SIMULATED
-from phase_ppl.analysis.weights import has_proposals
+from phase_ppl.analysis.weights import WEIGHTINGS, has_proposals
 from phase_ppl.inference.registry import KernelInfo
 from phase_ppl.models.bridge import Record, request_key
 from phase_ppl.models.effective import log_prior_of_effective, prior_of_pairs
@@ -156,15 +156,34 @@ def build_tree(
         ),
     }
     tree = xr.DataTree.from_dict(groups)
+    if kernel.weights is not None:
+        tree["sample_stats"]["log_weight"].values[:] = _log_weight_of_draws(tree, kernel, index)
     short = n_draws < LONG and not kernel.weighted and has_proposals(tree)
     tree.attrs = {
         "event_id": event.id,
-        "weights": "importance" if short else "count",
-        "burn_in": 0 if kernel.weighted else burn_in(n_draws),
+        "weights": kernel.weights or ("importance" if short else "count"),
+        "burn_in": 0 if kernel.weighted or kernel.weights else burn_in(n_draws),
         "schema": SCHEMA,
+        **({"only_weights": kernel.weights} if kernel.weights else {}),
         **attrs,
     }
     return tree
+
+
+def _log_weight_of_draws(
+    tree: xr.DataTree, kernel: KernelInfo, index: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Return (chain, draw) the log weight of the simulation ``index`` that a draw rests on.
+
+    Of draws that rest on the same one the first has it all.
+    """
+    rows = WEIGHTINGS[str(kernel.weights)](tree)
+    weight = np.zeros(tree["simulations"].sizes["simulation"])
+    weight[rows.index["simulation"]] = rows.weights
+    first = np.zeros(index.size, bool)
+    first[np.unique(index, return_index=True)[1]] = True
+    with np.errstate(divide="ignore"):
+        return np.log(weight[index] * first.reshape(index.shape))
 
 
 def numbers_of(records: Sequence[Record]) -> Columns:

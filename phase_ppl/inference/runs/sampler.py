@@ -25,6 +25,7 @@ import numpy as np
 from jax import random
 
 from phase_ppl.analysis.posterior import Posterior
+from phase_ppl.analysis.weights import WEIGHTINGS
 from phase_ppl.inference.progress import Progress
 from phase_ppl.inference.proposals.strength import estimator_name
 from phase_ppl.inference.runs import length
@@ -40,7 +41,12 @@ from phase_ppl.models.likelihood import gives_table
 from phase_ppl.simulator.contract import Cancelled, OutOfTime, SimulationResult, Statistics
 from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.checks import check_memory, whole_number
-from phase_ppl.world.errors import InvalidSettingError, OutputError, SimulationError
+from phase_ppl.world.errors import (
+    InvalidSettingError,
+    OutputError,
+    SimulationError,
+    unknown_name,
+)
 from phase_ppl.world.identity import versions
 
 POLL_SECONDS: Final = 0.1
@@ -89,11 +95,13 @@ class RunOptions:
         progress: whether to show a bar.
         checkpoint: file; None: none is written.
         burn_in: draws at the beginning of each chain that do not count; None: by default.
+        weights: name of the weighting of the posterior; None: by kernel and length.
         versions: of which the run was made so far, the present ones last.
         began: when the call began, by :func:`phase_ppl.inference.runs.length.clock`.
 
     Raises:
         InvalidSettingError: ``burn_in`` leaves no iteration.
+        UnknownNameError: there is no such weighting.
     """
 
     iterations: int | None = None
@@ -106,10 +114,13 @@ class RunOptions:
     progress: bool | None = None
     checkpoint: str | os.PathLike[str] | None = None
     burn_in: int | None = None
+    weights: str | None = None
     versions: Sequence[Mapping[str, Any]] = dataclasses.field(default_factory=lambda: [versions()])
     began: float = dataclasses.field(default_factory=lambda: length.clock())
 
     def __post_init__(self) -> None:
+        if self.weights is not None and self.weights not in WEIGHTINGS:
+            raise unknown_name("weights", self.weights, WEIGHTINGS)
         if self.burn_in is None:
             return
         whole_number("burn_in", self.burn_in, minimum=0)
@@ -433,6 +444,8 @@ class Sampler:
             # of an interrupted run at least the last draw counts
             most = tree["posterior"].sizes["draw"] - 1
             tree.attrs["burn_in"] = min(self._options.burn_in, most)
+        if self._options.weights is not None:
+            tree.attrs["weights"] = self._options.weights
         return Posterior(tree)
 
     def _settings(self) -> dict[str, Any]:

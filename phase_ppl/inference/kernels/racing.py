@@ -1,0 +1,255 @@
+r"""Racing: simulations go where the posterior is decided.
+
+Simulators of agents that search are noisy: two simulations of one hypothesis may differ by nats
+in their log likelihood, so that a posterior over pairs of effective goals (g_i, g_j) stands and
+falls with how well the mean likelihoods of the few pairs that lead, or could lead, are known.
+Each iteration gives its simulations, one a particle, to
+
+1. *new pairs*, a fifth of the particles: those never simulated that promise most, by
+   Q(pair) / P(pair)^(1/2). Q is the bottom-up proposal of the whole observation; half of the
+   prior is taken out of it again, so that what is rare but fits, such as rivals, is tried as well.
+   The first iteration simulates new pairs only: as many different ones as there are particles.
+2. *second chances*, two fifths: pairs that were tried before, in proportion to the root of what
+   they promise, however they fared. One simulation says little: agents may get stuck in it.
+3. *leaders*, two fifths: each particle draws, for every pair that was tried, what its
+   P(pair) mean L might be, log-normal about the estimate with a standard deviation of
+   sigma / sqrt(n) nats after n simulations, and takes the highest (Thompson 1933, Biometrika
+   25:285; for finding the best of several, Russo 2020, Operations Research 68:1625).
+
+Everything else about a hypothesis, such as strengths, is drawn from Q given its pair. What is so
+unlikely that it can neither lead nor count is not simulated to its end.
+
+Whatever was chosen, the simulations of a pair are independent draws of its likelihood, and the
+prior says what each pair weighs: the weights "stratified" make the posterior of them, which is
+consistent as simulations grow. The draws themselves, counted, are not the posterior.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import random
+from jax.scipy.special import logsumexp
+from numpyro.util import is_prng_key
+
+from phase_ppl.inference.kernels.particle import EventKernel, as_batch_of_one, chosen
+from phase_ppl.inference.registry import register_kernel
+from phase_ppl.inference.settings import SimpleSettings
+from phase_ppl.models.density import NO_DENSITY, Program, Sites, log_density
+from phase_ppl.models.effective import prior_of_pairs
+from phase_ppl.models.program import EventProgram
+from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, effective_table
+from phase_ppl.world.checks import positive_number
+from phase_ppl.world.goals import N_GOALS
+
+POOL: Final = 4096
+"""Draws from the proposal in every iteration, of which those that are simulated are taken."""
+
+NEW: Final = 1 / 5
+AGAIN: Final = 2 / 5
+"""Shares of the particles that try a new pair, and that give one a second chance."""
+
+PRIOR_POWER: Final = 0.5
+"""Of the prior, taken out of the proposal for the order in which pairs are tried first."""
+
+NEGLIGIBLE: Final = 12.0
+"""Nats below the leading pair from which on a simulation makes no difference."""
+
+
+class RacingState(NamedTuple):
+    """State of a particle; all particles race together.
+
+    Attributes:
+        z: the hypothesis simulated last with any further sites; an earlier one where the last
+            was not simulated to its end.
+        accepted: whether it was.
+        n_of_pair: (pair,) this particle's simulations of each pair of effective goals.
+        log_sum_of_pair: (pair,) log of their summed likelihoods, less that of no error.
+    """
+
+    i: jax.Array
+    z: dict[str, jax.Array]
+    sim_seed: jax.Array
+    accepted: jax.Array
+    n_accepted: jax.Array
+    n_of_pair: jax.Array
+    log_sum_of_pair: jax.Array
+    rng_key: jax.Array
+
+
+@register_kernel(
+    "racing",
+    validity="consistent",
+    needs=("guide", "settings"),
+    keeps="start",
+    weights="stratified",
+)
+class Racing(EventKernel[RacingState]):
+    """Simulations go to the pairs of goals that lead, or could lead; the module says how.
+
+    Args:
+        sigma: standard deviation of the log likelihood over simulator seeds that is reckoned
+            with, nats: the larger, the longer are pairs tried again that seem to have lost.
+
+    Raises:
+        InvalidSettingError: ``sigma`` is no positive number.
+    """
+
+    def __init__(
+        self,
+        program: EventProgram | None = None,
+        guide: Program | None = None,
+        settings: SimpleSettings | None = None,
+        *,
+        sigma: float = 8.0,
+    ) -> None:
+        super().__init__(program, guide, settings)
+        self._sigma = positive_number("sigma", sigma)
+
+    def init(
+        self,
+        rng_key: jax.Array,
+        num_warmup: int,
+        init_params: dict[str, jax.Array] | None = None,
+        model_args: tuple[Any, ...] = (),
+        model_kwargs: dict[str, Any] | None = None,
+    ) -> RacingState:
+        """Return the state after the first simulations.
+
+        Args:
+            rng_key: a key, or a batch of keys.
+            num_warmup: ignored: nothing is tuned.
+            init_params: hypotheses to simulate first; None: as many different pairs of goals as
+                there are particles.
+            model_args, model_kwargs: ignored: the program knows its event.
+        """
+        start = jax.jit(self._start)
+        if is_prng_key(rng_key):
+            return as_batch_of_one(lambda given: start(*given), (rng_key, init_params))
+        return start(rng_key, init_params)
+
+    def _sample_fn(self, state: RacingState) -> RacingState:
+        step = self._step
+        return as_batch_of_one(step, state) if is_prng_key(state.rng_key) else step(state)
+
+    def _start(self, keys: jax.Array, given: dict[str, jax.Array] | None) -> RacingState:
+        n = keys.shape[0]
+        zeros = jnp.zeros(n, jnp.int32)
+        nothing = jnp.full((n, N_GOALS**2), -jnp.inf, jnp.float32)
+        n_of_pair = jnp.zeros(nothing.shape, jnp.int32)
+        pool = jax.vmap(self.model.draw_prior)(keys)  # for the types of its sites
+        state = RacingState(zeros - 1, pool, zeros, zeros > 0, zeros, n_of_pair, nothing, keys)
+        return self._step(state, given)
+
+    def _step(self, state: RacingState, given: dict[str, jax.Array] | None = None) -> RacingState:
+        """Choose a pair of goals for each particle, draw the rest, and simulate."""
+        program = self.model
+        keys = jax.vmap(lambda key: random.split(key, 3))(state.rng_key)
+        log_prior_of_pair = self._log_prior_of_pairs()
+        tried = state.n_of_pair.sum(axis=0)
+        log_mean = logsumexp(state.log_sum_of_pair, axis=0) - jnp.log(jnp.maximum(tried, 1))
+        log_mass = jnp.where(tried > 0, log_prior_of_pair + log_mean, -jnp.inf)
+        sites = given
+        if sites is None:
+            sites = self._chosen(keys[:, 0], state.i[0], tried, log_mass, log_prior_of_pair)
+        pair = _pair_of(sites)
+        log_prior = jax.vmap(program.log_prior)(sites)
+        log_proposal = jax.vmap(lambda one: log_density(self.guide, one, self.n_windows))(sites)
+        seed = jax.vmap(program.simulator_seed)(keys[:, 1], sites)
+        log_floor = log_mass.max() - NEGLIGIBLE - log_prior_of_pair[pair]
+        errors = jax.vmap(program.simulate)(
+            sites, log_prior, seed, self._error_ceiling(log_floor), log_proposal
+        )
+        completed = jnp.isfinite(errors).all(axis=-1)
+        found = jax.vmap(program.relative_log_likelihood)(errors)
+        # what was stopped has reached the floor at best
+        found = jnp.where(completed, found, log_floor)
+        place = jnp.arange(len(pair)), pair
+        sums = state.log_sum_of_pair
+        z, sim_seed = jax.vmap(chosen)(completed, (sites, seed), (state.z, state.sim_seed))
+        return RacingState(
+            state.i + 1,
+            z,
+            sim_seed,
+            completed,
+            state.n_accepted + completed,
+            state.n_of_pair.at[place].add(1),
+            sums.at[place].set(jnp.logaddexp(sums[place], found)),
+            keys[:, 2],
+        )
+
+    def _chosen(
+        self,
+        keys: jax.Array,
+        i: jax.Array,
+        tried: jax.Array,
+        log_mass: jax.Array,
+        log_prior_of_pair: jax.Array,
+    ) -> dict[str, jax.Array]:
+        """Return what to simulate.
+
+        Args:
+            keys: (particle,).
+            i: iterations so far; -1 for the first simulations, of new pairs only.
+            tried: (pair,) simulations so far.
+            log_mass: (pair,) log P(pair) mean L, -inf for what was not tried.
+            log_prior_of_pair: (pair,).
+        """
+        n = len(keys)
+        key_pool, key_member = random.split(keys[0])
+        pool = jax.vmap(lambda key: self.draw_guide(key, self.n_windows))(
+            random.split(key_pool, POOL)
+        )
+        possible = jax.vmap(self.model.log_prior)(pool) > NO_DENSITY
+        of_draw = _pair_of(pool)
+        drawn = jnp.zeros(N_GOALS**2).at[of_draw].add(possible)
+        promise = jnp.log(drawn) - PRIOR_POWER * log_prior_of_pair
+        untried = jnp.where((tried == 0) & (drawn > 0), promise, -jnp.inf)
+        best_new = jnp.argsort(-untried)[:n]
+
+        chance = jax.vmap(lambda key: random.normal(key, log_mass.shape))(keys)
+        # the best of particles' chances is the draw of a pair in proportion to its weight
+        gumbel = jax.vmap(lambda key: random.gumbel(key, log_mass.shape))(keys)
+        again = jnp.where((tried > 0) & (drawn > 0), promise / 2, -jnp.inf)
+        second = jnp.argmax(again + gumbel, axis=1)
+        could = log_mass + chance * self._sigma / jnp.sqrt(jnp.maximum(tried, 1))
+        leader = jnp.argmax(jnp.where(drawn > 0, could, -jnp.inf), axis=1)
+
+        place = jnp.arange(n)
+        n_new = jnp.where(i < 0, n, _by(NEW, i + 1, n) - _by(NEW, i, n))
+        n_again = _by(AGAIN, i + 1, n) - _by(AGAIN, i, n)
+        is_new = (place < n_new) & jnp.isfinite(untried[best_new])
+        pair = jnp.where(place < n_new + n_again, second, leader)
+        pair = jnp.where(is_new, best_new, pair)
+        # any of the pool's draws of the pair; should it have none, any draw
+        order = random.gumbel(key_member, (n, POOL)) + jnp.where(of_draw == pair[:, None], 0, -1e6)
+        member = jnp.argmax(jnp.where(possible, order, -jnp.inf), axis=1)
+        return {name: values[member] for name, values in pool.items()}
+
+    def _log_prior_of_pairs(self) -> jax.Array:
+        """Return (pair,) log P(pair), -inf for what is impossible."""
+        with jax.ensure_compile_time_eval():
+            mass = prior_of_pairs(self.model.model.prior)
+        with np.errstate(divide="ignore"):
+            return jnp.asarray(np.log(mass.ravel()), jnp.float32)
+
+    def _error_ceiling(self, log_floor: jax.Array) -> jax.Array:
+        """Return (particle,) the summed error at which L falls to the floor, units."""
+        n_frames = self.model.n_frames
+        without_error = self.model.log_likelihood(jnp.zeros(n_frames)).sum()
+        floor = jnp.where(jnp.isfinite(log_floor), log_floor + without_error, -jnp.inf)
+        return self.model.likelihood.max_total_error(floor, n_frames)
+
+
+def _by(share: float, i: jax.Array, n: int) -> jax.Array:
+    """Return how many of n particles' simulations were for a purpose after i iterations."""
+    return jnp.floor(i * n * share + 1e-3).astype(jnp.int32)
+
+
+def _pair_of(sites: Sites) -> jax.Array:
+    """Return (...) the pair of effective goals, 36 x that of red + that of green."""
+    pairs = jnp.asarray(effective_table() @ [N_GOALS, 1], jnp.int32)
+    return pairs[tuple(sites[name] for name in (*GOAL_SITES, ALPHA_SITE))]
