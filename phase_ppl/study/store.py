@@ -56,7 +56,8 @@ CREATE TABLE session(
   event TEXT NOT NULL, goal_red TEXT NOT NULL, goal_green TEXT NOT NULL,
   strength_red REAL NOT NULL, strength_green REAL NOT NULL,
   settings TEXT NOT NULL,          -- JSON: rate, view, rule and what else the session was made under
-  started REAL NOT NULL, ended REAL, outcome TEXT, slip_ms REAL);
+  started REAL NOT NULL, ended REAL, outcome TEXT, slip_ms REAL,
+  sha256 TEXT);                    -- of the trajectory, which the steps give again
 CREATE TABLE player(
   session TEXT NOT NULL REFERENCES session(id), agent INTEGER NOT NULL,
   participant TEXT REFERENCES participant(id),  -- none: the computer
@@ -501,7 +502,7 @@ class Store:
         """
         session = secrets.token_hex(8)
         with self._writing() as run:
-            run("INSERT INTO session VALUES(?,?,?,?,?,?,?,?,?,NULL,NULL,NULL)",
+            run("INSERT INTO session VALUES(?,?,?,?,?,?,?,?,?,NULL,NULL,NULL,NULL)",
                 (session, kind, event, *goals, *strengths, json.dumps(settings), time.time()))  # fmt: skip
             for agent, who in enumerate(players):
                 run("INSERT INTO player VALUES(?,?,?,NULL)", (session, agent, who))
@@ -521,11 +522,21 @@ class Store:
         *,
         slip_ms: float = 0.0,
         rtt_ms: Sequence[float | None] = (),
+        sha256: str | None = None,
     ) -> None:
-        """End a session: "goals", "time", or why it was broken off; with the players' round trips."""
+        """End a session: "goals", "time", or why it was broken off.
+
+        Args:
+            session: its id.
+            outcome: how it ended.
+            slip_ms: most by which a frame was late.
+            rtt_ms: per agent the median round trip to its player.
+            sha256: of the trajectory.
+        """
         with self._writing() as run:
-            run("UPDATE session SET ended=?, outcome=?, slip_ms=? WHERE id=? AND outcome IS NULL",
-                (time.time(), outcome, slip_ms, session))  # fmt: skip
+            run("UPDATE session SET ended=?, outcome=?, slip_ms=?, sha256=? "
+                "WHERE id=? AND outcome IS NULL",
+                (time.time(), outcome, slip_ms, sha256, session))  # fmt: skip
             for agent, rtt in enumerate(rtt_ms):
                 run("UPDATE player SET rtt_ms=? WHERE session=? AND agent=?", (rtt, session, agent))
 

@@ -7,7 +7,7 @@ import json
 import sqlite3
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, Final, ParamSpec, TypeVar
@@ -58,6 +58,8 @@ class Site:
         self.folder, self.settings, self.events, self.secure = folder, settings, events, secure
         self._thread = ThreadPoolExecutor(1, "store")
         self._buckets: dict[str, tuple[float, float]] = {}
+        self.opening: list[Callable[[], Awaitable[None]]] = []
+        self.closing: list[Callable[[], Awaitable[None]]] = []
         self.store: Store
         self.cookie = ""
 
@@ -71,9 +73,13 @@ class Site:
             self.cookie = f"study_{self.store.fact('id')}"
 
         await asyncio.get_running_loop().run_in_executor(self._thread, begin)
+        for what in self.opening:
+            await what()
 
     async def close(self) -> None:
         """Write what is to be written, and close the store."""
+        for what in self.closing:
+            await what()
         await asyncio.get_running_loop().run_in_executor(self._thread, lambda: self.store.close())
         self._thread.shutdown()
 
