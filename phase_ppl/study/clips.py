@@ -65,7 +65,8 @@ CLIPS: Final[Mapping[str, Clip]] = {
     ),
     "carrying": Clip(
         [(11.0, 12.0, _SIDEWAYS), (22.0, 18.0, np.pi), (15.0, 12.0, 0.0), _FAR[1]],
-        [(_GO, 3), (_WAIT, 2), (Action.ATTACH, 1), (_GO, 7), (_STOP, 2), (Action.DETACH, 1), (_BACK, 6), (_WAIT, 3)],
+        [(_GO, 3), (_WAIT, 2), (Action.ATTACH, 1), (_GO, 7), (_STOP, 2), (Action.DETACH, 1),
+         (_BACK, 6), (_WAIT, 3)],
         [(_WAIT, 25)],
     ),
     "weight": Clip(

@@ -26,7 +26,7 @@ Page = dict[str, Any]
 
 
 def outcome(settings: Settings, who: Participant) -> str | None:
-    """Return how a study has ended for a participant: "finished", "declined", "quiz_failed" or not."""
+    """Return how it ended for somebody: "finished", "declined", "quiz_failed"; None: not yet."""
     if any(answer.page == "consent" and not answer.correct for answer in who.answers):
         return "declined"
     quiz = [answer.correct for answer in who.answers if answer.page == "quiz"]
@@ -55,7 +55,7 @@ def is_prepared(settings: Settings, who: Participant) -> bool:
 
 
 def next_pages(settings: Settings, who: Participant) -> list[tuple[str, int]]:
-    """Return the pages, with their attempts, that follow and need no answer of the server between."""
+    """Return the pages that follow, with attempts, up to where the server must answer."""
     answered = {answer.page for answer in who.answers}
     if "consent" not in answered:
         return [("consent", 1)]
@@ -77,11 +77,20 @@ def described(settings: Settings, who: Participant, page: str, attempt: int) -> 
     texts = settings.texts
     kind, _, number = page.partition("-")
     if kind == "consent":
-        found |= {"heading": settings.title, "html": html(texts["consent"]), "button": "",
-                  "choices": [[True, "I agree and take part"], [False, "I do not agree"]]}  # fmt: skip
+        found |= {
+            "heading": settings.title,
+            "html": html(texts["consent"]),
+            "button": "",
+            "choices": [[True, "I agree and take part"], [False, "I do not agree"]],
+        }
     elif kind == "device":
-        found |= {"heading": "Your screen", "html": html(texts["device"]), "video": "/clip/moving.mp4",
-                  "min_width": settings.min_width, "refused": html(texts["device_refused"])}  # fmt: skip
+        found |= {
+            "heading": "Your screen",
+            "html": html(texts["device"]),
+            "video": "/clip/moving.mp4",
+            "min_width": settings.min_width,
+            "refused": html(texts["device_refused"]),
+        }
     elif kind == "tutorial":
         steps = [
             {"html": html(text), "video": f"/clip/{clip}.mp4" if clip else None}
@@ -106,9 +115,9 @@ def described(settings: Settings, who: Participant, page: str, attempt: int) -> 
             "questions": _trial(settings, who.id),
             "wide": True,
         }
-    else:  # of play; shown by static/play.js (a jsPsych plugin jsPsychPlay), which confirms it to the server
-        found |= {"heading": f"Session {number}" if number else "Practice", "html": html(texts["trial"]),
-                  "by_server": True}  # fmt: skip
+    else:  # of play; static/play.js shows it, and the server ends it
+        heading = f"Session {number}" if number else "Practice"
+        found |= {"heading": heading, "html": html(texts["trial"]), "by_server": True}
     return found
 
 
@@ -151,8 +160,8 @@ def _trial(settings: Settings, who: str) -> list[Page]:
             }
         ]
     found = [
-        {"name": f"goal_{agent.split()[0]}", "kind": "goals", "legend": f"What does the {agent} want?",
-         "agent": agent, "self_goals": settings.self_goals}
+        {"name": f"goal_{agent.split()[0]}", "kind": "goals", "agent": agent,
+         "legend": f"What does the {agent} want?", "self_goals": settings.self_goals}
         for agent in AGENTS
     ]  # fmt: skip
     found.append(_one("relation", "How do they stand to each other?", RELATIONS))

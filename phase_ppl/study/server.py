@@ -216,7 +216,7 @@ class Pages:
         return JSONResponse({"saved": True, "new": new, "next": self._next(who)})
 
     async def _expired(self, who: Participant) -> Participant:
-        """Return a participant; what comes too late is kept, but does not take the study up again."""
+        """Return a participant; what comes too late is kept, but the study does not go on."""
         late = time.time() - who.seen > 60 * self.site.settings.resume_within
         return await self._now(who) if late else who
 

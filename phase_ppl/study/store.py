@@ -1,7 +1,7 @@
 """What a study knows: a SQLite database that one server process writes.
 
-Every answer is on the disk (``synchronous=FULL``) before it is confirmed. Uploads are idempotent: the
-first answer to a page and attempt counts, and a repeated one changes nothing.
+Every answer is on the disk (``synchronous=FULL``) before it is confirmed. Uploads are idempotent:
+the first answer to a page and attempt counts, and a repeated one changes nothing.
 """
 
 from __future__ import annotations
@@ -43,19 +43,20 @@ CREATE TABLE assignment(
   PRIMARY KEY(participant, position)) WITHOUT ROWID;
 CREATE INDEX assigned_stimulus ON assignment(stimulus);
 CREATE TABLE response(
-  participant TEXT NOT NULL REFERENCES participant(id), page TEXT NOT NULL, attempt INTEGER NOT NULL,
-  answers TEXT NOT NULL, correct INTEGER, rt_ms REAL, shown_ms REAL, plays INTEGER, first_end_ms REAL,
+  participant TEXT NOT NULL REFERENCES participant(id), page TEXT NOT NULL,
+  attempt INTEGER NOT NULL, answers TEXT NOT NULL, correct INTEGER,
+  rt_ms REAL, shown_ms REAL, plays INTEGER, first_end_ms REAL,
   received REAL NOT NULL, PRIMARY KEY(participant, page, attempt)) WITHOUT ROWID;
 CREATE TABLE note(
   participant TEXT NOT NULL REFERENCES participant(id), at REAL NOT NULL, what TEXT NOT NULL,
   page TEXT, detail REAL);
-CREATE TABLE person(participant TEXT PRIMARY KEY REFERENCES participant(id), age INTEGER, gender TEXT)
-  WITHOUT ROWID;
+CREATE TABLE person(
+  participant TEXT PRIMARY KEY REFERENCES participant(id), age INTEGER, gender TEXT) WITHOUT ROWID;
 CREATE TABLE session(
   id TEXT PRIMARY KEY, kind TEXT NOT NULL,  -- "session", or "practice"
   event TEXT NOT NULL, goal_red TEXT NOT NULL, goal_green TEXT NOT NULL,
   strength_red REAL NOT NULL, strength_green REAL NOT NULL,
-  settings TEXT NOT NULL,          -- JSON: rate, view, rule and what else the session was made under
+  settings TEXT NOT NULL,          -- JSON: rate, view, rule and what else it was made under
   started REAL NOT NULL, ended REAL, outcome TEXT, slip_ms REAL,
   sha256 TEXT);                    -- of the trajectory, which the steps give again
 CREATE TABLE player(
@@ -271,7 +272,8 @@ class Store:
             load = self._viewings(since, checks)
             wanted = sum(max(0, raters - n) for n in load.values())
         coming = self._db.execute(
-            "SELECT count(*) FROM participant WHERE outcome IS NULL AND assigned IS NULL AND created>?",
+            """SELECT count(*) FROM participant
+            WHERE outcome IS NULL AND assigned IS NULL AND created>?""",
             (since,),
         ).fetchone()[0]
         return wanted / trials - float(coming)
@@ -450,8 +452,10 @@ class Store:
             UnknownNameError: there is no such participant.
         """
         self.participant(who)
-        played = [row[0] for row in
-                  self._db.execute("SELECT session FROM player WHERE participant=?", (who,))]  # fmt: skip
+        played = [
+            row[0]
+            for row in self._db.execute("SELECT session FROM player WHERE participant=?", (who,))
+        ]
         with self._writing() as run:
             for table, column in (("step", "session"), ("player", "session"), ("session", "id")):
                 for session in played:
@@ -479,8 +483,8 @@ class Store:
     def _played(self, since: float) -> dict[str, int]:
         marks = ",".join("?" * len(COMPLETE))
         found = self._db.execute(
-            f"""SELECT s.event, count(g.id) FROM stimulus s LEFT JOIN session g ON g.event=s.event AND
-            g.kind='session' AND (g.outcome IN ({marks}) OR g.outcome IS NULL AND g.started>?)
+            f"""SELECT s.event, count(g.id) FROM stimulus s LEFT JOIN session g ON g.event=s.event
+            AND g.kind='session' AND (g.outcome IN ({marks}) OR g.outcome IS NULL AND g.started>?)
             GROUP BY s.event""",
             (*COMPLETE, since),
         )
@@ -502,8 +506,10 @@ class Store:
         """
         session = secrets.token_hex(8)
         with self._writing() as run:
-            run("INSERT INTO session VALUES(?,?,?,?,?,?,?,?,?,NULL,NULL,NULL,NULL)",
-                (session, kind, event, *goals, *strengths, json.dumps(settings), time.time()))  # fmt: skip
+            run(
+                "INSERT INTO session VALUES(?,?,?,?,?,?,?,?,?,NULL,NULL,NULL,NULL)",
+                (session, kind, event, *goals, *strengths, json.dumps(settings), time.time()),
+            )
             for agent, who in enumerate(players):
                 run("INSERT INTO player VALUES(?,?,?,NULL)", (session, agent, who))
         return session

@@ -10,6 +10,7 @@ import os
 import secrets
 import socket
 import sys
+import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -20,18 +21,21 @@ from phase_ppl.dataset.generated import GeneratedEvents
 from phase_ppl.dataset.load import load_events, save_events
 from phase_ppl.evaluation.judgments import all_events
 from phase_ppl.evaluation.registry import check_installed
+from phase_ppl.study import exports
 from phase_ppl.study import settings as settings_module
 from phase_ppl.study import store as store_module
 from phase_ppl.study.clips import CLIPS, make_clips
+from phase_ppl.study.exports import Status
 from phase_ppl.study.settings import KINDS, Settings, template
 from phase_ppl.study.store import Stimulus, Store
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, OutputError, unknown_name
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import as_path, locked, write_bytes, writable_folder
+from phase_ppl.world.files import as_path, locked, writable_folder, write_bytes
 
 EVENTS: Final = "events.json"
 VIDEOS: Final = "videos"
+CLIPS_FOLDER: Final = "clips"
 _LOOPBACK: Final = ("127.0.0.1", "localhost", "::1")
 _NEEDS: Final = ("starlette", "uvicorn", "websockets", "markdown_it")
 _PLACEHOLDER: Final = "[who is responsible"
@@ -113,7 +117,7 @@ class Study:
             raise OutputError(f"{target} is not empty: a study gets a folder of its own")
         with locked(target):
             target.chmod(0o700)
-            make_clips(target / "clips")
+            make_clips(target / CLIPS_FOLDER)
             if kind != "play":
                 names = [secrets.token_hex(12) for _ in shown]
                 hidden = [dataclasses.replace(e, id=n) for e, n in zip(shown, names, strict=True)]
@@ -144,6 +148,11 @@ class Study:
         """Id -> event, of the videos or scenes."""
         return {event.id: event for event in load_events(self.folder / EVENTS)}
 
+    def events_by_digest(self) -> dict[str, str]:
+        """Return hash of a film -> id of its event."""
+        with self.store() as store:
+            return {s.sha256: s.event for s in store.stimuli().values() if s.sha256}
+
     # --- serving ----------------------------------------------------------------------------------
 
     def check(self) -> list[str]:
@@ -159,8 +168,9 @@ class Study:
                     why = "has changed" if film.is_file() else "is missing"
                     raise InvalidEventError(f"{film}, of event {stimulus.event!r}, {why}")
         for name in CLIPS:
-            if not (self.folder / "clips" / f"{name}.mp4").is_file():
-                raise InvalidEventError(f"{self.folder / 'clips' / name}.mp4 is missing")
+            clip = self.folder / CLIPS_FOLDER / f"{name}.mp4"
+            if not clip.is_file():
+                raise InvalidEventError(f"{clip} is missing")
         warnings = []
         if _PLACEHOLDER in self.settings.texts["consent"]:
             warnings.append("the text of consent in study.toml does not yet say who is responsible")
@@ -197,6 +207,7 @@ class Study:
         url: str = "",
         *,
         ready: Callable[[str], object] = print,
+        keep: Callable[[Any], object] = lambda server: None,
     ) -> None:
         """Serve the study until it is interrupted.
 
@@ -205,6 +216,7 @@ class Study:
             host: address at which to listen. Others than this machine's need TLS before them.
             url: by which people reach it, as in "https://study.example.org".
             ready: is told the address once people can come.
+            keep: is given uvicorn's server before it runs, whose ``should_exit`` ends it.
 
         Raises:
             InvalidEventError: a film is missing or was changed.
@@ -226,10 +238,17 @@ class Study:
             print(f"phase-ppl: note: {warning}", file=sys.stderr)
         with locked(self.folder), _listening(host, port) as listener:
             config = uvicorn.Config(
-                app, access_log=False, log_level="warning", server_header=False, proxy_headers=False,
-                ws_max_size=MOST_MESSAGE, ws_ping_interval=2, ws_ping_timeout=5, lifespan="on",
+                app,
+                access_log=False,
+                log_level="warning",
+                server_header=False,
+                proxy_headers=False,
+                ws_max_size=MOST_MESSAGE,
+                ws_ping_interval=2,
+                ws_ping_timeout=5,
+                lifespan="on",
                 timeout_graceful_shutdown=5,
-            )  # fmt: skip
+            )
             shown = f"[{host}]" if ":" in host else host
             address = url or f"http://{shown}:{listener.getsockname()[1]}/"
 
@@ -240,11 +259,49 @@ class Study:
                         ready(address)
 
             server = Server(config)
+            keep(server)
             server.run(sockets=[listener])
             if not server.started:
                 raise OutputError("the server did not start")
 
     # --- what came of it --------------------------------------------------------------------------
+
+    def status(self) -> Status:
+        """Return how many people came, how far they got, and how often each video was judged."""
+        with self.store() as store:
+            return exports.status(store, self.settings)
+
+    def export(
+        self, out: PathLike, *, include: Sequence[str] = ("flagged",), demographics: bool = False
+    ) -> Path:
+        """Write what people said, as of now, into a folder; the study may go on.
+
+        Args:
+            out: folder; what an export wrote there before is replaced.
+            include: who is exported beside those who finished: "unfinished", "excluded" and
+                "flagged" (by attention checks) people.
+            demographics: write age and gender of each participant, instead of totals only.
+
+        Returns:
+            The folder.
+
+        Raises:
+            UnknownNameError: ``include`` names others.
+            OutputError: the folder cannot be written, or holds other files.
+        """
+        for name in include:
+            if name not in exports.INCLUDE:
+                raise unknown_name("people to include", name, exports.INCLUDE)
+        target = writable_folder(out)
+        exports.check_folder(target)
+        with locked(target), tempfile.TemporaryDirectory(dir=self.folder) as folder:
+            with self.store() as live:
+                store = live.snapshot(Path(folder) / store_module.FILE)
+            try:
+                exports.write(store, self.settings, self.events, target, include, demographics)
+            finally:
+                store.close()
+        return target
 
     def withdraw(self, participant: str) -> None:
         """Delete all that somebody gave (UnknownNameError: there is no such participant)."""
@@ -319,5 +376,5 @@ def _check_truth(event: Event, kind: str) -> None:
     truth = event.truth
     if truth is None or truth.strength_red is None or truth.strength_green is None:
         raise InvalidEventError(
-            f"event {event.id!r} does not say its goals and strengths, which a study of {kind} needs"
+            f"event {event.id!r} does not say its goals and strengths; a study of {kind} needs them"
         )

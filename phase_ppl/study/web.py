@@ -84,7 +84,7 @@ class Site:
         self._thread.shutdown()
 
     async def ask(self, method: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
-        """Call a method of the store, in its thread, as in ``await site.ask(site.store.end, who, "left")``.
+        """Call a method of the store in its thread: ``await site.ask(site.store.end, who, "left")``.
 
         Raises:
             HTTPException: 503 where the disk is full or the file cannot be written.
@@ -109,7 +109,7 @@ class Site:
         return found
 
     def allow(self, what: str, rate: float, burst: float) -> bool:
-        """Return whether ``what`` may happen once more: ``rate`` times a second, ``burst`` at once."""
+        """Return whether ``what`` may happen: ``rate`` times a second, ``burst`` at once."""
         now = time.monotonic()
         left, before = self._buckets.pop(what, (burst, now))
         left = min(burst, left + (now - before) * rate)
@@ -121,7 +121,7 @@ class Site:
 
 
 def same_origin(connection: HTTPConnection) -> bool:
-    """Whether it comes from a page of the study: the Origin that browsers send is that of the Host."""
+    """Whether a page of the study asks: the Origin that browsers send is that of the Host."""
     origin = connection.headers.get("origin", "")
     return bool(origin) and urlsplit(origin).netloc == connection.headers.get("host")
 
