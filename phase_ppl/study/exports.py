@@ -187,7 +187,7 @@ def write(
     if demographics:
         asked = store.rows("SELECT * FROM person ORDER BY participant")
         tables["people.csv"] = [list(r.values()) for r in asked if r["participant"] in included]
-    files = {name: "" for name in tables}
+    files, columns = {name: "" for name in tables}, dict(_COLUMNS)
     for name, rows in tables.items():
         write_bytes(out / name, (".csv",), _csv(list(_COLUMNS[name]), rows))
     save_events(list(events.values()), out / "events.json")
@@ -197,11 +197,14 @@ def write(
         write_bytes(out / name, (".toml",), config["text"].encode())
         files[name] = "settings and texts that participants saw; participants.csv says who"
     if settings.kind == "play":
-        from phase_ppl.study import play
+        from phase_ppl.study import sessions
 
-        files |= play.export(store, settings, events, out)
+        files |= sessions.export(
+            store, events, out, "unfinished" in include, "excluded" in include
+        )
+        columns |= sessions.COLUMNS
     totals = _totals(store, included)
-    readme = _readme(store, settings, len(included), include, files, totals)
+    readme = _readme(store, settings, len(included), include, files, columns, totals)
     write_bytes(out / README, (".md",), readme.encode())
 
 
@@ -296,7 +299,7 @@ def _totals(store: Store, included: set[str]) -> str:
 
 def _readme(
     store: Store, settings: Settings, n: int, include: Sequence[str],
-    files: Mapping[str, str], totals: str,
+    files: Mapping[str, str], columns: Mapping[str, Mapping[str, str]], totals: str,
 ) -> str:  # fmt: skip
     kind = settings.kind
     lines = [
@@ -313,9 +316,9 @@ def _readme(
     ]  # fmt: skip
     for name, what in files.items():
         lines += [f"### {name}", "", *([f"{what[0].upper()}{what[1:]}.", ""] if what else [])]
-        if name in _COLUMNS:
+        if name in columns:
             lines += ["| column | content |", "|---|---|"]
-            lines += [f"| `{column}` | {text} |" for column, text in _COLUMNS[name].items()] + [""]
+            lines += [f"| `{column}` | {text} |" for column, text in columns[name].items()] + [""]
     reads = {
         "judgment": 'ppl.load_judgments("judgments.csv")',
         "tagging": 'ppl.load_tags("tags.csv")',

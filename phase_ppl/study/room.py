@@ -84,9 +84,14 @@ class PlaySettings:
                 raise unknown_name(f"{name} in [play]", getattr(self, name), choices)
 
     @property
+    def step(self) -> float:
+        """Seconds of a planner step."""
+        return 1 / self.steps_per_second
+
+    @property
     def seconds(self) -> float:
         """That a session may take."""
-        return self.limit / self.steps_per_second
+        return self.limit * self.step
 
     def scene(self, scene: Scene) -> Scene:
         """Return a scene as it is played: people turn both ways, and the rule is the study's."""

@@ -174,6 +174,11 @@ class Study:
         warnings = []
         if _PLACEHOLDER in self.settings.texts["consent"]:
             warnings.append("the text of consent in study.toml does not yet say who is responsible")
+        if self.settings.kind == "play":
+            from phase_ppl.study import room, sessions
+
+            settings = room.PlaySettings(**self.settings.play)
+            warnings += sessions.warnings(self.events.values(), settings)
         return warnings
 
     def app(self, url: str = "", host: str = "127.0.0.1") -> Any:
