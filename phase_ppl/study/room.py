@@ -394,11 +394,10 @@ def outline(scene: Scene, poses: FloatArray, agent: int) -> list[list[float]]:
     points = field_of_view(scene, poses, agent)
     eye, rays = points[0], points[1:] - points[0]
     x0, x1, y0, y1 = scene.arena
+    border = np.where(rays > 0, [x1, y1], [x0, y0])
     with np.errstate(divide="ignore", invalid="ignore"):
-        to_x = np.where(rays[:, 0] > 0, x1 - eye[0], x0 - eye[0]) / rays[:, 0]
-        to_y = np.where(rays[:, 1] > 0, y1 - eye[1], y0 - eye[1]) / rays[:, 1]
-    share = np.fmin(1.0, np.fmin(to_x, to_y)).clip(min=0.0)
-    ends = eye + share[:, None] * rays
+        shares = np.where(rays == 0, np.inf, (border - eye) / rays)  # of the way to the border
+    ends = eye + shares.min(axis=1).clip(0.0, 1.0)[:, None] * rays
     sides = np.diff(ends, axis=0)
     lengths = np.hypot(*sides.T)
     apart = lengths > 1e-3  # rays on both sides of an edge

@@ -198,6 +198,7 @@ var jsPsychPlay = (function (jspsych) {
       frame(message) { this.left = message.left; this.view.add(message); },
       wait(message) {
         this.playing = false;
+        this.canvas.hidden = true;
         this.heading.textContent = "Looking for another player";
         this.goals.replaceChildren(element("p", {}, "Please keep this page open; it begins by itself."),
           element("p", {}, message.computer ? "If nobody comes in time, you play with the computer." : "If nobody comes in time, the study ends, and you are thanked for waiting."));
@@ -208,6 +209,7 @@ var jsPsychPlay = (function (jspsych) {
       full() { this.ask("One moment, please \u2026", ""); },
       scene(message) {
         this.view.begin(message);
+        this.canvas.hidden = false;
         this.until = null;
         this.left = null;
         this.practice = message.practice;

@@ -103,6 +103,7 @@ async function run(state) {
   const played = pages.findIndex(page => page.by_server);
   if (played >= 0) pages = pages.slice(0, Math.max(1, played));
   await load(pages.flatMap(page => [page.video, ...(page.steps ?? []).map(step => step.video)]).filter(Boolean));
+  main.replaceChildren(); // jsPsych would leave there what is said while answers are saved
   const jsPsych = initJsPsych({ display_element: main });
   window.jsPsych = jsPsych;
   abort = () => jsPsych.abortExperiment();
