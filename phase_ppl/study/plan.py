@@ -19,8 +19,8 @@ from phase_ppl.world.hypothesis import RELATIONS
 from phase_ppl.world.names import AGENTS
 
 GENDERS: Final = ("female", "male", "non-binary", "other")
-LIKENESS: Final = ("very unlikely", "unlikely", "neither", "likely", "very likely")
-"""What 1 to 5 mean."""
+LIKENESS: Final = ("1: very unlikely", "2", "3", "4", "5: very likely")
+"""The scale of the paper, from 1 to 5."""
 
 Page = dict[str, Any]
 
@@ -167,7 +167,7 @@ def _trial(settings: Settings, who: str) -> list[Page]:
     found.append(_one("relation", "How do they stand to each other?", RELATIONS))
     if settings.kind == "likeness":
         legend = " ".join(settings.texts["likeness"].split())
-        rating = [(number, f"{number}: {text}") for number, text in enumerate(LIKENESS, 1)]
+        rating = list(enumerate(LIKENESS, 1))
         found.append(_one("likeness", legend, rating))
     return found
 

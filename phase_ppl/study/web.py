@@ -84,7 +84,7 @@ class Site:
         self._thread.shutdown()
 
     async def ask(self, method: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
-        """Call a method of the store in its thread: ``await site.ask(site.store.end, who, "left")``.
+        """Call a method of the store in its thread, as in ``await site.ask(site.store.end, who, x)``.
 
         Raises:
             HTTPException: 503 where the disk is full or the file cannot be written.

@@ -71,9 +71,7 @@ const QUESTIONS = {
     const other = question.agent === "red agent" ? "green agent" : "red agent";
     const rows = [["blue item", "the blue item"], ["pink item", "the pink item"], [question.agent, "itself"], [other, `the ${other}`]];
     const ways = ["to", "away from"], places = ["blue", "green", "red", "yellow"];
-    const chosen = element("output", { "aria-live": "off" });
-    const radio = (value, words) => element("input", { type: "radio", name: question.name, value, "aria-label": words,
-      change: () => { chosen.textContent = words; } });
+    const radio = (value, words) => element("input", { type: "radio", name: question.name, value, "aria-label": words });
     const head = element("thead", {},
       element("tr", {}, element("td", { rowspan: 2 }, "to get \u2026"), ...ways.map(way => element("th", { colspan: 4, scope: "colgroup" }, `\u2026 ${way} the landmark`))),
       element("tr", {}, ...ways.flatMap(() => places.map(place => element("th", { scope: "col" }, element("span", { class: `swatch ${place}` }), place)))));
@@ -83,7 +81,7 @@ const QUESTIONS = {
     const agents = question.self_goals ? [other, question.agent] : [other];
     const social = agents.flatMap(agent => ways.map(way => element("label", { class: "choice" },
       radio(`get ${way} ${agent}`, `get ${way} ${agent === other ? `the ${other}` : "itself"}`), `to get ${way} ${agent === other ? `the ${other}` : "itself"}`)));
-    const made = fieldset(question, element("table", {}, head, body), element("div", { class: "row" }, ...social, chosen));
+    const made = fieldset(question, element("table", {}, head, body), element("div", { class: "row" }, ...social));
     return { element: made, answer: () => made.querySelector("input:checked")?.value };
   },
 };

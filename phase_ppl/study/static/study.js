@@ -125,6 +125,7 @@ async function run(state) {
   }));
   bar.max = state.total;
   bar.hidden = false;
+  main.replaceChildren(); // jsPsych adds to what is there
   await jsPsych.run(timeline);
   current = null;
   behind = false;
@@ -159,8 +160,8 @@ function end(state) {
     if (state.status === "over") { end(state); return; }
     document.title = state.title;
     participant = state.participant;
-    if (unsent.all().length) { await pump(); continue; } // of before a reload
     if (first && state.done) note("resume", state.done);
+    if (unsent.all().length) { await pump(); continue; } // of before a reload
     await run(state);
   }
 })();
