@@ -152,6 +152,8 @@ class Lobby:
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
+        for seat in self._seats.values():
+            seat.tell({"t": "error", "text": "the study is being stopped"})
 
     # --- browsers ---------------------------------------------------------------------------------
 

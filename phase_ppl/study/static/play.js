@@ -260,7 +260,7 @@ var jsPsychPlay = (function (jspsych) {
       const had = document.activeElement === this.button;
       Object.assign(this.button, { textContent: label, hidden: !label, disabled });
       this.ready = pressed;
-      if (label && !disabled) this.button.focus({ preventScroll: true });
+      if (label && !disabled) this.button.focus();
       else if (had) this.heading.focus({ preventScroll: true });
     }
 
