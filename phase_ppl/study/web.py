@@ -84,7 +84,7 @@ class Site:
         self._thread.shutdown()
 
     async def ask(self, method: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
-        """Call a method of the store in its thread, as in ``await site.ask(site.store.end, who, x)``.
+        """Call a method of the store in its thread, as in ``site.ask(store.end, who, "left")``.
 
         Raises:
             HTTPException: 503 where the disk is full or the file cannot be written.
