@@ -129,8 +129,10 @@ def simulate(
         # nobody is at it any more
         copy.settings = dataclasses.replace(copy.settings, place_kept=0)
         copy.export(out)
-        text = str(copy.status())
-    return "\n".join([text, *_figures(study.settings.kind, Path(out), copy)])
+        stands = copy.status()
+    if not stands.counts["finished"]:
+        return f"{stands}\n\nNobody finished: there is nothing to draw."
+    return "\n".join([str(stands), *_figures(study.settings.kind, Path(out), copy)])
 
 
 def _beliefs(

@@ -88,11 +88,12 @@ class Person:
         return self.post("/api/answer", body)
 
     def prepare(self, study: Study, right: bool = True) -> None:
-        """Agree, read the introduction, answer the quiz."""
+        """Agree, read the introduction, answer the quiz, ask what comes next."""
         self.answer("consent", {"agree": True})
         self.answer("device", {})
         self.answer("tutorial", {"views": [1000.0]})
         self.answer("quiz", quiz(study, right))
+        self.state()
 
     def finish(self, study: Study, given: Mapping[str, Any] | None = None) -> list[str]:
         """Go through a study; return the addresses of the films, in the order seen."""

@@ -20,7 +20,8 @@ from tests.study.studies import HOST, JUDGED, Person, change, make_study, quiz
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Study:
-    return make_study(tmp_path_factory.mktemp("made") / "study", raters=200, trials=2)
+    limits = {"entries_per_minute": 1000, "most_entries": 1000}
+    return make_study(tmp_path_factory.mktemp("made") / "study", raters=200, trials=2, **limits)
 
 
 @pytest.fixture

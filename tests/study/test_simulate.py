@@ -51,7 +51,7 @@ def test_scripted_people_answer_as_the_model_believes(study: Study, tmp_path: Pa
 def test_some_lapse_and_some_leave(study: Study, tmp_path: Path) -> None:
     out = tmp_path / "out"
     sure = {event.id: certain(event) for event in study.events.values()}
-    simulate(study, out, 12, predictions=sure, lapse=1, drop_outs=0.5, seed=1, progress=False)
+    simulate(study, out, 12, predictions=sure, lapse=0.4, drop_outs=0.5, seed=1, progress=False)
     text = (out / "README.md").read_text("utf-8")
     assert "| finished | 12 |" not in text
     found = ppl.load_judgments(out / "judgments.csv")
