@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
+from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
@@ -30,3 +33,20 @@ def browser_path() -> str:
     if BROWSER is None:
         pytest.fail(WHY)
     return BROWSER
+
+
+@contextlib.contextmanager
+def running_browser() -> Iterator[Any]:
+    """Yield a running browser, as Playwright has it; without Playwright the test is skipped.
+
+    It fails instead where a browser is required.
+    """
+    if REQUIRED:
+        import playwright.sync_api as playwright
+    else:
+        playwright = pytest.importorskip("playwright.sync_api", reason="there is no Playwright")
+    with playwright.sync_playwright() as running:
+        # a sandbox is not to be had by root
+        found = running.chromium.launch(executable_path=browser_path(), args=["--no-sandbox"])
+        yield found
+        found.close()

@@ -29,7 +29,7 @@ class Film {
     this.element = element("div", { class: "film" }, this.video, element("p", {}, this.button, this.status));
     const says = (label, text = "") => { this.button.textContent = label; this.status.textContent = text; };
     this.video.addEventListener("play", () => { if (this.video.currentTime < 0.1) this.plays++; says("Pause"); });
-    this.video.addEventListener("pause", () => { if (!this.video.ended) says("Play"); });
+    this.video.addEventListener("pause", () => { if (!this.video.ended && !this.video.error) says("Play"); });
     this.video.addEventListener("ended", () => { this.firstEnd ??= Math.round(performance.now() - begun); says("Play again"); });
     this.video.addEventListener("error", () => {
       note("video error", this.video.error?.code);
