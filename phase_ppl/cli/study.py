@@ -117,10 +117,16 @@ def _add_new(parts: Any) -> None:
     )  # fmt: skip
     parser.add_argument("--title", default="What are they doing?")
     parser.add_argument(
-        "--trials", metavar="N", type=whole(1), default=10, help="videos per person; default 10"
+        "--trials",
+        metavar="N",
+        type=whole(1),
+        help="videos per person, default 10; sessions per pair, 3",
     )
     parser.add_argument(
-        "--raters", metavar="N", type=whole(1), default=20, help="people per video; default 20"
+        "--raters",
+        metavar="N",
+        type=whole(1),
+        help="people per video, default 20; sessions of a scene, 5",
     )
     parser.add_argument("--workers", metavar="N", type=whole(1), help="default one per usable core")
     add_progress(parser)

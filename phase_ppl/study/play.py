@@ -26,7 +26,15 @@ from starlette.routing import BaseRoute, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from phase_ppl.study import plan
-from phase_ppl.study.room import KEYS, Message, PlaySettings, Room, Seat, settings_record
+from phase_ppl.study.room import (
+    KEYS,
+    Controls,
+    Message,
+    PlaySettings,
+    Room,
+    Seat,
+    settings_record,
+)
 from phase_ppl.study.store import COMPLETE, Participant
 from phase_ppl.study.web import MOST_MESSAGE, Site, same_origin
 from phase_ppl.world.names import BLUE_ITEM, NOTHING
@@ -63,7 +71,7 @@ class Outbox:
     def put(self, message: Message) -> None:
         """Send a message."""
         frames = [old for old in self._messages if old["t"] == "frame"]
-        if len(frames) >= self.MOST:
+        if message["t"] == "frame" and len(frames) >= self.MOST:
             self._messages.remove(frames[0])
         self._messages.append(message)
         self._waiting.set()
@@ -422,7 +430,7 @@ class Lobby:
             await asyncio.sleep(1)
         count[:] = [{"t": "begun"}]
         for seat in seats:
-            seat.controls.action(False)
+            seat.controls = Controls()
             seat.tell(count[0])
 
     def _stage(

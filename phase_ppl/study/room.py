@@ -101,42 +101,50 @@ class PlaySettings:
 class Controls:
     """The keys of one player, between two steps."""
 
+    _MOST_TAPS: Final = 2
+
     def __init__(self) -> None:
         self._held: list[str] = []
-        self._tapped: list[str] = []
+        self._unheeded: set[str] = set()
+        self._taps: list[str] = []
         self._grabs = False
 
     def press(self, key: str, down: bool) -> None:
         """Take in that one of :data:`KEYS` went down or up; a repeated message changes nothing."""
         if down and key not in self._held:
             self._held.append(key)
-            if key == GRAB:
-                self._grabs = True
-            else:
-                self._tapped.append(key)
+            self._grabs |= key == GRAB
+            self._unheeded.add(key)
         elif not down and key in self._held:
             self._held.remove(key)
+            if key in MOVES and key in self._unheeded and len(self._taps) < self._MOST_TAPS:
+                self._taps.append(key)
+            self._unheeded.discard(key)
 
     def release(self) -> None:
         """Let go of all keys."""
         self._held.clear()
+        self._taps.clear()
 
     def pressed(self) -> list[str]:
-        """Return what is held, or was tapped since the last step, the latest last."""
-        tapped = [key for key in self._tapped if key not in self._held]
-        return [*tapped, *(key for key in self._held if key != GRAB), *[GRAB] * self._grabs]
+        """Return what was tapped and is still to be done, what is held, and whether to grab."""
+        held = (key for key in self._held if key != GRAB)
+        return [*self._taps, *held, *[GRAB] * self._grabs]
 
     def action(self, holds: bool) -> Action:
-        """Return the action of the coming step, and forget taps.
+        """Return the action of the coming step.
 
-        The latest key wins, and a tap between two steps counts as if it were held. To grab is to
-        let go for an agent that holds something.
+        The latest of the keys that are held wins. A key that went down and up between two steps
+        counts nevertheless, before them. To grab is to let go for an agent that holds something.
         """
-        keys, grabs = self.pressed(), self._grabs
-        self._tapped, self._grabs = [], False
-        if grabs:
+        if self._grabs:
+            self._grabs = False
             return Action.DETACH if holds else Action.ATTACH
-        return MOVES[keys[-1]] if keys else Action.NO_FORCE
+        if self._taps:
+            return MOVES[self._taps.pop(0)]
+        held = [key for key in self._held if key != GRAB]
+        self._unheeded -= set(held[-1:])
+        return MOVES[held[-1]] if held else Action.NO_FORCE
 
 
 class Outbox(Protocol):
@@ -302,7 +310,8 @@ class Room:
 
     def trajectory_sha256(self) -> str:
         """Return the hash of the trajectory, against which a replay is checked."""
-        return trajectory_sha256(np.array(self.frames))
+        # a step that was broken off has a frame, and is not recorded
+        return trajectory_sha256(np.array(self.frames[: len(self.steps) + 1]))
 
     # --- the clock --------------------------------------------------------------------------------
 

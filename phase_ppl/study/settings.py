@@ -140,7 +140,7 @@ def template(
         raters=raters,
         most_entries=max(100, 3 * people),
         codes={name: code() for name in names},
-        minutes=max(5, 5 + -(-trials * 3 // 4)),
+        minutes=12 + trials if kind == "play" else max(5, 5 + -(-trials * 3 // 4)),
     )
 
 

@@ -82,8 +82,8 @@ class Study:
         *,
         generated: PathLike | Event | Sequence[Event] | None = None,
         title: str = "What are they doing?",
-        trials: int = 10,
-        raters: int = 20,
+        trials: int | None = None,
+        raters: int | None = None,
         workers: int | None = None,
         progress: bool | None = None,
     ) -> Study:
@@ -97,7 +97,8 @@ class Study:
             generated: of likeness, the counterparts of ``events``: same scene, goals, strengths.
                 Default: they are simulated.
             title: as the pages say.
-            trials, raters: videos per person, and people per video.
+            trials, raters: videos per person, and people per video, 10 and 20 by default; of play,
+                sessions per pair, and sessions of each scene, 3 and 5 by default.
             workers: processes that make films; default one per usable core.
             progress: whether to show a bar; None: where stderr is a terminal.
 
@@ -108,7 +109,9 @@ class Study:
         """
         if kind not in KINDS:
             raise unknown_name("kind", kind, KINDS)
-        trials, raters = whole_number("trials", trials), whole_number("raters", raters)
+        usual = (3, 5) if kind == "play" else (10, 20)
+        trials = usual[0] if trials is None else whole_number("trials", trials)
+        raters = usual[1] if raters is None else whole_number("raters", raters)
         if generated is not None and kind != "likeness":
             raise InvalidSettingError(f"generated: only for a study of likeness, not of {kind}")
         shown, stimuli = _stimuli(kind, events, generated)
@@ -130,7 +133,9 @@ class Study:
             Store.create(target / store_module.FILE, kind, stimuli).close()
             n_videos = len({s.pair for s in stimuli}) * 2 if kind == "likeness" else len(stimuli)
             most = n_videos // 2 if kind == "likeness" else n_videos
-            text = template(kind, title, trials=min(trials, most), raters=raters, n_videos=n_videos)
+            if kind != "play":
+                trials = min(trials, most)
+            text = template(kind, title, trials=trials, raters=raters, n_videos=n_videos)
             write_bytes(target / settings_module.FILE, (".toml",), text.encode())
         return cls(target)
 

@@ -48,7 +48,7 @@ def make_study(
     with pytest.MonkeyPatch.context() as patch:
         if not films:
             patch.setattr("phase_ppl.study.study.make_clips", lambda folder: None)
-        Study.new(folder, events, "play")
+        Study.new(folder, events, "play", raters=1000)
     file = folder / "study.toml"
     given = {"steps_per_second": 12, "limit": 30, "hold": 2, "wait_at_most": 60, **play}
     lines = file.read_text().partition("\n[[tutorial]]")[0].splitlines()

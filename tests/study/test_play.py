@@ -448,4 +448,4 @@ def test_settings_that_cannot_be_are_refused(
     tmp_path: Path, name: str, value: Any, error: type[Exception]
 ) -> None:
     with pytest.raises(error, match=rf"{name} in \[play\]"):
-        make_study(tmp_path / "study", [near_goals()], **{name: value}).check()
+        make_study(tmp_path / "study", [near_goals()], **{name: value}).app()
