@@ -16,6 +16,14 @@ from tests.browser import browser_path, needs_browser
 from tests.study.players import make_study, near_goals
 
 pytestmark = needs_browser
+
+
+@pytest.fixture(autouse=True)
+def _no_films(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The introduction is read already, so that its films need not be there."""
+    monkeypatch.setattr(Study, "check", lambda study: [])
+
+
 AXE = Path(__file__).parent / "vendor" / "axe.min.js"
 
 
@@ -29,8 +37,11 @@ def browser() -> Iterator[Any]:
 
 
 _REMEMBERS_SOCKETS = """
-const Real = WebSocket, sockets = [];
-WebSocket = class extends Real { constructor(...given) { super(...given); sockets.push(this); } };
+const Real = WebSocket;
+window.sockets = [];
+window.WebSocket = class extends Real {
+  constructor(...given) { super(...given); window.sockets.push(this); }
+};
 """
 
 
@@ -98,9 +109,7 @@ def test_two_windows_play_a_session_that_ends_by_its_goals(
     tmp_path: Path, browser: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(play, "COUNTDOWN", 1)
-    study = make_study(
-        tmp_path / "study", [near_goals()], films=True, steps_per_second=8, limit=200, hold=4
-    )
+    study = make_study(tmp_path / "study", [near_goals()], steps_per_second=8, limit=200, hold=4)
     with serving(study) as address:
         windows = [Window(browser, study, address)]
         windows[0].sees("Looking for another player")
@@ -139,19 +148,19 @@ def test_a_window_that_loses_its_connection_finds_back(
 ) -> None:
     monkeypatch.setattr(play, "COUNTDOWN", 0)
     study = make_study(
-        tmp_path / "study", [near_goals()], films=True, partner="computer", hold=100, limit=100,
+        tmp_path / "study", [near_goals()], partner="computer", hold=100, limit=100,
         rejoin_within=30,
     )  # fmt: skip
     with serving(study) as address:
         window = Window(browser, study, address, practised=False)
-        window.sees("Practice")
+        window.sees("Please do this")
         window.page.keyboard.down("w")
         window.sees("1 of 5 done")
         assert window.violations() == []
         window.page.keyboard.up("w")
         window.page.reload()
         window.sees("1 of 5 done")  # the practice goes on where it was
-        window.page.evaluate("() => sockets.at(-1).close()")
+        window.page.evaluate("() => window.sockets.at(-1).close()")
         window.sees("The connection is lost")
         window.page.get_by_text("The connection is lost").wait_for(state="detached", timeout=20_000)
         window.page.keyboard.press("q")
