@@ -229,35 +229,36 @@ class Visitor:
         if self._connection is not None:
             self._connection.close()
 
+    def _once(self, method: str, path: str, body: bytes | None) -> tuple[int, bytes]:
+        """Ask once; return status and content (OSError, HTTPException: there was no answer)."""
+        headers = {"Origin": f"http://{self.host}", "Content-Type": "application/json"}
+        if self.cookie:
+            headers["Cookie"] = self.cookie
+        if self._connection is None:
+            self._connection = http.client.HTTPConnection(self.host, timeout=30)
+            self._connection.connect()
+            self._connection.sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._connection.request(method, path, body, headers)
+        reply = self._connection.getresponse()
+        content = reply.read()
+        if given := reply.getheader("Set-Cookie"):
+            self.cookie = given.partition(";")[0]
+        return reply.status, content
+
     def _insist(self, method: str, path: str, body: bytes | None) -> bytes:
         until, wait = time.monotonic() + self.patience, 0.05
-        headers = {"Origin": f"http://{self.host}", "Content-Type": "application/json"}
         while True:
             try:
-                if self._connection is None:
-                    self._connection = http.client.HTTPConnection(self.host, timeout=30)
-                    self._connection.connect()
-                    self._connection.sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                self._connection.request(
-                    method,
-                    path,
-                    body,
-                    {**headers, **({"Cookie": self.cookie} if self.cookie else {})},
-                )
-                reply = self._connection.getresponse()
-                content = reply.read()
+                status, content = self._once(method, path, body)
             except (OSError, http.client.HTTPException) as error:
                 self.close()
                 self._connection = None
                 reason: object = error
             else:
-                given = reply.getheader("Set-Cookie")
-                if given:
-                    self.cookie = given.partition(";")[0]
-                if reply.status < 400:
+                if status < 400:
                     return content
-                reason = f"{reply.status} {content[:200]!r}"
-                if reply.status < 500 and reply.status != 429:
+                reason = f"{status} {content[:200]!r}"
+                if status < 500 and status != 429:
                     self._give_up(method, path, reason)
             if time.monotonic() > until:
                 self._give_up(method, path, reason)
