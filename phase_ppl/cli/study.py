@@ -227,7 +227,7 @@ def _demo(options: argparse.Namespace) -> int:
     # a service is ended by SIGTERM before it has begun, too
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     with tempfile.TemporaryDirectory(prefix="phase-ppl-study-") as folder:
-        print("Making the films ...", flush=True)
+        print("Making the films, about half a minute ...", flush=True)
         names = phase_ppl.bundled_events()[:3]
         events = [phase_ppl.load_event(name) for name in names]
         study = Study.new(Path(folder) / "demo", events, options.kind, trials=3)
