@@ -64,7 +64,7 @@ def _same_truth(one: Truth | None, other: Truth | None) -> bool:
         return False
     strengths = [(t.strength_red or 0, t.strength_green or 0) for t in (one, other)]
     goals = [(t.goal_red, t.goal_green) for t in (one, other)]
-    return goals[0] == goals[1] and np.allclose(*strengths)
+    return goals[0] == goals[1] and np.allclose(strengths[0], strengths[1])
 
 
 def _simulated(event: Event) -> Event:

@@ -238,7 +238,6 @@ def checked(
         if gender not in (*GENDERS, None):
             raise Unfit("gender: no such answer")
         return {"age": age, "gender": gender}, None
-    questions: dict[str, Sequence[Any]]
     if settings.kind == "tagging":
         _only(answers, ["labels"])
         labels = answers["labels"]
@@ -247,13 +246,16 @@ def checked(
         if not all(label in LABELS for label in labels):
             raise Unfit("labels: no such label")
         return {"labels": [label for label in LABELS if label in labels]}, None
-    questions = {"goal_red": allowed_goals(settings, 0), "goal_green": allowed_goals(settings, 1),
-                 "relation": RELATIONS}  # fmt: skip
+    questions: dict[str, Sequence[Any]] = {
+        "goal_red": allowed_goals(settings, 0),
+        "goal_green": allowed_goals(settings, 1),
+        "relation": RELATIONS,
+    }
     if settings.kind == "likeness":
         questions["likeness"] = range(1, 6)
     _only(answers, list(questions))
-    for name, options in questions.items():
-        if isinstance(answers[name], bool) or answers[name] not in options:
+    for name, allowed in questions.items():
+        if isinstance(answers[name], bool) or answers[name] not in allowed:
             raise Unfit(f"{name}: no such answer")
     return {name: answers[name] for name in questions}, None
 

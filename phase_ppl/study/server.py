@@ -94,8 +94,8 @@ class Pages:
         site, settings = self.site, self.site.settings
         who = await site.visitor(request)
         if who is None:
-            found = {"status": "new", "repeats": settings.refuse_repeats}
-            return JSONResponse(found if settings.open else self._over("closed", None))
+            new = {"status": "new", "repeats": settings.refuse_repeats}
+            return JSONResponse(new if settings.open else self._over("closed", None))
         who = await self._now(who)
         if who.outcome is not None:
             return JSONResponse(self._over(who.outcome, who))

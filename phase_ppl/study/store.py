@@ -266,11 +266,9 @@ class Store:
     def _places(self, since: float, trials: int, raters: int, checks: Sequence[str]) -> float:
         """Return how many people can come in, beside those who are at it since ``since``."""
         if self.fact("kind") == "play":
-            load = self._played(since)
-            wanted = 2 * sum(max(0, raters - n) for n in load.values())
+            wanted = 2 * sum(max(0, raters - n) for n in self._played(since).values())
         else:
-            load = self._viewings(since, checks)
-            wanted = sum(max(0, raters - n) for n in load.values())
+            wanted = sum(max(0, raters - n) for n in self._viewings(since, checks).values())
         coming = self._db.execute(
             """SELECT count(*) FROM participant
             WHERE outcome IS NULL AND assigned IS NULL AND created>?""",

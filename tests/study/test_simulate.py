@@ -36,7 +36,9 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Study:
     return make_study(tmp_path_factory.mktemp("made") / "study", films=True)
 
 
-def test_scripted_people_answer_as_the_model_believes(study: Study, tmp_path: Path) -> None:
+def test_scripted_people_answer_as_the_model_believes(
+    study: Study, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "out"
     sure = {event.id: certain(event) for event in study.events.values()}
     text = simulate(study, out, 8, predictions=sure, lapse=0, drop_outs=0, progress=False)
@@ -46,6 +48,8 @@ def test_scripted_people_answer_as_the_model_believes(study: Study, tmp_path: Pa
     assert len(found.table) == 24
     assert found.accuracy(events)["relation_accuracy"]["value"] == 1
     assert study.status().counts["entered"] == 0, "the study itself stays as it is"
+    (note,) = capfd.readouterr().err.splitlines()
+    assert "who is responsible" in note, "nothing of anybody is in a log"
 
 
 def test_some_lapse_and_some_leave(study: Study, tmp_path: Path) -> None:
