@@ -199,9 +199,7 @@ def write(
     if settings.kind == "play":
         from phase_ppl.study import sessions
 
-        files |= sessions.export(
-            store, events, out, "unfinished" in include, "excluded" in include
-        )
+        files |= sessions.export(store, events, out, "unfinished" in include, "excluded" in include)
         columns |= sessions.COLUMNS
     totals = _totals(store, included)
     readme = _readme(store, settings, len(included), include, files, columns, totals)

@@ -26,10 +26,12 @@ def tags(given: Tags, majority: float = MAJORITY) -> Figure:
     """Draw the percentage of videos that have each label as a category."""
     found = given.summary(majority)
     order = list(found.index)[::-1]
+    fewest, most = given.viewers.min(), given.viewers.max()
+    each = f"{most} each" if fewest == most else f"{fewest} to {most} each"
     note = (
-        f"Percentage of the {len(given.viewers)} videos for which at least {majority:.0%} of their "
-        f"viewers ({given.viewers.min()} to {given.viewers.max()}) chose the label. Hollow: chosen "
-        "by somebody, in no video by that many."
+        f"Percentage of the {len(given.viewers)} videos for which at least {100 * majority:g} % of "
+        f"their viewers ({each}) chose the label. Hollow: chosen by somebody, in no video by that "
+        "many."
     )
     figure = laid_out(_LABEL_WIDTH + 3.8, 0.9 + 0.19 * len(order), note)
     axes = figure.subplots()
