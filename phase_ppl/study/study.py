@@ -131,11 +131,10 @@ class Study:
                 ]
             save_events(shown, target / EVENTS)
             Store.create(target / store_module.FILE, kind, stimuli).close()
-            n_videos = len({s.pair for s in stimuli}) * 2 if kind == "likeness" else len(stimuli)
-            most = n_videos // 2 if kind == "likeness" else n_videos
-            if kind != "play":
-                trials = min(trials, most)
-            text = template(kind, title, trials=trials, raters=raters, n_videos=n_videos)
+            if kind != "play":  # a person sees one group, and of copies one
+                alike = {s.copies or s.event for s in stimuli if s.grp in (None, "played")}
+                trials = min(trials, len(alike))
+            text = template(kind, title, trials=trials, raters=raters, n_videos=len(stimuli))
             write_bytes(target / settings_module.FILE, (".toml",), text.encode())
         return cls(target)
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
 
+import phase_ppl as ppl
 from phase_ppl.study.settings import KINDS, Settings, template
 from phase_ppl.study.study import Study
 from phase_ppl.world.errors import InvalidSettingError, OutputError, PhasePPLError
@@ -81,6 +83,21 @@ def test_a_study_gets_a_folder_of_its_own(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="not empty"):
         Study.new(tmp_path, short_events())
     assert [file.name for file in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_copies_in_a_generated_set_are_known(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Generated(list[ppl.Event]):
+        entries: ClassVar = [{"id": "collaborate", "group": "a"}, {"id": "compete", "group": "b"},
+                             {"id": "independent", "group": "a"}]  # fmt: skip
+
+    monkeypatch.setattr("phase_ppl.study.study.GeneratedEvents", Generated)
+    monkeypatch.setattr("phase_ppl.study.study.make_clips", lambda folder: None)
+    study = Study.new(tmp_path / "study", Generated(short_events()), workers=1, progress=False)
+    with study.store() as store:
+        assert [s.copies for s in store.stimuli().values()] == ["a", None, "a"]
+    assert study.settings.trials == 2, "one of each copy is all that a person can see"
 
 
 def test_the_kind_of_a_study_stays(tmp_path: Path) -> None:
