@@ -199,6 +199,9 @@ def _new(options: argparse.Namespace) -> int:
         progress=shows_progress(options),
     )
     print(f"{study}\nIts texts are in {study.folder / 'study.toml'}; say there who is responsible.")
+    if options.kind == "play":
+        for warning in study.check():
+            print(f"phase-ppl: note: {warning}", file=sys.stderr)
     print(f"Try it: phase-ppl study run {options.folder}")
     return 0
 

@@ -155,9 +155,12 @@ def replayed(session: Mapping[str, Any], event: Event) -> Event:
     strengths = session["strength_red"], session["strength_green"]
     world = PymunkWorld(scene, strengths)
     frames = [scene.start, *(world.step((one["red"], one["green"])) for one in session["steps"])]
+    told = event.truth
     truth = Truth(
         session["goal_red"],
         session["goal_green"],
+        relation="" if told is None else told.relation,
+        scenario="" if told is None else told.scenario,
         strength_red=strengths[0],
         strength_green=strengths[1],
     )

@@ -50,7 +50,7 @@ def make_study(
             patch.setattr("phase_ppl.study.study.make_clips", lambda folder: None)
         Study.new(folder, events, "play", raters=1000)
     file = folder / "study.toml"
-    given = {"steps_per_second": 12, "limit": 30, "hold": 2, "wait_at_most": 60, **play}
+    given = {"steps_per_second": 12, "limit": 18, "hold": 2, "wait_at_most": 60, **play}
     lines = file.read_text().partition("\n[[tutorial]]")[0].splitlines()
     lines = [line for line in lines if not line.startswith(("demographics", "trials"))]
     head = ["quiz = []", "demographics = false", f"trials = {given.pop('trials', 1)}"]

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip("starlette", reason="the extra 'study' is not installed")
-from starlette.testclient import TestClient, WebSocketTestSession
+from starlette.testclient import TestClient, WebSocketDenialResponse, WebSocketTestSession
 from starlette.websockets import WebSocketDisconnect
 
 import phase_ppl as ppl
@@ -105,7 +105,7 @@ def test_a_session_replays_bit_for_bit_and_is_an_event(tmp_path: Path) -> None:
         players = [Player(client), Player(client)]
         together(*(lambda k=k: players[k].play(scribbles(k)) for k in range(2)))
     (session,) = played(study)
-    assert (session["outcome"], len(session["steps"])) == ("time", 30)
+    assert (session["outcome"], len(session["steps"])) == ("time", 18)
     replay = sessions.replayed(session, scene)
     assert sessions.trajectory_sha256(replay.observation.trajectory) == session["sha256"]
     assert len({(step["red"], step["green"]) for step in session["steps"]}) > 5
@@ -114,13 +114,13 @@ def test_a_session_replays_bit_for_bit_and_is_an_event(tmp_path: Path) -> None:
     (event,) = ppl.load_events(tmp_path / "out" / "sessions.json")
     np.testing.assert_array_equal(event.observation.trajectory, replay.observation.trajectory)
     assert event.scene.resets_velocity
-    assert event.observation.n_frames == 31
+    assert event.observation.n_frames == 19
     assert event.truth == dataclasses.replace(scene.truth, relation="neutral")
     with (tmp_path / "out" / "sessions.csv").open() as file:
         (row,) = csv.DictReader(file)
     assert (row["session"], row["scene"], row["outcome"]) == (event.id, "near", "time")
     assert {row["red"], row["green"]} == {player.id for player in players}
-    assert (row["steps"], row["resets_velocity"], row["view"]) == ("30", "1", "own")
+    assert (row["steps"], row["resets_velocity"], row["view"]) == ("18", "1", "own")
     with (tmp_path / "out" / "steps.csv").open() as file:
         steps = list(csv.DictReader(file))
     assert [step["red"] for step in steps] == [ACTION_NAMES[s["red"]] for s in session["steps"]]
@@ -402,6 +402,15 @@ def test_too_many_sockets_are_refused(lobby: TestClient) -> None:
 def test_pages_from_elsewhere_get_no_socket(lobby: TestClient, origin: str) -> None:
     with pytest.raises(WebSocketDisconnect), Player(lobby).connect(origin=origin):
         pass
+
+
+def test_other_names_of_the_host_get_no_socket(lobby: TestClient) -> None:
+    headers = {"origin": "http://elsewhere.example", "cookie": Player(lobby).cookie}
+    where = "ws://elsewhere.example/play/socket"
+    refused = pytest.raises(WebSocketDenialResponse)
+    with refused as refusal, lobby.websocket_connect(where, headers=headers):
+        pass
+    assert refusal.value.status_code == 400
 
 
 def test_nobody_plays_without_a_cookie(lobby: TestClient) -> None:

@@ -1,6 +1,6 @@
-"""Load and delays of a study's server: python benchmarks/studies.py rooms [--json FILE]
+"""Load and delays of a study's server: python benchmarks/study_rooms.py [--json FILE]
 
-`rooms`: how evenly do frames come to script players, how long is it from a key to a frame in which
+How evenly do frames come to script players, how long is it from a key to a frame in which
 one's agent has moved, and what does the server need, by how many pairs play at a time?
 """
 
@@ -174,14 +174,11 @@ def rooms(options: argparse.Namespace) -> dict[str, Any]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parts = parser.add_subparsers(required=True)
-    part = parts.add_parser("rooms", help="frames and keys, by how many pairs play")
-    part.add_argument("--rooms", type=int, nargs="+", default=[1, 5, 8, 20])
-    part.add_argument("--seconds", type=float, default=25.0, help="of each session")
-    part.add_argument("--json", type=Path)
-    part.set_defaults(run=rooms)
+    parser.add_argument("--rooms", type=int, nargs="+", default=[1, 5, 8, 20])
+    parser.add_argument("--seconds", type=float, default=25.0, help="of each session")
+    parser.add_argument("--json")
     options = parser.parse_args()
-    common.write(options.run(options), options.json)
+    common.write(rooms(options), options.json)
 
 
 if __name__ == "__main__":
