@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import signal
 import sys
 import tempfile
@@ -214,11 +215,18 @@ def _run(options: argparse.Namespace) -> int:
     return 0
 
 
+def _end_by_sigterm() -> None:
+    """Clean up where a service is ended; the server has written everything by then."""
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+
+
 def _serve(study: Study, options: argparse.Namespace) -> None:
     def say(address: str) -> None:
         print(f"{address}   Ctrl-C ends", flush=True)
 
-    study.run(options.port, options.host, options.url, ready=say)
+    _end_by_sigterm()
+    with contextlib.suppress(KeyboardInterrupt):
+        study.run(options.port, options.host, options.url, ready=say)
 
 
 def _demo(options: argparse.Namespace) -> int:
@@ -227,8 +235,7 @@ def _demo(options: argparse.Namespace) -> int:
     from phase_ppl.study.study import check_extra
 
     check_extra()
-    # a service is ended by SIGTERM before it has begun, too
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
+    _end_by_sigterm()
     with tempfile.TemporaryDirectory(prefix="phase-ppl-study-") as folder:
         print("Making the films, about half a minute ...", flush=True)
         names = phase_ppl.bundled_events()[:3]

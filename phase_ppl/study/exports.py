@@ -51,7 +51,7 @@ _COLUMNS: Final[Mapping[str, Mapping[str, str]]] = {
         "participant": "a random number, the same in all rows of one person",
         "video": "id of the event in events.json",
         "role": "main, or check: an attention check",
-        "position": "the how many-th animation of the participant it was, from 1",
+        "position": "which of the participant's animations it was, from 1",
         "plays": "how often it was begun",
         "first_end": "seconds until it was seen to its end for the first time",
         "response_time": "seconds from when the page was shown until it was answered",

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import shutil
+import signal
 import subprocess
 import sys
+import urllib.request
 from pathlib import Path
 
 import numpy as np
@@ -160,6 +162,32 @@ def test_a_port_that_is_taken_and_a_host_without_name_are_told(
     assert "needs url" in capsys.readouterr().err
     assert main(["study", "run", str(study.folder), "--url", "study.example"]) == 2
     assert "expected one such as https://" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT])
+def test_the_server_ends_when_it_is_told_to(study: Study, how: signal.Signals) -> None:
+    command = [
+        sys.executable,
+        "-m",
+        "phase_ppl.cli",
+        "study",
+        "run",
+        str(study.folder),
+        "--port",
+        "0",
+    ]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as run:
+        assert run.stdout is not None
+        address = run.stdout.readline().split()[0]
+        with urllib.request.urlopen(address) as page:
+            assert "<title>Study</title>" in page.read().decode()
+        run.send_signal(how)
+        out, told = run.communicate(timeout=60)
+    assert run.returncode == 0
+    assert "who is responsible" in told
+    assert (out + told).count("\n") == 1, "the address was read before; nothing else is said"
 
 
 def test_one_server_at_a_time(study: Study, tmp_path: Path) -> None:
