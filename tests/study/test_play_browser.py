@@ -12,7 +12,7 @@ pytest.importorskip("starlette", reason="the extra 'study' is not installed")
 from phase_ppl.study import play
 from phase_ppl.study.simulate import serving
 from phase_ppl.study.study import Study
-from tests.browser import browser_path, needs_browser
+from tests.browser import needs_browser, running_browser
 from tests.study.players import make_study, near_goals
 
 pytestmark = needs_browser
@@ -29,11 +29,8 @@ AXE = Path(__file__).parent / "vendor" / "axe.min.js"
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    with playwright.sync_playwright() as running:
-        found = running.chromium.launch(executable_path=browser_path(), args=["--no-sandbox"])
+    with running_browser() as found:
         yield found
-        found.close()
 
 
 _REMEMBERS_SOCKETS = """
