@@ -23,14 +23,12 @@ def counterparts(played: Sequence[Event], generated: Sequence[Event] | None) -> 
             played ones, in a world whose agents keep their velocities.
 
     Raises:
-        InvalidEventError: a played event has no counterpart, or two have the same.
+        InvalidEventError: a played event has no counterpart of its own.
     """
     if generated is None:
-        return [_simulated(event) for event in played]
-    found = [_counterpart(event, generated) for event in played]
-    twice = {event.id for event in found if sum(event is other for other in found) > 1}
-    if twice:
-        raise InvalidEventError(f"{sorted(twice)[0]!r} is the counterpart of several played events")
+        return [_simulated(event, seed) for seed, event in enumerate(played)]
+    left = list(generated)
+    found = [_counterpart(event, left) for event in played]
     ids = {event.id for event in played}
     return [
         dataclasses.replace(event, id=f"{event.id}-generated") if event.id in ids else event
@@ -38,12 +36,13 @@ def counterparts(played: Sequence[Event], generated: Sequence[Event] | None) -> 
     ]
 
 
-def _counterpart(event: Event, generated: Sequence[Event]) -> Event:
-    for other in generated:
+def _counterpart(event: Event, left: list[Event]) -> Event:
+    """Take the counterpart of an event out of those that are left."""
+    for place, other in enumerate(left):
         if _same_scene(event.scene, other.scene) and _same_truth(event.truth, other.truth):
-            return other
+            return left.pop(place)
     raise InvalidEventError(
-        f"event {event.id!r} has no counterpart of the same scene, goals and strengths"
+        f"event {event.id!r} has no counterpart (any more) of the same scene, goals and strengths"
     )
 
 
@@ -67,7 +66,7 @@ def _same_truth(one: Truth | None, other: Truth | None) -> bool:
     return goals[0] == goals[1] and np.allclose(strengths[0], strengths[1])
 
 
-def _simulated(event: Event) -> Event:
+def _simulated(event: Event, seed: int) -> Event:
     truth = event.truth
     assert truth is not None
     assert truth.strength_red is not None
@@ -85,5 +84,6 @@ def _simulated(event: Event) -> Event:
         dataclasses.replace(event.scene, resets_velocity=False),
         hypothesis,
         frames=event.observation.n_frames,
+        seed=seed,
         id=f"{event.id}-generated",
     )

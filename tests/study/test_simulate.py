@@ -85,8 +85,11 @@ def test_counterparts_are_of_the_same_scene_goals_and_strengths() -> None:
     assert [event.id for event in renamed] == ["collaborate-generated", "compete-generated"]
     with pytest.raises(InvalidEventError, match="'compete' has no counterpart"):
         counterparts(played, other[1:])
-    with pytest.raises(InvalidEventError, match="several"):
-        counterparts([played[0], dataclasses.replace(played[0], id="again")], other)
+    again = [played[0], dataclasses.replace(played[0], id="again")]
+    with pytest.raises(InvalidEventError, match="'again' has no counterpart .any more"):
+        counterparts(again, other)
+    both = [other[1], dataclasses.replace(other[1], id="g-again")]
+    assert [event.id for event in counterparts(again, both)] == ["g-collaborate", "g-again"]
 
 
 def test_missing_counterparts_are_simulated() -> None:
