@@ -17,6 +17,7 @@ import random
 import secrets
 import sys
 import time
+import traceback
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
@@ -264,6 +265,9 @@ class Lobby:
             seat.show([{"t": "go"}])
         except HTTPException as error:
             seat.show([{"t": "error", "text": str(error.detail)}])
+        except Exception:  # nobody is left before a picture that stands still
+            traceback.print_exc()
+            seat.show([{"t": "error", "text": "the server has a problem"}])
         finally:
             seat.stage = list
 
@@ -320,7 +324,7 @@ class Lobby:
         if match is None:
             return False
         await asyncio.wait([match])
-        return not match.cancelled() and match.exception() is None
+        return not match.cancelled() and match.result() is None
 
     async def _wait(self, seat: Seat) -> asyncio.Task[None] | None:
         """Return the match that somebody else began, or one with the computer, or none."""

@@ -282,6 +282,21 @@ def test_a_session_that_a_crash_broke_off_is_marked(tmp_path: Path) -> None:
     assert [session["outcome"] for session in played(study)] == ["stopped"]
 
 
+def test_players_are_told_of_a_fault(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("of the test")
+
+    study = make_study(tmp_path / "study", [near_goals()])
+    with serving(study) as client:
+        players = [Player(client), Player(client)]
+        monkeypatch.setattr(play, "Room", fails)
+        both = together(*(lambda one=one: one.play(drives(), "error") for one in players))
+    assert [messages[-1]["text"] for messages in both] == ["the server has a problem"] * 2
+    assert "ZeroDivisionError: of the test" in capsys.readouterr().err
+
+
 # --- practice -------------------------------------------------------------------------------------
 
 

@@ -57,6 +57,7 @@ var jsPsychPlay = (function (jspsych) {
         pen.fill("evenodd");
       }
       const poses = this.poses(frame);
+      for (const entity of [2, 3, 0, 1]) if (poses[entity]) this.entity(pen, entity, poses[entity]);
       for (const [agent, item] of frame.held.entries()) {
         if (item < 0 || !poses[agent] || !poses[item]) continue;
         pen.beginPath();
@@ -66,7 +67,6 @@ var jsPsychPlay = (function (jspsych) {
         pen.lineWidth = 0.12;
         pen.stroke();
       }
-      for (const entity of [2, 3, 0, 1]) if (poses[entity]) this.entity(pen, entity, poses[entity]);
       pen.strokeStyle = "#000";
       pen.lineWidth = 0.25;
       pen.lineCap = "square";
@@ -150,7 +150,10 @@ var jsPsychPlay = (function (jspsych) {
       listen(window, "keydown", event => this.key(event, true));
       listen(window, "keyup", event => this.key(event, false));
       listen(window, "blur", () => this.send({ t: "release" }));
-      listen(document, "visibilitychange", () => { if (document.hidden) this.send({ t: "release" }); });
+      listen(document, "visibilitychange", () => {
+        if (document.hidden) this.send({ t: "release" });
+        else if (this.title) { document.title = this.title; this.title = null; }
+      });
       const draw = () => { if (this.over) return; this.view.draw(); this.clock(); requestAnimationFrame(draw); };
       draw();
       this.connect();
@@ -225,6 +228,7 @@ var jsPsychPlay = (function (jspsych) {
           return;
         }
         this.heading.textContent = `Session ${message.session} of ${message.of}`;
+        if (document.hidden) { this.title ??= document.title; document.title = "It begins! Please come back"; }
         const [own, theirs] = [message.goals[message.agent], message.goals[1 - message.agent]].map(words);
         this.goals.replaceChildren(
           element("p", {}, "You steer the ", element("strong", {}, mine), `, the one with a ring. The ${other} is steered by ${message.partner === "computer" ? "the computer" : "another person"}.`),
