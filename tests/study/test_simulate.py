@@ -86,7 +86,7 @@ def test_counterparts_are_of_the_same_scene_goals_and_strengths() -> None:
     with pytest.raises(InvalidEventError, match="'compete' has no counterpart"):
         counterparts(played, other[1:])
     again = [played[0], dataclasses.replace(played[0], id="again")]
-    with pytest.raises(InvalidEventError, match="'again' has no counterpart .any more"):
+    with pytest.raises(InvalidEventError, match=r"'again' has no counterpart \(any more"):
         counterparts(again, other)
     both = [other[1], dataclasses.replace(other[1], id="g-again")]
     assert [event.id for event in counterparts(again, both)] == ["g-collaborate", "g-again"]
