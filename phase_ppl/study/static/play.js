@@ -235,7 +235,10 @@ var jsPsychPlay = (function (jspsych) {
           element("p", {}, "Your goal: ", element("strong", {}, own), "."), element("p", {}, `Goal of the ${other}: `, element("strong", {}, theirs), "."),
           element("p", {}, message.ends_by_goals ? "It ends when both goals are reached and stay so for a moment, or when the time is up." : "It ends when the time is up."));
         this.agent = message.agent;
-        this.ask(OUTCOMES[message.last] ? `${OUTCOMES[message.last]} Next session:` : "", "I am ready", () => this.send({ t: "ready" }));
+        const begin = () => this.ask(OUTCOMES[message.last] ? `${OUTCOMES[message.last]} Next session:` : "", "I am ready", () => this.send({ t: "ready" }));
+        this.ask(OUTCOMES[message.last] ?? "", "");
+        clearTimeout(this.pause);
+        this.pause = setTimeout(begin, message.last ? 1500 : 0); // space may still be pressed from the session before
       },
       tasks(message) {
         this.tasks.forEach((task, k) => {
@@ -247,10 +250,11 @@ var jsPsychPlay = (function (jspsych) {
         this.button.disabled = !all;
       },
       ready(message) {
+        if (message.players[this.agent]) clearTimeout(this.pause);
         if (!message.players[this.agent] || this.playing) return;
         this.ask(message.players[1 - this.agent] ? "" : "Waiting for the other player \u2026", "");
       },
-      count(message) { this.ask("It begins \u2026", ""); this.view.big = String(message.left); },
+      count(message) { clearTimeout(this.pause); this.ask("It begins \u2026", ""); this.view.big = String(message.left); },
       begun() { this.ask("", ""); this.view.big = ""; this.playing = true; this.canvas.focus({ preventScroll: true }); },
       end(message) { this.playing = false; this.outcome = OUTCOMES[message.outcome] ?? ""; this.view.big = ""; this.ask(this.outcome, ""); },
       error(message) { this.alert.textContent = `${message.text}. Please wait, or reload the page.`; },
