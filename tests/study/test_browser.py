@@ -110,6 +110,8 @@ class Window:
         self.sees(self.study.settings.title)
         self.press("I agree and take part")
         self.sees("Your screen")
+        self.press("Next")
+        self.says("Please watch the animation to its end first.")
         self.watch()
         self.press("Next")
 
@@ -188,8 +190,6 @@ def test_from_consent_to_the_code(browser: Any, clips: Path, tmp_path: Path, kin
         assert window.page.evaluate(size)[0] <= 640, "nothing is to the right of the window"
         window.is_accessible(window.page)
         window.page.set_viewport_size({"width": 1280, "height": 720})
-        window.press("Next")
-        window.says("Please watch the animation to its end first.")
         window.watch()
         window.press("Next")
         window.says("still open")
