@@ -29,7 +29,6 @@ _NOTES: Final = frozenset(
 )
 _TIMES: Final = ("rt_ms", "shown_ms", "plays", "first_end_ms")
 _MOST_TIME: Final = 1e13
-_NO_CODE: Final = frozenset(("full", "closed", "repeated"))
 
 
 def create_app(site: Site, names: tuple[str, ...] = ()) -> Starlette:
