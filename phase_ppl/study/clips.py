@@ -54,8 +54,9 @@ _SIDEWAYS: Final = -np.pi / 2
 CLIPS: Final[Mapping[str, Clip]] = {
     "moving": Clip(
         [(11.0, 9.0, 0.0), (20.0, 16.0, np.pi), *_FAR],
-        [(_GO, 6), (_WAIT, 6), (_RIGHT, 3), (_GO, 5), (_WAIT, 8)],
-        [(_WAIT, 8), (_GO, 5), (_LEFT, 4), (_GO, 5), (_WAIT, 6)],
+        [(_GO, 5), (_STOP, 1), (_WAIT, 4), (_RIGHT, 2), (_GO, 5), (_STOP, 1), (_WAIT, 6)],
+        [(_WAIT, 8), (_GO, 4), (_STOP, 1), (_LEFT, 2), (_WAIT, 1), (_GO, 5), (_STOP, 1), (_WAIT, 2)],
+        strengths=(300.0, 300.0),
     ),
     "walls": Clip(
         [(10.0, 17.0, _SIDEWAYS), (22.0, 15.0, np.pi), *_FAR],
@@ -71,8 +72,9 @@ CLIPS: Final[Mapping[str, Clip]] = {
     ),
     "weight": Clip(
         [(9.0, 16.0, _SIDEWAYS), (9.0, 8.0, _SIDEWAYS), (12.5, 16.0, 0.0), (12.5, 8.0, 0.0)],
-        [(_GO, 18), (_WAIT, 4)],
-        [(_GO, 18), (_WAIT, 4)],
+        [(_GO, 10), (_WAIT, 12)],
+        [(_GO, 10), (_WAIT, 12)],
+        strengths=(300.0, 300.0),
         radius=(1.2, 1.2, 0.8, 1.6),
     ),
     "sight": Clip(

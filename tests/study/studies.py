@@ -11,6 +11,7 @@ import pytest
 from starlette.testclient import TestClient
 
 import phase_ppl as ppl
+from phase_ppl.study.clips import CLIPS
 from phase_ppl.study.study import Study
 
 HOST = "http://localhost"
@@ -30,13 +31,17 @@ def short_events(n: int = 3) -> list[ppl.Event]:
     return found
 
 
-def make_study(
-    folder: Path, kind: str = "judgment", n: int = 3, *, films: bool = False, **given: Any
-) -> Study:
-    """Make a study of short events; the films of the introduction only if asked for."""
+def empty_clips(folder: Path) -> None:
+    """Stand for the films of the introduction."""
+    folder.mkdir()
+    for name in CLIPS:
+        (folder / f"{name}.mp4").touch()
+
+
+def make_study(folder: Path, kind: str = "judgment", n: int = 3, **given: Any) -> Study:
+    """Make a study of short events; the films of the introduction are empty."""
     with pytest.MonkeyPatch.context() as patch:
-        if not films:
-            patch.setattr("phase_ppl.study.study.make_clips", lambda folder: None)
+        patch.setattr("phase_ppl.study.study.make_clips", empty_clips)
         Study.new(folder, short_events(n), kind, workers=1, progress=False)
     return change(Study(folder), **given)
 

@@ -112,7 +112,7 @@ def test_the_kind_of_a_study_stays(tmp_path: Path) -> None:
 def test_missing_and_changed_films_are_found_before_people_come(
     tmp_path: Path, damage: str
 ) -> None:
-    study = make_study(tmp_path / "study", films=True)
+    study = make_study(tmp_path / "study")
     assert any("who is responsible" in note for note in study.check())
     film = next((study.folder / "videos").iterdir())
     if damage == "delete":

@@ -35,7 +35,7 @@ def certain(event: ppl.Event) -> Prediction:
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory: pytest.TempPathFactory) -> Study:
-    return make_study(tmp_path_factory.mktemp("made") / "study", films=True)
+    return make_study(tmp_path_factory.mktemp("made") / "study")
 
 
 def test_scripted_people_answer_as_the_model_believes(
