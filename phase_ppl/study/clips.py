@@ -55,7 +55,7 @@ CLIPS: Final[Mapping[str, Clip]] = {
     "moving": Clip(
         [(11.0, 9.0, 0.0), (20.0, 16.0, np.pi), *_FAR],
         [(_GO, 5), (_STOP, 1), (_WAIT, 4), (_RIGHT, 2), (_GO, 5), (_STOP, 1), (_WAIT, 6)],
-        [(_WAIT, 8), (_GO, 4), (_STOP, 1), (_LEFT, 2), (_WAIT, 1), (_GO, 5), (_STOP, 1), (_WAIT, 2)],
+        [(_WAIT, 8), (_GO, 4), (_STOP, 1), (_LEFT, 2), (_GO, 5), (_STOP, 1), (_WAIT, 3)],
         strengths=(300.0, 300.0),
     ),
     "walls": Clip(
