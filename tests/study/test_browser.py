@@ -236,6 +236,9 @@ def test_from_consent_to_the_code(browser: Any, clips: Path, tmp_path: Path, kin
     notes = {note["what"] for note in rows(study, "SELECT what FROM note")}
     assert {"resume", "retry"} <= notes
     assert study.status().counts["finished"] == 1
+    everything = b"".join(file.read_bytes() for file in study.folder.glob("study.db*"))
+    for word in (b"77abc", b"127.0.0.1", b"Mozilla"):
+        assert word not in everything, "nothing by which a person could be known"
 
 
 @needs_browser
