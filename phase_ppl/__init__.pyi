@@ -1,6 +1,7 @@
 """Every public name and where it is: what type checkers read, and the package's own table."""
 
 from phase_ppl import render as render
+from phase_ppl import study as study
 from phase_ppl.agents.config import PlannerConfig as PlannerConfig
 from phase_ppl.analysis import plots as _plots
 from phase_ppl.analysis.comparison import Comparison as Comparison
@@ -36,6 +37,8 @@ from phase_ppl.evaluation.evaluation import reference_evaluation as reference_ev
 from phase_ppl.evaluation.judgments import Study as Study
 from phase_ppl.evaluation.judgments import load_judgments as load_judgments
 from phase_ppl.evaluation.judgments import with_judgments as with_judgments
+from phase_ppl.evaluation.likeness import Likeness as Likeness
+from phase_ppl.evaluation.likeness import load_likeness as load_likeness
 from phase_ppl.evaluation.metrics import evaluate_predictions as evaluate_predictions
 from phase_ppl.evaluation.metrics import paired_difference as paired_difference
 from phase_ppl.evaluation.metrics import reference_models as reference_models
@@ -48,6 +51,8 @@ from phase_ppl.evaluation.registry import available_models as available_models
 from phase_ppl.evaluation.registry import model_info as model_info
 from phase_ppl.evaluation.registry import register_model as register_model
 from phase_ppl.evaluation.report import report as report
+from phase_ppl.evaluation.tags import Tags as Tags
+from phase_ppl.evaluation.tags import load_tags as load_tags
 from phase_ppl.evaluation.training import train_socialgnn as train_socialgnn
 from phase_ppl.inference.compare import ComparisonInterrupted as ComparisonInterrupted
 from phase_ppl.inference.compare import compare as compare

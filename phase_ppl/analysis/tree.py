@@ -257,6 +257,7 @@ def kept_scene(kept: xr.Dataset) -> Scene:
     return Scene(
         **{name: kept[name].values for name in names},
         turning=kept.attrs["turning"],
+        resets_velocity=bool(kept.attrs.get("resets_velocity", 0)),  # older files have none
         arena=(x0, x1, y0, y1),
         landmark_half_width=float(kept.attrs["landmark_half_width"]),
     )

@@ -8,7 +8,17 @@ from collections.abc import Sequence
 from typing import Final
 
 import phase_ppl
-from phase_ppl.cli import compare, compare_models, evaluate, events, generate, infer, results, train
+from phase_ppl.cli import (
+    compare,
+    compare_models,
+    evaluate,
+    events,
+    generate,
+    infer,
+    results,
+    study,
+    train,
+)
 from phase_ppl.cli.shared import BAD_INPUT, Parser, one_line
 from phase_ppl.world.errors import PhasePPLError
 
@@ -25,6 +35,7 @@ _COMMANDS: Final = (
     generate.add_to,
     events.add_describe,
     train.add_to,
+    study.add_to,
     events.add_export,
 )
 """What adds the commands, in the order in which ``--help`` lists them."""

@@ -29,6 +29,8 @@ Lengths are in units of the world, y up, angles in radians (counter-clockwise, 0
 wrapped); a row is [x, y, angle], frame 0 the start, frame k the mean over planner step k; walls
 are inner walls [[x, y], [x, y]]; strengths are in newtons. In ``scene`` only ``radius`` must be
 given: the rest defaults to the original world without inner walls, ``start`` to the first frame.
+``"resets_velocity": true`` is there where agents stand still after each step, as those that people
+steer, and is not written elsewhere.
 ``truth`` (effective goals), ``judgments`` and ``predictions`` may be missing or null.
 
 Several events: ``{"format": "phase-ppl-events-1", "events": [...]}``, each as above (without
@@ -103,12 +105,13 @@ SCENE: Final[Mapping[str, Field]] = {
     "landmark_half_width": Field("landmark_half_width", ()),
     "arena": Field("arena", ("bound",)),
 }
-"""Attribute of a scene -> how files have it; beside these there is ``turning``, a text."""
+"""Attribute of a scene -> how files have it; beside these there are ``turning``, a text, and
+``resets_velocity``, which only a scene that does so has."""
 
 _EVENT_FIELDS = ("format", "id", "scene", "trajectories", "truth", "judgments", "predictions")
 _TRUTH_FIELDS = ("goals", "relation", "scenario", "strengths")
 _SCENE_FIELDS = (*("arena", "walls", "landmarks", "landmark_half_width", "turning"),
-                 *("radius", "start"))  # fmt: skip
+                 *("resets_velocity", "radius", "start"))  # fmt: skip
 _LINE_CHARACTERS = 100
 
 
@@ -177,7 +180,7 @@ def read_observation(record: Mapping[str, Any], where: str) -> Observation:
 def _scene(record: Mapping[str, Any], first_frame: FloatArray) -> Scene:
     only(record, _SCENE_FIELDS, "scene")
     given: dict[str, Any] = {"start": first_frame}
-    for name in ("walls", "turning", "landmark_half_width"):
+    for name in ("walls", "turning", "landmark_half_width", "resets_velocity"):
         if name in record:
             given[name] = record[name]
     if "arena" in record:
@@ -229,7 +232,7 @@ def event_record(event: Event) -> dict[str, Any]:
     record: dict[str, Any] = {
         "format": EVENT_FORMAT,
         "id": event_id({"id": event.id}),
-        "scene": scene_record(arrays, event.scene.turning),
+        "scene": scene_record(arrays, event.scene.turning, event.scene.resets_velocity),
         "trajectories": tracks_record(event.observation.trajectory),
     }
     if event.truth is not None:
@@ -241,14 +244,17 @@ def event_record(event: Event) -> dict[str, Any]:
     return record
 
 
-def scene_record(arrays: Mapping[str, Any], turning: str) -> dict[str, Any]:
-    """Return the JSON object of a scene, given the values of :data:`SCENE`."""
+def scene_record(
+    arrays: Mapping[str, Any], turning: str, resets_velocity: bool = False
+) -> dict[str, Any]:
+    """Return the JSON object of a scene, given the values of :data:`SCENE` and its rules."""
     return {
         "arena": arena_record(arrays["arena"]),
         "walls": arrays["walls"],
         "landmarks": dict(zip(LANDMARKS, arrays["landmark_centres"], strict=True)),
         "landmark_half_width": arrays["landmark_half_width"],
         "turning": turning,
+        **({"resets_velocity": True} if resets_velocity else {}),
         "radius": dict(zip(ENTITIES, arrays["radius"], strict=True)),
         "start": dict(zip(ENTITIES, arrays["start"], strict=True)),
     }

@@ -59,6 +59,8 @@ _TEXT: Final = Field("", (), "")
 _GOALS: Final = ("goal_red", "goal_green")
 _STRENGTHS: Final = ("strength_red", "strength_green")
 _DOCUMENTS: Final = ("judgments", "predictions")
+_RESETS: Final = "resets_velocity"
+"""1 or 0, where agents of any of a file's events stand still after each step; else not there."""
 
 _TIME_TOLERANCE: Final = 1e-3
 """Relative deviation of a time step from 1/12 s that is put down to rounding."""
@@ -77,6 +79,8 @@ def event_dataset(event: Event) -> xr.Dataset:
         **{name: (field, getattr(event.scene, name)) for name, field in SCENE.items()},
         "turning": (_TEXT, event.scene.turning),
     }
+    if event.scene.resets_velocity:
+        values[_RESETS] = _TEXT, np.int8(1)
     for name in (*_GOALS, "relation", "scenario"):
         values[name] = _TEXT, getattr(event.truth, name, "")
     for name in _STRENGTHS:
@@ -121,7 +125,7 @@ def event_from_dataset(dataset: xr.Dataset) -> Event:
     tracks = np.moveaxis(found["trajectory"], 1, 0)
     record: dict[str, Any] = {
         "id": _text(dataset, "event", required=True),
-        "scene": scene_record(found, _text(dataset, "turning", required=True)),
+        "scene": scene_record(found, _text(dataset, "turning", required=True), _resets(dataset)),
         "trajectories": dict(zip(ENTITIES, tracks, strict=True)),
     }
     goals = [_text(dataset, name) for name in _GOALS]
@@ -197,6 +201,13 @@ def _text(dataset: xr.Dataset, name: str, required: bool = False) -> str:
 def _plain(value: object) -> Any:
     """Return text that a file holds as bytes as a string, anything else as it is."""
     return value.decode(errors="replace") if isinstance(value, bytes) else value
+
+
+def _resets(dataset: xr.Dataset) -> bool:
+    value = dataset.variables[_RESETS].values.tolist() if _RESETS in dataset.variables else 0
+    if value not in (0, 1):
+        raise InvalidEventError(f"{_RESETS} is {shown(value)}, expected 0 or 1")
+    return bool(value)
 
 
 def _force(dataset: xr.Dataset, name: str) -> float | None:
@@ -278,7 +289,13 @@ def one(event: Event) -> xr.Dataset:
 
 def many(events: Sequence[Event]) -> xr.Dataset:
     """Return the content of a file of several events. Errors as for :func:`event_dataset`."""
-    return _packed([one(event) for event in events])
+    datasets = [one(event) for event in events]
+    if any(_RESETS in dataset for dataset in datasets):
+        datasets = [
+            dataset if _RESETS in dataset else dataset.assign({_RESETS: ((), np.int8(0))})
+            for dataset in datasets
+        ]
+    return _packed(datasets)
 
 
 def to_bytes(dataset: xr.Dataset) -> bytes:

@@ -7,7 +7,7 @@ the predictions of other models. Goals in ``truth`` are effective ones: helper a
 goal, a hinderer holds the negation. ``mirror_of_original`` is not read.
 
 Any events of one arena can be written in this format. It has no place for a start other than the
-first frame, or for ``turning``, which is read off the angles.
+first frame, for ``turning``, which is read off the angles, or for ``resets_velocity``.
 """
 
 from __future__ import annotations
@@ -173,10 +173,14 @@ def video(event: Event, like: Scene) -> dict[str, Any]:
 
 
 def check_start(event: Event) -> None:
-    """Raise InvalidEventError unless the event starts as its first frame shows."""
+    """Raise InvalidEventError unless the event starts as its first frame shows, and goes on."""
     if not np.array_equal(event.scene.start, event.observation.trajectory[0]):
         raise InvalidEventError(
             "it does not start as its first frame shows, and the format has no place for that"
+        )
+    if event.scene.resets_velocity:
+        raise InvalidEventError(
+            "its agents stand still after each step, and the format has no place for that"
         )
 
 

@@ -16,22 +16,19 @@ separated by commas; case and spaces around an answer do not matter.
 
 from __future__ import annotations
 
-import contextlib
-import csv
 import dataclasses
 import functools
-import io
 import math
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import pandas as pd
 
-from phase_ppl.dataset.documents import MAX_BYTES
 from phase_ppl.dataset.generated import MANIFEST, PLAN, GeneratedEvents
 from phase_ppl.dataset.load import load_events
+from phase_ppl.evaluation.csv_file import csv_lines, csv_text, naming_line
 from phase_ppl.evaluation.folder import EVENTS, SETTINGS
 from phase_ppl.evaluation.people import participant_accuracy
 from phase_ppl.evaluation.prediction import QUESTIONS
@@ -113,7 +110,7 @@ def load_judgments(path: str | os.PathLike[str], events: Sequence[Event] | None 
     source = existing_file(path)
     videos = None if events is None else [event.id for event in events]
     try:
-        rows = _rows(_text(source), videos)
+        rows = _rows(csv_text(source), videos)
     except PhasePPLError as error:
         raise type(error)(f"{source}{error}") from None
     # plain objects: pandas' own text would make NaN of None
@@ -142,50 +139,18 @@ def with_judgments(events: Sequence[Event], study: Study) -> list[Event]:
     return found
 
 
-def _text(source: Path) -> str:
-    try:
-        with open(source, "rb") as file:
-            content = file.read(MAX_BYTES + 1)
-    except OSError as error:
-        raise InvalidEventError(f": cannot be read: {error.strerror or error}") from None
-    if len(content) > MAX_BYTES:
-        raise InvalidEventError(f": is larger than the {MAX_BYTES // 2**20} MB that are read")
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InvalidEventError(f": is no CSV file: byte {error.start} is not UTF-8") from None
-    if "\0" in text:
-        raise InvalidEventError(": is no CSV file in UTF-8: it holds zero bytes")
-    return text
-
-
-def _lines(text: str) -> Iterator[tuple[int, list[str]]]:
-    """Yield the number of its first line and the cells of each row that is not blank."""
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
-    while True:
-        line = reader.line_num + 1
-        try:
-            cells = [cell.strip() for cell in next(reader)]
-        except StopIteration:
-            return
-        except csv.Error as error:
-            raise InvalidEventError(f", line {line}: is no CSV: {error}") from None
-        if any(cells):
-            yield line, cells
-
-
 def _rows(text: str, videos: Sequence[str] | None) -> list[dict[str, Any]]:
-    lines = _lines(text)
+    lines = csv_lines(text)
     line, header = next(lines, (0, []))
     if not header:
         raise InvalidEventError(": is empty")
-    with _naming(line):
+    with naming_line(line):
         _check_header(header)
     allowed = None if videos is None else set(videos)
     first: dict[tuple[str, str], int] = {}
     rows = []
     for line, cells in lines:
-        with _naming(line):
+        with naming_line(line):
             if len(cells) != len(header):
                 raise InvalidEventError(f"has {len(cells)} cells, expected {len(header)}")
             row = _row(dict(zip(header, cells, strict=True)))
@@ -203,14 +168,6 @@ def _rows(text: str, videos: Sequence[str] | None) -> list[dict[str, Any]]:
     if not any(row[question] for row in rows for question in QUESTIONS):
         raise InvalidEventError(": holds no judgments")
     return rows
-
-
-@contextlib.contextmanager
-def _naming(line: int) -> Iterator[None]:
-    try:
-        yield
-    except PhasePPLError as error:
-        raise type(error)(f", line {line}: {error}") from None
 
 
 def _check_header(header: Sequence[str]) -> None:

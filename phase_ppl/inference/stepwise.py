@@ -159,6 +159,7 @@ class Watch:
             "likelihood": likelihood.to_dict(),
             "seed": self._seed,
             "turning": scene.turning,
+            "resets_velocity": scene.resets_velocity,
         }
         cost = {
             "searches": sum(one.searches for one in readings),
@@ -193,6 +194,7 @@ class Watch:
                 "settings": json.dumps(settings, default=repr),
                 "cost": json.dumps(cost),
                 "turning": scene.turning,
+                "resets_velocity": int(scene.resets_velocity),
                 "landmark_half_width": float(scene.landmark_half_width),
                 "version": phase_ppl.__version__,
             },

@@ -23,6 +23,7 @@ from phase_ppl.models.density import (
 from phase_ppl.models.model import Model
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, STRENGTH_SITES, effective_table
 from phase_ppl.world.goals import N_GOALS
+from phase_ppl.world.identity import physics_rules
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 
@@ -114,7 +115,7 @@ class EventProgram:
 
 def event_salt(scene: Scene, observation: Observation) -> int:
     """Return a number below 2**31 that stands for an event's start, sizes, walls and trajectory."""
-    digest = hashlib.sha256(scene.turning.encode())
+    digest = hashlib.sha256(physics_rules(scene))
     for array in (scene.start, scene.radius, scene.walls, observation.trajectory):
         digest.update(np.ascontiguousarray(array, np.float64).tobytes())
     return int.from_bytes(digest.digest()[:4], "big") >> 1

@@ -279,8 +279,11 @@ def _advance(
                 frame[body, 0] += (bodies[body, X] + s * cog) / params.substeps
                 frame[body, 1] += (bodies[body, Y] - c * cog) / params.substeps
                 frame[body, 2] += bodies[body, ANGLE] / params.substeps
-    bodies[0, SPIN] = 0.0
-    bodies[1, SPIN] = 0.0
+    for agent in range(2):
+        bodies[agent, SPIN] = 0.0
+        if params.resets_velocity:
+            bodies[agent, VX] = 0.0
+            bodies[agent, VY] = 0.0
 
 
 @inlined_kernel

@@ -59,6 +59,7 @@ class Params(NamedTuple):
         contact_rates: by number of parts, bias velocity per unit of overlap.
         swivel: a held item hangs on a rod from its holder's origin instead of being welded, and
             agents push at their origin: what the authors' agents imagined.
+        resets_velocity: whether agents stand still after each planner step.
     """
 
     radius: FloatArray
@@ -82,6 +83,7 @@ class Params(NamedTuple):
     friction: float
     contact_rates: FloatArray
     swivel: bool
+    resets_velocity: bool
 
 
 class Scratch(NamedTuple):
@@ -213,6 +215,7 @@ def make_params(
         friction=constants.FLOOR_FRICTION * constants.SUBSTEP,
         contact_rates=(1.0 - constants.COLLISION_BIAS**part_length) / part_length,
         swivel=swivel,
+        resets_velocity=scene.resets_velocity,
     )
 
 

@@ -24,7 +24,7 @@ motion then does not depend on the number of inner steps.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 import numpy as np
@@ -55,6 +55,14 @@ _NUDGE: Final = 1e-6
 _N_AGENTS: Final = len(AGENTS)
 
 
+def mean_pose(poses: Sequence[FloatArray]) -> FloatArray:
+    """Return the frame of a planner step, given the (4, 3) poses after its substeps."""
+    frame = np.zeros((len(ENTITIES), 3))
+    for pose in poses:
+        frame += pose
+    return frame / len(poses)
+
+
 class PymunkWorld:
     """A running world.
 
@@ -62,7 +70,7 @@ class PymunkWorld:
     go in or out (``State``, frames) are those of the body origins.
 
     Args:
-        scene: sizes, walls, arena and start poses.
+        scene: sizes, walls, arena, start poses, and whether agents stop after each step.
         strengths: maximum forces of red and green, newtons.
         inner_steps: parts into which the movement of a substep is divided.
         initial: state to start from; None for the scene's start, from which the world makes one
@@ -79,6 +87,7 @@ class PymunkWorld:
         iterations: int = constants.WORLD_ITERATIONS,
     ) -> None:
         self._strengths = strengths
+        self._resets_velocity = scene.resets_velocity
         self._radius = [float(r) for r in scene.radius]
         self._cog_y = [
             CENTRE_OF_MASS_Y * r if is_agent(i) else 0.0 for i, r in enumerate(self._radius)
@@ -224,10 +233,18 @@ class PymunkWorld:
         Returns:
             (4, 3) mean pose over the five substeps; angles are not wrapped.
         """
-        frame = np.zeros((len(ENTITIES), 3))
+        return mean_pose(list(self.substeps(actions)))
+
+    def substeps(self, actions: tuple[int, int]) -> Iterator[FloatArray]:
+        """Do one planner step; yield the (4, 3) poses after each of its five substeps.
+
+        The step is done when the iterator is exhausted. :func:`mean_pose` makes its frame.
+
+        Args:
+            actions: of red and green, values of ``Action`` or ``NO_ACTION``.
+        """
         for _ in self._substeps(actions):
-            frame += self._poses()
-        return frame / constants.SUBSTEPS
+            yield self._poses()
 
     def advance(self, actions: tuple[int, int]) -> None:
         """Advance by one planner step, as :meth:`step`, without the work of a frame.
@@ -251,6 +268,8 @@ class PymunkWorld:
         for body in self._bodies[:_N_AGENTS]:
             body.angle += body.angular_velocity * self._dt
             body.angular_velocity = 0.0
+            if self._resets_velocity:
+                self._halt(body)
 
     def _substep(self, actions: tuple[int, int]) -> None:
         n = self._inner_steps
@@ -273,8 +292,7 @@ class PymunkWorld:
         """Stop the body, or apply its force or torque for the next inner step only."""
         body, n = self._bodies[agent], self._inner_steps
         if action == Action.STOP:
-            body.position += body.velocity * self._dt
-            body.velocity = 0.0, 0.0
+            self._halt(body)
         elif action == Action.TURN_LEFT:
             body.torque = n * constants.turn_torque(self._radius[agent])
         elif action == Action.TURN_RIGHT:
@@ -284,6 +302,11 @@ class PymunkWorld:
             arm = constants.FORCE_POINT_Y * self._radius[agent] - self._cog_y[agent]
             body.force = tuple(rotation(self._pose(agent)[2]) @ force)
             body.torque = -arm * float(force[0])
+
+    def _halt(self, body: pymunk.Body) -> None:
+        """Take a body's velocity away; it stays where the move that is due takes it."""
+        body.position += body.velocity * self._dt
+        body.velocity = 0.0, 0.0
 
     def deflect(self, factors: FloatArray, angles: FloatArray) -> None:
         """Change the velocities of all bodies at once; poses stay.

@@ -9,8 +9,11 @@ from __future__ import annotations
 
 from typing import Final
 
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import unknown_name
+from phase_ppl.world.geometry import is_on, touches
 from phase_ppl.world.names import AGENTS, ENTITIES, GREEN, LANDMARKS, RED, Literal, Predicate
+from phase_ppl.world.scene import Scene
 
 _ALPHABETICAL = ("blue item", "green agent", "pink item", "red agent")
 
@@ -74,6 +77,23 @@ def literal_goal(literal: Literal) -> int:
         way = "to" if literal.positive else "away from"
         return _INDEX[f"get {way} {AGENTS[literal.target]}"]
     raise unknown_name("goal literal", literal, GOALS)
+
+
+def is_true(literal: Literal, poses: FloatArray, scene: Scene) -> bool:
+    """Whether a goal's literal is true where the bodies are.
+
+    Args:
+        literal: of a goal, see :func:`goal_literal`.
+        poses: (entity, coord) x, y [units], angle [rad].
+        scene: sizes and landmarks.
+    """
+    subject, target = literal.subject, literal.target
+    if literal.predicate is Predicate.TOUCH:
+        found = touches(subject, target, poses, scene.radius)
+    else:
+        centre = scene.landmark_centres[target]
+        found = is_on(poses[subject, :2], centre, scene.landmark_half_width)
+    return bool(found) is literal.positive
 
 
 def is_self_referring(goal: str | int, holder: int) -> bool:

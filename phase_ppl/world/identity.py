@@ -18,6 +18,7 @@ import numpy as np
 from phase_ppl import __version__
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.event import Event
+from phase_ppl.world.scene import Scene
 
 LIBRARIES: Final = ("numpyro", "jax", "numpy", "xarray", "pymunk", "numba")
 """Those whose versions can change a number."""
@@ -35,7 +36,7 @@ _ADDRESS: Final = re.compile(r" at 0x[0-9a-fA-F]+")
 def event_digest(event: Event) -> str:
     """Return a hash of all that inference sees of an event."""
     scene = event.scene
-    digest = hashlib.sha256(scene.turning.encode())
+    digest = hashlib.sha256(physics_rules(scene))
     for values in (
         *(scene.start, scene.radius, scene.walls, np.array(scene.arena)),
         *(scene.landmark_centres, np.array(scene.landmark_half_width)),
@@ -43,6 +44,11 @@ def event_digest(event: Event) -> str:
     ):
         digest.update(np.ascontiguousarray(values, np.float64).tobytes())
     return digest.hexdigest()
+
+
+def physics_rules(scene: Scene) -> bytes:
+    """Return what the rules of a scene's world, beside its numbers, contribute to a hash."""
+    return f"{scene.turning}{' resets velocity' if scene.resets_velocity else ''}".encode()
 
 
 def source_hash(thing: Callable[..., Any] | None) -> str | None:

@@ -75,6 +75,8 @@ class Scene:
         arena: x_min, x_max, y_min, y_max, units.
         landmark_centres: (4, 2) centres of the landmarks' squares, units.
         landmark_half_width: half the side of the squares, units.
+        resets_velocity: whether agents stand still after each planner step, as where people steer
+            them (paper, Appendix A.2); items go on.
 
     Raises:
         InvalidEventError: a value that is not finite, has the wrong shape or lies outside.
@@ -87,6 +89,7 @@ class Scene:
     arena: tuple[float, float, float, float] = ARENA
     landmark_centres: FloatArray = dataclasses.field(default_factory=lambda: LANDMARK_CENTRES)
     landmark_half_width: float = LANDMARK_HALF_WIDTH
+    resets_velocity: bool = False
 
     def __post_init__(self) -> None:
         n = len(ENTITIES)
@@ -102,6 +105,10 @@ class Scene:
         set_field("arena", tuple(float(v) for v in arena))
         if self.turning not in TURNINGS:
             raise unknown_name("turning", self.turning, TURNINGS)
+        if not isinstance(self.resets_velocity, bool):
+            raise InvalidEventError(
+                f"scene.resets_velocity is {shown(self.resets_velocity)}, expected true or false"
+            )
         width, height = arena[1] - arena[0], arena[3] - arena[2]
         if width <= 0 or abs(width - height) > 1e-6:
             raise InvalidEventError(f"scene.arena {self.arena} is not a square x0, x1, y0, y1")

@@ -71,6 +71,24 @@ def test_agents_that_turn_one_way_only_may_have_meant_the_other() -> None:
     assert density[Action.TURN_RIGHT, Action.STOP] > density[Action.UP, Action.STOP] + 5
 
 
+def test_what_agents_do_that_are_reset_is_understood_by_that_rule_alone() -> None:
+    where = near_item(resets_velocity=True)
+    frames = [frame for frame, _ in played(where, CARRY)]
+    explained = {}
+    for rule in (True, False):
+        assumed = dataclasses.replace(where, resets_velocity=rule)
+        hidden = HiddenState(assumed, Tracking(strength_weight=1.0))
+        densities = [hidden.advance(frame) for frame in frames]
+        explained[rule] = sum(float(np.logaddexp.reduce(d, axis=None)) for d in densities)
+        if rule:
+            found = hidden.strengths()
+            for density, actions in zip(densities, CARRY, strict=True):
+                own = density.max(axis=1)
+                assert own[actions[0]] > own.max() - 1.0
+    assert found[2, 1] > 0.9
+    assert explained[True] > explained[False] + 20
+
+
 def test_a_body_that_jumps_is_followed() -> None:
     where = near_item()
     hidden = HiddenState(where, Tracking())

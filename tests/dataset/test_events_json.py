@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
+import phase_ppl as ppl
 from phase_ppl import event_from_dataset
 from phase_ppl.dataset import load_event, load_events, save_event, save_events
 from phase_ppl.dataset.events_json import event_from_record, event_record, to_text
@@ -46,7 +47,7 @@ def assert_same(first: Event, second: Event) -> None:
     assert np.array_equal(first.observation.trajectory, second.observation.trajectory)
     for name in ("start", "radius", "walls", "landmark_centres"):
         assert np.array_equal(getattr(first.scene, name), getattr(second.scene, name)), name
-    for name in ("arena", "turning", "landmark_half_width"):
+    for name in ("arena", "turning", "landmark_half_width", "resets_velocity"):
         assert getattr(first.scene, name) == getattr(second.scene, name), name
     for name in ("id", "truth", "judgments", "predictions"):
         assert getattr(first, name) == getattr(second, name), name
@@ -70,6 +71,7 @@ events = st.builds(
         make_scene,
         walls=st.sampled_from([walls(), walls(up=10), walls(up=10, left=7.5, down=5, right=7.5)]),
         turning=st.sampled_from(TURNINGS),
+        resets_velocity=st.booleans(),
         radius=hnp.arrays(np.float64, 4, elements=st.floats(0.1, 3)),
     ),
     observation=inside(rows=st.integers(2, 6)).map(Observation),
@@ -107,6 +109,38 @@ def various() -> list[Event]:
     """Events of different lengths, with and without walls and truth."""
     plain = Event(make_scene(walls=[]), Observation(make_trajectory(9)), id="plain")
     return [make_event(5, "b"), plain, make_event(2, "a, Δ"), make_event(20, "c")]
+
+
+@pytest.mark.parametrize("name", ["all.json", "all.nc"])
+def test_events_in_a_file_may_have_different_rules(tmp_path: Path, name: str) -> None:
+    first, *others = various()
+    steered = dataclasses.replace(
+        first, scene=dataclasses.replace(first.scene, resets_velocity=True)
+    )
+    save_events([*others, steered], tmp_path / name)
+    found = [event.scene.resets_velocity for event in load_events(tmp_path / name)]
+    assert found == [False, False, False, True]
+    # who reads one event of many reads it by another way
+    assert load_event(tmp_path / name, video="b").scene.resets_velocity
+
+
+def test_files_of_events_without_a_reset_are_what_they_were(tmp_path: Path) -> None:
+    bundled = Path(ppl.__file__).parent / "dataset" / "events" / "collaborate.json"
+    event = load_event("collaborate")
+    assert not event.scene.resets_velocity
+    save_event(event, tmp_path / "again.json")
+    assert (tmp_path / "again.json").read_bytes() == bundled.read_bytes()
+    save_events(various(), tmp_path / "all.nc")
+    with xr.open_dataset(tmp_path / "all.nc") as many:
+        assert "resets_velocity" not in many
+
+
+@pytest.mark.parametrize("value", [1, "yes", None])
+def test_a_reset_that_is_neither_true_nor_false_is_refused(value: object) -> None:
+    record = event_record(make_event())
+    record["scene"]["resets_velocity"] = value
+    with pytest.raises(InvalidEventError, match=r"resets_velocity is .*, expected true or false"):
+        event_from_record(record)
 
 
 @pytest.mark.parametrize("name", ["all.json", "all.nc"])

@@ -145,6 +145,10 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
         {"scene": dataclasses.replace(ODD, start=ODD.start + 0.1)},
         "does not start as its first frame shows",
     ),
+    "reset": (
+        {"scene": dataclasses.replace(ODD, resets_velocity=True)},
+        "its agents stand still after each step",
+    ),
     "strength": (
         {"truth": Truth(GOALS[0], GOALS[1], strength_red=333.0)},
         "a strength is 333 N, expected one of 150, 300, 450, 600",

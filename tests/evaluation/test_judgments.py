@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.evaluation import judgments as studies
 from phase_ppl.evaluation.judgments import load_judgments, with_judgments
 from phase_ppl.evaluation.ratings import Judgments, event_judgments
 from phase_ppl.world.errors import InvalidEventError, PhasePPLError, UnknownNameError
@@ -168,7 +167,7 @@ def test_missing_file_and_folder_are_refused(tmp_path: Path) -> None:
 
 
 def test_file_that_is_too_large_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(studies, "MAX_BYTES", 100)
+    monkeypatch.setattr("phase_ppl.evaluation.csv_file.MAX_BYTES", 100)
     with pytest.raises(InvalidEventError, match="is larger than"):
         load_judgments(write(tmp_path, STUDY))
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import html.parser
 import itertools
 import re
-import shutil
 import subprocess
 from pathlib import Path
 
@@ -22,11 +21,9 @@ from phase_ppl.evaluation.report.html import page
 from phase_ppl.world.errors import InvalidEventError, OutputError
 from phase_ppl.world.files import write_json
 from tests.analysis.readings import reading
+from tests.browser import browser_path, needs_browser
 
 from .small import HOSTILE, events, make_folder, make_posterior, prediction, with_posterior
-
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
-needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="there is no chromium here")
 
 PAGES = ("evaluation", "run", "comparison", "event")
 """Names of fixtures, of which each is a page."""
@@ -219,12 +216,12 @@ def opened(path: Path, folder: Path) -> tuple[str, str]:
     """Return what the page has become in a browser, and what its console says."""
     options = ["--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", "--v=0"]
     options += [f"--user-data-dir={folder / 'profile'}", "--virtual-time-budget=2000"]
-    command = [str(CHROMIUM), *options, "--dump-dom", path.as_uri()]
+    command = [browser_path(), *options, "--dump-dom", path.as_uri()]
     done = subprocess.run(command, capture_output=True, text=True, timeout=180, check=True)
     return done.stdout, "\n".join(line for line in done.stderr.splitlines() if "CONSOLE" in line)
 
 
-@needs_chromium
+@needs_browser
 @pytest.mark.parametrize("which", PAGES)
 def test_a_browser_shows_the_page_without_complaint(
     which: str, request: pytest.FixtureRequest, tmp_path: Path
@@ -237,7 +234,7 @@ def test_a_browser_shows_the_page_without_complaint(
         assert "hidden" not in page.all("form")[0]
 
 
-@needs_chromium
+@needs_browser
 def test_menus_filter_and_sort_the_videos(evaluation: Path, tmp_path: Path) -> None:
     # what a reader does with the menus, done by a script, which the page's policy would not run
     choose = """<script>

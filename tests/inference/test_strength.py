@@ -1,12 +1,17 @@
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from phase_ppl.dataset.load import load_events
-from phase_ppl.inference.proposals.strength import VALIDATION_SD, analytic_strengths
+from phase_ppl.inference.proposals.strength import (
+    VALIDATION_SD,
+    analytic_strengths,
+    network_strengths,
+)
 from phase_ppl.physics.actions import Action
 from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS
@@ -36,6 +41,20 @@ def estimate(
 def test_free_forward_driving_gives_the_strength_away(level: float) -> None:
     trajectory = driven((level, 750.0 - level), [(Action.UP, Action.UP)] * 5)
     np.testing.assert_array_equal(estimate(trajectory), [level, 750.0 - level])
+
+
+@pytest.mark.parametrize("level", STRENGTH_LEVELS)
+def test_driving_gives_the_strength_of_agents_away_that_are_reset(level: float) -> None:
+    scene = dataclasses.replace(SCENE, resets_velocity=True)
+    world = PymunkWorld(scene, (level, 750.0 - level))
+    pairs = [(Action.UP, Action.UP)] * 5
+    trajectory = np.array([START, *(world.step(pair) for pair in pairs)])
+    np.testing.assert_array_equal(estimate(trajectory, scene=scene), [level, 750.0 - level])
+    # the network knows no such agents
+    windows = np.array([[0, 5]])
+    found = network_strengths(scene, Observation(trajectory), windows).mean[0]
+    np.testing.assert_array_equal(found, [level, 750.0 - level])
+    assert np.isnan(estimate(trajectory[:1].repeat(4, axis=0), scene=scene)).all()
 
 
 def test_window_sees_only_its_own_frames() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import json
 import math
@@ -63,13 +64,15 @@ def crowded(rng: np.random.Generator, make_scene: Any) -> tuple[Scene, NDArray[n
     return make_scene(dict(enumerate(poses.tolist())), {}, WALLS), random_steps(rng, 10)
 
 
+@pytest.mark.parametrize("resets_velocity", [False, True])
 @pytest.mark.parametrize("case", [free, push_into_wall, drive_into_wall, carry, crowded])
 def test_compiled_model_follows_the_pymunk_world_at_equal_recipe(
-    case: Any, compiled_world: Any, make_scene: Any
+    case: Any, resets_velocity: bool, compiled_world: Any, make_scene: Any
 ) -> None:
     drifts = []
     for seed in range(40):
         scene, actions = case(np.random.default_rng(seed), make_scene)
+        scene = dataclasses.replace(scene, resets_velocity=resets_velocity)
         engines = [
             engine(scene, (450.0, 300.0), inner_steps=4, iterations=20)
             for engine in (PymunkWorld, compiled_world)

@@ -18,7 +18,7 @@ from phase_ppl.physics.actions import (
     Action,
 )
 from phase_ppl.physics.flat import ANGLE
-from phase_ppl.physics.pymunk_world import PymunkWorld
+from phase_ppl.physics.pymunk_world import PymunkWorld, mean_pose
 from phase_ppl.physics.welds import turn_frame
 from phase_ppl.world.observation import State
 
@@ -195,3 +195,40 @@ def test_advancing_is_a_step_without_its_frame(make_scene: Any) -> None:
         for field in dataclasses.fields(State):
             of_both = [getattr(world.state, field.name) for world in (stepped, advanced)]
             np.testing.assert_array_equal(*of_both)
+
+
+def test_agents_that_are_reset_stand_still_after_each_step_and_items_go_on(
+    world: Any, make_scene: Any, moving: Any
+) -> None:
+    scene = dataclasses.replace(make_scene({0: (16, 9, 0.4), 2: (12, 15)}), resets_velocity=True)
+    engine = world(scene, (450.0, 300.0), initial=moving(scene, 2, (20.0, 0.0)))
+    for action in (Action.UP_LEFT, Action.RIGHT, Action.TURN_LEFT):
+        engine.step((action, Action.DOWN))
+        assert not engine.state.velocity[:2].any()
+        assert not engine.state.spin[:2].any()
+    assert np.linalg.norm(engine.state.velocity[2]) > 1
+    place = engine.state.pose[:2].copy()
+    engine.step((WAIT, WAIT))
+    assert engine.state.pose[:2] == pytest.approx(place, abs=1e-12)
+
+
+@pytest.mark.parametrize(("size", "strength"), [(0.8, 150.0), (1.2, 600.0)])
+def test_an_agent_that_is_reset_drives_from_rest_in_each_step(
+    world: Any, make_scene: Any, size: float, strength: float
+) -> None:
+    scene = make_scene({0: (16, 9, 0.0)}, {0: size})
+    engine = world(dataclasses.replace(scene, resets_velocity=True), (strength, 300.0))
+    acceleration = (strength - constants.FLOOR_FRICTION) / constants.mass(0, size)
+    for step in range(1, 5):
+        engine.step((Action.UP, WAIT))
+        way = step * (1 + 2 + 3 + 4 + 5) * acceleration * constants.SUBSTEP**2
+        assert engine.state.pose[0, 1] - 9 == pytest.approx(way, abs=1e-4)
+
+
+def test_the_poses_of_the_substeps_make_the_frame(make_scene: Any) -> None:
+    scene = make_scene({0: (12, 8), 2: (12, 10)})
+    whole, parted = (PymunkWorld(scene, (450.0, 300.0)) for _ in range(2))
+    for pair in ((Action.ATTACH, WAIT), (Action.UP, Action.TURN_LEFT), (Action.LEFT, Action.STOP)):
+        poses = list(parted.substeps(pair))
+        assert len(poses) == constants.SUBSTEPS
+        np.testing.assert_array_equal(mean_pose(poses), whole.step(pair))

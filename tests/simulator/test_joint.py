@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
 
@@ -50,6 +51,17 @@ def test_an_agent_carries_an_item_to_its_landmark() -> None:
     path = frames(where, CARRY, 60)
     assert not is_on(path[0, 2, :2], where.landmark_centres[2], where.landmark_half_width)
     assert is_on(path[-1, 2, :2], where.landmark_centres[2], where.landmark_half_width)
+
+
+def test_agents_that_are_reset_reach_their_goals_more_slowly() -> None:
+    where = scene(red=(23.5, 14.0, math.pi), green=(9.0, 18.0, 0.0))
+    reset = dataclasses.replace(where, resets_velocity=True)
+    landmark = where.landmark_centres[2], where.landmark_half_width
+    arrival = [
+        next(t for t, frame in enumerate(frames(one, GO, 60)) if is_on(frame[0, :2], *landmark))
+        for one in (where, reset)
+    ]
+    assert arrival[0] < arrival[1]
 
 
 def test_an_agent_finds_an_item_that_it_cannot_see_at_first() -> None:

@@ -27,8 +27,8 @@ The processed form is written too (:func:`video`), for programs made for the aut
 claims to be a reflected copy where its walls are those of a reflected layout, and is then written
 as such copies are, wrong velocities included: who reads the authors' files puts them right.
 Velocities are differences of the positions, per simulated second. The form has no place for
-another arena, another start than the first frame, ``turning``, predictions, or judgments beyond
-the relation that most people saw.
+another arena, another start than the first frame, ``turning``, ``resets_velocity``, predictions, or
+judgments beyond the relation that most people saw.
 """
 
 from __future__ import annotations

@@ -17,10 +17,10 @@ from phase_ppl.physics.actions import DIRECTIONS
 from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event, Truth
-from phase_ppl.world.geometry import is_on, touches
-from phase_ppl.world.goals import GOALS, goal_literal
+from phase_ppl.world.geometry import touches
+from phase_ppl.world.goals import GOALS, goal_literal, is_true
 from phase_ppl.world.hypothesis import Hypothesis
-from phase_ppl.world.names import AGENTS, BLUE_ITEM, ENTITIES, ITEMS, Literal, Predicate
+from phase_ppl.world.names import AGENTS, BLUE_ITEM, ENTITIES, ITEMS
 from phase_ppl.world.observation import Observation
 
 NEAR: Final = 1.5
@@ -93,7 +93,7 @@ def measures(recording: Recording) -> dict[str, Any]:
     track, scene = recording.trajectory, recording.scene
     goals = recording.hypothesis.effective_goals
     literals = [goal_literal(goal, agent) for agent, goal in enumerate(goals)]
-    truth = np.array([[_is_true(lit, frame, recording) for lit in literals] for frame in track])
+    truth = np.array([[is_true(lit, frame, scene) for lit in literals] for frame in track])
     apart = np.linalg.norm(track[:, 0, :2] - track[:, 1, :2], axis=1) / scene.radius[:2].sum()
     items = range(BLUE_ITEM, BLUE_ITEM + len(ITEMS))
     touched = [
@@ -117,16 +117,6 @@ def measures(recording: Recording) -> dict[str, Any]:
             for agent in range(len(AGENTS))
         ],
     }
-
-
-def _is_true(literal: Literal, frame: NDArray[np.float64], recording: Recording) -> bool:
-    scene = recording.scene
-    if literal.predicate is Predicate.TOUCH:
-        holds = touches(literal.subject, literal.target, frame, scene.radius)
-    else:
-        centre = scene.landmark_centres[literal.target]
-        holds = is_on(frame[literal.subject, :2], centre, scene.landmark_half_width)
-    return holds is literal.positive
 
 
 def longest_run(flags: NDArray[np.bool_]) -> int:

@@ -17,8 +17,11 @@ from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 from phase_ppl.analysis.figures.style import written
 from phase_ppl.evaluation.comparison import ModelComparison
 from phase_ppl.evaluation.figures import grids as _grids
+from phase_ppl.evaluation.figures import people as _people
 from phase_ppl.evaluation.figures import rows as _rows
 from phase_ppl.evaluation.figures.layout import NothingToDrawError, Results, Source
+from phase_ppl.evaluation.likeness import MARGIN, Likeness, as_likeness
+from phase_ppl.evaluation.tags import MAJORITY, Tags, as_tags
 from phase_ppl.world.files import writable_folder
 
 if TYPE_CHECKING:
@@ -160,3 +163,35 @@ film_strips = _public("film_strips")
 costs = _public("costs")
 differences = _public("differences")
 equivalence = _public("equivalence")
+
+
+def tags(
+    source: Tags | str | os.PathLike[str],
+    path: str | os.PathLike[str] | None = None,
+    *,
+    majority: float = MAJORITY,
+) -> Figure:
+    """Draw in how many videos people see what, as the paper does of its 23 labels.
+
+    Args:
+        source: labels, or their CSV file (:mod:`phase_ppl.evaluation.tags`), anybody's.
+        path: where to write it as well.
+        majority: share of the viewers of a video from which on it has a category.
+    """
+    return written(_people.tags(as_tags(source), majority), path)
+
+
+def likeness(
+    source: Likeness | str | os.PathLike[str],
+    path: str | os.PathLike[str] | None = None,
+    *,
+    margin: float = MARGIN,
+) -> Figure:
+    """Draw how likely people find it that people behave like this, in two groups of videos.
+
+    Args:
+        source: ratings, or their CSV file (:mod:`phase_ppl.evaluation.likeness`), anybody's.
+        path: where to write it as well.
+        margin: difference of mean ratings below which the groups count as equivalent.
+    """
+    return written(_people.likeness(as_likeness(source), margin), path)

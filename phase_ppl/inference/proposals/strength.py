@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.inference.proposals.strength_features import N_FEATURES, window_features
-from phase_ppl.physics.constants import FLOOR_FRICTION, STEP, mass
+from phase_ppl.physics.constants import FLOOR_FRICTION, STEP, SUBSTEP, SUBSTEPS, mass
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS, STRENGTH_RANGE
@@ -119,21 +119,29 @@ def analytic_strengths(
     second differences of such means are those of the motion itself as long as the acceleration is
     constant over all three frames.
 
+    Where agents stand still after each step, two frames in a row tell: driving from rest moves an
+    agent by (F - 100 N) / m times the sum over the substeps of the time that is left.
+
     Arguments as for :class:`~phase_ppl.inference.proposals.strength.Estimator`.
     """
-    hits = _driving_hits(observation.trajectory, scene.radius)
+    hits = _driving_hits(observation.trajectory, scene.radius, scene.resets_velocity)
     inside = [hits[first : max(last - 1, first)] for first, last in windows]
     largest = np.array([found.max(axis=0, initial=0.0) for found in inside])
     mean = np.where(largest > 0, largest, np.nan)
     return StrengthEstimates(mean, np.where(largest > 0, VALIDATION_SD, np.nan))
 
 
-def _driving_hits(trajectory: FloatArray, radius: FloatArray) -> FloatArray:
+_FROM_REST: Final = SUBSTEP**2 * SUBSTEPS * (SUBSTEPS + 1) / 2
+"""Way in a step from rest per acceleration, s^2."""
+
+
+def _driving_hits(trajectory: FloatArray, radius: FloatArray, resets: bool) -> FloatArray:
     """Return (time - 2, agent) the level that frames k, k + 1, k + 2 give away; 0 where none."""
     levels = np.array(STRENGTH_LEVELS)
+    driving_force = _force_from_rest if resets else _driving_force
     hits = np.zeros((max(len(trajectory) - 2, 0), len(AGENTS)))
     for agent in range(len(AGENTS)):
-        force, heading = _driving_force(trajectory[:, agent], mass(agent, float(radius[agent])))
+        force, heading = driving_force(trajectory[:, agent], mass(agent, float(radius[agent])))
         size = np.linalg.norm(force, axis=-1)
         nearest = np.abs(size[:, None] - levels).argmin(axis=1)
         exact = np.abs(size - levels[nearest]) < TOLERANCE * levels[nearest]
@@ -153,6 +161,20 @@ def _driving_force(track: FloatArray, agent_mass: float) -> tuple[FloatArray, Fl
     force = np.where(moving, agent_mass * acceleration + friction, 0.0)
     angle = track[1:-1, 2]
     return force, np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
+
+
+def _force_from_rest(track: FloatArray, agent_mass: float) -> tuple[FloatArray, FloatArray]:
+    """As :func:`_driving_force`, for agents that stand still after each step."""
+    way = np.diff(track[:, :2], axis=0)
+    length = np.linalg.norm(way, axis=-1, keepdims=True)
+    moves = length > 0
+    direction = np.where(moves, way / np.where(moves, length, 1.0), 0.0)
+    force = direction * (FLOOR_FRICTION + agent_mass * length / _FROM_REST)
+    # a frame lies within its step: only evenly driven steps show what a step does
+    even = np.linalg.norm(np.diff(way, axis=0), axis=-1, keepdims=True) < TOLERANCE * length[1:]
+    angle = track[1:-1, 2]
+    heading = np.stack([-np.sin(angle), np.cos(angle)], axis=-1)
+    return np.where(even, force[1:], 0.0), heading
 
 
 HIDDEN: Final = 64
@@ -257,7 +279,12 @@ def shipped_network() -> StrengthNetwork:
 def network_strengths(
     scene: Scene, observation: Observation, windows: NDArray[np.int64]
 ) -> StrengthEstimates:
-    """Return what the network that comes with the package says; see :class:`Estimator`."""
+    """Return what the network that comes with the package says; see :class:`Estimator`.
+
+    It knows agents that keep their velocities: of others it says what the analytic rule does.
+    """
+    if scene.resets_velocity:
+        return analytic_strengths(scene, observation, windows)
     return shipped_network()(scene, observation, windows)
 
 

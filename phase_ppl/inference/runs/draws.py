@@ -324,5 +324,9 @@ def _scene_dataset(event: Event) -> xr.Dataset:
             "landmark": list(LANDMARKS),
             "bound": ["x_min", "x_max", "y_min", "y_max"],
         },
-        attrs={"turning": scene.turning, "landmark_half_width": scene.landmark_half_width},
+        attrs={
+            "turning": scene.turning,
+            "resets_velocity": int(scene.resets_velocity),
+            "landmark_half_width": scene.landmark_half_width,
+        },
     )

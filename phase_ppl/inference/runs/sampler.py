@@ -461,6 +461,7 @@ class Sampler:
             "retries": self._runner.retries,
             "simulation_seconds": self._options.simulation_seconds,
             "turning": what.event.scene.turning,
+            "resets_velocity": what.event.scene.resets_velocity,
             "simple": simple,
             "model": what.model.fingerprint(),
         }

@@ -1,0 +1,174 @@
+"""How likely people find it that people behave like this: ratings of two groups of videos.
+
+A CSV file has a row per participant and video::
+
+    participant,video,group,rating
+    p01,played-3,played,4
+    p02,event-3,generated,5
+
+Ratings are 1 to 5 (paper, Appendix A.2). Columns come in any order, and there may be others.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import os
+from collections.abc import Mapping
+from typing import Any, Final, Literal
+
+import numpy as np
+import pandas as pd
+
+from phase_ppl.evaluation.tags import read_rows
+from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.checks import positive_number
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown, unknown_name
+
+RATINGS: Final = (1, 2, 3, 4, 5)
+MARGIN: Final = 0.5
+"""Difference of mean ratings below which two groups count as equivalent: half a step."""
+
+By = Literal["participants", "videos"]
+_COLUMN: Final = {"participants": "participant", "videos": "video"}
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Likeness:
+    """Ratings of two groups of videos.
+
+    Attributes:
+        table: a row per rating, with ``participant``, ``video``, ``group`` and ``rating``.
+    """
+
+    table: pd.DataFrame
+
+    @functools.cached_property
+    def groups(self) -> tuple[str, str]:
+        """Names of the groups, sorted, "played" first where it is one."""
+        found = sorted(self.table["group"].unique(), key=lambda name: (name != "played", name))
+        return found[0], found[1]
+
+    def means(self, by: By = "videos") -> Mapping[str, FloatArray]:
+        """Return group -> mean rating of each video, or of each participant.
+
+        Raises:
+            UnknownNameError: ``by`` is neither.
+        """
+        if by not in _COLUMN:
+            raise unknown_name("by", by, _COLUMN)
+        found = self.table.groupby(["group", _COLUMN[by]])["rating"].mean()
+        return {group: found[group].to_numpy(float) for group in self.groups}
+
+    def summary(self) -> pd.DataFrame:
+        """Return group -> mean rating, and its standard deviation over videos and participants.
+
+        The paper does not say of which of them its standard deviations are.
+        """
+        rows = {}
+        for group in self.groups:
+            ratings = self.table.loc[self.table["group"] == group, "rating"]
+            videos, people = (self.means(by)[group] for by in ("videos", "participants"))
+            rows[group] = {
+                "mean": videos.mean(),
+                "sd_videos": _sd(videos),
+                "sd_participants": _sd(people),
+                "videos": len(videos),
+                "participants": len(people),
+                "ratings": len(ratings),
+            }
+        return pd.DataFrame.from_dict(rows, orient="index")
+
+    def equivalence(self, margin: float = MARGIN, by: By = "participants") -> dict[str, Any]:
+        """Test whether the mean ratings of the groups differ by less than a margin.
+
+        Two one-sided Welch tests (TOST); equivalence is shown where both reject, which is where the
+        90 % interval lies within the margin.
+
+        Args:
+            margin: steps of the rating.
+            by: whose means are compared. Participants were drawn at random for the groups.
+
+        Returns:
+            ``difference``, first group minus second; ``ci_low`` and ``ci_high``, 90 %; ``p``, the
+            larger of the two; ``equivalent``, whether it is below 0.05; and ``n``, of the groups.
+
+        Raises:
+            InvalidSettingError: ``margin`` is no positive number.
+            InvalidEventError: a group has fewer than two means.
+        """
+        from scipy import stats
+
+        positive_number("margin", margin)
+        first, second = self.means(by).values()
+        if min(len(first), len(second)) < 2:
+            raise InvalidEventError(f"each group needs two {by} or more")
+        difference = float(first.mean() - second.mean())
+        if np.ptp(first) == 0 == np.ptp(second):  # no noise, no test
+            p, low, high = float(abs(difference) >= margin), difference, difference
+        else:
+            low, high = stats.ttest_ind(first, second, equal_var=False).confidence_interval(0.9)
+            tests = [
+                stats.ttest_ind(first + shift, second, equal_var=False, alternative=alternative)
+                for shift, alternative in ((margin, "greater"), (-margin, "less"))
+            ]
+            p = float(max(test.pvalue for test in tests))
+        return {
+            "difference": difference,
+            "ci_low": float(low),
+            "ci_high": float(high),
+            "margin": float(margin),
+            "by": by,
+            "p": p,
+            "equivalent": p < 0.05,
+            "n": (len(first), len(second)),
+        }
+
+    def __repr__(self) -> str:
+        return f"<Likeness of {' and '.join(self.groups)}, {len(self.table)} ratings>"
+
+
+def _sd(values: FloatArray) -> float:
+    return float(values.std(ddof=1)) if len(values) > 1 else float("nan")
+
+
+def load_likeness(path: str | os.PathLike[str]) -> Likeness:
+    """Read ratings from a CSV file of the form that the module describes.
+
+    Raises:
+        InvalidEventError: there is no such file, it is no such table, a rating is not 1 to 5,
+            there are not two groups, or somebody rates a video twice or sees both groups.
+    """
+    seen: set[tuple[str, str]] = set()
+    group_of: dict[str, str] = {}
+
+    def check(row: dict[str, Any]) -> None:
+        who, video, group, rating = (row[name] for name in names)
+        if rating not in map(str, RATINGS):
+            raise InvalidEventError(f"rating is {shown(rating)}, expected 1 to 5")
+        row["rating"] = int(rating)
+        if (who, video) in seen:
+            raise InvalidEventError(f"participant {shown(who)} rates {shown(video)} a second time")
+        seen.add((who, video))
+        if group_of.setdefault(who, group) != group:
+            raise InvalidEventError(f"participant {shown(who)} is in two groups")
+
+    names = ("participant", "video", "group", "rating")
+    rows = read_rows(path, names, check)
+    if len({row["group"] for row in rows}) != 2:
+        found = sorted({row["group"] for row in rows})
+        raise InvalidEventError(f"{path}: groups are {shown(found)}, expected two")
+    return Likeness(pd.DataFrame(rows))
+
+
+def as_likeness(source: object) -> Likeness:
+    """Return ratings, read where they are a file.
+
+    Raises:
+        InvalidSettingError: it is neither; or as :func:`load_likeness`.
+    """
+    if isinstance(source, str | os.PathLike):
+        return load_likeness(source)
+    if not isinstance(source, Likeness):
+        raise InvalidSettingError(f"{shown(source)}, expected a Likeness or its file")
+    return source

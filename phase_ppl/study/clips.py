@@ -1,0 +1,98 @@
+"""The little films of the introduction, made by the package's own world."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from phase_ppl import render
+from phase_ppl.physics.actions import Action
+from phase_ppl.physics.pymunk_world import PymunkWorld
+from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.observation import Observation
+from phase_ppl.world.scene import Scene
+
+_WAIT, _GO, _BACK = Action.NO_FORCE, Action.UP, Action.DOWN
+_LEFT, _RIGHT, _STOP = Action.TURN_LEFT, Action.TURN_RIGHT, Action.STOP
+_WALL: Final = [[[16.0, 12.0], [16.0, 22.0]]]
+_FAR: Final = ((9.0, 4.5, 0.0), (23.0, 4.5, 0.0))
+"""Where items are that have no part in a clip."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Clip:
+    """A film: who is where, and what red and green do, as (action, planner steps)."""
+
+    start: Sequence[tuple[float, float, float]]
+    red: Sequence[tuple[Action, int]]
+    green: Sequence[tuple[Action, int]]
+    radius: Sequence[float] = (1.2, 1.2, 1.2, 1.2)
+    strengths: tuple[float, float] = (450.0, 450.0)
+    walls: Sequence[Sequence[Sequence[float]]] = ()
+    sight: bool = False
+
+    @property
+    def scene(self) -> Scene:
+        return Scene(np.array(self.start), np.array(self.radius), np.array(self.walls))
+
+    def trajectory(self) -> FloatArray:
+        """Return (time, entity, coord)."""
+        red, green = ([a for a, n in track for _ in range(n)] for track in (self.red, self.green))
+        world = PymunkWorld(self.scene, self.strengths)
+        frames = [np.array(self.start)]
+        frames += [world.step(actions) for actions in zip(red, green, strict=True)]
+        return np.array(frames)
+
+
+_SIDEWAYS: Final = -np.pi / 2
+"""Angle of an agent that looks to the right."""
+
+CLIPS: Final[Mapping[str, Clip]] = {
+    "moving": Clip(
+        [(11.0, 9.0, 0.0), (20.0, 16.0, np.pi), *_FAR],
+        [(_GO, 5), (_STOP, 1), (_WAIT, 4), (_RIGHT, 2), (_GO, 5), (_STOP, 1), (_WAIT, 6)],
+        [(_WAIT, 8), (_GO, 4), (_STOP, 1), (_LEFT, 2), (_GO, 5), (_STOP, 1), (_WAIT, 3)],
+        strengths=(300.0, 300.0),
+    ),
+    "walls": Clip(
+        [(10.0, 17.0, _SIDEWAYS), (22.0, 15.0, np.pi), *_FAR],
+        [(_GO, 12), (_BACK, 4), (_WAIT, 8)],
+        [(_WAIT, 8), (_GO, 6), (_WAIT, 10)],
+        walls=_WALL,
+    ),
+    "carrying": Clip(
+        [(11.0, 12.0, _SIDEWAYS), (22.0, 18.0, np.pi), (15.0, 12.0, 0.0), _FAR[1]],
+        [(_GO, 3), (_WAIT, 2), (Action.ATTACH, 1), (_GO, 7), (_STOP, 2), (Action.DETACH, 1),
+         (_BACK, 6), (_WAIT, 3)],
+        [(_WAIT, 25)],
+    ),
+    "weight": Clip(
+        [(9.0, 16.0, _SIDEWAYS), (9.0, 8.0, _SIDEWAYS), (12.5, 16.0, 0.0), (12.5, 8.0, 0.0)],
+        [(_GO, 10), (_WAIT, 12)],
+        [(_GO, 10), (_WAIT, 12)],
+        strengths=(300.0, 300.0),
+        radius=(1.2, 1.2, 0.8, 1.6),
+    ),
+    "sight": Clip(
+        [(11.0, 16.0, 0.0), (21.0, 16.0, np.pi), *_FAR],
+        [(_RIGHT, 6), (_WAIT, 4), (_RIGHT, 6), (_WAIT, 6)],
+        [(_WAIT, 6), (_LEFT, 6), (_GO, 4), (_WAIT, 6)],
+        walls=_WALL,
+        sight=True,
+    ),
+}  # fmt: skip
+"""Name, as ``study.toml`` uses it -> film."""
+
+
+def make_clips(folder: Path) -> None:
+    """Write the films into a folder, those that are not there."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, clip in CLIPS.items():
+        path = folder / f"{name}.mp4"
+        if not path.is_file():
+            observed = Observation(clip.trajectory())
+            render.video(observed, path, clip.scene, fields_of_view=clip.sight)

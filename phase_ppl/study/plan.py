@@ -1,0 +1,269 @@
+"""The way of a participant: which pages come next, what is on them, and which answers they take.
+
+The server owns it: the browser asks for the rest of the way whenever it begins anew, so that a
+reload, a crash, a second tab and a lost connection are one case.
+"""
+
+from __future__ import annotations
+
+import functools
+import random
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+from phase_ppl.evaluation.tags import LABELS
+from phase_ppl.study.settings import Settings
+from phase_ppl.study.store import Participant
+from phase_ppl.world.goals import GOALS, is_self_referring
+from phase_ppl.world.hypothesis import RELATIONS
+from phase_ppl.world.names import AGENTS
+
+GENDERS: Final = ("female", "male", "non-binary", "other")
+LIKENESS: Final = ("1: very unlikely", "2", "3", "4", "5: very likely")
+"""The scale of the paper, from 1 to 5."""
+
+Page = dict[str, Any]
+
+
+def outcome(settings: Settings, who: Participant) -> str | None:
+    """Return how it ended for somebody: "finished", "declined", "quiz_failed"; None: not yet."""
+    if any(answer.page == "consent" and not answer.correct for answer in who.answers):
+        return "declined"
+    quiz = [answer.correct for answer in who.answers if answer.page == "quiz"]
+    if len(quiz) >= settings.tries and not any(quiz):
+        return "quiz_failed"
+    answered = {answer.page for answer in who.answers}
+    if who.trials is None and settings.kind != "play":
+        return None
+    return "finished" if answered >= set(required(settings, who)) else None
+
+
+def required(settings: Settings, who: Participant) -> list[str]:
+    """Return the pages that make a whole study, in their order."""
+    before = ["consent", "device", "tutorial", *["quiz"] * bool(settings.quiz)]
+    if settings.kind == "play":
+        main = ["practice", *(f"session-{n + 1}" for n in range(settings.trials))]
+    else:
+        main = [f"trial-{n + 1}" for n in range(len(who.trials or ()))]
+    return [*before, *main, *["person"] * settings.demographics]
+
+
+def is_prepared(settings: Settings, who: Participant) -> bool:
+    """Whether consent, introduction and quiz are behind a participant."""
+    right = {answer.page for answer in who.answers if answer.correct is not False}
+    return right >= {"consent", "device", "tutorial", *["quiz"] * bool(settings.quiz)}
+
+
+def next_pages(settings: Settings, who: Participant) -> list[tuple[str, int]]:
+    """Return the pages that follow, with attempts, up to where the server must answer."""
+    answered = {answer.page for answer in who.answers}
+    if "consent" not in answered:
+        return [("consent", 1)]
+    if is_prepared(settings, who):
+        return [(page, 1) for page in required(settings, who) if page not in answered]
+    tries = who.attempts("quiz") + 1
+    pages = [("device", 1)] * ("device" not in answered)
+    if who.attempts("tutorial") < tries:
+        pages.append(("tutorial", tries))
+    return [*pages, *[("quiz", tries)] * bool(settings.quiz)]
+
+
+# --- what is on a page ----------------------------------------------------------------------------
+
+
+def described(settings: Settings, who: Participant, page: str, attempt: int) -> Page:
+    """Return what the browser needs to show a page."""
+    found: Page = {"page": page, "attempt": attempt, "html": "", "questions": [], "button": "Next"}
+    texts = settings.texts
+    kind, _, number = page.partition("-")
+    if kind == "consent":
+        found |= {
+            "heading": settings.title,
+            "html": html(texts["consent"]),
+            "button": "",
+            "choices": [[True, "I agree and take part"], [False, "I do not agree"]],
+        }
+    elif kind == "device":
+        found |= {
+            "heading": "Your screen",
+            "html": html(texts["device"]),
+            "video": "/clip/moving.mp4",
+            "min_width": settings.min_width,
+            "refused": html(texts["device_refused"]),
+        }
+    elif kind == "tutorial":
+        steps = [
+            {"html": html(text), "video": f"/clip/{clip}.mp4" if clip else None}
+            for text, clip in settings.tutorial
+        ]
+        found |= {"heading": "Introduction", "steps": steps}
+        found["html"] = html(texts["wrong"]) if attempt > 1 else ""
+    elif kind == "quiz":
+        found |= {
+            "heading": "What the introduction said",
+            "button": "Done",
+            "questions": _quiz(settings),
+        }
+    elif kind == "person":
+        found |= {"heading": "About you", "html": html(texts["person"]), "questions": _PERSON}
+    elif kind == "trial":
+        trials = who.trials or ()
+        found |= {
+            "heading": f"Animation {number} of {len(trials)}",
+            "html": html(texts["trial"]),
+            "video": f"/video/{trials[int(number) - 1].name}.mp4",
+            "questions": _trial(settings, who.id),
+            "wide": True,
+        }
+    else:  # of play; static/play.js shows it, and the server ends it
+        heading = f"Session {number}" if number else "Practice"
+        found |= {"heading": heading, "html": html(texts["trial"]), "by_server": True}
+    return found
+
+
+def _one(name: str, legend: str, options: Sequence[Any], **more: Any) -> Page:
+    given = [list(option) if isinstance(option, tuple) else [option, option] for option in options]
+    return {"name": name, "kind": "one", "legend": legend, "options": given, **more}
+
+
+_PERSON: Final = [
+    {
+        "name": "age",
+        "kind": "number",
+        "legend": "Your age",
+        "least": 18,
+        "most": 120,
+        "optional": True,
+    },
+    _one("gender", "Your gender", [*GENDERS, ("", "I prefer not to say")], optional=True),
+]
+
+
+def _quiz(settings: Settings) -> list[Page]:
+    return [
+        _one(f"question_{number}", question, options)
+        for number, (question, options, _) in enumerate(settings.quiz, 1)
+    ]
+
+
+def _trial(settings: Settings, who: str) -> list[Page]:
+    if settings.kind == "tagging":
+        labels = list(LABELS)
+        random.Random(who).shuffle(labels)  # the same order on all pages of a person
+        legend = "What happens? Choose all that fit."
+        return [
+            {
+                "name": "labels",
+                "kind": "many",
+                "legend": legend,
+                "options": [[x, x] for x in labels],
+            }
+        ]
+    found = [
+        {"name": f"goal_{agent.split()[0]}", "kind": "goals", "agent": agent,
+         "legend": f"What does the {agent} want?", "self_goals": settings.self_goals}
+        for agent in AGENTS
+    ]  # fmt: skip
+    found.append(_one("relation", "How do they stand to each other?", RELATIONS))
+    if settings.kind == "likeness":
+        legend = " ".join(settings.texts["likeness"].split())
+        rating = list(enumerate(LIKENESS, 1))
+        found.append(_one("likeness", legend, rating))
+    return found
+
+
+def allowed_goals(settings: Settings, agent: int) -> list[str]:
+    """Return the goals that people can choose for an agent."""
+    return [
+        goal
+        for index, goal in enumerate(GOALS)
+        if settings.self_goals or not is_self_referring(index, agent)
+    ]
+
+
+@functools.lru_cache(maxsize=256)
+def html(text: str) -> str:
+    """Return Markdown as HTML; HTML and pictures in it are shown as text, links open a new page."""
+    from markdown_it import MarkdownIt
+
+    reader = MarkdownIt("js-default").disable("image")
+    found: str = reader.render(text)
+    return found.replace("<a href=", '<a target="_blank" rel="noopener noreferrer" href=')
+
+
+# --- which answers it takes -----------------------------------------------------------------------
+
+
+class Unfit(ValueError):
+    """An answer that the page does not take; the message says why."""
+
+
+def checked(
+    settings: Settings, page: str, answers: Mapping[str, Any]
+) -> tuple[dict[str, Any], bool | None]:
+    """Return the answers to a page, and, of quiz and consent, whether they let the study go on.
+
+    Raises:
+        Unfit: an answer is missing, is none of those allowed, or was not asked for.
+    """
+    kind = page.partition("-")[0]
+    if kind == "consent":
+        _only(answers, ["agree"])
+        if not isinstance(answers["agree"], bool):
+            raise Unfit("agree: expected true or false")
+        return {"agree": answers["agree"]}, answers["agree"]
+    if kind == "device":
+        _only(answers, [])
+        return {}, None
+    if kind == "tutorial":
+        _only(answers, ["views"])
+        views = answers["views"]
+        if not (isinstance(views, list) and len(views) <= 500 and all(map(_is_number, views))):
+            raise Unfit("views: expected milliseconds")
+        return {"views": views}, None
+    if kind == "quiz":
+        _only(answers, [f"question_{number}" for number in range(1, len(settings.quiz) + 1)])
+        right = True
+        for number, (_, options, answer) in enumerate(settings.quiz, 1):
+            given = answers[f"question_{number}"]
+            if given not in options:
+                raise Unfit(f"question_{number}: no such answer")
+            right &= given == answer
+        return dict(answers), right
+    if kind == "person":
+        _only(answers, ["age", "gender"])
+        age, gender = answers["age"], answers["gender"] or None
+        if age is not None and not (type(age) is int and 18 <= age <= 120):
+            raise Unfit("age: expected 18 to 120, or none")
+        if gender not in (*GENDERS, None):
+            raise Unfit("gender: no such answer")
+        return {"age": age, "gender": gender}, None
+    if settings.kind == "tagging":
+        _only(answers, ["labels"])
+        labels = answers["labels"]
+        if not (isinstance(labels, list) and labels and len(labels) == len(set(map(str, labels)))):
+            raise Unfit("labels: expected one or more, each once")
+        if not all(label in LABELS for label in labels):
+            raise Unfit("labels: no such label")
+        return {"labels": [label for label in LABELS if label in labels]}, None
+    questions: dict[str, Sequence[Any]] = {
+        "goal_red": allowed_goals(settings, 0),
+        "goal_green": allowed_goals(settings, 1),
+        "relation": RELATIONS,
+    }
+    if settings.kind == "likeness":
+        questions["likeness"] = range(1, 6)
+    _only(answers, list(questions))
+    for name, allowed in questions.items():
+        if isinstance(answers[name], bool) or answers[name] not in allowed:
+            raise Unfit(f"{name}: no such answer")
+    return {name: answers[name] for name in questions}, None
+
+
+def _only(answers: Mapping[str, Any], names: Sequence[str]) -> None:
+    if sorted(answers) != sorted(names):
+        raise Unfit(f"expected answers to {', '.join(names) or 'nothing'}")
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and 0 <= value < 1e9

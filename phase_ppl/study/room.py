@@ -1,0 +1,427 @@
+"""A room: a world that two players steer, each of whom sees what its agent sees.
+
+The clock is the server's. A planner step takes one action of each player; its five substeps are
+what is drawn while the next step's keys are pressed. Nobody is waited for, and a clock that is late
+goes on later instead of hurrying.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import dataclasses
+import hashlib
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final, Literal, NamedTuple, Protocol
+
+import numpy as np
+
+from phase_ppl.agents import vision
+from phase_ppl.agents.agent import Agent
+from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.agents.world_model import WorldModel
+from phase_ppl.physics import compiled
+from phase_ppl.physics.actions import Action
+from phase_ppl.physics.constants import SUBSTEPS
+from phase_ppl.physics.pymunk_world import PymunkWorld, mean_pose
+from phase_ppl.render.frames import field_of_view
+from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
+from phase_ppl.world.goals import goal_index, goal_literal, is_true
+from phase_ppl.world.names import AGENTS, ENTITIES, NOTHING
+from phase_ppl.world.scene import Scene
+
+MOVES: Final[Mapping[str, Action]] = {
+    "forward": Action.UP,
+    "backward": Action.DOWN,
+    "left": Action.LEFT,
+    "right": Action.RIGHT,
+    "turn left": Action.TURN_LEFT,
+    "turn right": Action.TURN_RIGHT,
+}
+GRAB: Final = "grab"
+KEYS: Final = (*MOVES, GRAB)
+"""What a player can press (paper, Appendix A.2)."""
+
+Message = dict[str, Any]
+
+_RANGES: Final = {"steps_per_second": (1, 12), "limit": (1, 5000), "hold": (1, 100),
+                  "wait_at_most": (1, 3600), "ready_within": (1, 600), "rejoin_within": (1, 60),
+                  "practice_at_most": (1, 3600), "rooms": (1, 50)}  # fmt: skip
+_CHOICES: Final = {"view": ("own", "all"), "partner": ("either", "person", "computer")}
+
+
+@dataclasses.dataclass(frozen=True)
+class PlaySettings:
+    """What sessions are like: the table ``[play]`` of ``study.toml``, which describes them.
+
+    Raises:
+        InvalidSettingError, UnknownNameError: a value that cannot be used.
+    """
+
+    steps_per_second: int
+    limit: int
+    hold: int
+    view: Literal["own", "all"]
+    resets_velocity: bool
+    partner: Literal["either", "person", "computer"]
+    wait_at_most: int
+    ready_within: int
+    rejoin_within: int
+    practice_at_most: int
+    rooms: int
+
+    def __post_init__(self) -> None:
+        for name, (least, most) in _RANGES.items():
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
+                raise InvalidSettingError(
+                    f"{name} in [play] is {shown(value)}, expected a whole number in "
+                    f"[{least}, {most}]"
+                )
+        for name, choices in _CHOICES.items():
+            if getattr(self, name) not in choices:
+                raise unknown_name(f"{name} in [play]", getattr(self, name), choices)
+
+    @property
+    def step(self) -> float:
+        """Seconds of a planner step."""
+        return 1 / self.steps_per_second
+
+    @property
+    def seconds(self) -> float:
+        """That a session may take."""
+        return self.limit * self.step
+
+    def scene(self, scene: Scene) -> Scene:
+        """Return a scene as it is played: people turn both ways, and the rule is the study's."""
+        return dataclasses.replace(scene, turning="both", resets_velocity=self.resets_velocity)
+
+
+class Controls:
+    """The keys of one player, between two steps."""
+
+    _MOST_TAPS: Final = 2
+
+    def __init__(self) -> None:
+        self._held: list[str] = []
+        self._unheeded: set[str] = set()
+        self._taps: list[str] = []
+        self._grabs = False
+
+    def press(self, key: str, down: bool) -> None:
+        """Take in that one of :data:`KEYS` went down or up; a repeated message changes nothing."""
+        if down and key not in self._held:
+            self._held.append(key)
+            self._grabs |= key == GRAB
+            self._unheeded.add(key)
+        elif not down and key in self._held:
+            self._held.remove(key)
+            if key in MOVES and key in self._unheeded and len(self._taps) < self._MOST_TAPS:
+                self._taps.append(key)
+            self._unheeded.discard(key)
+
+    def release(self) -> None:
+        """Let go of all keys."""
+        self._held.clear()
+        self._taps.clear()
+
+    def pressed(self) -> list[str]:
+        """Return what was tapped and is still to be done, what is held, and whether to grab."""
+        held = (key for key in self._held if key != GRAB)
+        return [*self._taps, *held, *[GRAB] * self._grabs]
+
+    def action(self, holds: bool) -> Action:
+        """Return the action of the coming step.
+
+        The latest of the keys that are held wins. A key that went down and up between two steps
+        counts nevertheless, before them. To grab is to let go for an agent that holds something.
+        """
+        if self._grabs:
+            self._grabs = False
+            return Action.DETACH if holds else Action.ATTACH
+        if self._taps:
+            return MOVES[self._taps.pop(0)]
+        held = [key for key in self._held if key != GRAB]
+        self._unheeded -= set(held[-1:])
+        return MOVES[held[-1]] if held else Action.NO_FORCE
+
+
+class Outbox(Protocol):
+    """Takes messages for a browser."""
+
+    def put(self, message: Message, /) -> None: ...
+
+
+class Seat:
+    """Where one player sits: its keys, and the messages for its browser.
+
+    Args:
+        who: participant; None: nobody, or the computer.
+    """
+
+    def __init__(self, who: str | None = None) -> None:
+        self.who = who
+        self.controls = Controls()
+        self.outbox: Outbox | None = None
+        self.gone_since = -math.inf
+        self.is_ready = False
+        self.pinged: float | None = None
+        self.round_trips: list[float] = []
+        self.stage: Callable[[], Sequence[Message]] = list
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether somebody is there, or nobody is expected."""
+        return self.who is None or self.outbox is not None
+
+    def tell(self, message: Message) -> None:
+        """Send a message, if somebody is there."""
+        if self.outbox is not None:
+            self.outbox.put(message)
+
+    def show(self, stage: Callable[[], Sequence[Message]] | Sequence[Message]) -> None:
+        """Send what the player is at now; a browser that comes back later is told it, too."""
+        self.stage = stage if callable(stage) else lambda: stage
+        for message in self.stage():
+            self.tell(message)
+
+
+class Step(NamedTuple):
+    """What is recorded of a planner step: the columns of the table."""
+
+    number: int
+    red: int
+    green: int
+    keys: Sequence[Sequence[str]]
+    lag_ms: float
+
+
+class Picture(NamedTuple):
+    """A moment of the world, and what each agent sees of it.
+
+    Attributes:
+        poses: (4, 3) x, y [units], angle [rad].
+        seen: per agent, whether it observes each entity.
+        sights: per agent the corners of its field of view; None where all is shown.
+        held: item of each agent, or ``NOTHING``.
+    """
+
+    poses: FloatArray
+    seen: Sequence[Sequence[bool]]
+    sights: Sequence[list[list[float]] | None]
+    held: Sequence[int]
+
+
+class Room:
+    """A running session.
+
+    Args:
+        scene: as it is played, see :meth:`PlaySettings.scene`.
+        goals: effective goals of red and green.
+        strengths: of red and green, newtons.
+        settings: of the study.
+        seats: of red and green.
+        computer: random numbers of a planner for each seat without a person; None: it stands still.
+        limit: steps after which it ends.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        goals: tuple[str, str],
+        strengths: tuple[float, float],
+        settings: PlaySettings,
+        seats: Sequence[Seat],
+        *,
+        computer: np.random.Generator | None = None,
+        limit: int | None = None,
+    ) -> None:
+        self.scene, self.goals, self.strengths = scene, goals, strengths
+        self.settings, self.seats = settings, seats
+        self.limit = settings.limit if limit is None else limit
+        self.world = PymunkWorld(scene, strengths)
+        self.frames: list[FloatArray] = [scene.start.copy()]
+        self.steps: list[Step] = []
+        self.slip = 0.0
+        planner = PlannerConfig.named("fast")
+        self._model = WorldModel.of(scene, strengths, planner)
+        self._literals = [goal_literal(goal, agent) for agent, goal in enumerate(goals)]
+        self._true_for = 0
+        codes = goal_index(goals[0]), goal_index(goals[1])
+        self._computers = {
+            agent: Agent(agent, codes, self._model, planner, computer.spawn(1)[0])
+            for agent, seat in enumerate(seats)
+            if computer is not None and seat.who is None
+        }
+        self._visible = np.zeros(self._model.layout.size**2, bool)
+        self._cells = np.zeros(vision.MAX_OUTLINE_CELLS, np.int64)
+        self._observed = np.zeros(len(ENTITIES), bool)
+        self.picture = self._picture()
+
+    # --- the world --------------------------------------------------------------------------------
+
+    def _picture(self) -> Picture:
+        state = self.world.state
+        bodies, held, _ = compiled.from_state(state, self.scene.radius)
+        shows_all, model = self.settings.view == "all", self._model
+        seen, sights = [], []
+        for agent in range(len(AGENTS)):
+            vision.observe(
+                *(bodies, held, agent, shows_all, model.params, model.layout),
+                *(self._visible, self._cells, self._observed),
+            )
+            seen.append(self._observed.tolist())
+            sights.append(None if shows_all else outline(self.scene, state.pose, agent))
+        return Picture(state.pose, seen, sights, state.held.tolist())
+
+    async def _planned(self) -> dict[int, Action]:
+        """Return what each computer does next, from what its agent sees now."""
+        arrays = compiled.from_state(self.world.state, self.scene.radius)
+        return {
+            agent: (await asyncio.to_thread(computer.decide, *arrays)).action
+            for agent, computer in self._computers.items()
+        }
+
+    def _advance(self, actions: tuple[Action, Action]) -> list[Picture]:
+        """Do one step; return its moments."""
+        pictures = [self._picture() for _ in self.world.substeps(actions)]
+        self.frames.append(mean_pose([picture.poses for picture in pictures]))
+        reached = [is_true(literal, self.frames[-1], self.scene) for literal in self._literals]
+        self._true_for = self._true_for + 1 if all(reached) else 0
+        return pictures
+
+    @property
+    def ends_by_goals(self) -> bool:
+        """Whether it ends when both goals are true: "away from" is true from the start."""
+        return all(literal.positive for literal in self._literals)
+
+    def outcome(self) -> str | None:
+        """Return how it ended: "goals", "time" or "left"; None: it goes on."""
+        now = asyncio.get_running_loop().time()
+        if any(
+            not seat.is_connected and now - seat.gone_since > self.settings.rejoin_within
+            for seat in self.seats
+        ):
+            return "left"
+        if self.ends_by_goals and self._true_for >= self.settings.hold:
+            return "goals"
+        return "time" if len(self.steps) >= self.limit else None
+
+    def trajectory_sha256(self) -> str:
+        """Return the hash of the trajectory, against which a replay is checked."""
+        # a step that was broken off has a frame, and is not recorded
+        return trajectory_sha256(np.array(self.frames[: len(self.steps) + 1]))
+
+    # --- the clock --------------------------------------------------------------------------------
+
+    async def run(self, done: Callable[[Room], str | None] | None = None) -> str:
+        """Play until it ends; return how.
+
+        Args:
+            done: asked after each step, says whether it ends for another reason.
+        """
+        loop = asyncio.get_running_loop()
+        interval = 1 / (self.settings.steps_per_second * SUBSTEPS)
+        due = loop.time()
+        planning = asyncio.ensure_future(self._planned())
+        try:
+            while (outcome := self.outcome() or (done(self) if done else None)) is None:
+                planned = await planning
+                keys = [seat.controls.pressed() for seat in self.seats]
+                held = self.world.state.held.tolist()
+                red, green = (
+                    planned.get(agent, seat.controls.action(held[agent] != NOTHING))
+                    for agent, seat in enumerate(self.seats)
+                )
+                pictures = self._advance((red, green))
+                planning = asyncio.ensure_future(self._planned())  # while the step is shown
+                lag = 0.0
+                for number, self.picture in enumerate(pictures):
+                    due += interval
+                    # sleeps when late, too: other rooms must get their turn
+                    await asyncio.sleep(max(0.0, due - loop.time()))
+                    late = loop.time() - due
+                    lag = max(lag, late)
+                    if late > interval:
+                        due += late
+                    self._show(number)
+                self.slip = max(self.slip, lag)
+                number = len(self.steps) + 1
+                self.steps.append(Step(number, int(red), int(green), keys, 1000 * lag))
+        finally:
+            planning.cancel()
+        return outcome
+
+    # --- what browsers are told -------------------------------------------------------------------
+
+    def _show(self, number: int) -> None:
+        for agent, seat in enumerate(self.seats):
+            seat.tell(self.shown(agent, number))
+
+    def shown(self, agent: int, number: int = 0) -> Message:
+        """Return the present moment as an agent sees it; of what it does not see, nothing."""
+        poses, seen, sights, held = self.picture
+        steps = len(self.steps)
+        left = self.limit - steps - number / SUBSTEPS
+        return {
+            "t": "frame",
+            "poses": [
+                np.round(pose, 3).tolist() if known else None
+                for pose, known in zip(poses, seen[agent], strict=True)
+            ],
+            "sight": sights[agent],
+            "held": [item if seen[agent][i] else NOTHING for i, item in enumerate(held)],
+            "left": round(left / self.settings.steps_per_second, 1),
+            "true": self._true_for,
+        }
+
+    def described(self, agent: int) -> Message:
+        """Return what everybody knows of the scene, and which agent is whose."""
+        scene = self.scene
+        return {
+            "t": "scene",
+            "agent": agent,
+            "goals": list(self.goals),
+            "radius": scene.radius.tolist(),
+            "walls": scene.walls.tolist(),
+            "arena": list(scene.arena),
+            "landmarks": scene.landmark_centres.tolist(),
+            "half_width": scene.landmark_half_width,
+            "interval": 1 / (self.settings.steps_per_second * SUBSTEPS),
+            "ends_by_goals": self.ends_by_goals,
+            "partner": "computer" if self._computers else "person",
+        }
+
+
+_BEND: Final = 0.01
+"""Sine of the least turn of an outline at which there is a corner."""
+
+
+def outline(scene: Scene, poses: FloatArray, agent: int) -> list[list[float]]:
+    """Return the corners of what an agent has in view within the arena."""
+    points = field_of_view(scene, poses, agent)
+    eye, rays = points[0], points[1:] - points[0]
+    x0, x1, y0, y1 = scene.arena
+    border = np.where(rays > 0, [x1, y1], [x0, y0])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shares = np.where(rays == 0, np.inf, (border - eye) / rays)  # of the way to the border
+    ends = eye + shares.min(axis=1).clip(0.0, 1.0)[:, None] * rays
+    sides = np.diff(ends, axis=0)
+    lengths = np.hypot(*sides.T)
+    apart = lengths > 1e-3  # rays on both sides of an edge
+    ends = np.concatenate([ends[:1], ends[1:][apart]])
+    ahead = sides[apart] / lengths[apart, None]
+    bends = np.abs(ahead[:-1, 0] * ahead[1:, 1] - ahead[:-1, 1] * ahead[1:, 0]) > _BEND
+    corners = np.concatenate([ends[:1], ends[1:-1][bends], ends[-1:]])
+    return [[round(x, 2), round(y, 2)] for x, y in [eye.tolist(), *corners.tolist()]]
+
+
+def trajectory_sha256(trajectory: FloatArray) -> str:
+    """Return a hash of a trajectory's numbers, to the last bit."""
+    return hashlib.sha256(np.ascontiguousarray(trajectory, np.float64).tobytes()).hexdigest()
+
+
+def settings_record(settings: PlaySettings, scene: Scene) -> dict[str, Any]:
+    """Return all that a session is made under, as plain data."""
+    return {**dataclasses.asdict(settings), "turning": scene.turning}

@@ -1,0 +1,389 @@
+"""A study: a folder with its settings, its films and what people said."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import functools
+import hashlib
+import os
+import secrets
+import socket
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+from urllib.parse import urlsplit
+
+from phase_ppl import render
+from phase_ppl.dataset.generated import GeneratedEvents
+from phase_ppl.dataset.load import load_events, save_events
+from phase_ppl.evaluation.judgments import all_events
+from phase_ppl.evaluation.registry import check_installed
+from phase_ppl.study import exports
+from phase_ppl.study import settings as settings_module
+from phase_ppl.study import store as store_module
+from phase_ppl.study.clips import CLIPS, make_clips
+from phase_ppl.study.exports import Status
+from phase_ppl.study.settings import KINDS, Settings, template
+from phase_ppl.study.store import Stimulus, Store
+from phase_ppl.world.checks import whole_number
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, OutputError, unknown_name
+from phase_ppl.world.event import Event
+from phase_ppl.world.files import as_path, locked, writable_folder, write_bytes
+
+EVENTS: Final = "events.json"
+VIDEOS: Final = "videos"
+CLIPS_FOLDER: Final = "clips"
+_LOOPBACK: Final = ("127.0.0.1", "localhost", "::1")
+_NEEDS: Final = ("starlette", "uvicorn", "websockets", "markdown_it")
+_PLACEHOLDER: Final = "[who is responsible"
+
+PathLike = str | os.PathLike[str]
+
+
+def check_extra() -> None:
+    """Raise InvalidSettingError where the extra ``study`` is not installed."""
+    check_installed("a study", _NEEDS, "study")
+
+
+class Study:
+    """A study in a folder.
+
+    Args:
+        folder: made by :meth:`new`.
+
+    Raises:
+        InvalidEventError: it holds no study.
+        InvalidSettingError, UnknownNameError: its ``study.toml`` cannot be used.
+    """
+
+    def __init__(self, folder: PathLike) -> None:
+        self.folder = as_path(folder)
+        self.settings = Settings.read(self.folder / settings_module.FILE)
+        with self.store() as store:
+            kind = store.fact("kind")
+            if self.settings.kind != kind:
+                raise InvalidSettingError(
+                    f"{self.folder}: kind = {self.settings.kind!r}, but the study is one of {kind}"
+                )
+            known = [stimulus.event for stimulus in store.stimuli().values()]
+        for event in self.settings.checks:
+            if event not in known:
+                raise unknown_name("video in [checks]", event, known)
+
+    @classmethod
+    def new(
+        cls,
+        folder: PathLike,
+        events: PathLike | Event | Sequence[Event],
+        kind: str = "judgment",
+        *,
+        generated: PathLike | Event | Sequence[Event] | None = None,
+        title: str = "What are they doing?",
+        trials: int | None = None,
+        raters: int | None = None,
+        workers: int | None = None,
+        progress: bool | None = None,
+    ) -> Study:
+        """Make a study: ``study.toml``, the films under names that say nothing, and the database.
+
+        Args:
+            folder: empty, or yet to be made.
+            events: to be shown; of a study of play, those whose scenes, goals and strengths are to
+                be played; of likeness, those that people played.
+            kind: "judgment", "tagging", "likeness" or "play".
+            generated: of likeness, the counterparts of ``events``: same scene, goals, strengths.
+                Default: they are simulated.
+            title: as the pages say.
+            trials, raters: videos per person, and people per video, 10 and 20 by default; of play,
+                sessions per pair, and sessions of each scene, 3 and 5 by default.
+            workers: processes that make films; default one per usable core.
+            progress: whether to show a bar; None: where stderr is a terminal.
+
+        Raises:
+            UnknownNameError: there is no such kind.
+            InvalidEventError: events have no truth where it is needed, or no counterpart.
+            OutputError: the folder is not empty, or cannot be written.
+        """
+        if kind not in KINDS:
+            raise unknown_name("kind", kind, KINDS)
+        usual = (3, 5) if kind == "play" else (10, 20)
+        trials = usual[0] if trials is None else whole_number("trials", trials)
+        raters = usual[1] if raters is None else whole_number("raters", raters)
+        if generated is not None and kind != "likeness":
+            raise InvalidSettingError(f"generated: only for a study of likeness, not of {kind}")
+        shown, stimuli = _stimuli(kind, events, generated)
+        target = writable_folder(folder)
+        if any(target.iterdir()):
+            raise OutputError(f"{target} is not empty: a study gets a folder of its own")
+        with locked(target):
+            target.chmod(0o700)
+            make_clips(target / CLIPS_FOLDER)
+            if kind != "play":
+                names = [secrets.token_hex(12) for _ in shown]
+                hidden = [dataclasses.replace(e, id=n) for e, n in zip(shown, names, strict=True)]
+                films = render.videos(hidden, target / VIDEOS, workers=workers, progress=progress)
+                stimuli = [
+                    one._replace(file=film.name, sha256=_digest(film))
+                    for one, film in zip(stimuli, films, strict=True)
+                ]
+            save_events(shown, target / EVENTS)
+            Store.create(target / store_module.FILE, kind, stimuli).close()
+            if kind != "play":  # a person sees one group, and of copies one
+                alike = {s.copies or s.event for s in stimuli if s.grp in (None, "played")}
+                trials = min(trials, len(alike))
+            text = template(kind, title, trials=trials, raters=raters, n_videos=len(stimuli))
+            write_bytes(target / settings_module.FILE, (".toml",), text.encode())
+        return cls(target)
+
+    @contextlib.contextmanager
+    def store(self) -> Iterator[Store]:
+        """Open the database; the server may be at work in it."""
+        found = Store(self.folder / store_module.FILE)
+        try:
+            yield found
+        finally:
+            found.close()
+
+    @functools.cached_property
+    def events(self) -> Mapping[str, Event]:
+        """Id -> event, of the videos or scenes."""
+        return {event.id: event for event in load_events(self.folder / EVENTS)}
+
+    def events_by_digest(self) -> dict[str, str]:
+        """Return hash of a film -> id of its event."""
+        with self.store() as store:
+            return {s.sha256: s.event for s in store.stimuli().values() if s.sha256}
+
+    # --- serving ----------------------------------------------------------------------------------
+
+    def check(self) -> list[str]:
+        """Find out whether the study can be run; return what a researcher should still look at.
+
+        Raises:
+            InvalidEventError: a film is missing or is another than it was.
+        """
+        with self.store() as store:
+            for stimulus in store.stimuli().values():
+                film = self.folder / VIDEOS / (stimulus.file or "")
+                if stimulus.file and (not film.is_file() or _digest(film) != stimulus.sha256):
+                    why = "has changed" if film.is_file() else "is missing"
+                    raise InvalidEventError(f"{film}, of event {stimulus.event!r}, {why}")
+        for name in CLIPS:
+            clip = self.folder / CLIPS_FOLDER / f"{name}.mp4"
+            if not clip.is_file():
+                raise InvalidEventError(f"{clip} is missing")
+        warnings = []
+        if _PLACEHOLDER in self.settings.texts["consent"]:
+            warnings.append("the text of consent in study.toml does not yet say who is responsible")
+        if self.settings.kind == "play":
+            from phase_ppl.study import room, sessions
+
+            settings = room.PlaySettings(**self.settings.play)
+            warnings += sessions.warnings(self.events.values(), settings)
+        return warnings
+
+    def app(self, url: str = "", host: str = "127.0.0.1") -> Any:
+        """Return the application, for a server of ASGI of one's own; it must be one process.
+
+        Args:
+            url: by which people reach it; ``https`` makes its cookies be for TLS only.
+            host: at which it listens.
+        """
+        check_extra()
+        from phase_ppl.study.server import create_app
+        from phase_ppl.study.web import Site
+
+        parts = urlsplit(url)
+        if url and (
+            parts.scheme not in ("http", "https") or not parts.hostname or parts.path.strip("/")
+        ):
+            raise InvalidSettingError(
+                f"url {url!r}: expected one such as https://study.example.org"
+            )
+        names = tuple(
+            filter(None, (parts.hostname, host if host not in ("0.0.0.0", "::") else None))
+        )
+        site = Site(self.folder, self.settings, self.events, secure=parts.scheme == "https")
+        return create_app(site, names)
+
+    def run(
+        self,
+        port: int = 8000,
+        host: str = "127.0.0.1",
+        url: str = "",
+        *,
+        ready: Callable[[str], object] = print,
+        keep: Callable[[Any], object] = lambda server: None,
+    ) -> None:
+        """Serve the study until it is interrupted.
+
+        Args:
+            port: 0: one that is free.
+            host: address at which to listen. Others than this machine's need TLS before them.
+            url: by which people reach it, as in "https://study.example.org".
+            ready: is told the address once people can come.
+            keep: is given uvicorn's server before it runs, whose ``should_exit`` ends it.
+
+        Raises:
+            InvalidEventError: a film is missing or was changed.
+            InvalidSettingError: the extra ``study`` is missing, or the url cannot be one.
+            OutputError: another server is at work in the folder, or has the port.
+        """
+        check_extra()
+        if host in ("0.0.0.0", "::") and not url:
+            raise InvalidSettingError(f"host {host} needs url, the address by which people come")
+        warnings = self.check()
+        app = self.app(url, host)
+        import uvicorn
+
+        from phase_ppl.study.web import MOST_MESSAGE
+
+        if host not in _LOOPBACK and not url.startswith("https:"):
+            warnings.append(f"{host} can be reached by others without TLS; put a proxy before it")
+        for warning in warnings:
+            print(f"phase-ppl: note: {warning}", file=sys.stderr)
+        with locked(self.folder), _listening(host, port) as listener:
+            config = uvicorn.Config(
+                app,
+                access_log=False,
+                log_level="warning",
+                server_header=False,
+                proxy_headers=False,
+                ws_max_size=MOST_MESSAGE,
+                ws_ping_interval=2,
+                ws_ping_timeout=5,
+                lifespan="on",
+                timeout_graceful_shutdown=5,
+            )
+            shown = f"[{host}]" if ":" in host else host
+            address = url or f"http://{shown}:{listener.getsockname()[1]}/"
+
+            class Server(uvicorn.Server):
+                async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+                    await super().startup(sockets)
+                    if self.started:
+                        ready(address)
+
+            server = Server(config)
+            keep(server)
+            server.run(sockets=[listener])
+            if not server.started:
+                raise OutputError("the server did not start")
+
+    # --- what came of it --------------------------------------------------------------------------
+
+    def status(self) -> Status:
+        """Return how many people came, how far they got, and how often each video was judged."""
+        with self.store() as store:
+            return exports.status(store, self.settings)
+
+    def export(
+        self, out: PathLike, *, include: Sequence[str] = ("flagged",), demographics: bool = False
+    ) -> Path:
+        """Write what people said, as of now, into a folder; the study may go on.
+
+        Args:
+            out: folder; what an export wrote there before is replaced.
+            include: who is exported beside those who finished: "unfinished", "excluded" and
+                "flagged" (by attention checks) people.
+            demographics: write age and gender of each participant, instead of totals only.
+
+        Returns:
+            The folder.
+
+        Raises:
+            UnknownNameError: ``include`` names others.
+            OutputError: the folder cannot be written, or holds other files.
+        """
+        for name in include:
+            if name not in exports.INCLUDE:
+                raise unknown_name("people to include", name, exports.INCLUDE)
+        target = writable_folder(out)
+        exports.check_folder(target)
+        with locked(target), tempfile.TemporaryDirectory(dir=self.folder) as folder:
+            with self.store() as live:
+                store = live.snapshot(Path(folder) / store_module.FILE)
+            try:
+                exports.write(store, self.settings, self.events, target, include, demographics)
+            finally:
+                store.close()
+        return target
+
+    def withdraw(self, participant: str) -> None:
+        """Delete all that somebody gave (UnknownNameError: there is no such participant)."""
+        with self.store() as store:
+            store.withdraw(participant)
+
+    def exclude(self, participant: str, reason: str) -> None:
+        """Leave somebody out of exports, and give their videos to others.
+
+        Raises:
+            UnknownNameError: there is no such participant.
+        """
+        with self.store() as store:
+            store.exclude(participant, reason)
+
+    def __repr__(self) -> str:
+        return f"<Study of {self.settings.kind} in {self.folder}>"
+
+
+@contextlib.contextmanager
+def _listening(host: str, port: int) -> Iterator[socket.socket]:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        listener = socket.create_server((host, port), family=family, backlog=2048)
+    except (OSError, OverflowError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise OutputError(f"cannot listen at {host}, port {port}: {reason}") from None
+    with listener:
+        yield listener
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+# --- which videos ---------------------------------------------------------------------------------
+
+
+def _stimuli(kind: str, events: Any, generated: Any) -> tuple[list[Event], list[Stimulus]]:
+    """Return the events of a study in its order, and what is to be kept of each."""
+    source = (
+        load_events(events) if isinstance(events, str | os.PathLike) and _is_set(events) else events
+    )
+    found = all_events(source)
+    groups: dict[str, str] = {}
+    if isinstance(source, GeneratedEvents):
+        groups = {entry["id"]: str(entry.get("group", entry["id"])) for entry in source.entries}
+    if kind in ("likeness", "play"):
+        for event in found:
+            _check_truth(event, kind)
+    if kind != "likeness":
+        several = [groups.get(event.id) for event in found]
+        copied = {group for group in several if several.count(group) > 1} - {None}
+        return found, [
+            Stimulus(event.id, copies=group if group in copied else None)
+            for event, group in zip(found, several, strict=True)
+        ]
+    from phase_ppl.study.pairs import counterparts
+
+    partners = counterparts(found, None if generated is None else all_events(generated))
+    both = [*found, *partners]
+    stimuli = [Stimulus(event.id, "played", pair) for pair, event in enumerate(found)]
+    stimuli += [Stimulus(event.id, "generated", pair) for pair, event in enumerate(partners)]
+    return both, stimuli
+
+
+def _is_set(path: PathLike) -> bool:
+    return (as_path(path) / "manifest.json").is_file()
+
+
+def _check_truth(event: Event, kind: str) -> None:
+    truth = event.truth
+    if truth is None or truth.strength_red is None or truth.strength_green is None:
+        raise InvalidEventError(
+            f"event {event.id!r} does not say its goals and strengths; a study of {kind} needs them"
+        )

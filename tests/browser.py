@@ -1,0 +1,52 @@
+"""The browser of the tests: Debian's Chromium, or another that is here."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+NAMES = ("chromium", "chromium-headless-shell", "chromium-browser", "google-chrome")
+REQUIRED = os.environ.get("PHASE_PPL_BROWSER") == "required"
+"""Whether tests that need a browser fail where there is none, instead of being skipped."""
+
+
+def find_browser() -> str | None:
+    """Return the program: $CHROMIUM, or one of those that are usual."""
+    named = os.environ.get("CHROMIUM")
+    return shutil.which(named) if named else next(filter(None, map(shutil.which, NAMES)), None)
+
+
+BROWSER = find_browser()
+
+WHY = f"there is no browser here ($CHROMIUM, or {', '.join(NAMES)})"
+
+needs_browser = pytest.mark.skipif(BROWSER is None and not REQUIRED, reason=WHY)
+
+
+def browser_path() -> str:
+    """Return the program; the test fails where there is none."""
+    if BROWSER is None:
+        pytest.fail(WHY)
+    return BROWSER
+
+
+@contextlib.contextmanager
+def running_browser() -> Iterator[Any]:
+    """Yield a running browser, as Playwright has it; without Playwright the test is skipped.
+
+    It fails instead where a browser is required.
+    """
+    if REQUIRED:
+        import playwright.sync_api as playwright
+    else:
+        playwright = pytest.importorskip("playwright.sync_api", reason="there is no Playwright")
+    with playwright.sync_playwright() as running:
+        # a sandbox is not to be had by root
+        found = running.chromium.launch(executable_path=browser_path(), args=["--no-sandbox"])
+        yield found
+        found.close()

@@ -1,0 +1,127 @@
+"""Small studies, and somebody who takes part in one."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+from starlette.testclient import TestClient
+
+import phase_ppl as ppl
+from phase_ppl.study.clips import CLIPS
+from phase_ppl.study.study import Study
+
+HOST = "http://localhost"
+EVENTS = ("collaborate", "compete", "independent")
+TEXT = ("title", "open", "tries", "trials", "raters", "resume_within", "place_kept", "demographics")
+
+
+def short_events(n: int = 3) -> list[ppl.Event]:
+    """Bundled events of a few frames, under names that say what they show."""
+    found = []
+    for number in range(n):
+        name = EVENTS[number % len(EVENTS)]
+        event = ppl.load_event(name)
+        observed = ppl.Observation(event.observation.trajectory[:4])
+        id = name if number < len(EVENTS) else f"{name}-{number}"
+        found.append(dataclasses.replace(event, observation=observed, id=id))
+    return found
+
+
+def empty_clips(folder: Path) -> None:
+    """Stand for the films of the introduction."""
+    folder.mkdir()
+    for name in CLIPS:
+        (folder / f"{name}.mp4").touch()
+
+
+def make_study(folder: Path, kind: str = "judgment", n: int = 3, **given: Any) -> Study:
+    """Make a study of short events; the films of the introduction are empty."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("phase_ppl.study.study.make_clips", empty_clips)
+        Study.new(folder, short_events(n), kind, workers=1, progress=False)
+    return change(Study(folder), **given)
+
+
+def change(study: Study, **given: Any) -> Study:
+    """Return a study with other settings, lines of which take the place of those in its file."""
+    file = study.folder / "study.toml"
+    lines = file.read_text("utf-8").splitlines()
+    for name, value in given.items():
+        shown = str(value).lower() if isinstance(value, bool) else repr(value)
+        at = next((i for i, line in enumerate(lines) if line.startswith(f"{name} =")), None)
+        if at is None:
+            lines.insert(0, f"{name} = {shown}")
+        else:
+            lines[at] = f"{name} = {shown}"
+    file.write_text("\n".join(lines), "utf-8")
+    return Study(study.folder)
+
+
+class Person:
+    """Somebody at a browser of their own."""
+
+    def __init__(self, client: TestClient, enter: bool = True) -> None:
+        self.client = client
+        self.cookie = ""
+        if enter:
+            self.enter()
+
+    def enter(self, **body: Any) -> Any:
+        reply = self.post("/api/enter", body)
+        self.cookie = reply.headers.get("set-cookie", "").partition(";")[0] or self.cookie
+        return reply
+
+    def headers(self, **more: str) -> dict[str, str]:
+        self.client.cookies.clear()
+        return {"Origin": HOST, **({"Cookie": self.cookie} if self.cookie else {}), **more}
+
+    def post(self, path: str, body: Any, **headers: str) -> Any:
+        return self.client.post(path, json=body, headers=self.headers(**headers))
+
+    def get(self, path: str, **headers: str) -> Any:
+        return self.client.get(path, headers=self.headers(**headers))
+
+    def state(self) -> Any:
+        return self.get("/api/state").json()
+
+    def answer(self, page: str, answers: Mapping[str, Any], attempt: int = 1, **more: Any) -> Any:
+        body = {"page": page, "attempt": attempt, "answers": answers, "rt_ms": 2000.0, **more}
+        return self.post("/api/answer", body)
+
+    def prepare(self, study: Study, right: bool = True) -> None:
+        """Agree, read the introduction, answer the quiz, ask what comes next."""
+        self.answer("consent", {"agree": True})
+        self.answer("device", {})
+        self.answer("tutorial", {"views": [1000.0]})
+        self.answer("quiz", quiz(study, right))
+        self.state()
+
+    def finish(self, study: Study, given: Mapping[str, Any] | None = None) -> list[str]:
+        """Go through a study; return the addresses of the films, in the order seen."""
+        self.prepare(study)
+        films = []
+        for page in self.state()["pages"]:
+            films.append(page.get("video"))
+            is_person = page["page"] == "person"
+            self.answer(page["page"], {"age": 30, "gender": ""} if is_person else given or JUDGED)
+        return [film for film in films if film]
+
+
+JUDGED = {
+    "goal_red": "Get blue item to red lm",
+    "goal_green": "get away from red agent",
+    "relation": "neutral",
+}
+
+
+def quiz(study: Study, right: bool = True) -> dict[str, str]:
+    """Answers to the quiz; one of them wrong, unless all are to be right."""
+    given = {f"question_{n}": a for n, (_, _, a) in enumerate(study.settings.quiz, 1)}
+    if not right:
+        _, options, answer = study.settings.quiz[0]
+        given["question_1"] = next(option for option in options if option != answer)
+    return given

@@ -1,0 +1,440 @@
+"""A real browser goes through studies, from consent to the code."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("starlette", reason="the extra 'study' is not installed")
+
+import tests.browser
+from phase_ppl.study.simulate import serving
+from phase_ppl.study.study import Study
+from tests.browser import needs_browser, running_browser
+from tests.study.studies import change, make_study, quiz
+
+AXE = (Path(__file__).parent / "vendor" / "axe.min.js").read_text("utf-8")
+RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"]
+WAIT = 60_000
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with running_browser() as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def clips(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Films of the introduction, made once."""
+    from phase_ppl.study.clips import make_clips
+
+    folder = tmp_path_factory.mktemp("films") / "clips"
+    make_clips(folder)
+    return folder
+
+
+class Window:
+    """Somebody's browser: what it complains of is kept, as is what it asks of others.
+
+    Args:
+        browser: running.
+        address: of the study.
+        options: ``size`` of screen and window, ``script`` to run first, ``query`` of the address.
+    """
+
+    def __init__(self, browser: Any, study: Study, address: str, **options: Any) -> None:
+        size = options.pop("size", {"width": 1280, "height": 720})
+        script, self.query = options.pop("script", None), options.pop("query", "")
+        self.study, self.address = study, address
+        self.faults: list[str] = []
+        self.expected = ("Failed to load resource", "net::ERR_INTERNET_DISCONNECTED")
+        self.context = browser.new_context(viewport=size, screen=size, **options)
+        if script:
+            self.context.add_init_script(script)
+        self.page = self.tab()
+
+    def tab(self) -> Any:
+        page = self.context.new_page()
+        page.set_default_timeout(WAIT)
+        page.on("console", lambda message: self._said(message))
+        page.on("pageerror", lambda error: self.faults.append(str(error)))
+        page.on("request", lambda request: self._asked(request.url))
+        page.goto(f"{self.address}{self.query}")
+        return page
+
+    def _said(self, message: Any) -> None:
+        if message.type in ("error", "warning") and not message.text.startswith(self.expected):
+            self.faults.append(message.text)
+
+    def _asked(self, url: str) -> None:
+        if not url.startswith((self.address, "blob:", "data:")):
+            self.faults.append(f"asked for {url}")
+
+    def sees(self, heading: str, page: Any = None) -> None:
+        """Wait for a page; it is accessible, and its heading has the focus."""
+        page = page or self.page
+        found = page.get_by_role("heading", name=heading, exact=True, level=1)
+        found.wait_for()
+        assert page.evaluate("document.activeElement.tagName") == "H1"
+        self.is_accessible(page)
+
+    def is_accessible(self, page: Any) -> None:
+        page.evaluate(AXE)
+        found = page.evaluate(
+            "tags => axe.run({ runOnly: tags }).then(all => all.violations)", RULES
+        )
+        assert [(one["id"], one["nodes"][0]["html"]) for one in found] == []
+
+    def press(self, name: str, page: Any = None) -> None:
+        (page or self.page).get_by_role("button", name=name, exact=True).click()
+
+    def watch(self, page: Any = None) -> None:
+        """See a film to its end, fast."""
+        page = page or self.page
+        page.evaluate("document.querySelector('video').playbackRate = 16")
+        page.get_by_role("button", name="Play again").wait_for()
+
+    def says(self, text: str, page: Any = None) -> None:
+        (page or self.page).get_by_text(text).first.wait_for()
+
+    # --- page by page
+
+    def agree(self) -> None:
+        self.sees(self.study.settings.title)
+        self.press("I agree and take part")
+        self.sees("Your screen")
+        self.press("Next")
+        self.says("Please watch the animation to its end first.")
+        self.watch()
+        self.press("Next")
+
+    def read(self) -> None:
+        steps = len(self.study.settings.tutorial)
+        for number in range(1, steps + 1):
+            self.says(f"{number} of {steps}")
+            self.sees("Introduction")
+            self.press("Next")
+
+    def answer_quiz(self, right: bool = True) -> None:
+        self.sees("What the introduction said")
+        given = quiz(self.study, right)
+        for number, (question, _, _) in enumerate(self.study.settings.quiz, 1):
+            group = self.page.get_by_role("group", name=question)
+            group.get_by_label(given[f"question_{number}"], exact=True).check()
+        self.press("Done")
+
+    def judge(self, relation: str = "neutral", page: Any = None) -> None:
+        """Answer the questions of a trial, whatever they are."""
+        page = page or self.page
+        kind = self.study.settings.kind
+        if kind == "tagging":
+            for label in ("chasing", "helping"):
+                page.get_by_label(label, exact=True).check()
+        else:
+            page.get_by_label("get the blue item to the red landmark", exact=True).first.check()
+            page.get_by_label("get away from the red agent", exact=True).check()
+            page.get_by_label(relation, exact=True).check()
+        if kind == "likeness":
+            page.get_by_label("4", exact=True).check()
+        self.press("Next", page)
+
+    def prepare(self) -> None:
+        self.agree()
+        self.read()
+        self.answer_quiz()
+
+    @property
+    def id(self) -> str:
+        (only,) = rows(self.study, "SELECT id FROM participant WHERE token IS NOT NULL")
+        return str(only["id"])
+
+
+def rows(study: Study, query: str) -> list[dict[str, Any]]:
+    with study.store() as store:
+        return store.rows(query)
+
+
+def made(tmp_path: Path, clips: Path, kind: str = "judgment", **given: Any) -> Study:
+    study = make_study(tmp_path / "study", kind, n=3, **given)
+    shutil.copytree(clips, study.folder / "clips", dirs_exist_ok=True)
+    return study
+
+
+@needs_browser
+@pytest.mark.parametrize("kind", ["judgment", "tagging", "likeness"])
+def test_from_consent_to_the_code(browser: Any, clips: Path, tmp_path: Path, kind: str) -> None:
+    study = made(tmp_path, clips, kind, refuse_repeats="PROLIFIC_PID")
+    with serving(study) as address:
+        window = Window(browser, study, address, query="?PROLIFIC_PID=77abc")
+        window.agree()
+        assert window.page.url == address, "a platform's id is not left in the address"
+        window.read()
+        window.answer_quiz(right=False)
+        window.says("Some of these answers were not right")
+        window.read()
+        window.answer_quiz()
+
+        window.sees("Animation 1 of 3")
+        size = "[document.documentElement.scrollWidth, document.documentElement.scrollHeight]"
+        width, height = window.page.evaluate(size)
+        assert width <= 1280
+        assert height <= 720, "film and questions at once"
+        window.page.set_viewport_size({"width": 640, "height": 360})  # as a zoom of 200 % does
+        assert window.page.evaluate(size)[0] <= 640, "nothing is to the right of the window"
+        window.is_accessible(window.page)
+        window.page.set_viewport_size({"width": 1280, "height": 720})
+        window.watch()
+        window.press("Next")
+        window.says("still open")
+        window.is_accessible(window.page)
+        window.judge()
+
+        window.sees("Animation 2 of 3")
+        window.page.reload()  # in the middle
+        window.sees("Animation 2 of 3")
+        window.watch()
+        window.context.set_offline(True)
+        window.judge()
+        window.sees("Animation 3 of 3")
+        window.says("There is no connection.")
+        pages = "SELECT count(*) AS n FROM response WHERE page LIKE 'trial-%'"
+        assert rows(study, pages) == [{"n": 1}]
+        window.context.set_offline(False)
+        window.page.get_by_text("There is no connection.").wait_for(state="detached")
+        assert rows(study, pages) == [{"n": 2}]
+        window.watch()
+        window.judge()
+
+        window.sees("About you")
+        window.page.get_by_label("Your age").fill("44")
+        window.press("Next")
+        window.sees(study.settings.title)
+        assert window.page.locator("#code").text_content() == study.settings.codes["finished"]
+        window.says(window.id)
+        window.page.reload()
+        window.says("Your completion code")
+        assert window.page.evaluate("Object.keys(localStorage)") == []
+        assert window.faults == []
+
+    quizzes = rows(
+        study, "SELECT attempt, correct FROM response WHERE page='quiz' ORDER BY attempt"
+    )
+    assert quizzes == [{"attempt": 1, "correct": 0}, {"attempt": 2, "correct": 1}]
+    trials = rows(study, "SELECT * FROM response WHERE page LIKE 'trial-%' ORDER BY page")
+    assert [trial["attempt"] for trial in trials] == [1, 1, 1]
+    for trial in trials:
+        assert 0 < trial["first_end_ms"] <= trial["rt_ms"]
+        assert trial["plays"] >= 1
+    assert rows(study, "SELECT age, gender FROM person") == [{"age": 44, "gender": None}]
+    notes = {note["what"] for note in rows(study, "SELECT what FROM note")}
+    assert {"resume", "retry"} <= notes
+    assert study.status().counts["finished"] == 1
+    everything = b"".join(file.read_bytes() for file in study.folder.glob("study.db*"))
+    for word in (b"77abc", b"127.0.0.1", b"Mozilla"):
+        assert word not in everything, "nothing by which a person could be known"
+
+
+@needs_browser
+def test_a_second_tab_goes_on_where_the_first_is(browser: Any, clips: Path, tmp_path: Path) -> None:
+    study = made(tmp_path, clips)
+    with serving(study) as address:
+        window = Window(browser, study, address)
+        window.prepare()
+        window.sees("Animation 1 of 3")
+        second = window.tab()
+        window.sees("Animation 1 of 3", second)
+        window.watch()
+        window.judge("friendly")
+        window.sees("Animation 2 of 3")
+        window.watch()
+        window.judge("friendly")
+        window.sees("Animation 3 of 3")
+        window.watch(second)
+        window.judge("adversarial", second)  # of the first animation, a second time
+        window.sees("Animation 3 of 3", second)
+        assert window.faults == []
+    answers = rows(study, "SELECT page, answers FROM response WHERE page LIKE 'trial-%'")
+    assert sorted((row["page"], json.loads(row["answers"])["relation"]) for row in answers) == [
+        ("trial-1", "friendly"),
+        ("trial-2", "friendly"),
+    ]
+
+
+@needs_browser
+def test_the_keyboard_alone_suffices(browser: Any, clips: Path, tmp_path: Path) -> None:
+    study = made(tmp_path, clips)
+    with serving(study) as address:
+        window = Window(browser, study, address)
+        keys = window.page.keyboard
+
+        def go_to(text: str, part: str = "textContent") -> None:
+            """Press Tab until something with such a text has the focus."""
+            for _ in range(40):
+                keys.press("Tab")
+                found = f"(document.activeElement.{part} ?? '')"
+                if window.page.evaluate(found) == text:
+                    return
+            pytest.fail(f"the keyboard does not get to {text!r}")
+
+        def choose(name: str, downs: int) -> None:
+            go_to(name, "name")
+            keys.press("Space")
+            for _ in range(downs):
+                keys.press("ArrowDown")
+
+        window.sees(study.settings.title)
+        go_to("I agree and take part")
+        keys.press("Enter")
+        window.sees("Your screen")
+        window.watch()
+        go_to("Next")
+        keys.press("Space")
+        for number in range(1, len(study.settings.tutorial) + 1):
+            window.says(f"{number} of {len(study.settings.tutorial)}")
+            go_to("Next")
+            keys.press("Enter")
+        window.sees("What the introduction said")
+        for number, (_, options, answer) in enumerate(study.settings.quiz, 1):
+            choose(f"question_{number}", options.index(answer))
+        keys.press("Enter")
+        window.sees("Animation 1 of 3")
+        window.watch()
+        go_to("Play again")
+        keys.press("Enter")
+        window.watch()
+        choose("goal_red", 2)
+        choose("goal_green", 33)
+        choose("relation", 1)
+        go_to("Next")
+        keys.press("Enter")
+        window.sees("Animation 2 of 3")
+        assert window.faults == []
+    (answer,) = rows(study, "SELECT answers, plays FROM response WHERE page='trial-1'")
+    assert json.loads(answer["answers"]) == {
+        "goal_red": "Get blue item to red lm",
+        "goal_green": "get away from red agent",
+        "relation": "neutral",
+    }
+    assert answer["plays"] == 2
+
+
+_REFUSES = """
+const play = HTMLMediaElement.prototype.play;
+HTMLMediaElement.prototype.play = function () {
+  if (this.asked) return play.call(this);
+  this.asked = true;
+  return Promise.reject(new DOMException("not now", "NotAllowedError"));
+};
+"""
+
+
+@needs_browser
+def test_a_film_that_must_not_begin_by_itself_is_begun_by_hand(
+    browser: Any, clips: Path, tmp_path: Path
+) -> None:
+    study = made(tmp_path, clips)
+    with serving(study) as address:
+        window = Window(browser, study, address, script=_REFUSES)
+        window.sees(study.settings.title)
+        window.press("I agree and take part")
+        window.sees("Your screen")
+        window.says("Press the button to start the animation.")
+        window.press("Play")
+        window.watch()
+    assert "autoplay refused" in [row["what"] for row in rows(study, "SELECT what FROM note")]
+
+
+@needs_browser
+def test_a_film_that_cannot_be_shown_is_told_and_noted(
+    browser: Any, clips: Path, tmp_path: Path
+) -> None:
+    study = made(tmp_path, clips)
+    with serving(study) as address:
+        window = Window(browser, study, address)
+        window.page.route("**/clip/moving.mp4", lambda route: route.fulfill(body=b"no film"))
+        window.sees(study.settings.title)
+        window.press("I agree and take part")
+        window.says("The animation cannot be shown.")
+    assert "video error" in [row["what"] for row in rows(study, "SELECT what FROM note")]
+
+
+@needs_browser
+def test_small_screens_are_refused_with_a_message_that_stays(
+    browser: Any, clips: Path, tmp_path: Path
+) -> None:
+    study = made(tmp_path, clips)
+    with serving(study) as address:
+        window = Window(browser, study, address, size={"width": 390, "height": 844})
+        window.agree()
+        window.says("this device will not do")
+        window.is_accessible(window.page)
+        window.page.reload()
+        window.sees("Your screen")
+    (note,) = rows(study, "SELECT detail FROM note WHERE what='device refused'")
+    assert note["detail"] == 390
+
+
+@needs_browser
+def test_leaving_asks_only_while_something_is_unsent(
+    browser: Any, clips: Path, tmp_path: Path
+) -> None:
+    study = made(tmp_path, clips)
+    asked: list[str] = []
+    with serving(study) as address:
+        window = Window(browser, study, address)
+        window.prepare()
+        window.sees("Animation 1 of 3")
+        window.page.on("dialog", lambda dialog: (asked.append(dialog.type), dialog.accept()))
+        window.watch()
+        window.page.close(run_before_unload=True)
+        window.page = window.tab()
+        window.page.on("dialog", lambda dialog: (asked.append(dialog.type), dialog.accept()))
+        window.sees("Animation 1 of 3")
+        assert asked == []
+        window.watch()
+        window.context.set_offline(True)
+        window.judge()
+        window.sees("Animation 2 of 3")
+        window.page.close(run_before_unload=True)
+        window.context.set_offline(False)
+        window.page = window.tab()  # what was not sent comes later
+        window.sees("Animation 2 of 3")
+        assert asked == ["beforeunload"]
+    assert len(rows(study, "SELECT * FROM response WHERE page='trial-1'")) == 1
+
+
+@needs_browser
+def test_a_full_study_and_an_unwilling_person_are_told_so(
+    browser: Any, clips: Path, tmp_path: Path
+) -> None:
+    study = change(made(tmp_path, clips), most_entries=1)
+    with serving(study) as address:
+        window = Window(browser, study, address)
+        window.sees(study.settings.title)
+        window.press("I do not agree")
+        window.says("You have not taken part")
+        other = Window(browser, study, address)
+        other.says("No places left")
+        other.is_accessible(other.page)
+        assert window.faults == other.faults == []
+
+
+def test_a_missing_browser_skips_with_a_reason_or_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CHROMIUM", "no-such-program")
+    for required, skips in (("", True), ("required", False)):
+        monkeypatch.setenv("PHASE_PPL_BROWSER", required)
+        fresh = importlib.reload(tests.browser)
+        mark = fresh.needs_browser.mark
+        assert mark.args == (skips,)
+        assert "there is no browser here" in mark.kwargs["reason"]
+        with pytest.raises(pytest.fail.Exception, match="there is no browser"):
+            fresh.browser_path()
+    monkeypatch.undo()
+    importlib.reload(tests.browser)

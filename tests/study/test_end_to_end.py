@@ -1,0 +1,102 @@
+"""From two people at play to people beside models, by way of both likelihoods."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("starlette", reason="the extra 'study' is not installed")
+from starlette.testclient import TestClient
+
+import phase_ppl as ppl
+from phase_ppl.study import play, simulate
+from phase_ppl.study.clips import CLIPS
+from phase_ppl.study.study import Study
+from tests.study.players import HOST, Player, drives, make_study, near_goals, together
+
+QUICK = ppl.PlannerConfig(particles=6, simulations=8)
+
+
+@pytest.fixture(scope="module")
+def sessions(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The file of two sessions that two people played."""
+    folder = tmp_path_factory.mktemp("played")
+    start = [[14.5, 19.5, np.pi / 2], [17.5, 19.5, -np.pi / 2], [12, 7, 0], [20, 7, 0]]
+    sizes = {"alike": [0.8] * 4, "larger": [1.2, 0.8, 0.8, 0.8]}
+    ahead = [near_goals(name, start=start, radius=radius) for name, radius in sizes.items()]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(play, "COUNTDOWN", 0)
+        study = make_study(folder / "study", ahead, trials=2, hold=6, limit=40)
+        with TestClient(study.app(), base_url=HOST) as client:
+            players = [Player(client), Player(client)]
+            together(*(lambda one=one: one.play(drives("forward")) for one in players))
+    study.export(folder / "out")
+    return folder / "out" / "sessions.json"
+
+
+def test_what_people_did_speaks_for_their_goals(sessions: Path) -> None:
+    event = next(e for e in ppl.load_events(sessions) if e.scene.radius[0] == 0.8)
+    assert event.scene.resets_velocity
+    planner = dataclasses.replace(QUICK, particles=10, simulations=40)
+    model = ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=1), planner=planner)
+    post = ppl.infer(event, model)
+    assert post.settings["resets_velocity"]
+    assert post.scene.resets_velocity
+    for goal in ("goal_red", "goal_green"):
+        assert float(post.probability(**{goal: getattr(event.truth, goal)})) > 1 / 36
+
+
+@pytest.mark.parametrize("kernel", ["importance", pytest.param("local_mh", marks=pytest.mark.slow)])
+def test_a_session_is_simulated_by_its_own_rule(sessions: Path, kernel: str) -> None:
+    event = ppl.load_events(sessions)[0]
+    post = ppl.infer(
+        event, kernel=kernel, planner=QUICK, chains=2, iterations=2, workers=1, progress=False
+    )
+    assert post.settings["resets_velocity"]
+    assert post.scene.resets_velocity
+    # whoever drives from rest in each step goes no further than the strongest can
+    way = abs(post.replay()[:, :2, :2] - event.scene.start[:2, :2]).max()
+    assert way < 0.9 * event.observation.n_frames
+
+
+def test_the_rule_of_sessions_explains_them_better_than_another(sessions: Path) -> None:
+    model = ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=1), planner=QUICK)
+    evidence = {True: 0.0, False: 0.0}
+    for event in ppl.load_events(sessions):
+        for rule in evidence:
+            scene = dataclasses.replace(event.scene, resets_velocity=rule)
+            assumed = ppl.Event(scene, event.observation)
+            evidence[rule] += ppl.infer(assumed, model).log_evidence
+    assert evidence[True] > evidence[False] + 3
+
+
+def test_from_play_to_people_beside_models(
+    sessions: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_films(folder: Path) -> None:
+        folder.mkdir()
+        for name in CLIPS:
+            (folder / f"{name}.mp4").touch()
+
+    monkeypatch.setattr("phase_ppl.study.study.make_clips", no_films)  # of the introduction
+    events = ppl.load_events(sessions)
+    judging = Study.new(tmp_path / "judging", events, "judgment", raters=6, workers=1)
+    believed = ppl.evaluate(events, "last_frame")
+    out = tmp_path / "answers"
+    simulate.simulate(judging, out, people=8, predictions=believed.predictions, lapse=0.2)
+    judged = ppl.load_judgments(out / "judgments.csv", events)
+    assert len(judged.table) >= 6 * len(events) - 4
+    models = [
+        ppl.evaluate(events, name, judgments=out / "judgments.csv", out=tmp_path / name)
+        for name in ("last_frame", "majority")
+    ]
+    comparison = ppl.compare_models(models)
+    assert comparison.people["n_events"] == len(events)
+    assert comparison.people["goal_accuracy"]["value"] > 1 / 36
+    for name in ("accuracy", "correlation"):
+        figure = tmp_path / f"{name}.png"
+        getattr(ppl.figures, name)(comparison, path=figure)
+        assert figure.stat().st_size > 1000

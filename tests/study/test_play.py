@@ -1,0 +1,475 @@
+"""Two people, or one and the computer, play sessions that become events."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import dataclasses
+import random
+import threading
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("starlette", reason="the extra 'study' is not installed")
+from starlette.testclient import TestClient, WebSocketDenialResponse, WebSocketTestSession
+from starlette.websockets import WebSocketDisconnect
+
+import phase_ppl as ppl
+from phase_ppl.physics.actions import ACTION_NAMES
+from phase_ppl.study import play, sessions
+from phase_ppl.study.room import KEYS
+from phase_ppl.study.study import Study
+from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
+from tests.study.players import (
+    HOST,
+    Message,
+    Player,
+    drives,
+    make_study,
+    near_goals,
+    press,
+    together,
+)
+
+
+@pytest.fixture(autouse=True)
+def _begin_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(play, "COUNTDOWN", 0)
+
+
+@contextlib.contextmanager
+def serving(study: Study) -> Iterator[TestClient]:
+    with TestClient(study.app(), base_url=HOST) as client:
+        yield client
+
+
+def played(study: Study) -> list[dict[str, Any]]:
+    with study.store() as store:
+        return store.sessions()
+
+
+def outcomes(players: Sequence[Player]) -> list[str | None]:
+    return [player.state().get("outcome") for player in players]
+
+
+def of_kind(messages: Sequence[Message], kind: str) -> list[Message]:
+    return [message for message in messages if message["t"] == kind]
+
+
+# --- sessions -------------------------------------------------------------------------------------
+
+
+def test_two_people_play_until_both_goals_hold(tmp_path: Path) -> None:
+    study = make_study(tmp_path / "study", [near_goals()], trials=2)
+    with serving(study) as client:
+        players = [Player(client), Player(client)]
+        both = together(*(lambda one=one: one.play(drives("forward")) for one in players))
+        assert outcomes(players) == ["finished"] * 2
+    for messages in both:
+        assert [one["outcome"] for one in of_kind(messages, "end")] == ["goals", "goals"]
+        scenes = of_kind(messages, "scene")
+        assert [scene["session"] for scene in scenes] == [1, 2]
+        assert {scene["agent"] for scene in scenes} == {0, 1}  # the agents are exchanged
+        assert scenes[0]["goals"] == ["Get red agent to blue lm", "Get green agent to green lm"]
+        assert scenes[1]["last"] == "goals"
+    for session in played(study):
+        assert session["outcome"] == "goals"
+        assert {one["participant"] for one in session["players"]} == {one.id for one in players}
+        steps = session["steps"]
+        assert [step["number"] for step in steps] == [*range(1, len(steps) + 1)]
+        assert {step["keys"] for step in steps[1:]} == {'[["forward"], ["forward"]]'}
+
+
+def scribbles(seed: int) -> Any:
+    """React as somebody who presses keys at random."""
+    rng = random.Random(seed)
+
+    def react(message: Message) -> Sequence[Message]:
+        if message["t"] == "scene":
+            return [{"t": "ready"}]
+        if message["t"] == "frame" and rng.random() < 0.5:
+            return [press(rng.choice(KEYS), rng.random() < 0.6)]
+        return []
+
+    return react
+
+
+def test_a_session_replays_bit_for_bit_and_is_an_event(tmp_path: Path) -> None:
+    scene = near_goals(start=[[12, 10, 0], [20, 10, 0], [12, 12, 0], [20, 12, 0]], walls=[])
+    study = make_study(tmp_path / "study", [scene], hold=100)
+    with serving(study) as client:
+        players = [Player(client), Player(client)]
+        together(*(lambda k=k: players[k].play(scribbles(k)) for k in range(2)))
+    (session,) = played(study)
+    assert (session["outcome"], len(session["steps"])) == ("time", 18)
+    replay = sessions.replayed(session, scene)
+    assert sessions.trajectory_sha256(replay.observation.trajectory) == session["sha256"]
+    assert len({(step["red"], step["green"]) for step in session["steps"]}) > 5
+
+    study.export(tmp_path / "out")
+    (event,) = ppl.load_events(tmp_path / "out" / "sessions.json")
+    np.testing.assert_array_equal(event.observation.trajectory, replay.observation.trajectory)
+    assert event.scene.resets_velocity
+    assert event.observation.n_frames == 19
+    assert event.truth == dataclasses.replace(scene.truth, relation="neutral")
+    with (tmp_path / "out" / "sessions.csv").open() as file:
+        (row,) = csv.DictReader(file)
+    assert (row["session"], row["scene"], row["outcome"]) == (event.id, "near", "time")
+    assert {row["red"], row["green"]} == {player.id for player in players}
+    assert (row["steps"], row["resets_velocity"], row["view"]) == ("18", "1", "own")
+    with (tmp_path / "out" / "steps.csv").open() as file:
+        steps = list(csv.DictReader(file))
+    assert [step["red"] for step in steps] == [ACTION_NAMES[s["red"]] for s in session["steps"]]
+    readme = (tmp_path / "out" / "README.md").read_text()
+    assert "`resets_velocity`" in readme
+    assert "sessions 1, goals 0, time 1" in readme
+
+
+def test_a_session_that_replays_otherwise_is_no_event(tmp_path: Path) -> None:
+    study = make_study(tmp_path / "study", [near_goals()])
+    with serving(study) as client:
+        players = [Player(client), Player(client)]
+        together(*(lambda one=one: one.play(drives("forward")) for one in players))
+    with study.store() as store:
+        store._db.execute("UPDATE step SET red=3 WHERE number=2")
+        found, rows, counts = sessions.played(store, study.events)
+    assert (found, rows, counts["replay differs"]) == ([], [], 1)
+
+
+def test_without_the_reset_agents_keep_their_velocities(tmp_path: Path) -> None:
+    study = make_study(
+        tmp_path / "study", [near_goals()], resets_velocity=False, partner="computer"
+    )
+    with serving(study) as client:
+        Player(client).play(drives("forward"))
+    (session,) = played(study)
+    event = sessions.replayed(session, near_goals())
+    assert not event.scene.resets_velocity
+    assert sessions.trajectory_sha256(event.observation.trajectory) == session["sha256"]
+
+
+def test_players_are_sent_what_their_agents_see_and_nothing_else(tmp_path: Path) -> None:
+    for view in ("own", "all"):
+        study = make_study(tmp_path / view, [near_goals()], view=view, limit=3)
+        with serving(study) as client:
+            players = [Player(client), Player(client)]
+            both = together(*(lambda one=one: one.play(drives()) for one in players))
+        for messages in both:
+            # back to back, with a wall between them, and the items behind them
+            agent = of_kind(messages, "scene")[0]["agent"]
+            for frame in of_kind(messages, "frame"):
+                known = [entity for entity, pose in enumerate(frame["poses"]) if pose is not None]
+                assert known == ([agent] if view == "own" else [0, 1, 2, 3])
+                assert (frame["sight"] is None) is (view == "all")
+        everything = str(both)
+        assert ("12.0, 7.0" in everything) is (view == "all")
+
+
+# --- partners -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("partner", ["computer", "either"])
+def test_one_person_alone_plays_with_the_computer(tmp_path: Path, partner: str) -> None:
+    study = make_study(
+        tmp_path / "study", [near_goals()], partner=partner, wait_at_most=1, limit=60
+    )
+    with serving(study) as client:
+        player = Player(client)
+        messages = player.play(drives("forward"))
+        assert outcomes([player]) == ["finished"]
+    assert of_kind(messages, "scene")[0]["partner"] == "computer"
+    assert bool(of_kind(messages, "wait")) is (partner == "either")
+    (session,) = played(study)
+    assert session["outcome"] == "goals"  # the computer drives to its own goal
+    assert [one["participant"] for one in session["players"]].count(None) == 1
+
+
+def test_who_waits_in_vain_is_thanked(tmp_path: Path) -> None:
+    study = make_study(tmp_path / "study", [near_goals()], partner="person", wait_at_most=1)
+    with serving(study) as client:
+        player = Player(client)
+        player.play(drives())
+        state = player.state()
+    assert (state["outcome"], state["code"]) == ("waited", study.settings.codes["waited"])
+    assert state["code"]
+    assert played(study) == []
+
+
+def test_when_a_player_leaves_the_session_is_marked_and_the_other_is_told(tmp_path: Path) -> None:
+    study = make_study(tmp_path / "study", [near_goals()], hold=100, limit=200, rejoin_within=1)
+    with serving(study) as client:
+        stays, leaves = Player(client), Player(client)
+        both = [lambda: stays.play(drives()), lambda: leaves.play(drives(), until="begun")]
+        told, _ = together(*both)
+        assert outcomes([stays, leaves]) == ["partner_left", "left"]
+        assert stays.state()["code"]
+        assert not leaves.state()["code"]
+    assert of_kind(told, "end")[0]["outcome"] == "left"
+    (session,) = played(study)
+    assert session["outcome"] == "left"
+    assert 1 < len(session["steps"]) < 200
+    study.export(tmp_path / "out")
+    assert not (tmp_path / "out" / "sessions.json").exists()
+    study.export(tmp_path / "all", include=["unfinished"])
+    (event,) = ppl.load_events(tmp_path / "all" / "sessions.json")
+    assert event.observation.n_frames == len(session["steps"]) + 1
+
+
+def test_a_player_who_comes_back_in_time_goes_on(tmp_path: Path) -> None:
+    study = make_study(tmp_path / "study", [near_goals()], hold=100, rejoin_within=30)
+    with serving(study) as client:
+        players = [Player(client), Player(client)]
+
+        def comes_back() -> list[Message]:
+            players[0].play(drives("forward"), until="begun")
+            before = len(players[0].messages)
+            return players[0].play(drives("forward"))[before:]
+
+        again, _ = together(comes_back, lambda: players[1].play(drives("forward")))
+        assert outcomes(players) == ["finished"] * 2
+    assert [one["t"] for one in again[:3]] == ["scene", "ready", "begun"]
+    (session,) = played(study)
+    assert session["outcome"] == "time"
+
+
+def test_whoever_does_not_begin_is_out_and_the_other_goes_back(tmp_path: Path) -> None:
+    study = make_study(tmp_path / "study", [near_goals()], ready_within=1, wait_at_most=1)
+    with serving(study) as client:
+        willing, absent = Player(client), Player(client)
+        messages, _ = together(
+            lambda: willing.play(drives("forward")), lambda: absent.play(lambda message: [])
+        )
+        assert outcomes([willing, absent]) == ["finished", "left"]
+    assert [scene["partner"] for scene in of_kind(messages, "scene")] == ["person", "computer"]
+
+
+def test_when_the_server_ends_what_was_played_is_kept(tmp_path: Path) -> None:
+    study = make_study(tmp_path / "study", [near_goals()], hold=100, limit=1000)
+    with serving(study) as client:
+        players = [Player(client), Player(client)]
+        (stop,) = client.app.state.site.closing  # type: ignore[attr-defined]
+        moving = threading.Event()
+
+        def react(message: Message) -> Sequence[Message]:
+            if message["t"] == "frame" and message["true"]:
+                moving.set()
+            return drives("forward")(message)
+
+        def stops() -> None:
+            assert moving.wait(30)
+            client.portal.call(stop)  # type: ignore[union-attr]
+
+        plays = (lambda one=one: one.play(react, until="error") for one in players)
+        told, *_ = together(*plays, stops)
+    assert told[-1]["text"] == "the study is being stopped"
+    (session,) = played(study)
+    assert session["outcome"] == "stopped"
+    replay = sessions.replayed(session, near_goals())
+    assert sessions.trajectory_sha256(replay.observation.trajectory) == session["sha256"]
+
+
+def test_a_session_that_a_crash_broke_off_is_marked(tmp_path: Path) -> None:
+    study = make_study(tmp_path / "study", [near_goals()])
+    with study.store() as store:
+        strengths, goals = (600.0, 600.0), ("get to green agent", "get to red agent")
+        store.open_session("session", "near", goals, strengths, study.settings.play, [None, None])
+    with serving(study):
+        pass
+    assert [session["outcome"] for session in played(study)] == ["stopped"]
+
+
+def test_players_are_told_of_a_fault(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise ZeroDivisionError("of the test")
+
+    study = make_study(tmp_path / "study", [near_goals()])
+    with serving(study) as client:
+        players = [Player(client), Player(client)]
+        monkeypatch.setattr(play, "Room", fails)
+        both = together(*(lambda one=one: one.play(drives(), "error") for one in players))
+    assert [messages[-1]["text"] for messages in both] == ["the server has a problem"] * 2
+    assert "ZeroDivisionError: of the test" in capsys.readouterr().err
+
+
+# --- practice -------------------------------------------------------------------------------------
+
+
+def practises() -> Any:
+    """React as somebody who does the tasks of practice one after the other."""
+    done, since = 0, 0
+
+    def tap(key: str) -> list[Message]:
+        return [press(key), press(key, False)]
+
+    def react(message: Message) -> Sequence[Message]:
+        nonlocal done, since
+        if message["t"] == "scene":
+            return [{"t": "ready"}, press("forward")] if "practice" in message else []
+        since += 1
+        if message["t"] == "tasks":
+            done = message["done"]
+            return {
+                1: [press("forward", False), *tap("turn left")],
+                2: [*tap("turn right")],
+                3: [press("forward", False), press("backward")],
+                4: [press("backward", False), *tap("grab")],
+                5: [{"t": "ready"}],
+            }.get(done, [])
+        if message["t"] == "frame" and done == 2 and since > 20:
+            since = 0
+            near = message["poses"][0][1] > 12
+            return tap("grab") if near else [press("forward", False), press("forward")]
+        return []
+
+    return react
+
+
+def test_practice_goes_on_until_all_was_done_and_the_player_is_ready(tmp_path: Path) -> None:
+    study = make_study(tmp_path / "study", [near_goals()], partner="computer", practice_at_most=60)
+    with serving(study) as client:
+        player = Player(client, practised=False)
+        messages = player.play(practises(), until="ready")
+    done = [message["done"] for message in of_kind(messages, "tasks")]
+    assert sorted(set(done)) == [0, 1, 2, 3, 4, 5]
+    scenes = of_kind(messages, "scene")
+    assert scenes[0]["goals"] == []
+    assert len(scenes[0]["practice"]) == 5
+    with study.store() as store:
+        (answer,) = store.rows("SELECT answers FROM response WHERE page='practice'")
+    assert '"done": 5, "of": 5' in answer["answers"]
+
+
+def test_practice_ends_at_its_limit(tmp_path: Path) -> None:
+    study = make_study(tmp_path / "study", [near_goals()], practice_at_most=1)
+    with serving(study) as client:
+        player = Player(client, practised=False)
+        messages = player.play(lambda message: [], until="wait")
+    assert of_kind(messages, "tasks")[-1]["done"] == 0
+
+
+# --- what is refused ------------------------------------------------------------------------------
+
+
+def closed_with(player: Player, *said: str | bytes, **headers: str) -> int:
+    """Return the code with which the server closes after what is said."""
+    with player.connect(**headers) as socket:
+        for one in said:
+            socket.send_text(one) if isinstance(one, str) else socket.send_bytes(one)
+        return close_code(socket)
+
+
+def close_code(socket: WebSocketTestSession) -> int:
+    for _ in range(2000):
+        try:
+            socket.receive_json()
+        except WebSocketDisconnect as gone:
+            return gone.code
+    raise AssertionError("still open")
+
+
+@pytest.fixture(scope="module")
+def lobby(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
+    folder = tmp_path_factory.mktemp("lobby") / "study"
+    with serving(make_study(folder, [near_goals()], partner="person")) as client:
+        yield client
+
+
+@pytest.mark.parametrize(
+    ("said", "code"),
+    [
+        ('{"t":"key","key":"jump","down":true}', 4400),
+        ('{"t":"key","key":"forward","down":"yes"}', 4400),
+        ('{"t":"key","key":["forward"],"down":true}', 4400),
+        ('{"t":"steps","red":2}', 4400),
+        ("[1]", 4400),
+        ("{", 4400),
+        ("[" * 3000, 4400),
+        (b'{"t":"ready"}', 4400),
+        ('{"t":"key","key":"' + "é" * 2100 + '","down":true}', 1009),
+    ],
+)
+def test_messages_that_are_none_close_the_socket(
+    lobby: TestClient, said: str | bytes, code: int
+) -> None:
+    assert closed_with(Player(lobby), said) == code
+
+
+def test_too_many_messages_close_the_socket(lobby: TestClient) -> None:
+    flood = ['{"t":"key","key":"forward","down":true}', '{"t":"release"}'] * 100
+    assert closed_with(Player(lobby), *flood) == 4429
+
+
+def test_too_many_sockets_are_refused(lobby: TestClient) -> None:
+    player, codes = Player(lobby), []
+    for _ in range(15):
+        codes.append(closed_with(player, "{"))
+    assert codes[0] == 4400
+    assert codes[-1] == 4429
+
+
+@pytest.mark.parametrize("origin", ["http://elsewhere.example", "null", ""])
+def test_pages_from_elsewhere_get_no_socket(lobby: TestClient, origin: str) -> None:
+    with pytest.raises(WebSocketDisconnect), Player(lobby).connect(origin=origin):
+        pass
+
+
+def test_other_names_of_the_host_get_no_socket(lobby: TestClient) -> None:
+    headers = {"origin": "http://elsewhere.example", "cookie": Player(lobby).cookie}
+    where = "ws://elsewhere.example/play/socket"
+    refused = pytest.raises(WebSocketDenialResponse)
+    with refused as refusal, lobby.websocket_connect(where, headers=headers):
+        pass
+    assert refusal.value.status_code == 400
+
+
+def test_nobody_plays_without_a_cookie(lobby: TestClient) -> None:
+    player = Player(lobby)
+    assert closed_with(player, cookie="") == 4401
+    assert closed_with(player, cookie=f"{player.cookie}x") == 4401
+
+
+def test_nobody_plays_before_the_introduction(lobby: TestClient) -> None:
+    player = Player(lobby)
+    lobby.cookies.clear()
+    entered = lobby.post("/api/enter", json={}, headers={"origin": HOST})
+    player.cookie = entered.headers["set-cookie"].partition(";")[0]
+    lobby.cookies.clear()
+    assert [message["t"] for message in player.play(drives())] == ["go"]
+
+
+def test_a_second_window_takes_over(lobby: TestClient) -> None:
+    player = Player(lobby)
+    with player.connect() as first:
+        assert first.receive_json()["t"] in ("full", "wait")
+        with player.connect() as second:
+            assert second.receive_json()["t"] == "wait"
+            assert close_code(first) == 4409
+
+
+def test_no_session_can_be_answered_by_hand(lobby: TestClient) -> None:
+    player = Player(lobby)
+    content = {"page": "session-1", "attempt": 1, "answers": {"outcome": "goals"}}
+    assert player.post("/api/answer", content).status_code == 409
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "error"),
+    [
+        ("steps_per_second", 0, InvalidSettingError),
+        ("steps_per_second", 60, InvalidSettingError),
+        ("rooms", 1000, InvalidSettingError),
+        ("view", "some", UnknownNameError),
+        ("partner", "robot", UnknownNameError),
+    ],
+)
+def test_settings_that_cannot_be_are_refused(
+    tmp_path: Path, name: str, value: Any, error: type[Exception]
+) -> None:
+    with pytest.raises(error, match=rf"{name} in \[play\]"):
+        make_study(tmp_path / "study", [near_goals()], **{name: value}).app()

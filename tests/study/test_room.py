@@ -1,0 +1,189 @@
+"""The keys, the clock and the expectations of a room, without a server."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("starlette", reason="the extra 'study' is not installed")
+
+import phase_ppl as ppl
+from phase_ppl.physics.actions import Action
+from phase_ppl.physics.pymunk_world import PymunkWorld
+from phase_ppl.render.frames import field_of_view
+from phase_ppl.study.play import Outbox
+from phase_ppl.study.room import Controls, PlaySettings, Room, Seat, outline
+from phase_ppl.study.sessions import SLIPPED, driving, warnings
+from phase_ppl.study.settings import Settings, template
+from tests.agents.scenes import FULL_WALL_UP, HALF_WALL_LEFT, scene
+from tests.study.players import near_goals
+
+
+def settings(**changes: Any) -> PlaySettings:
+    return PlaySettings(**{**Settings.parse(template("play", "")).play, **changes})
+
+
+def pressed(*events: str) -> Controls:
+    """Controls after keys went down ("+forward") and up ("-forward")."""
+    controls = Controls()
+    for event in events:
+        controls.press(event[1:], event[0] == "+")
+    return controls
+
+
+@pytest.mark.parametrize(
+    ("events", "action"),
+    [
+        ([], Action.NO_FORCE),
+        (["+forward"], Action.UP),
+        (["+forward", "+left"], Action.LEFT),
+        (["+forward", "+left", "-left"], Action.LEFT),
+        (["+forward", "-forward", "+left"], Action.UP),
+        (["+turn right", "-turn right"], Action.TURN_RIGHT),
+        (["+grab", "-grab"], Action.ATTACH),
+        (["+forward", "+grab"], Action.ATTACH),
+    ],
+)
+def test_the_latest_key_wins_and_a_tap_counts(events: list[str], action: Action) -> None:
+    assert pressed(*events).action(holds=False) == action
+
+
+def test_a_tap_counts_once_and_a_held_key_goes_on() -> None:
+    controls = pressed("+left", "-left", "+forward", "+grab")
+    assert controls.pressed() == ["left", "forward", "grab"]
+    done = [controls.action(holds=True) for _ in range(4)]
+    # the key of a grab must go up before the next one
+    assert done == [Action.DETACH, Action.LEFT, Action.UP, Action.UP]
+    controls.release()
+    assert controls.action(holds=False) == Action.NO_FORCE
+
+
+def test_nothing_is_done_long_after_it_was_pressed() -> None:
+    controls = pressed(*["+left", "-left"] * 10)
+    done = [controls.action(holds=False) for _ in range(4)]
+    assert done == [Action.LEFT, Action.LEFT, Action.NO_FORCE, Action.NO_FORCE]
+
+
+def test_a_slow_browser_misses_the_oldest_frames_and_nothing_else() -> None:
+    outbox = Outbox()
+    outbox.put({"t": "scene"})
+    for number in range(100):
+        outbox.put({"t": "frame", "number": number})
+    outbox.put({"t": "end"})
+
+    async def received() -> list[Any]:
+        return [await outbox.get() for _ in range(Outbox.MOST + 2)]
+
+    first, *frames, last = asyncio.run(received())
+    assert (first["t"], last["t"]) == ("scene", "end")
+    assert [frame["number"] for frame in frames] == [*range(100 - Outbox.MOST, 100)]
+
+
+def room(event: ppl.Event, seats: list[Seat] | None = None, **changes: Any) -> Room:
+    play, truth = settings(steps_per_second=12, **changes), event.truth
+    assert truth is not None
+    goals = truth.goal_red, truth.goal_green
+    return Room(play.scene(event.scene), goals, (600.0, 600.0), play, seats or [Seat(), Seat()])
+
+
+def test_a_clock_that_slips_is_seen_and_does_not_hurry() -> None:
+    one = room(near_goals(), limit=4)
+    slept: list[int] = []
+
+    def stalls(room: Room) -> None:
+        if len(room.steps) == 1 and not slept:
+            slept.append(1)
+            time.sleep(2 * SLIPPED / 1000)
+
+    assert asyncio.run(one.run(stalls)) == "time"
+    assert 1000 * one.slip > SLIPPED
+    late = [step.lag_ms > SLIPPED for step in one.steps]
+    assert late == [False, True, False, False]
+
+
+def test_goals_must_hold_for_a_while_and_goals_of_avoidance_end_nothing() -> None:
+    event = near_goals(start=[[8.5, 19.5, 0], [23.5, 19.5, 0], [12, 7, 0], [20, 7, 0]])
+    one = room(event, hold=3, limit=10)
+    assert asyncio.run(one.run()) == "goals"
+    assert len(one.steps) == 3
+    away = ppl.Truth("Get red agent away from red lm", "Get green agent to green lm")
+    goals = away.goal_red, away.goal_green
+    assert not Room(one.scene, goals, (600, 600), settings(), one.seats).ends_by_goals
+
+
+@pytest.mark.parametrize("agent", [0, 1])
+def test_the_outline_is_the_field_of_view_within_the_arena(agent: int) -> None:
+    for angle in np.linspace(0, 2 * np.pi, 9):
+        where = scene(
+            red=(9.0, 12.0, angle), green=(20.0, 13.0, angle), walls=[FULL_WALL_UP, HALF_WALL_LEFT]
+        )
+        corners = np.array(outline(where, where.start, agent))
+        assert (corners >= [5.99, 1.99]).all()
+        assert (corners <= [26.01, 22.01]).all()
+        points = np.random.default_rng(0).uniform([6, 2], [26, 22], (400, 2))
+        whole = inside(points, field_of_view(where, where.start, agent))
+        assert (inside(points, corners) != whole).mean() < 0.01
+
+
+def inside(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """Whether points lie in a polygon: by how many sides a ray to the right crosses."""
+    x, y = points.T[:, :, None]
+    (x1, y1), (x2, y2) = corners.T, np.roll(corners, -1, axis=0).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        crosses = ((y1 > y) != (y2 > y)) & (x < (x2 - x1) * (y - y1) / (y2 - y1) + x1)
+    return np.asarray(crosses.sum(axis=1) % 2 == 1)
+
+
+def test_a_computer_sees_no_more_than_its_agent() -> None:
+    # the item of its goal stands behind it: it looks around before it goes there
+    start = [[12.0, 19.5, 0.0], [20.0, 12.0, 0.0], [12.0, 7.0, 0.0], [20.0, 5.0, 0.0]]
+    event = near_goals(start=start)
+    truth = ppl.Truth("get to green agent", "Get pink item to red lm")
+    play = settings(steps_per_second=12, limit=3)
+    one = Room(
+        play.scene(event.scene), (truth.goal_red, truth.goal_green), (600.0, 600.0), play,
+        [Seat(), Seat()], computer=np.random.default_rng(0),
+    )  # fmt: skip
+    asyncio.run(one.run())
+    assert not one._computers[1].beliefs.observed[3] or one.steps[0].green in (0, 1)
+
+
+# --- what is to be expected -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("size", "strength"), [(0.8, 300.0), (1.6, 150.0)])
+@pytest.mark.parametrize("resets", [True, False])
+def test_the_expected_steps_are_those_of_the_world(
+    size: float, strength: float, resets: bool
+) -> None:
+    where = scene(red=(16.0, 4.5, 0.0), radius=[size, 0.8, 0.8, 0.8])
+    world = PymunkWorld(settings(resets_velocity=resets).scene(where), (strength, 300.0))
+    expected, steps = driving(size, strength, 2.0, resets), 0
+    while world.state.pose[0, 1] - 4.5 < 2.0:
+        world.step((Action.UP, Action.NO_FORCE))
+        steps += 1
+    assert steps == pytest.approx(expected, rel=0.05, abs=1)
+
+
+def test_agents_that_cannot_make_it_are_named() -> None:
+    def said(strength: float, radius: float, goal: str, **changes: Any) -> list[str]:
+        start = [[23.5, 3.5, 0.0], [20.0, 19.5, 0.0], [12.0, 7.0, 0.0], [20.0, 7.0, 0.0]]
+        event = near_goals("scene", start=start, radius=[radius, 0.8, 0.8, 0.8])
+        truth = ppl.Truth(goal, "Get green agent to green lm", "", "", strength, 600.0)
+        changed = ppl.Event(event.scene, event.observation, "scene", truth)
+        return warnings([changed], settings(**changes))
+
+    home = "Get red agent to blue lm"
+    assert said(600.0, 0.8, home) == []
+    (slow,) = said(150.0, 1.6, home)
+    assert slow.startswith("scene: the red agent (size 1.6, 150 N) needs some 2")
+    assert slow.endswith("s for its goal, of the 60 s that a session takes (limit in [play])")
+    assert said(150.0, 1.6, home, limit=2000) == []
+    (near,) = said(150.0, 1.6, "Get red agent to red lm")
+    assert "across the arena" in near
+    (weak,) = said(150.0, 0.8, "Get blue item to red lm")
+    assert "cannot move the blue item alone" in weak

@@ -1,0 +1,139 @@
+"""``study.toml``: what it may say, and what is wrong with it."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import ClassVar
+
+import pytest
+
+import phase_ppl as ppl
+from phase_ppl.study.settings import KINDS, Settings, template
+from phase_ppl.study.study import Study
+from phase_ppl.world.errors import InvalidSettingError, OutputError, PhasePPLError
+from tests.study.studies import make_study, short_events
+
+FOLDER = Path(__file__).resolve().parents[2] / "phase_ppl" / "study"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_template_is_a_study(kind: str) -> None:
+    title = 'What "they" do\\ & \x7f'
+    found = Settings.parse(template(kind, title, trials=7, raters=9))
+    assert (found.kind, found.title) == (kind, title)
+    assert {"finished", "quiz_failed"} <= set(found.codes)
+    assert len(set(found.codes.values()) - {""}) == len([c for c in found.codes.values() if c])
+    if kind != "play":
+        assert (found.trials, found.raters) == (7, 9)
+    again = Settings.parse(template(kind, title))
+    assert again.codes["finished"] != found.codes["finished"]
+
+
+def test_what_is_left_out_is_as_in_the_template() -> None:
+    short = Settings.parse('kind = "judgment"\n[texts]\nfinished = "Bye"')
+    long = Settings.parse(template("judgment", "x"))
+    assert short.tries == long.tries
+    assert short.quiz == long.quiz
+    assert short.texts["consent"] == long.texts["consent"]
+    assert short.texts["finished"] == "Bye"
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("trails = 3", "unknown setting 'trails'; did you mean 'trials'"),
+        ("trials = 0", "trials = 0, expected at least 1"),
+        ('trials = "3"', "trials = '3', expected a whole number"),
+        ("open = 1", "open = 1, expected true or false"),
+        ("trials = ", "line 2"),
+        ("[texts]\nconcent = 'x'", "'concent'; did you mean 'consent'"),
+        ("[texts]\nconsent = 3", "consent in .texts. is 3, expected text"),
+        ("[[quiz]]\nquestion = 'q'\noptions = ['a', 'b']\nanswer = 'c'", "unknown answer in"),
+        ("[[quiz]]\nquestion = 'q'\noptions = ['a']\nanswer = 'a'", "two or more"),
+        ("[[quiz]]\nquestion = 'q'", "number 1: options is None, expected a list"),
+        ("quiz = [3]", "number 1 is 3, expected a table"),
+        ("[[tutorial]]\ntext = 'x'\nclip = 'jumping'", "unknown clip in .* 'jumping'"),
+        ("[checks]\nx = 'friendly'", "x is 'friendly', expected relations"),
+        ("[checks]\nx = ['hostile']", "unknown relation 'hostile'"),
+    ],
+)
+def test_mistakes_are_named(line: str, message: str, tmp_path: Path) -> None:
+    file = tmp_path / "study.toml"
+    file.write_text(f'kind = "judgment"\n{line}\n', "utf-8")
+    with pytest.raises(PhasePPLError, match=f"study.toml: .*{message}"):
+        Settings.read(file)
+
+
+def test_the_kind_is_one_that_there_is() -> None:
+    with pytest.raises(PhasePPLError, match="unknown kind 'judgement'; did you mean 'judgment'"):
+        Settings.parse('kind = "judgement"')
+
+
+def test_checks_are_of_videos_of_the_study(tmp_path: Path) -> None:
+    study = make_study(tmp_path / "study")
+    file = study.folder / "study.toml"
+    file.write_text(file.read_text("utf-8").replace("[checks]", "[checks]\nnone = ['friendly']"))
+    with pytest.raises(PhasePPLError, match=r"unknown video in \[checks\] 'none'"):
+        Study(study.folder)
+
+
+def test_a_study_gets_a_folder_of_its_own(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").touch()
+    with pytest.raises(OutputError, match="not empty"):
+        Study.new(tmp_path, short_events())
+    assert [file.name for file in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_copies_in_a_generated_set_are_known(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Generated(list[ppl.Event]):
+        entries: ClassVar = [{"id": "collaborate", "group": "a"}, {"id": "compete", "group": "b"},
+                             {"id": "independent", "group": "a"}]  # fmt: skip
+
+    monkeypatch.setattr("phase_ppl.study.study.GeneratedEvents", Generated)
+    monkeypatch.setattr("phase_ppl.study.study.make_clips", lambda folder: None)
+    study = Study.new(tmp_path / "study", Generated(short_events()), workers=1, progress=False)
+    with study.store() as store:
+        assert [s.copies for s in store.stimuli().values()] == ["a", None, "a"]
+    assert study.settings.trials == 2, "one of each copy is all that a person can see"
+
+
+def test_the_kind_of_a_study_stays(tmp_path: Path) -> None:
+    study = make_study(tmp_path / "study")
+    file = study.folder / "study.toml"
+    file.write_text(template("tagging", "x"), "utf-8")
+    with pytest.raises(InvalidSettingError, match="is one of judgment"):
+        Study(study.folder)
+
+
+@pytest.mark.parametrize("damage", ["change", "delete"])
+def test_missing_and_changed_films_are_found_before_people_come(
+    tmp_path: Path, damage: str
+) -> None:
+    study = make_study(tmp_path / "study")
+    assert any("who is responsible" in note for note in study.check())
+    film = next((study.folder / "videos").iterdir())
+    if damage == "delete":
+        film.unlink()
+    else:
+        film.write_bytes(b"another film")
+    what = {"delete": "missing", "change": "changed"}[damage]
+    with pytest.raises(PhasePPLError, match=f"{film.name}.*{what}"):
+        study.run(0)
+
+
+@pytest.mark.parametrize("where", [FOLDER / "static" / "vendor", Path(__file__).parent / "vendor"])
+def test_scripts_of_others_are_those_that_their_list_says(where: Path) -> None:
+    listed = [line.split("  ") for line in (where / "VERSIONS").read_text().splitlines()]
+    assert {name for _, name, _ in listed} == {
+        file.name for file in where.iterdir() if file.suffix in (".js", ".css")
+    }
+    for digest, name, package in listed:
+        assert hashlib.sha256((where / name).read_bytes()).hexdigest() == digest
+        assert package in (FOLDER / "vendor.sh").read_text()
+    assert (
+        "Permission is hereby granted" in (where / "LICENSE").read_text()
+        or "Mozilla" in (where / "LICENSE").read_text()
+    )

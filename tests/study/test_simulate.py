@@ -1,0 +1,203 @@
+"""Scripted people, pairs of played and generated events, and the command line."""
+
+from __future__ import annotations
+
+import dataclasses
+import shutil
+import signal
+import subprocess
+import sys
+import urllib.request
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("uvicorn", reason="the extra 'study' is not installed")
+
+import phase_ppl as ppl
+from phase_ppl.cli import main
+from phase_ppl.evaluation.prediction import Prediction
+from phase_ppl.study import study as study_module
+from phase_ppl.study.pairs import counterparts
+from phase_ppl.study.simulate import simulate
+from phase_ppl.study.study import Study
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
+from tests.study.studies import make_study, short_events
+
+
+def certain(event: ppl.Event) -> Prediction:
+    truth = event.truth
+    assert truth is not None
+    given = {"goal_red": truth.goal_red, "goal_green": truth.goal_green, "relation": truth.relation}
+    return Prediction(event.id, answers=given)
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> Study:
+    return make_study(tmp_path_factory.mktemp("made") / "study")
+
+
+def test_scripted_people_answer_as_the_model_believes(
+    study: Study, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    sure = {event.id: certain(event) for event in study.events.values()}
+    text = simulate(study, out, 8, predictions=sure, lapse=0, drop_outs=0, progress=False)
+    assert "goal_accuracy: 1.00" in text
+    events = ppl.load_events(out / "events.json")
+    found = ppl.load_judgments(out / "judgments.csv", events)
+    assert len(found.table) == 24
+    assert found.accuracy(events)["relation_accuracy"]["value"] == 1
+    assert study.status().counts["entered"] == 0, "the study itself stays as it is"
+    (note,) = capfd.readouterr().err.splitlines()
+    assert "who is responsible" in note, "nothing of anybody is in a log"
+
+
+def test_some_lapse_and_some_leave(study: Study, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    sure = {event.id: certain(event) for event in study.events.values()}
+    simulate(study, out, 12, predictions=sure, lapse=0.4, drop_outs=0.5, seed=1, progress=False)
+    text = (out / "README.md").read_text("utf-8")
+    assert "| finished | 12 |" not in text
+    found = ppl.load_judgments(out / "judgments.csv")
+    assert found.table["goal_red"].nunique() > 3
+
+
+def test_settings_of_a_simulation_are_checked(study: Study, tmp_path: Path) -> None:
+    with pytest.raises(InvalidSettingError, match="lapse=2, expected a share"):
+        simulate(study, tmp_path / "out", 1, lapse=2)
+    with pytest.raises(InvalidSettingError, match="people=0"):
+        simulate(study, tmp_path / "out", 0)
+    with pytest.raises(UnknownNameError, match="event in the predictions"):
+        simulate(study, tmp_path / "out", 1, predictions={})
+    assert not (tmp_path / "out").exists()
+
+
+# --- pairs ----------------------------------------------------------------------------------------
+
+
+def test_counterparts_are_of_the_same_scene_goals_and_strengths() -> None:
+    played = [ppl.load_event("collaborate"), ppl.load_event("compete")]
+    other = [dataclasses.replace(event, id=f"g-{event.id}") for event in reversed(played)]
+    assert [event.id for event in counterparts(played, other)] == ["g-collaborate", "g-compete"]
+    renamed = counterparts(played, list(reversed(played)))
+    assert [event.id for event in renamed] == ["collaborate-generated", "compete-generated"]
+    with pytest.raises(InvalidEventError, match="'compete' has no counterpart"):
+        counterparts(played, other[1:])
+    again = [played[0], dataclasses.replace(played[0], id="again")]
+    with pytest.raises(InvalidEventError, match=r"'again' has no counterpart \(any more"):
+        counterparts(again, other)
+    both = [other[1], dataclasses.replace(other[1], id="g-again")]
+    assert [event.id for event in counterparts(again, both)] == ["g-collaborate", "g-again"]
+
+
+def test_missing_counterparts_are_simulated() -> None:
+    event = short_events(1)[0]
+    scene = dataclasses.replace(event.scene, resets_velocity=True)
+    (made,) = counterparts([dataclasses.replace(event, scene=scene)], None)
+    assert made.truth == event.truth
+    assert not made.scene.resets_velocity
+    assert np.array_equal(made.scene.start, event.scene.start)
+    assert made.observation.n_frames == event.observation.n_frames
+
+
+def test_likeness_needs_truth(tmp_path: Path) -> None:
+    bare = dataclasses.replace(short_events(1)[0], truth=None)
+    with pytest.raises(InvalidEventError, match="does not say its goals and strengths"):
+        Study.new(tmp_path / "study", [bare], "likeness")
+
+
+# --- the command ----------------------------------------------------------------------------------
+
+
+def test_without_the_extra_one_line_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setattr(study_module, "_NEEDS", ("no_such_module",))
+    for command in (["demo"], ["new", str(tmp_path / "s"), "collaborate"], ["run", str(tmp_path)]):
+        assert main(["study", *command]) == 2
+        told = capsys.readouterr().err
+        assert told.count("\n") == 1
+        assert "pip install 'phase_ppl[study]'" in told
+    assert not (tmp_path / "s").exists()
+
+
+def test_nothing_of_the_extra_is_imported_by_the_base() -> None:
+    code = (
+        "import sys, phase_ppl.study, phase_ppl.cli.commands, phase_ppl.evaluation.tags\n"
+        "print({'starlette', 'uvicorn', 'websockets', 'markdown_it'} & set(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "set()"
+
+
+def test_commands_make_look_at_and_export_a_study(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(study_module, "make_clips", lambda folder: None)
+    made = tmp_path / "made"
+    file = tmp_path / "short.json"
+    ppl.save_events(short_events(2), file)
+    arguments = ["--kind", "tagging", "--trials", "1", "--workers", "1", "--quiet"]
+    assert main(["study", "new", str(made), str(file), *arguments]) == 0
+    assert Study(made).settings.trials == 1
+    assert main(["study", "status", str(made)]) == 0
+    assert "entered          0" in capsys.readouterr().out
+    assert main(["study", "export", str(made), "--out", str(tmp_path / "out")]) == 0
+    assert (tmp_path / "out" / "tags.csv").read_text() == "participant,video,label\n"
+    assert main(["study", "withdraw", str(made), "nobody"]) == 2
+    assert "there is no participant 'nobody'" in capsys.readouterr().err
+    assert main(["study", "status", str(tmp_path)]) == 2
+    assert "study.toml: no such file" in capsys.readouterr().err
+
+
+def test_a_port_that_is_taken_and_a_host_without_name_are_told(
+    study: Study, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import socket
+
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        assert main(["study", "run", str(study.folder), "--port", str(port)]) == 2
+    assert f"cannot listen at 127.0.0.1, port {port}" in capsys.readouterr().err
+    assert main(["study", "run", str(study.folder), "--host", "0.0.0.0"]) == 2
+    assert "needs url" in capsys.readouterr().err
+    assert main(["study", "run", str(study.folder), "--url", "study.example"]) == 2
+    assert "expected one such as https://" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT])
+def test_the_server_ends_when_it_is_told_to(study: Study, how: signal.Signals) -> None:
+    command = [
+        sys.executable,
+        "-m",
+        "phase_ppl.cli",
+        "study",
+        "run",
+        str(study.folder),
+        "--port",
+        "0",
+    ]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as run:
+        assert run.stdout is not None
+        address = run.stdout.readline().split()[0]
+        with urllib.request.urlopen(address) as page:
+            assert "<title>Study</title>" in page.read().decode()
+        run.send_signal(how)
+        out, told = run.communicate(timeout=60)
+    assert run.returncode == 0
+    assert "who is responsible" in told
+    assert (out + told).count("\n") == 1, "the address was read before; nothing else is said"
+
+
+def test_one_server_at_a_time(study: Study, tmp_path: Path) -> None:
+    from phase_ppl.study.simulate import serving
+    from phase_ppl.world.errors import OutputError
+
+    copy = tmp_path / "copy"
+    shutil.copytree(study.folder, copy)
+    with serving(Study(copy)), pytest.raises(OutputError, match="another process is at work"):
+        Study(copy).run(0)

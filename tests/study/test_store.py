@@ -1,0 +1,304 @@
+"""The database of a study: who sees what, and what is kept."""
+
+from __future__ import annotations
+
+import contextlib
+import heapq
+import json
+import random
+import sqlite3
+import stat
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from phase_ppl.study import store as store_module
+from phase_ppl.study.store import Refused, Stimulus, Store
+from phase_ppl.world.errors import InvalidEventError, UnknownNameError
+
+
+class Clock:
+    now = 1e9
+
+    def time(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    found = Clock()
+    monkeypatch.setattr(store_module, "time", found)
+    return found
+
+
+def videos(n: int) -> list[Stimulus]:
+    return [Stimulus(f"event-{k}", file=f"{k}.mp4", sha256=str(k)) for k in range(n)]
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Iterator[Store]:
+    found = Store.create(tmp_path / "study.db", "judgment", videos(6))
+    found.use_settings("c", "text")
+    yield found
+    found.close()
+
+
+def enter(store: Store, **given: Any) -> str:
+    asked = {"place_kept": 3600, "trials": 2, "raters": 5, "checks": (), "most": 1000,
+             "per_minute": 1000}  # fmt: skip
+    return store.enter("c", **{**asked, **given})[0]
+
+
+def assigned(store: Store, who: str, **given: Any) -> list[int]:
+    store.assign(who, **{"trials": 2, "place_kept": 3600, **given})
+    trials = store.participant(who).trials
+    assert trials is not None
+    return [trial.stimulus for trial in trials]
+
+
+def test_twenty_people_a_video_where_some_leave(tmp_path: Path, clock: Clock) -> None:
+    # 100 videos, 10 a person, 15 people at a time, 15 % of whom leave, until the study is full
+    store = Store.create(tmp_path / "study.db", "judgment", videos(100))
+    store._db.execute("PRAGMA synchronous=OFF")
+    store.use_settings("c", "text")
+    chance = random.Random(3)
+    at_it: list[tuple[float, str]] = []
+    entered = 0
+    while True:
+        with contextlib.suppress(Refused):
+            if len(at_it) < 15:
+                who = enter(store, trials=10, raters=20)
+                assigned(store, who, trials=10)
+                heapq.heappush(at_it, (clock.now + chance.uniform(480, 1200), who))
+                clock.now += 20
+                entered += 1
+                continue
+        if not at_it:
+            break
+        clock.now, who = heapq.heappop(at_it)
+        if chance.random() > 0.15:
+            store.end(who, "finished")
+        elif not at_it:
+            clock.now += 3600  # the places of those who left are free again
+    seen = Counter(
+        row["stimulus"]
+        for row in store.rows(
+            "SELECT a.stimulus FROM assignment a JOIN participant p ON p.id=a.participant "
+            "WHERE p.outcome='finished'"
+        )
+    )
+    assert entered > 210
+    assert set(seen.values()) <= {18, 19, 20, 21}
+    assert seen.total() >= 1990
+    store.close()
+
+
+def test_a_person_sees_every_video_once_and_always_the_same(store: Store) -> None:
+    who = enter(store)
+    first = assigned(store, who, trials=6)
+    assert sorted(first) == [1, 2, 3, 4, 5, 6]
+    assert assigned(store, who, trials=6) == first
+
+
+def test_films_have_another_name_for_everybody(store: Store) -> None:
+    names = set()
+    for _ in range(3):
+        who = enter(store)
+        assigned(store, who, trials=6)
+        names |= {trial.name for trial in store.participant(who).trials or ()}
+    assert len(names) == 18
+
+
+def test_reflected_copies_are_not_shown_to_the_same_person(tmp_path: Path) -> None:
+    copies = [Stimulus(f"{k}", copies=str(k // 3), file=f"{k}.mp4") for k in range(9)]
+    store = Store.create(tmp_path / "study.db", "judgment", copies)
+    store.use_settings("c", "text")
+    for _ in range(9):
+        seen = assigned(store, enter(store), trials=3)
+        assert sorted((number - 1) // 3 for number in seen) == [0, 1, 2]
+    store.close()
+
+
+def test_checks_come_among_the_others_for_everybody(store: Store) -> None:
+    places = set()
+    for _ in range(20):
+        who = enter(store, raters=20)
+        assigned(store, who, checks=("event-0", "event-1"))
+        roles = [trial.role for trial in store.participant(who).trials or ()]
+        assert sorted(roles) == ["check", "check", "main", "main"]
+        places.add(tuple(roles))
+    assert len(places) > 2
+    main = store.rows("SELECT stimulus FROM assignment WHERE role='main'")
+    assert {row["stimulus"] for row in main} == {3, 4, 5, 6}
+
+
+def test_groups_are_equally_large_and_see_their_own_videos(tmp_path: Path) -> None:
+    pairs = [Stimulus(f"{g}{k}", g, k, file="x") for g in ("played", "generated") for k in range(3)]
+    store = Store.create(tmp_path / "study.db", "likeness", pairs)
+    store.use_settings("c", "text")
+    groups = []
+    for _ in range(20):
+        who = enter(store, raters=20)
+        seen = assigned(store, who, trials=3)
+        group = store.participant(who).grp
+        assert {number <= 3 for number in seen} == {group == "played"}
+        groups.append(group)
+    assert Counter(groups) == {"played": 10, "generated": 10}
+    assert any(groups[i] != groups[0] for i in range(2, 20, 2)), "the order is drawn"
+    store.close()
+
+
+def test_the_study_is_full_once_enough_people_are_at_it(store: Store, clock: Clock) -> None:
+    # 6 videos, 2 a person, 3 people each: 9 places
+    people = [enter(store, raters=3) for _ in range(9)]
+    with pytest.raises(Refused, match="full"):
+        enter(store, raters=3)
+    store.end(people[0], "declined")
+    enter(store, raters=3)
+    with pytest.raises(Refused, match="full"):
+        enter(store, raters=3)
+    clock.now += 3601  # those who began have not finished: their places are free again
+    enter(store, raters=3)
+
+
+def test_an_excluded_person_is_replaced(store: Store) -> None:
+    for _ in range(3):
+        who = enter(store, raters=1)
+        assigned(store, who)
+        store.end(who, "finished")
+    with pytest.raises(Refused, match="full"):
+        enter(store, raters=1)
+    store.exclude(who, "slept")
+    enter(store, raters=1)
+
+
+def test_entries_are_limited_by_minute_and_in_total(store: Store, clock: Clock) -> None:
+    enter(store, per_minute=2)
+    enter(store, per_minute=2)
+    with pytest.raises(Refused, match="busy"):
+        enter(store, per_minute=2)
+    clock.now += 61
+    enter(store, per_minute=2)
+    with pytest.raises(Refused, match="full"):
+        enter(store, most=3)
+
+
+def test_who_comes_again_is_known_but_not_by_name(store: Store) -> None:
+    enter(store, person="platform-id-77")
+    with pytest.raises(Refused, match="repeated"):
+        enter(store, person="platform-id-77")
+    enter(store, person="platform-id-78")
+    store.close()
+    everything = b"".join(file.read_bytes() for file in store.path.parent.iterdir())
+    assert b"platform-id" not in everything
+
+
+def test_the_first_answer_to_a_page_counts(store: Store) -> None:
+    who = enter(store)
+    assert store.answer(who, "trial-1", 1, {"relation": "friendly"})
+    assert not store.answer(who, "trial-1", 1, {"relation": "neutral"})
+    assert store.answer(who, "trial-1", 2, {"relation": "neutral"})
+    kept = [json.loads(row["answers"]) for row in store.rows("SELECT answers FROM response")]
+    assert kept == [{"relation": "friendly"}, {"relation": "neutral"}]
+
+
+def test_answer_and_end_are_one_transaction(store: Store) -> None:
+    who = enter(store)
+
+    def crash(participant: object) -> str:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        store.answer(who, "trial-1", 1, {}, outcome=crash)
+    assert store.rows("SELECT * FROM response") == []
+    assert store.answer(who, "trial-1", 1, {}, outcome=lambda participant: "finished")
+    assert store.participant(who).outcome == "finished"
+
+
+def test_age_and_gender_are_kept_apart(store: Store) -> None:
+    who = enter(store)
+    store.answer(who, "person", 1, {"age": 44, "gender": "female"})
+    assert store.rows("SELECT answers FROM response") == [{"answers": "{}"}]
+    assert store.rows("SELECT age, gender FROM person") == [{"age": 44, "gender": "female"}]
+
+
+def test_withdrawal_leaves_nothing_in_the_files(store: Store) -> None:
+    who, other = enter(store), enter(store)
+    for someone, word in ((who, "remove-this-word"), (other, "keep-this-word")):
+        assigned(store, someone)
+        store.answer(someone, "trial-1", 1, {"relation": word})
+        store.answer(someone, "person", 1, {"age": 44, "gender": word})
+    store.withdraw(who)
+    store.close()
+    everything = b"".join(file.read_bytes() for file in store.path.parent.iterdir())
+    assert b"keep-this-word" in everything
+    assert b"remove-this-word" not in everything
+    again = Store(store.path)
+    assert again.participant(who).outcome == "withdrawn"
+    assert len(again.rows("SELECT * FROM assignment")) == 2
+    again.close()
+
+
+def test_nobody_unknown_is_withdrawn_or_excluded(store: Store) -> None:
+    with pytest.raises(UnknownNameError, match="nobody"):
+        store.withdraw("nobody")
+    with pytest.raises(UnknownNameError, match="nobody"):
+        store.exclude("nobody", "why")
+
+
+def test_only_the_owner_can_read_the_file(store: Store) -> None:
+    enter(store)
+    for file in store.path.parent.iterdir():
+        assert stat.S_IMODE(file.stat().st_mode) == 0o600, file.name
+
+
+def test_every_commit_is_on_the_disk(store: Store) -> None:
+    assert store.rows("PRAGMA synchronous") == [{"synchronous": 2}]
+    assert store.rows("PRAGMA journal_mode") == [{"journal_mode": "wal"}]
+
+
+def test_a_snapshot_stays_as_it_was(store: Store, tmp_path: Path) -> None:
+    enter(store)
+    copy = store.snapshot(tmp_path / "copy.db")
+    enter(store)
+    assert [len(one.rows("SELECT * FROM participant")) for one in (copy, store)] == [1, 2]
+    copy.close()
+
+
+def test_notes_are_limited(store: Store) -> None:
+    who = enter(store)
+    store._db.execute("PRAGMA synchronous=OFF")
+    for number in range(510):
+        store.note(who, "blur", "trial-1", number)
+    assert store.rows("SELECT count(*) AS n FROM note") == [{"n": 500}]
+
+
+@pytest.mark.parametrize("content", [b"", b"no database at all, only some text", None])
+def test_what_is_no_study_is_refused(tmp_path: Path, content: bytes | None) -> None:
+    if content is not None:
+        (tmp_path / "study.db").write_bytes(content)
+    with pytest.raises(InvalidEventError, match=r"study\.db"):
+        Store(tmp_path / "study.db")
+
+
+def test_another_version_is_refused(store: Store) -> None:
+    store.close()
+    db = sqlite3.connect(store.path)
+    db.execute("PRAGMA user_version=99")
+    db.close()
+    with pytest.raises(InvalidEventError, match="version 99"):
+        Store(store.path)
+
+
+def test_played_scenes_are_shared_out(tmp_path: Path) -> None:
+    store = Store.create(tmp_path / "study.db", "play", [Stimulus("a"), Stimulus("b")])
+    goals, strengths = ("get to green agent", "get to red agent"), (300.0, 300.0)
+    for _ in range(4):
+        event = store.least_played(0.0)
+        session = store.open_session("session", event, goals, strengths, {}, [None, None])
+        store.end_session(session, "goals")
+    assert Counter(row["event"] for row in store.sessions()) == {"a": 2, "b": 2}
+    store.close()
