@@ -260,7 +260,7 @@ class Policies:
         rows = self._facts.view(f"V{symbols.N_FACTS}").ravel().tolist()
         places: dict[bytes, int] = {}
         self._kind = np.array([places.setdefault(row, len(places)) for row in rows])
-        self._kinds = [symbols.unpack(row) for row in places]
+        self._kinds = list(places)
         self._observed = tuple(beliefs.observed.tolist())
         self._groups = {}
 
@@ -301,12 +301,7 @@ class Policies:
             for particle, kind in enumerate(kinds.tolist()):
                 members[kind].append(particle)
             self._groups[key] = [
-                (
-                    self._kinds[kind >> 2]._replace(
-                        own_done=bool(kind & 2), other_done=bool(kind & 1)
-                    ),
-                    particles,
-                )
+                (symbols.unpack(self._kinds[kind >> 2], bool(kind & 2), bool(kind & 1)), particles)
                 for kind, particles in members.items()
             ]
         return self._groups[key]
@@ -328,17 +323,9 @@ class Policies:
         tree = pomcp.make_tree(self.config.simulations)
         agreeing, code = np.array(intent.agreeing), pomcp.subgoal_code(intent.subgoal)
         best = pomcp.run(
-            *(
-                tree,
-                beliefs.bodies,
-                beliefs.held,
-                beliefs.weld,
-                agreeing,
-                self.agent,
-                code,
-                actions,
-            ),
-            *(self._search, model.params, model.layout, compiled.make_scratch(), self._rng(intent)),
+            *(tree, beliefs.bodies, beliefs.held, beliefs.weld, agreeing, self.agent, code),
+            *(actions, self._search, model.params, model.layout, compiled.make_scratch()),
+            self._rng(intent),
         )
         children = tree.child[0, : len(actions)]
         visited = children >= 0

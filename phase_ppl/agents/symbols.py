@@ -5,6 +5,7 @@ Source: paper, Appendix "Predicates, Symbolic States, Goals, and Subgoals".
 
 from __future__ import annotations
 
+import struct
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -28,7 +29,8 @@ NEAR_TOUCH: Final = 0.1 * DISTANCE_UNIT
 
 NO_DOOR: Final = -1
 _ON, _TOUCH = int(Predicate.ON), int(Predicate.TOUCH)
-N_FACTS: Final = 12
+_FACTS: Final = struct.Struct("6b4?2b")
+N_FACTS: Final = _FACTS.size
 
 
 class SymbolicState(NamedTuple):
@@ -51,17 +53,10 @@ class SymbolicState(NamedTuple):
     door_filled_by: tuple[int, int]
 
 
-def unpack(facts: bytes, own_done: bool = False, other_done: bool = False) -> SymbolicState:
+def unpack(facts: bytes, own_done: bool, other_done: bool) -> SymbolicState:
     """Return the symbolic state of one row written by :func:`describe`."""
-    f = np.frombuffer(facts, np.int8).tolist()
-    return SymbolicState(
-        rooms=(f[0], f[1], f[2], f[3]),
-        held=(f[4], f[5]),
-        in_reach=(bool(f[6]), bool(f[7]), bool(f[8]), bool(f[9])),
-        own_done=own_done,
-        other_done=other_done,
-        door_filled_by=(f[10], f[11]),
-    )
+    f = _FACTS.unpack(facts)
+    return SymbolicState(f[:4], f[4:6], f[6:10], own_done, other_done, f[10:])  # type: ignore[arg-type]
 
 
 @bare_kernel
