@@ -22,7 +22,7 @@ from phase_ppl.world.hypothesis import STRENGTH_LEVELS
 from phase_ppl.world.observation import Observation
 
 QUICK = ppl.PlannerConfig(simulations=14, particles=6)
-MODEL = ppl.Model(likelihood=ppl.StepwiseLikelihood(), planner=QUICK)
+MODEL = ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=2), planner=QUICK)
 
 
 def short(frames: int = 9) -> Event:
@@ -157,7 +157,8 @@ def test_options_of_sampling_are_refused(options: Any) -> None:
 )
 def test_kernels_that_sample_find_the_same(kernel: str, iterations: int, prior: str) -> None:
     # with strengths that tell something, so that a wrong prior of theirs would show
-    likelihood = ppl.StepwiseLikelihood(tracking=ppl.Tracking(strength_weight=0.5))
+    tracking = ppl.Tracking(strength_weight=0.5)
+    likelihood = ppl.StepwiseLikelihood(tracking=tracking, planner_seeds=1)
     model = dataclasses.replace(MODEL, prior=prior, likelihood=likelihood)
     exact = ppl.infer(short(), model, workers=1, progress=False)
     post = ppl.infer(
