@@ -260,7 +260,7 @@ class Policies:
         rows = self._facts.view(f"V{symbols.N_FACTS}").ravel().tolist()
         places: dict[bytes, int] = {}
         self._kind = np.array([places.setdefault(row, len(places)) for row in rows])
-        self._kinds = list(places)
+        self._facts_of_kind = list(places)
         self._observed = tuple(beliefs.observed.tolist())
         self._groups = {}
 
@@ -293,7 +293,7 @@ class Policies:
         """Return the symbolic states among the particles, and which particles are in each.
 
         Args:
-            kinds: (K,) 4 x place in ``_kinds`` + 2 x own goal reached + other's goal reached.
+            kinds: (K,) 4 x index into ``_facts_of_kind`` + 2 x own goal reached + other's.
         """
         key = kinds.tobytes()
         if key not in self._groups:  # most goals are reached in the same particles: in none
@@ -301,7 +301,10 @@ class Policies:
             for particle, kind in enumerate(kinds.tolist()):
                 members[kind].append(particle)
             self._groups[key] = [
-                (symbols.unpack(self._kinds[kind >> 2], bool(kind & 2), bool(kind & 1)), particles)
+                (
+                    symbols.unpack(self._facts_of_kind[kind >> 2], bool(kind & 2), bool(kind & 1)),
+                    particles,
+                )
                 for kind, particles in members.items()
             ]
         return self._groups[key]

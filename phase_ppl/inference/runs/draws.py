@@ -22,10 +22,10 @@ from phase_ppl.models.sites import (
     GOAL_SITES,
     HYPOTHESIS_SITES,
     STRENGTH_SITES,
-    effective_table,
 )
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import GOALS
+from phase_ppl.world.hypothesis import effective_table
 from phase_ppl.world.names import ENTITIES, LANDMARKS
 from phase_ppl.world.observation import FRAMES_PER_SECOND
 
