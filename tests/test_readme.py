@@ -40,9 +40,23 @@ def test_there_are_five_examples() -> None:
     assert [name in e for name, e in zip(told_by, EXAMPLES, strict=True)] == [True] * 5
 
 
+def shorten(monkeypatch: pytest.MonkeyPatch, frames: int) -> None:
+    """Let bundled events be their first frames only."""
+    load = ppl.load_event
+
+    def begins(name: str) -> ppl.Event:
+        event = load(name)
+        return dataclasses.replace(
+            event, observation=ppl.Observation(event.observation.trajectory[:frames])
+        )
+
+    monkeypatch.setattr(ppl, "load_event", begins)
+
+
 def test_the_main_example_prints_a_posterior_and_writes_its_files(
-    tmp_path: Path, run_script: Callable[..., str]
+    tmp_path: Path, run_script: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    shorten(monkeypatch, 30)
     printed = run_script(saved(EXAMPLES[0], tmp_path))
     assert "Get pink item to red lm" in printed
     for name in ("run.nc", "run.png", "why.mp4"):
@@ -52,11 +66,7 @@ def test_the_main_example_prints_a_posterior_and_writes_its_files(
 def test_an_event_is_watched(
     tmp_path: Path, run_script: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    event = ppl.load_event("compete")
-    begins = dataclasses.replace(
-        event, observation=ppl.Observation(event.observation.trajectory[:13])
-    )
-    monkeypatch.setattr(ppl, "load_event", lambda name: begins)
+    shorten(monkeypatch, 13)
     printed = run_script(saved(EXAMPLES[1], tmp_path))
     assert printed.count("±") == 9
     for name in ("why.png", "watch.mp4"):
