@@ -43,14 +43,7 @@ _GOAL_DIMENSIONS: Final = ("goal_red", "goal_green", "stated_goal_red", "stated_
 
 
 class Watch:
-    """An observer of an event, to be given its frames one by one.
-
-    Example:
-        ``with ppl.watch(event.scene) as watch:`` and there, for every frame of
-        ``event.observation.trajectory``, ``post = watch.update(frame)``
-
-    What it says after a frame is the same whatever follows, and after the last frame it is what
-    :func:`phase_ppl.infer` returns.
+    """An observer of one event; :func:`watch` returns one.
 
     Args:
         scene: where everything starts.
@@ -206,6 +199,26 @@ class Watch:
         )
 
 
+def watch(
+    scene: Scene,
+    model: Model | None = None,
+    *,
+    seed: int = 0,
+    threads: int | None = None,
+    event_id: str = "",
+) -> Watch:
+    """Return an observer of an event, to be given its frames one by one.
+
+    Example:
+        ``with ppl.watch(event.scene) as watch:`` and there, for every frame of
+        ``event.observation.trajectory``, ``post = watch.update(frame)``
+
+    What it says after a frame is the same whatever follows, and after the last frame it is what
+    :func:`phase_ppl.infer` returns. Arguments and errors as of :class:`Watch`.
+    """
+    return Watch(scene, model, seed=seed, threads=threads, event_id=event_id)
+
+
 def _parts(model: Model) -> tuple[StepwiseLikelihood, PlannerConfig]:
     instance_of("model", model, Model, "a phase_ppl.Model")
     likelihood = model.likelihood
@@ -219,9 +232,6 @@ def _parts(model: Model) -> tuple[StepwiseLikelihood, PlannerConfig]:
             "the model has a simulator of its own"
         )
     return likelihood, model.planner_config()
-
-
-watch = Watch
 
 
 # --- the whole video ------------------------------------------------------------------------------
