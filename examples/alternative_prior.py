@@ -31,7 +31,7 @@ def mostly_related() -> None:
 
 def main(quick: bool) -> None:
     event = ppl.load_event("collaborate")
-    size = {"chains": 2, "iterations": 1, "workers": 1} if quick else {}
+    size = {"kernel": "prior_mh", "chains": 2, "iterations": 1, "workers": 1} if quick else {}
     print(f"Ready-made priors: {', '.join(ppl.priors.available())}\n")
     for prior in ("uniform", "sparse_social", mostly_related):
         post = ppl.infer(event, ppl.Model(prior=prior), seed=0, **size)

@@ -3,38 +3,106 @@
 from __future__ import annotations
 
 import os
+import runpy
 import signal
+import subprocess
+import sys
 import warnings
+from collections.abc import Callable
 from importlib import metadata
+from pathlib import Path
 
 import pytest
 
 LONGEST = ("test_examples.py", "test_readme.py", "test_cli.py")
 """Files of tests of which one alone can take most of a minute."""
 
+COMPILED = Path(__file__).parents[1] / ".pytest_cache" / "xla"
+
 # Most of the tests' time is XLA compiling small programs, each of which then runs for
-# milliseconds; this flag takes a third off it, in the scripts that tests start too. jaxlib ends
-# the process at a flag that it does not know, hence only the version whose flag it is known to be.
+# milliseconds; these flags take a third off it, in the scripts that tests start too. jaxlib ends
+# the process at a flag that it does not know, hence only the version whose flags they are known to
+# be.
 if metadata.version("jaxlib").startswith("0.10."):
-    os.environ.setdefault("XLA_FLAGS", "--xla_cpu_use_fusion_emitters=false")
+    os.environ.setdefault(
+        "XLA_FLAGS",
+        "--xla_cpu_use_fusion_emitters=false --xla_backend_optimization_level=0"
+        " --xla_llvm_disable_expensive_passes=true --xla_cpu_parallel_codegen_split_count=1",
+    )
+
+# What XLA has compiled is kept, so that the processes of a run, the scripts that tests start and
+# the next run share it.
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(COMPILED))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")
 
 # a shell that runs something in the background has it ignore Ctrl-C, which is then tested in vain
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+COMPILE = """
+from phase_ppl.closed_loop.goal_filter import warm_up
+from phase_ppl.simulator.joint import JointSimulator
+JointSimulator().warm_up()
+warm_up()
+"""
+"""Compiles the kernels of the simulator and of the closed loop, unless that was done before."""
+
+WITHOUT_KERNELS = ("models", "analysis")
+"""Folders of tests that hardly need them, and take longer than compiling them."""
+
+
 def pytest_configure(config: pytest.Config) -> None:
-    """Import ArviZ once before there are several processes.
+    """Do once what several processes would do at the same time, to the same files."""
+    if hasattr(config, "workerinput"):
+        return
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        # version 0.23 notes the day of its first import in a file; processes that do so at the
+        # same moment take it from each other, and the import fails
+        import arviz  # noqa: F401
+    if config.getoption("numprocesses", None):
+        compiling = subprocess.Popen([sys.executable, "-c", COMPILE])
+        config.add_cleanup(compiling.wait)
 
-    Version 0.23 notes the day of its first import in a file; processes that do so at the same
-    moment take it from each other, and the import fails.
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Let each process begin with tests that need no kernels, while these are compiled.
+
+    Then comes what takes longest, so that no process is left alone with it at the end.
     """
-    if not hasattr(config, "workerinput"):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            import arviz  # noqa: F401
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with what takes longest, so that no process is left alone with it at the end."""
     items.sort(key=lambda item: item.path.name not in LONGEST)
+    first = [item for item in items if item.path.parent.name in WITHOUT_KERNELS]
+    then = [item for item in items if item.path.parent.name not in WITHOUT_KERNELS]
+    n = getattr(config, "workerinput", {}).get("workercount", 1)
+    items[:] = [
+        item
+        for worker in range(n)
+        for part in (first, then)
+        for item in part[len(part) * worker // n : len(part) * (worker + 1) // n]
+    ]
+
+
+@pytest.fixture
+def run_script(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., str]:
+    """Run a script with arguments, as Python would, in the tests' own process; return its output.
+
+    What was compiled for one serves the next. It runs in an empty folder, and what it registers
+    is forgotten.
+    """
+    from phase_ppl.inference.registry import KERNELS
+
+    KERNELS.names()
+    monkeypatch.setattr(KERNELS, "entries", dict(KERNELS.entries))
+    monkeypatch.chdir(tmp_path)
+
+    def run(script: Path, *arguments: str) -> str:
+        monkeypatch.setattr(sys, "argv", [str(script), *arguments])
+        monkeypatch.syspath_prepend(script.parent)
+        runpy.run_path(str(script), run_name="__main__")
+        return capsys.readouterr().out
+
+    return run

@@ -410,9 +410,10 @@ def _is_gone_within(group: int, seconds: float) -> bool:
 @pytest.mark.skipif(os.name != "posix", reason="sends a signal to a process group")
 def test_ctrl_c_stops_soon_leaves_no_worker_and_keeps_what_was_done(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "phase_ppl.cli", "infer", "oppose", "--workers", "2"]
+    length = ["--kernel", "prior_mh", "--iterations", "500", "--chains", "2"]
     # not a terminal, so the bar has to be asked for
     run = subprocess.Popen(
-        [*command, "--progress", "--iterations", "500", "--chains", "2", "--out", str(tmp_path)],
+        [*command, "--progress", *length, "--out", str(tmp_path)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -28,18 +27,13 @@ PROMISED: dict[str, tuple[list[str], list[str]]] = {
 
 
 @pytest.mark.parametrize("name", PROMISED)
-def test_example_prints_and_draws_what_it_promises(name: str, tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, EXAMPLES / f"{name}.py", "--quick"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    assert done.returncode == 0, done.stderr
+def test_example_prints_and_draws_what_it_promises(
+    name: str, tmp_path: Path, run_script: Callable[..., str]
+) -> None:
+    said = run_script(EXAMPLES / f"{name}.py", "--quick")
     printed, drawn = PROMISED[name]
     for text in printed:
-        assert text in done.stdout
+        assert text in said
     for file in drawn:
         assert (tmp_path / file).stat().st_size > 1000
 

@@ -2,22 +2,34 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
+import phase_ppl as ppl
 
 README = Path(__file__).parent.parent / "README.md"
 EXAMPLES = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
 
 
-def run(example: str, folder: Path) -> str:
+def saved(example: str, folder: Path) -> Path:
     script = folder / "example.py"
     script.write_text(example, encoding="utf-8")
+    return script
+
+
+def run(example: str, folder: Path) -> str:
     done = subprocess.run(
-        [sys.executable, script], cwd=folder, capture_output=True, text=True, timeout=500
+        [sys.executable, saved(example, folder)],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=500,
     )
     assert done.returncode == 0, done.stderr
     return done.stdout
@@ -28,15 +40,34 @@ def test_there_are_five_examples() -> None:
     assert [name in e for name, e in zip(told_by, EXAMPLES, strict=True)] == [True] * 5
 
 
-def test_the_main_example_prints_a_posterior_and_writes_its_files(tmp_path: Path) -> None:
-    printed = run(EXAMPLES[0], tmp_path)
+def shorten(monkeypatch: pytest.MonkeyPatch, frames: int) -> None:
+    """Let bundled events be their first frames only."""
+    load = ppl.load_event
+
+    def begins(name: str) -> ppl.Event:
+        event = load(name)
+        return dataclasses.replace(
+            event, observation=ppl.Observation(event.observation.trajectory[:frames])
+        )
+
+    monkeypatch.setattr(ppl, "load_event", begins)
+
+
+def test_the_main_example_prints_a_posterior_and_writes_its_files(
+    tmp_path: Path, run_script: Callable[..., str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shorten(monkeypatch, 30)
+    printed = run_script(saved(EXAMPLES[0], tmp_path))
     assert "Get pink item to red lm" in printed
     for name in ("run.nc", "run.png", "why.mp4"):
         assert (tmp_path / name).stat().st_size > 1000
 
 
-def test_an_event_is_watched(tmp_path: Path) -> None:
-    printed = run(EXAMPLES[1], tmp_path)
+def test_an_event_is_watched(
+    tmp_path: Path, run_script: Callable[..., str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shorten(monkeypatch, 13)
+    printed = run_script(saved(EXAMPLES[1], tmp_path))
     assert printed.count("±") == 9
     for name in ("why.png", "watch.mp4"):
         assert (tmp_path / name).stat().st_size > 1000
@@ -47,8 +78,8 @@ def test_a_prior_and_a_simulator_defined_in_a_script_work(tmp_path: Path) -> Non
     assert "15 particles x 6 iterations" in printed
 
 
-def test_a_model_of_ones_own_is_evaluated(tmp_path: Path) -> None:
-    assert "collaborative" in run(EXAMPLES[4], tmp_path)
+def test_a_model_of_ones_own_is_evaluated(tmp_path: Path, run_script: Callable[..., str]) -> None:
+    assert "collaborative" in run_script(saved(EXAMPLES[4], tmp_path))
 
 
 @pytest.mark.slow

@@ -103,7 +103,7 @@ def agents(config: PlannerConfig, seed: int, scene: Scene) -> dict[str, Agent]:
         ),
     }
     for agent in made.values():
-        agent.perceive(*compiled.from_state(State.at_start(scene), scene.radius))
+        agent.observe(*compiled.from_state(State.at_start(scene), scene.radius))
     return made
 
 
@@ -111,10 +111,10 @@ def decisions() -> dict[str, Any]:
     """One decision by 1000 simulations, without early stop, from the same beliefs."""
     config = PlannerConfig(swivel=False, full_observation=True, early_stop=False)
     made = agents(config, 0, crowded())
-    subgoal, agreeing = made["compiled"].choose_subgoal()
+    intent = made["compiled"].intent
     seconds = interleaved(
         {
-            name: lambda agent=agent: agent.choose_action(subgoal, agreeing)  # type: ignore[misc]
+            name: lambda agent=agent: agent.root_statistics(intent)  # type: ignore[misc]
             for name, agent in made.items()
         },
         repeats=5,
@@ -137,7 +137,7 @@ def choose(draw: Draw) -> dict[str, Any]:
     """Return the action that an engine's agent chooses first."""
     config = PlannerConfig(swivel=False, full_observation=True, simulations=draw.simulations)
     agent = agents(config, draw.seed, undecided()[draw.scene])[draw.engine]
-    return {"action": int(agent.choose_action(*agent.choose_subgoal()).action)}
+    return {"action": int(agent.root_statistics(agent.intent).best)}
 
 
 def histograms(seeds: int, kept: Path | None = None, simulations: int = 1000) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from phase_ppl.agents import beliefs, pomcp, vision
-from phase_ppl.agents.agent import Agent
+from phase_ppl.agents.agent import Policies
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.simulator.joint import JointSimulator
@@ -39,28 +39,27 @@ def early_stop() -> dict[str, Any]:
 
     The action, not the tie, is compared: where the early stop ends a search the leader is alone.
     """
-    original = Agent._search_actions
+    original = pomcp.run
     same: list[bool] = []
     steps = {True: 0, False: 0}
 
-    def both(self: Agent, *arguments: Any) -> Any:
-        begin, search = self._rng.copy(), self.search
-        chosen = {}
+    def both(tree: pomcp.Tree, *given: Any) -> int:
+        *where, search, params, layout, scratch, rng = given
+        begin, chosen = rng.copy(), {}
         for stops in (True, False):
-            self._rng[:] = begin
-            self.search = search._replace(early_stop=stops)
-            before = int(self.tree.statistics[1])
-            chosen[stops] = original(self, *arguments)
-            steps[stops] += int(self.tree.statistics[1]) - before
-        self.search = search
-        same.append(chosen[True].best == chosen[False].best)
-        return chosen[False]
+            rng[:] = begin
+            one = pomcp.make_tree(search.n_simulations) if stops else tree
+            settings = search._replace(early_stop=stops)
+            chosen[stops] = original(one, *where, settings, params, layout, scratch, rng)
+            steps[stops] += int(one.statistics[1])
+        same.append(chosen[True] == chosen[False])
+        return int(chosen[False])
 
-    Agent._search_actions = both  # type: ignore[method-assign]
+    pomcp.run = both
     try:
         run(PlannerConfig())
     finally:
-        Agent._search_actions = original  # type: ignore[method-assign]
+        pomcp.run = original
     return {
         "early_stop_same_action": sum(same) / len(same),
         "early_stop_decisions": len(same),
@@ -101,7 +100,8 @@ def shares(planner: PlannerConfig) -> dict[str, float]:
     clock.time(pomcp, "run", "search")
     clock.time(vision, "observe", "vision")
     clock.time(beliefs, "update", "beliefs")
-    clock.time(Agent, "choose_subgoal", "symbols and A*")
+    clock.time(Policies, "_describe", "symbols")
+    clock.time(Policies, "_intent", "subgoals")
     clock.time(PymunkWorld, "step", "world")
     try:
         total = run(planner)

@@ -147,25 +147,23 @@ def judge(task: Task) -> list[dict[str, Any]]:
             same = equivalent(state, pair, a, world)
             decisions = []
             for agent in agents[a]:
-                agent.perceive(*state)
-                decisions.append(agent.choose_action(*agent.choose_subgoal()))
+                decisions.append(agent.decide(*state))
                 agent.done(Action(pair[a]))
             chosen = [int(decision.action) for decision in decisions]
             others = ~np.eye(len(chosen), dtype=bool)
             with_itself = float(np.mean(same[np.ix_(chosen, chosen)][others]))
             for decision in decisions:
-                share = float(same[pair[a], decision.action])
-                if len(decision.actions):
-                    agreeing = same[pair[a], decision.actions]
-                    share = float(decision.visits[agreeing].sum() / decision.visits.sum())
+                (subgoal, _, _), root, _ = decision
+                alike = same[pair[a], root.actions]
+                share = float(root.visits[alike].sum() / root.visits.sum())
                 chance = float(same[pair[a]].mean())
                 records.append(
                     {
                         "step": t,
                         "agent": a,
                         "holds": bool(state.held[a] >= 0),
-                        "subgoal": str(decision.subgoal),
-                        "kind": kind(decision.subgoal, a),
+                        "subgoal": str(subgoal),
+                        "kind": kind(subgoal, a),
                         "action": int(decision.action),
                         "real": pair[a],
                         "agrees": bool(same[pair[a], decision.action]),

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from phase_ppl.agents.agent import Policies
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.agents.policies import Policies
 from phase_ppl.agents.world_model import WorldModel
 from phase_ppl.closed_loop.hidden_state import filter_gains
 from phase_ppl.dataset.generation.situation import LAYOUTS, CannotDraw, Draw, Situation
@@ -58,10 +58,9 @@ def own_event(number: int, likelihood: StepwiseLikelihood, n_frames: int = 41) -
     planner, tracking = PlannerConfig.fast(), likelihood.tracking
     world_model = WorldModel.of(scene, strengths, planner)
     agents = [
-        Policies(a, world_model, planner, int(rng.integers(2**60))) for a in range(len(AGENTS))
+        Policies(a, world_model, planner, int(rng.integers(2**60)), [goals])
+        for a in range(len(AGENTS))
     ]
-    wanted = np.zeros((N_GOALS, N_GOALS), bool)
-    wanted[goals] = True
     bodies, held, weld = (part[None].copy() for part in compiled.from_state(
         State.at_start(scene), scene.radius))  # fmt: skip
     params = compiled.make_params(scene, strengths, inner_steps=WORLD_INNER_STEPS)
@@ -72,7 +71,7 @@ def own_event(number: int, likelihood: StepwiseLikelihood, n_frames: int = 41) -
     for _ in range(n_frames - 1):
         meant = []
         for agent in agents:
-            agent.observe(bodies[0], held[0], weld[0], wanted)
+            agent.observe(bodies[0], held[0], weld[0])
             found = conduct.policy(agent.root_statistics(agent.intents[0]))
             meant.append(Action(int(rng.choice(N_ACTIONS, p=found))))
             agent.done(meant[-1])

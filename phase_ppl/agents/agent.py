@@ -1,13 +1,21 @@
-"""One agent: what it believes, which subgoal it takes up, and what it does next.
+"""Agents: what each believes, which subgoal it takes up, and what it does next.
 
-Source: paper, Algorithm 1, the inner loop. Policy and dynamics are separate: an agent can be
-asked for its decision in any true state; it never moves the world.
+Source: paper, Algorithm 1, the inner loop. Policy and dynamics are separate: agents can be asked
+in any true state; they never move the world.
+
+What an agent sees and believes does not depend on its goal, and a search depends on the subgoal,
+the particles that agree with it and the actions only. So :class:`Policies` of many pairs of goals
+have one filter of beliefs, and make each search once for all the goals that call for it. An
+:class:`Agent` is the same with one pair of goals, and acts.
 """
 
 from __future__ import annotations
 
+import functools
+import hashlib
+import itertools
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,14 +24,45 @@ from numpy.typing import NDArray
 from phase_ppl.agents import pomcp, symbols
 from phase_ppl.agents.beliefs import Beliefs, Perception
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.agents.subgoals import subgoal_planner
+from phase_ppl.agents.subgoals import Stance, stance, subgoal_planners
 from phase_ppl.agents.world_model import WorldModel
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import Action
-from phase_ppl.physics.compiled import Scratch
-from phase_ppl.world.arrays import FloatArray, IntArray
-from phase_ppl.world.goals import goal_literal
+from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
+from phase_ppl.world.goals import N_GOALS, goal_literal, is_self_referring
 from phase_ppl.world.names import AGENTS, NOTHING, STOP, Literal, Predicate
+
+NO_INTENT = -1
+"""Stands for a pair of goals that is none."""
+
+
+class Intent(NamedTuple):
+    """What an agent is about: all that its next action depends on.
+
+    Attributes:
+        subgoal: the literal that it serves.
+        agreeing: indices of the particles that agree with it.
+        contested: whether the other agent wants the opposite, which allows more actions.
+    """
+
+    subgoal: Literal
+    agreeing: tuple[int, ...]
+    contested: bool
+
+
+class RootStatistics(NamedTuple):
+    """What a search found at the root of its tree.
+
+    Attributes:
+        actions: (A,) actions considered; where no search is needed there is one, visited once.
+        visits: (A,) of the actions; values: (A,) mean returns, NaN if unvisited.
+        best: the action to take.
+    """
+
+    actions: IntArray
+    visits: IntArray
+    values: FloatArray
+    best: Action
 
 
 def best_subgoal(
@@ -88,98 +127,249 @@ def reflex(
     return Action.ATTACH if item == subgoal.target else None
 
 
-class RootStatistics(NamedTuple):
-    """What a search found at the root of its tree.
+class _Alike(NamedTuple):
+    """A goal of an agent, and goals of the other towards which it then stands alike.
 
-    Attributes:
-        actions: (A,) actions considered.
-        visits: (A,) of the actions; values: (A,) mean returns, NaN if unvisited.
-        best: the action to take.
+    A subgoal depends on the other's goal only in whether it is the same, or the opposite; and,
+    when helping the other to get somewhere, in whether that is reached.
     """
 
-    actions: IntArray
-    visits: IntArray
-    values: FloatArray
-    best: Action
+    own: int
+    towards: Stance
+    others: list[int]
 
 
-def search_actions(
-    tree: pomcp.Tree,
-    subgoal: Literal,
-    agreeing: IntArray,
-    actions: IntArray,
-    agent: int,
-    beliefs: Beliefs,
-    model: WorldModel,
-    search: pomcp.Search,
-    scratch: Scratch,
-    rng: NDArray[np.uint64],
-) -> RootStatistics:
-    """Search for the best action over the particles that agree with a subgoal.
+def _alike(agent: int, pairs: Iterable[tuple[int, int]]) -> list[_Alike]:
+    """Return pairs (goal_red, goal_green) in classes that lead an agent to the same intent."""
+    classes: dict[tuple[int, Stance], list[int]] = defaultdict(list)
+    for pair in pairs:
+        own, other = pair[agent], pair[1 - agent]
+        literals = goal_literal(own, agent), goal_literal(other, 1 - agent)
+        classes[own, stance(agent, *literals)].append(other)
+    return [_Alike(own, towards, others) for (own, towards), others in classes.items()]
+
+
+@functools.cache
+def _all_alike(agent: int) -> list[_Alike]:
+    red, green = (
+        [goal for goal in range(N_GOALS) if not is_self_referring(goal, holder)]
+        for holder in range(len(AGENTS))
+    )
+    return sorted(_alike(agent, itertools.product(red, green)), key=lambda one: one.own)
+
+
+class Policies:
+    """One agent's beliefs, and its intents under pairs of effective goals.
 
     Args:
-        tree: empty.
-        subgoal, agreeing, actions: as of :func:`phase_ppl.agents.pomcp.run`.
         agent: 0 red, 1 green.
-        beliefs, model: its own.
-        search, scratch, rng: settings, work space and random numbers.
+        model: layout and imagined physics.
+        config: settings of the planner.
+        seed: of beliefs and searches. From a whole number, the step and the intent follows the
+            seed of each search, whose result does not depend on what else is searched then. From
+            a generator one search after the other takes its random numbers.
+        pairs: (goal_red, goal_green) that it can be asked for; None: all.
+
+    Attributes:
+        intents: those of the last observation.
+        of_pair: (goal_red, goal_green) -> index into ``intents``, or ``NO_INTENT`` where this
+            agent's goal names itself, or the pair was not asked for.
     """
-    column = pomcp.run(
-        tree,
-        beliefs.bodies,
-        beliefs.held,
-        beliefs.weld,
-        agreeing,
-        agent,
-        pomcp.subgoal_code(subgoal),
-        actions,
-        search,
-        model.params,
-        model.layout,
-        scratch,
-        rng,
-    )
-    children = tree.child[0, : len(actions)]
-    visited = children >= 0
-    visits = np.where(visited, tree.visits[children], 0).astype(np.int64)
-    with np.errstate(invalid="ignore", divide="ignore"):
+
+    def __init__(
+        self,
+        agent: int,
+        model: WorldModel,
+        config: PlannerConfig,
+        seed: int | np.random.Generator,
+        pairs: Sequence[tuple[int, int]] | None = None,
+    ) -> None:
+        self.agent = agent
+        self.config = config
+        self._seed = None if isinstance(seed, np.random.Generator) else seed
+        generator = np.random.default_rng(seed if self._seed is None else [self._seed, agent])
+        self._perception = Perception(agent, model, config, generator)
+        self._planner = subgoal_planners(agent, model.abilities)
+        self._search = pomcp.Search.of(config)
+        self._alike = _all_alike(agent) if pairs is None else _alike(agent, pairs)
+        asked = {(agent, own) for own, _, _ in self._alike}
+        asked |= {(1 - agent, other) for _, _, others in self._alike for other in others}
+        self._rows = {goal: row for row, goal in enumerate(sorted(asked))}
+        self._codes = np.array(
+            [pomcp.subgoal_code(goal_literal(goal, holder)) for holder, goal in self._rows]
+        )
+        particles = config.particles
+        self._facts = np.zeros((particles, symbols.N_FACTS), np.int8)
+        self._done = np.zeros((len(asked), particles), np.bool_)
+        self._costs = np.zeros((len(asked), particles))
+        self._groups: dict[bytes, list[tuple[symbols.SymbolicState, list[int]]]] = {}
+        self._step = 0
+        self.intents: list[Intent] = []
+        self.of_pair = np.full((N_GOALS, N_GOALS), NO_INTENT)
+
+    @property
+    def beliefs(self) -> Beliefs:
+        """The belief particles."""
+        return self._perception.beliefs
+
+    @property
+    def model(self) -> WorldModel:
+        """Layout and imagined physics; may be exchanged between observations."""
+        return self._perception.model
+
+    @model.setter
+    def model(self, model: WorldModel) -> None:
+        self._perception.model = model
+        self._planner = subgoal_planners(self.agent, model.abilities)
+
+    def done(self, action: Action) -> None:
+        """Say what the agent has just executed, which its next prediction starts from."""
+        self._perception.done(action)
+
+    def observe(
+        self, bodies: FloatArray, held: IntArray, weld: FloatArray, wanted: BoolArray | None = None
+    ) -> None:
+        """Look at the true state; bring beliefs and intents up to date.
+
+        Args:
+            bodies, held, weld: the true state as ``physics.compiled.from_state`` gives it.
+            wanted: (goal_red, goal_green) the pairs whose intents are needed; None: all.
+        """
+        self._step += 1
+        self._perception.observe(bodies, held, weld)
+        self._describe()
+        found: dict[Intent, int] = {}
+        of_pair = self.of_pair if self.agent == 0 else self.of_pair.T
+        of_pair[:] = NO_INTENT
+        asked = wanted if wanted is None or self.agent == 0 else wanted.T
+        for own, towards, others in self._alike:
+            chosen = others if asked is None else [other for other in others if asked[own, other]]
+            for same in self._by_done(chosen) if towards.helps_along else [chosen]:
+                if same:
+                    intent = self._intent(own, towards, same[0])
+                    of_pair[own, same] = found.setdefault(intent, len(found))
+        self.intents = list(found)
+
+    def _describe(self) -> None:
+        """Put the particles into words: which differ in more than the goals that are reached."""
+        beliefs, model = self.beliefs, self.model
+        symbols.describe(
+            *(beliefs.bodies, beliefs.held, self.agent, self._codes, model.params, model.layout),
+            *(self._facts, self._done, self._costs),
+        )
+        rows = self._facts.view(f"V{symbols.N_FACTS}").ravel().tolist()
+        places: dict[bytes, int] = {}
+        self._kind = np.array([places.setdefault(row, len(places)) for row in rows])
+        self._facts_of_kind = list(places)
+        self._observed = tuple(beliefs.observed.tolist())
+        self._groups = {}
+
+    def _by_done(self, others: Iterable[int]) -> Iterable[list[int]]:
+        """Return the other's goals in classes that are reached in the same particles."""
+        classes: dict[bytes, list[int]] = defaultdict(list)
+        for other in others:
+            classes[self._done[self._rows[1 - self.agent, other]].tobytes()].append(other)
+        return classes.values()
+
+    def _intent(self, own: int, towards: Stance, other: int) -> Intent:
+        """Return what the agent is about with its own goal and the other's."""
+        row = self._rows[self.agent, own]
+        done = self._done[row]
+        kinds = 4 * self._kind + 2 * done
+        if towards.helps_along:
+            # it matters whether the other is where it wants to be
+            kinds += self._done[self._rows[1 - self.agent, other]]
+        planner = self._planner(own, towards)
+        agreeing: dict[Literal, list[int]] = defaultdict(list)
+        for state, members in self._grouped(kinds):
+            agreeing[planner.subgoal(state, self._observed)] += members
+        for members in agreeing.values():
+            members.sort()
+        share = np.count_nonzero(done) / len(done)
+        best = best_subgoal(agreeing, self._costs[row], share, self.agent, self.config)
+        return Intent(best, tuple(agreeing[best]), towards.contested)
+
+    def _grouped(self, kinds: IntArray) -> list[tuple[symbols.SymbolicState, list[int]]]:
+        """Return the symbolic states among the particles, and which particles are in each.
+
+        Args:
+            kinds: (K,) 4 x index into ``_facts_of_kind`` + 2 x own goal reached + other's.
+        """
+        key = kinds.tobytes()
+        if key not in self._groups:  # most goals are reached in the same particles: in none
+            members: dict[int, list[int]] = defaultdict(list)
+            for particle, kind in enumerate(kinds.tolist()):
+                members[kind].append(particle)
+            self._groups[key] = [
+                (
+                    symbols.unpack(self._facts_of_kind[kind >> 2], bool(kind & 2), bool(kind & 1)),
+                    particles,
+                )
+                for kind, particles in members.items()
+            ]
+        return self._groups[key]
+
+    def root_statistics(self, intent: Intent) -> RootStatistics:
+        """Return what the planner makes of one intent; only this much depends on chance."""
+        first, held = intent.agreeing[0], self.beliefs.held
+        action = reflex(intent.subgoal, first, self.agent, self.beliefs, self.model)
+        if action is not None:
+            once = np.ones(1, np.int64)
+            return RootStatistics(np.array([action]), once, np.full(1, np.nan), action)
+        own_held = int(held[first, self.agent])
+        actions = pomcp.actions_for(intent.subgoal, self.agent, own_held, intent.contested)
+        return self._search_actions(intent, actions)
+
+    def _search_actions(self, intent: Intent, actions: IntArray) -> RootStatistics:
+        """Search for the best of some actions over the particles that agree with the subgoal."""
+        beliefs, model = self.beliefs, self.model
+        tree = pomcp.make_tree(self.config.simulations)
+        agreeing, code = np.array(intent.agreeing), pomcp.subgoal_code(intent.subgoal)
+        best = pomcp.run(
+            *(tree, beliefs.bodies, beliefs.held, beliefs.weld, agreeing, self.agent, code),
+            *(actions, self._search, model.params, model.layout, compiled.make_scratch()),
+            self._rng(intent),
+        )
+        children = tree.child[0, : len(actions)]
+        visited = children >= 0
+        visits = np.where(visited, tree.visits[children], 0).astype(np.int64)
         values = np.where(visited, tree.total[children] / np.maximum(visits, 1), np.nan)
-    return RootStatistics(actions, visits, values, Action(int(actions[column])))
+        return RootStatistics(actions, visits, values, Action(int(actions[best])))
+
+    def _rng(self, intent: Intent) -> NDArray[np.uint64]:
+        if self._seed is None:
+            return self._perception.rng
+        text = repr((self._seed, self.agent, self._step, intent.subgoal, intent.agreeing))
+        digest = hashlib.blake2b(text.encode(), digest_size=8).digest()
+        return np.frombuffer(digest, np.uint64).copy()
 
 
 class Decision(NamedTuple):
     """What an agent does, and why.
 
     Attributes:
-        action: the action to execute.
-        subgoal: the literal it serves.
-        support: share of the belief particles that agree with the subgoal.
-        actions: (A,) actions the search considered; empty without a search.
-        visits: (A,) root visits; values: (A,) mean returns at the root, NaN if unvisited.
-        held: item that the agent holds when it decides, or ``NOTHING``.
+        intent: what it is about.
+        root: what the planner made of that.
+        held: item that it holds when it decides, or ``NOTHING``.
     """
 
-    action: Action
-    subgoal: Literal
-    support: float
-    actions: IntArray
-    visits: IntArray
-    values: FloatArray
+    intent: Intent
+    root: RootStatistics
     held: int
 
+    @property
+    def action(self) -> Action:
+        """The action to execute."""
+        return self.root.best
 
-_NO_ACTIONS = np.empty(0, np.int64)
-_NO_VALUES = np.empty(0)
 
-
-class Agent:
-    """Beliefs and planners of one agent.
+class Agent(Policies):
+    """An agent with one pair of goals: it has one intent, and acts on it.
 
     Args:
         agent: 0 red, 1 green.
         goals: effective goals of (red, green), indices into ``GOALS``; both agents know both.
-        model: layout and imagined physics.
-        config: settings of the planner.
+        model, config: as of :class:`Policies`.
         generator: source of all randomness of this agent.
     """
 
@@ -191,26 +381,12 @@ class Agent:
         config: PlannerConfig,
         generator: np.random.Generator,
     ) -> None:
-        self.agent = agent
-        self.config = config
-        self.model = model
-        self.goal = goal_literal(goals[agent], agent)
-        other_goal = goal_literal(goals[1 - agent], 1 - agent)
-        self._goal_code = pomcp.subgoal_code(self.goal)
-        self._other_code = pomcp.subgoal_code(other_goal)
-        self._planner = subgoal_planner(agent, self.goal, other_goal, model.abilities)
-        self._perception = Perception(agent, model, config, generator)
-        self._rng = self._perception.rng
-        self._scratch = self._perception.scratch
-        self.search = pomcp.Search.of(config)
-        self.tree = pomcp.make_tree(config.simulations)
-        self._facts = np.zeros((config.particles, symbols.N_FACTS), np.int8)
-        self._costs = np.zeros(config.particles)
+        super().__init__(agent, model, config, generator, [goals])
 
     @property
-    def beliefs(self) -> Beliefs:
-        """The belief particles."""
-        return self._perception.beliefs
+    def intent(self) -> Intent:
+        """What the last observation made it take up: the subgoal of highest value V."""
+        return self.intents[0]
 
     def decide(self, bodies: FloatArray, held: IntArray, weld: FloatArray) -> Decision:
         """Observe the true state, update the beliefs, and choose subgoal and action.
@@ -218,65 +394,10 @@ class Agent:
         Args:
             bodies, held, weld: the true state as ``physics.compiled.from_state`` gives it.
         """
-        self.perceive(bodies, held, weld)
-        subgoal, agreeing = self.choose_subgoal()
-        decision = self.choose_action(subgoal, agreeing)
-        self.done(decision.action)
-        return decision
-
-    def done(self, action: Action) -> None:
-        """Tell the agent what it has just executed, which its next prediction starts from."""
-        self._perception.done(action)
-
-    def perceive(self, bodies: FloatArray, held: IntArray, weld: FloatArray) -> None:
-        """Observe the true state and bring the belief particles up to date."""
-        self._perception.observe(bodies, held, weld)
-
-    def choose_subgoal(self) -> tuple[Literal, IntArray]:
-        """Return the subgoal of highest value V and the indices of the particles that agree."""
-        beliefs = self.beliefs
-        symbols.describe(
-            beliefs.bodies,
-            beliefs.held,
-            self.agent,
-            self._goal_code,
-            self._other_code,
-            self.model.params,
-            self.model.layout,
-            self._facts,
-            self._costs,
-        )
-        observed = tuple(beliefs.observed.tolist())
-        same_facts: dict[bytes, list[int]] = defaultdict(list)
-        for k, row in enumerate(self._facts):
-            same_facts[row.tobytes()].append(k)
-        agreeing: dict[Literal, list[int]] = defaultdict(list)
-        for members in same_facts.values():
-            state = symbols.unpack(self._facts[members[0]])
-            agreeing[self._planner.subgoal(state, observed)] += members
-        done = float(self._facts[:, symbols.OWN_DONE].mean())
-        best = best_subgoal(agreeing, self._costs, done, self.agent, self.config)
-        return best, np.array(sorted(agreeing[best]), np.int64)
-
-    def choose_action(self, subgoal: Literal, agreeing: IntArray) -> Decision:
-        """Return the decision for a subgoal, by search over the agreeing particles."""
-        support = len(agreeing) / self.config.particles
-        held = int(self.beliefs.held[agreeing[0], self.agent])
-        at_once = reflex(subgoal, int(agreeing[0]), self.agent, self.beliefs, self.model)
-        if at_once is not None:
-            return Decision(at_once, subgoal, support, _NO_ACTIONS, _NO_ACTIONS, _NO_VALUES, held)
-        actions = pomcp.actions_for(subgoal, self.agent, held, self._planner.stance.contested)
-        found = self._search_actions(subgoal, agreeing, actions)
-        return Decision(found.best, subgoal, support, actions, found.visits, found.values, held)
-
-    def _search_actions(
-        self, subgoal: Literal, agreeing: IntArray, actions: IntArray
-    ) -> RootStatistics:
-        pomcp.clear(self.tree)
-        return search_actions(
-            *(self.tree, subgoal, agreeing, actions, self.agent, self.beliefs, self.model),
-            *(self.search, self._scratch, self._rng),
-        )
+        self.observe(bodies, held, weld)
+        root = self.root_statistics(self.intent)
+        self.done(root.best)
+        return Decision(self.intent, root, int(held[self.agent]))
 
 
 def both_agents(

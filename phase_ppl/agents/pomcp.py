@@ -199,7 +199,7 @@ class Tree(NamedTuple):
         path, rewards: (nodes,) scratch of one simulation.
         particle, particle_held, particle_weld: scratch state of one simulation.
         stream: (1,) state of the random numbers of one simulation.
-        statistics: (3,) simulations run, physics steps, sum of depths; since creation.
+        statistics: (3,) simulations run, physics steps, sum of depths.
     """
 
     child: NDArray[np.int32]
@@ -231,21 +231,6 @@ def make_tree(n_simulations: int) -> Tree:
         np.zeros(1, np.uint64),
         np.zeros(3, np.int64),
     )
-
-
-@bare_kernel
-def _childless(tree: Tree, node: int) -> None:
-    for column in range(tree.child.shape[1]):
-        tree.child[node, column] = NO_NODE
-
-
-@bare_kernel
-def clear(tree: Tree) -> None:
-    """Forget everything."""
-    tree.used[0] = 1
-    tree.visits[0] = 0
-    tree.total[0] = 0.0
-    _childless(tree, 0)
 
 
 @bare_kernel
@@ -370,7 +355,7 @@ def run(
     """Search until the root has ``n_simulations`` visits; return the column of the best action.
 
     Args:
-        tree: empty (see :func:`clear`).
+        tree: from ``make_tree``, empty.
         bodies, held, weld: (K, ...) the agent's belief particles.
         agreeing: indices of the particles that agree with the subgoal.
         subgoal: (4,) from ``subgoal_code``.
@@ -380,7 +365,7 @@ def run(
     state, state_held, state_weld = tree.particle, tree.particle_held, tree.particle_weld
     base = below(rng, _STREAMS) if search.paired else 0
     stream = tree.stream if search.paired else rng
-    for visit in range(tree.visits[0], search.n_simulations):
+    for visit in range(search.n_simulations):
         first = _select(tree, 0, n_actions, search, rng)
         if search.paired:
             child = tree.child[0, first]
@@ -407,9 +392,6 @@ def run(
                 child = tree.used[0]
                 tree.used[0] += 1
                 tree.child[node, column] = child
-                _childless(tree, child)
-                tree.visits[child] = 0
-                tree.total[child] = 0.0
                 tree.path[depth] = child
                 depth += 1
                 break

@@ -15,6 +15,7 @@ from typing import NamedTuple
 from phase_ppl.agents.operators import Node, Step, plan, start_node
 from phase_ppl.agents.symbols import SymbolicState
 from phase_ppl.agents.world_model import Abilities
+from phase_ppl.world.goals import goal_literal
 from phase_ppl.world.names import NOTHING, STOP, Literal, Predicate
 from phase_ppl.world.rooms import N_ROOMS
 
@@ -46,16 +47,16 @@ class SubgoalPlanner:
     Args:
         agent: who plans, 0 red or 1 green.
         own: literal of its effective goal.
-        other: literal of the other agent's effective goal.
+        towards: how it stands to the other agent's.
         abilities: what the bodies can do.
     """
 
-    def __init__(self, agent: int, own: Literal, other: Literal, abilities: Abilities) -> None:
+    def __init__(self, agent: int, own: Literal, towards: Stance, abilities: Abilities) -> None:
         self.agent = agent
         self.opponent = 1 - agent
         self.own = own
         self.abilities = abilities
-        self.stance = stance(agent, own, other)
+        self.stance = towards
         self._memory: dict[tuple[SymbolicState, tuple[bool, ...]], Literal] = {}
 
     def subgoal(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
@@ -403,9 +404,12 @@ class SubgoalPlanner:
         return plan(start, willing, targets, is_goal, heuristic, self.abilities)
 
 
-@functools.lru_cache(maxsize=4096)
-def subgoal_planner(
-    agent: int, own: Literal, other: Literal, abilities: Abilities
-) -> SubgoalPlanner:
-    """Return the planner for these arguments; simulations that agree on them share its memory."""
-    return SubgoalPlanner(agent, own, other, abilities)
+@functools.lru_cache(maxsize=64)
+def subgoal_planners(agent: int, abilities: Abilities) -> Callable[[int, Stance], SubgoalPlanner]:
+    """Return (own goal, stance) -> planner; simulations that agree on both share its memory."""
+
+    @functools.cache
+    def planner(own: int, towards: Stance) -> SubgoalPlanner:
+        return SubgoalPlanner(agent, goal_literal(own, agent), towards, abilities)
+
+    return planner

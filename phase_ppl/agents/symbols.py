@@ -5,6 +5,7 @@ Source: paper, Appendix "Predicates, Symbolic States, Goals, and Subgoals".
 
 from __future__ import annotations
 
+import struct
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -28,9 +29,8 @@ NEAR_TOUCH: Final = 0.1 * DISTANCE_UNIT
 
 NO_DOOR: Final = -1
 _ON, _TOUCH = int(Predicate.ON), int(Predicate.TOUCH)
-N_FACTS: Final = 14
-OWN_DONE: Final = 10
-OTHER_DONE: Final = 11
+_FACTS: Final = struct.Struct("6b4?2b")
+N_FACTS: Final = _FACTS.size
 
 
 class SymbolicState(NamedTuple):
@@ -53,17 +53,10 @@ class SymbolicState(NamedTuple):
     door_filled_by: tuple[int, int]
 
 
-def unpack(facts: NDArray[np.int8]) -> SymbolicState:
+def unpack(facts: bytes, own_done: bool, other_done: bool) -> SymbolicState:
     """Return the symbolic state of one row written by :func:`describe`."""
-    f = facts.tolist()
-    return SymbolicState(
-        rooms=(f[0], f[1], f[2], f[3]),
-        held=(f[4], f[5]),
-        in_reach=(bool(f[6]), bool(f[7]), bool(f[8]), bool(f[9])),
-        own_done=bool(f[10]),
-        other_done=bool(f[11]),
-        door_filled_by=(f[12], f[13]),
-    )
+    f = _FACTS.unpack(facts)
+    return SymbolicState(f[:4], f[4:6], f[6:10], own_done, other_done, f[10:])  # type: ignore[arg-type]
 
 
 @bare_kernel
@@ -104,21 +97,25 @@ def describe(
     bodies: FloatArray,
     held: IntArray,
     agent: int,
-    own_goal: IntArray,
-    other_goal: IntArray,
+    goals: IntArray,
     params: Params,
     layout: Layout,
     facts: NDArray[np.int8],
+    done: BoolArray,
     costs: FloatArray,
 ) -> None:
-    """Write the facts of every particle, and its distance to the agent's goal state.
+    """Write the facts of every particle, and how far goals are reached in it.
 
     Args:
         bodies, held: (K, ...) particles.
-        own_goal, other_goal: (4,) codes of the goal literals of the agent and of the other.
-        facts: (K, N_FACTS) output, the fields of :class:`SymbolicState` in order.
-        costs: (K,) output, the cost C of Algorithm 1: path length of the leg the agent is on, to
-            the item it is after or from there to the goal, units; 0 for negative goals.
+        agent: who plans.
+        goals: (G, 4) codes of goal literals, the agent's own or the other's.
+        facts: (K, N_FACTS) output, the fields of :class:`SymbolicState` in order, but for what
+            depends on goals.
+        done: (G, K) output, whether the positive form of each goal is reached.
+        costs: (G, K) output, the cost C of Algorithm 1 to each goal: path length of the leg the
+            agent is on, to the item it is after or from there to the goal, units; 0 for negative
+            goals.
     """
     for k in range(bodies.shape[0]):
         particle = bodies[k]
@@ -129,10 +126,8 @@ def describe(
             facts[k, 4 + a] = held[k, a]
             for i in range(2):
                 facts[k, 6 + 2 * a + i] = in_reach(particle, a, 2 + i, params)
-        facts[k, 10] = _done(particle, own_goal, params, layout)
-        facts[k, 11] = _done(particle, other_goal, params, layout)
         for i in range(2):
-            facts[k, 12 + i] = NO_DOOR
+            facts[k, 10 + i] = NO_DOOR
             for door in range(4):
                 if layout.is_open or layout.door_width[door] <= 0.0:
                     continue
@@ -143,31 +138,7 @@ def describe(
                 if 2.0 * radius <= layout.door_width[door]:
                     continue
                 if dx * dx + dy * dy < (radius + params.radius[1 - agent]) ** 2:
-                    facts[k, 12 + i] = door
-        costs[k] = _cost_to_go(particle, held[k], agent, own_goal, params, layout)
-
-
-@bare_kernel
-def describe_goals(
-    bodies: FloatArray,
-    held: IntArray,
-    agent: int,
-    goals: IntArray,
-    params: Params,
-    layout: Layout,
-    done: BoolArray,
-    costs: FloatArray,
-) -> None:
-    """Write, for many goals of an agent at once, what :func:`describe` tells of one.
-
-    Args:
-        bodies, held: (K, ...) particles.
-        agent: who plans.
-        goals: (G, 4) codes of goal literals.
-        done: (G, K) output, whether the positive form of each goal is reached.
-        costs: (G, K) output, the cost C to each goal.
-    """
-    for g in range(goals.shape[0]):
-        for k in range(bodies.shape[0]):
-            done[g, k] = _done(bodies[k], goals[g], params, layout)
-            costs[g, k] = _cost_to_go(bodies[k], held[k], agent, goals[g], params, layout)
+                    facts[k, 10 + i] = door
+        for g in range(goals.shape[0]):
+            done[g, k] = _done(particle, goals[g], params, layout)
+            costs[g, k] = _cost_to_go(particle, held[k], agent, goals[g], params, layout)

@@ -30,7 +30,7 @@ from phase_ppl.world.names import AGENTS
 Definition = Callable[["Named"], bool | int | float | str]
 """(hypothesis in plain names) -> its value."""
 
-RESERVED: Final = frozenset(
+RESERVED_QUANTITIES: Final = frozenset(
     ("given", "self", "weight", "chain", "draw", "simulation", "error", "bound", "probability")
 )
 """Names that are taken by arguments, columns and coordinates of results."""
@@ -562,7 +562,7 @@ def _check_name(name: object, taken: Iterable[str]) -> None:
         )
     if name in taken:
         raise InvalidSettingError(f"there is a quantity {name!r} already: choose another name")
-    if name in RESERVED:
+    if name in RESERVED_QUANTITIES:
         raise InvalidSettingError(f"{name!r} is a reserved name: choose another")
 
 

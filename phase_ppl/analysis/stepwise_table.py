@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from phase_ppl.analysis.weights import Rows, log_sum_exp
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.errors import InvalidEventError
-from phase_ppl.world.goals import N_GOALS, effective_goals
-from phase_ppl.world.hypothesis import ALPHAS
+from phase_ppl.world.goals import N_GOALS
+from phase_ppl.world.hypothesis import ALPHAS, effective_table
 
 SCHEMA: Final = "phase_ppl/stepwise/2"
 
@@ -92,13 +92,7 @@ def check(found: xr.Dataset) -> None:
 @functools.cache
 def effective_pairs() -> IntArray:
     """Return (stated_goal_red, stated_goal_green, alpha) -> goal_red * 36 + goal_green."""
-    pairs = [
-        np.ravel_multi_index(effective_goals(red, green, alpha), (N_GOALS, N_GOALS))
-        for red in range(N_GOALS)
-        for green in range(N_GOALS)
-        for alpha in ALPHAS
-    ]
-    return np.array(pairs, np.int64).reshape(N_GOALS, N_GOALS, len(ALPHAS))
+    return effective_table() @ np.array([N_GOALS, 1])
 
 
 class Table:

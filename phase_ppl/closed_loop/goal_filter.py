@@ -16,9 +16,8 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from phase_ppl.agents.agent import RootStatistics
+from phase_ppl.agents.agent import Policies, RootStatistics
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.agents.policies import Policies
 from phase_ppl.agents.world_model import WorldModel
 from phase_ppl.closed_loop.hidden_state import (
     Expected,

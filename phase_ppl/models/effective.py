@@ -25,10 +25,10 @@ from phase_ppl.models.density import (
     remembered,
     trace_log_density,
 )
-from phase_ppl.models.sites import STRENGTH_SITES, effective_table
+from phase_ppl.models.sites import STRENGTH_SITES
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.goals import N_GOALS
-from phase_ppl.world.hypothesis import STRENGTH_LEVELS
+from phase_ppl.world.hypothesis import STRENGTH_LEVELS, effective_table
 
 Prior = Callable[[], object]
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from phase_ppl.world.arrays import FloatArray
     from phase_ppl.world.scene import Scene
 
-DIMENSIONS: Final = 2 * len(ENTITIES)
+N_COORDINATES: Final = 2 * len(ENTITIES)
 """d, numbers per frame: x and y of each entity."""
 
 _Array = TypeVar("_Array")
@@ -96,7 +96,7 @@ class InNats:
 
 def _log_normaliser(beta: float) -> float:
     """Return log Z of exp(-beta ||x||) in d dimensions."""
-    d = DIMENSIONS
+    d = N_COORDINATES
     sphere = math.log(2) + d / 2 * math.log(math.pi) - math.lgamma(d / 2)
     return sphere + math.lgamma(d) - d * math.log(beta)
 
@@ -133,7 +133,7 @@ class RadialLikelihood:
     ) -> NDArray[np.float64]:
         """Return what could have been observed around simulated positions.
 
-        In every frame all entities are off by a vector of :data:`DIMENSIONS` numbers, of a
+        In every frame all entities are off by a vector of :data:`N_COORDINATES` numbers, of a
         direction by chance and a Gamma(d, beta) length.
 
         Args:
@@ -142,7 +142,7 @@ class RadialLikelihood:
         """
         direction = rng.standard_normal(positions.shape)
         direction /= np.linalg.norm(direction, axis=(-2, -1), keepdims=True)
-        length = rng.gamma(DIMENSIONS, 1 / self.beta, positions.shape[:-2])
+        length = rng.gamma(N_COORDINATES, 1 / self.beta, positions.shape[:-2])
         noise: NDArray[np.float64] = positions + direction * length[..., None, None]
         return noise
 

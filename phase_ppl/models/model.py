@@ -53,7 +53,7 @@ _EXPECTED: Final = {
     ),
 }
 
-RESERVED: Final = frozenset(
+RESERVED_SITES: Final = frozenset(
     (
         *("goal", "relation", "scenario", "stated_goal_red", "stated_goal_green", "weight"),
         *("chain", "draw", "simulation", "time", "entity", "coord", "seed", "iteration"),
@@ -155,7 +155,7 @@ def _fault_of_hypothesis_site(name: str, site: Mapping[str, Any]) -> str:
 
 def _fault(name: str, site: Mapping[str, Any]) -> str:
     """Return in words what is wrong with any site; "" if nothing is."""
-    if name in RESERVED:
+    if name in RESERVED_SITES:
         return ", a reserved name"
     if not name or "/" in name:
         return ": expected a name without '/', by which it is stored"

@@ -31,6 +31,7 @@ from phase_ppl.world.hypothesis import (
     RELATIONS,
     STRENGTH_LEVELS,
     STRENGTH_RANGE,
+    effective_table,
 )
 from phase_ppl.world.registry import Registry
 
@@ -140,7 +141,7 @@ def _relation_tables(probabilities: tuple[float, ...]) -> tuple[FloatArray, Floa
             f"probabilities of {', '.join(RELATIONS)} = {list(probabilities)}: expected numbers "
             ">= 0 of sum 1"
         )
-    goals = sites.effective_table()
+    goals = effective_table()
     relation = RELATION_TABLE[goals[..., 0], goals[..., 1]].astype(int)
     base = np.einsum(
         "r,g,a->rga", *(~SELF_REFERRING).astype(float), np.array(sites.ALPHA_PROBABILITIES)

@@ -21,8 +21,9 @@ from phase_ppl.models.density import (
     trace_log_density,
 )
 from phase_ppl.models.model import Model
-from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, STRENGTH_SITES, effective_table
+from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, STRENGTH_SITES
 from phase_ppl.world.goals import N_GOALS
+from phase_ppl.world.hypothesis import effective_table
 from phase_ppl.world.identity import physics_rules
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene

@@ -12,7 +12,6 @@ Strengths are real numbers, or one of a few (:class:`OneOf`).
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
 from typing import Any, Final
 
@@ -23,11 +22,10 @@ import numpyro
 import numpyro.distributions as dist
 from jax import random
 from jax.scipy.special import logsumexp
-from numpy.typing import NDArray
 from numpyro.distributions import constraints
 
-from phase_ppl.world.goals import N_GOALS, effective_goals, is_self_referring
-from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_RANGE
+from phase_ppl.world.goals import N_GOALS, is_self_referring
+from phase_ppl.world.hypothesis import STRENGTH_RANGE
 from phase_ppl.world.names import AGENTS
 
 IMPOSSIBLE: Final = -1e30
@@ -55,16 +53,6 @@ SELF_REFERRING: Final = np.array(
     [[is_self_referring(g, holder) for g in range(N_GOALS)] for holder in range(len(AGENTS))]
 )
 """(holder, goal): goals that name their own holder and have no prior mass."""
-
-
-@functools.cache
-def effective_table() -> NDArray[np.int32]:
-    """Return (goal_red, goal_green, alpha, agent) the effective goals of stated ones."""
-    table = np.empty((N_GOALS, N_GOALS, len(ALPHAS), 2), np.int32)
-    for red, green, alpha in np.ndindex(table.shape[:-1]):
-        table[red, green, alpha] = effective_goals(red, green, ALPHAS[alpha])
-    table.setflags(write=False)
-    return table
 
 
 def goals() -> tuple[jax.Array, jax.Array]:

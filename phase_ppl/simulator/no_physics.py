@@ -97,8 +97,8 @@ class PathSimulator:
             wishes = []
             for agent in agents:
                 # it is never told what it has done, so that its beliefs imagine no dynamics
-                agent.perceive(*arrays)
-                subgoal, agreeing = agent.choose_subgoal()
+                agent.observe(*arrays)
+                subgoal, agreeing, _ = agent.intent
                 imagined = agent.beliefs.bodies[agreeing[0]]
                 wishes.append(self._wish(agent.agent, subgoal, imagined, state, model))
             _move(state, wishes, scene)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.goals import (
@@ -71,6 +73,17 @@ RELATION_TABLE: Final = np.array(
 
 ALPHAS: Final = ((0, 0), (1, 0), (0, 1), (-1, 0), (0, -1))
 """Values of site ``alpha``: signs of (alpha red -> green, alpha green -> red)."""
+
+
+@functools.cache
+def effective_table() -> NDArray[np.int32]:
+    """Return (goal_red, goal_green, alpha, agent) the effective goals of stated ones."""
+    table = np.empty((N_GOALS, N_GOALS, len(ALPHAS), 2), np.int32)
+    for red, green, alpha in np.ndindex(table.shape[:-1]):
+        table[red, green, alpha] = effective_goals(red, green, ALPHAS[alpha])
+    table.setflags(write=False)
+    return table
+
 
 STRENGTH_LEVELS: Final = (150.0, 300.0, 450.0, 600.0)
 """Maximum forces of the original world, newtons (strength ids 0..3)."""

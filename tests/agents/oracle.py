@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from phase_ppl.agents import pomcp
-from phase_ppl.agents.agent import Agent, RootStatistics
+from phase_ppl.agents.agent import Agent, Intent, RootStatistics
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.pomcp import Search
 from phase_ppl.agents.world_model import WorldModel
@@ -136,20 +136,18 @@ class OracleAgent(Agent):
             raise InvalidSettingError("the oracle's search has no swivel and no paired")
         super().__init__(agent, goals, model, config, generator)
         self.slow_search = SlowSearch(
-            model, strengths, self.search, config.inner_steps, generator.spawn(1)[0]
+            model, strengths, Search.of(config), config.inner_steps, generator.spawn(1)[0]
         )
 
-    def _search_actions(
-        self, subgoal: Literal, agreeing: IntArray, actions: IntArray
-    ) -> RootStatistics:
+    def _search_actions(self, intent: Intent, actions: IntArray) -> RootStatistics:
         beliefs = self.beliefs
         particles = [
             compiled.to_state(
                 beliefs.bodies[k], beliefs.held[k], beliefs.weld[k], self.model.scene.radius
             )
-            for k in agreeing
+            for k in intent.agreeing
         ]
-        root = self.slow_search.run(particles, self.agent, subgoal, actions)
+        root = self.slow_search.run(particles, self.agent, intent.subgoal, actions)
         visits = np.array([child.visits if child else 0 for child in root.children], np.int64)
         values = np.array([child.value if child else math.nan for child in root.children])
         best = self.slow_search.generator.choice(np.flatnonzero(visits == visits.max()))

@@ -33,7 +33,7 @@ def agent_in(where: Scene, seed: int = 0, config: PlannerConfig = CONFIG) -> Age
 def perceive(agent: Agent, where: Scene, times: int = 1) -> None:
     state = compiled.from_state(State.at_start(where), where.radius)
     for _ in range(times):
-        agent.perceive(*state)
+        agent.observe(*state)
 
 
 HIDDEN = scene(

@@ -53,9 +53,9 @@ def follow(where: Scene, oracle: bool, steps: int) -> tuple[list[Literal], int]:
     searches = 0
     for _ in range(steps):
         decision = agent.decide(*compiled.from_state(world.state, where.radius))
-        searches += len(decision.actions) > 0
-        if decision.subgoal not in subgoals:
-            subgoals.append(decision.subgoal)
+        searches += len(decision.root.actions) > 1
+        if decision.intent.subgoal not in subgoals:
+            subgoals.append(decision.intent.subgoal)
         world.step((int(decision.action), NO_ACTION))
     return subgoals, searches
 

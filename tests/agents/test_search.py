@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from phase_ppl.agents import pomcp
-from phase_ppl.agents.agent import Agent
+from phase_ppl.agents.agent import Agent, Intent, RootStatistics
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.pomcp import below, make_rng, uniform
 from phase_ppl.agents.world_model import WorldModel
@@ -29,23 +29,25 @@ GOALS = (goal_index("Get red agent to red lm"), goal_index("Get green agent to g
 def agent_in(where: Scene, config: PlannerConfig = CONFIG, seed: int = 0) -> Agent:
     model = WorldModel.of(where, (450.0, 450.0), config)
     agent = Agent(0, GOALS, model, config, np.random.default_rng(seed))
-    agent.perceive(*compiled.from_state(State.at_start(where), where.radius))
+    agent.observe(*compiled.from_state(State.at_start(where), where.radius))
     return agent
 
 
-ALL = np.arange(50)
+def search(agent: Agent, subgoal: Literal) -> RootStatistics:
+    """Return what an agent finds for a subgoal that all its particles agree with."""
+    return agent.root_statistics(Intent(subgoal, tuple(range(50)), contested=False))
 
 
 def test_an_agent_that_faces_its_goal_drives_straight_at_it() -> None:
     agent = agent_in(scene(red=(23.5, 14.0, math.pi)))
-    decision = agent.choose_action(Literal(Predicate.ON, 0, 2), ALL)
-    assert decision.action is Action.UP
+    found = search(agent, Literal(Predicate.ON, 0, 2))
+    assert found.best is Action.UP
 
 
 def test_an_agent_that_has_its_back_to_the_goal_turns() -> None:
     agent = agent_in(scene(red=(23.5, 9.5, -math.pi / 2), green=(8, 20, 0), blue=(10, 20)))
-    decision = agent.choose_action(Literal(Predicate.ON, 0, 2), ALL)
-    assert decision.action is Action.TURN_RIGHT
+    found = search(agent, Literal(Predicate.ON, 0, 2))
+    assert found.best is Action.TURN_RIGHT
 
 
 @pytest.mark.parametrize("paired", [False, True])
@@ -57,9 +59,9 @@ def test_early_stop_saves_simulations_and_never_changes_the_action(paired: bool)
             chosen, run = [], []
             for early_stop in (False, True):
                 config = dataclasses.replace(CONFIG, early_stop=early_stop, paired=paired)
-                agent = agent_in(where, config, seed)
-                chosen.append(agent.choose_action(subgoal, ALL).action)
-                run.append(int(agent.tree.statistics[0]))
+                found = search(agent_in(where, config, seed), subgoal)
+                chosen.append(found.best)
+                run.append(int(found.visits.sum()))
             assert chosen[0] == chosen[1]
             assert run[1] <= run[0] == CONFIG.simulations
             saved += run[0] - run[1]
@@ -67,41 +69,42 @@ def test_early_stop_saves_simulations_and_never_changes_the_action(paired: bool)
 
 
 def test_paired_actions_of_the_same_effect_are_worth_exactly_the_same() -> None:
-    def gaps(paired: bool) -> list[float]:
+    def gaps_of(paired: bool) -> list[float]:
         """Differences in value of stopping and doing nothing, the same for an agent at rest."""
-        found = []
+        gaps = []
         for seed in range(8):
             config = dataclasses.replace(CONFIG, simulations=100, paired=paired, early_stop=False)
             agent = agent_in(scene(red=(23.5, 14.0, math.pi)), config, seed)
-            decision = agent.choose_action(Literal(Predicate.ON, 0, 2), ALL)
-            actions = decision.actions.tolist()
-            stop, nothing = actions.index(Action.STOP), actions.index(Action.NO_FORCE)
-            if decision.visits[stop] == decision.visits[nothing]:
-                found.append(abs(float(decision.values[stop] - decision.values[nothing])))
-        return found
+            found = search(agent, Literal(Predicate.ON, 0, 2))
+            actions = found.actions.tolist()
+            pair = [actions.index(Action.STOP), actions.index(Action.NO_FORCE)]
+            if len(set(found.visits[pair])) == 1:
+                gaps.append(abs(float(np.diff(found.values[pair])[0])))
+        return gaps
 
-    assert gaps(paired=True)
-    assert max(gaps(paired=True)) < 1e-12
-    assert min(gaps(paired=False), default=1.0) > 1e-6
+    assert gaps_of(paired=True)
+    assert max(gaps_of(paired=True)) < 1e-12
+    assert min(gaps_of(paired=False), default=1.0) > 1e-6
 
 
 def test_stop_and_letting_go_need_no_search() -> None:
     agent = agent_in(scene())
-    assert agent.choose_action(STOP, ALL).action is Action.STOP
     letting_go = Literal(Predicate.ATTACH, 0, 2, positive=False)
-    assert agent.choose_action(letting_go, ALL).action is Action.DETACH
-    assert agent.tree.statistics[0] == 0
+    for subgoal, action in ((STOP, Action.STOP), (letting_go, Action.DETACH)):
+        found = search(agent, subgoal)
+        assert found.best is action
+        assert (found.actions.tolist(), found.visits.tolist()) == ([action], [1])
 
 
 def test_an_item_in_reach_is_grabbed() -> None:
     agent = agent_in(scene(red=(12.0, 9.0, 0.0), blue=(12.0, 11.0)))
-    assert agent.choose_action(Literal(Predicate.ATTACH, 0, 2), ALL).action is Action.ATTACH
+    assert search(agent, Literal(Predicate.ATTACH, 0, 2)).best is Action.ATTACH
 
 
 def test_the_same_seed_gives_the_same_decision() -> None:
     where = scene(red=(12.0, 9.0, 1.0), blue=(14.0, 6.0))
     subgoal = Literal(Predicate.TOUCH, 0, 2)
-    first, again = (agent_in(where, seed=3).choose_action(subgoal, ALL) for _ in range(2))
+    first, again = (search(agent_in(where, seed=3), subgoal) for _ in range(2))
     np.testing.assert_array_equal(first.visits, again.visits)
     np.testing.assert_array_equal(first.values, again.values)
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from phase_ppl.agents.subgoals import SubgoalPlanner, subgoal_planner
+from phase_ppl.agents.subgoals import SubgoalPlanner, stance, subgoal_planners
 from phase_ppl.agents.symbols import SymbolicState
 from phase_ppl.agents.world_model import Abilities
 from phase_ppl.world.goals import N_GOALS, goal_index, goal_literal, is_self_referring
@@ -58,7 +58,8 @@ def planner(
     where.setdefault("walls", WALLS)
     goals = (goal_index(red), goal_index(green))
     own, other = goal_literal(goals[agent], agent), goal_literal(goals[1 - agent], 1 - agent)
-    return SubgoalPlanner(agent, own, other, Abilities.of(scene(**where), strengths))
+    towards = stance(agent, own, other)
+    return SubgoalPlanner(agent, own, towards, Abilities.of(scene(**where), strengths))
 
 
 def state(rooms: tuple[int, ...] = (TL, BR, TL, TR), **changes: Any) -> SymbolicState:
@@ -616,7 +617,7 @@ def test_no_subgoal_serves_what_the_agent_is_to_prevent_whatever_the_pair_of_goa
             if is_self_referring(red, RED) or is_self_referring(green, GREEN):
                 continue
             own, other = goal_literal(red, RED), goal_literal(green, GREEN)
-            plan = SubgoalPlanner(RED, own, other, abilities)
+            plan = SubgoalPlanner(RED, own, stance(RED, own, other), abilities)
             for facts in states:
                 found = plan.subgoal(facts, UNSEEN)
                 assert isinstance(found, Literal)
@@ -627,9 +628,9 @@ def test_no_subgoal_serves_what_the_agent_is_to_prevent_whatever_the_pair_of_goa
 
 @pytest.mark.parametrize("walls", [[], NARROW_DOWN])
 def test_equal_abilities_share_one_planner_memory(walls: list[list[list[float]]]) -> None:
-    goals = goal_literal(0, RED), goal_literal(1, GREEN)
+    towards = stance(RED, goal_literal(0, RED), goal_literal(1, GREEN))
     first, second, weak = (
-        subgoal_planner(RED, *goals, Abilities.of(scene(walls=walls), strengths))
+        subgoal_planners(RED, Abilities.of(scene(walls=walls), strengths))(0, towards)
         for strengths in ((450.0, 600.0), (449.0, 590.0), (150.0, 600.0))
     )
     assert first is second

@@ -35,13 +35,15 @@ def described(
     model = WorldModel.of(where, (450.0, 450.0), PlannerConfig())
     bodies, holds, _ = compiled.from_state(State.at_start(where), where.radius)
     holds[:] = held
-    facts, costs = np.zeros((1, symbols.N_FACTS), np.int8), np.zeros(1)
+    facts = np.zeros((1, symbols.N_FACTS), np.int8)
+    done, costs = np.zeros((2, 1), np.bool_), np.zeros((2, 1))
     goals = goal_literal(goal_index(goal), RED), goal_literal(goal_index(other), GREEN)
-    own, theirs = (pomcp.subgoal_code(literal) for literal in goals)
+    codes = np.array([pomcp.subgoal_code(literal) for literal in goals])
     symbols.describe(
-        bodies[None], holds[None], RED, own, theirs, model.params, model.layout, facts, costs
+        bodies[None], holds[None], RED, codes, model.params, model.layout, facts, done, costs
     )
-    return symbols.unpack(facts[0]), float(costs[0])
+    own_done, other_done = done[:, 0].tolist()
+    return symbols.unpack(facts[0].tobytes(), own_done, other_done), float(costs[0, 0])
 
 
 @pytest.mark.parametrize(

@@ -165,6 +165,14 @@ def test_printed_rule_is_recorded_as_approximate() -> None:
     assert found.settings["kernel"] == {"name": "local_mh", "rule": "paper"}
 
 
+def test_draws_find_their_simulations_though_their_numbers_are_rounded_in_two_ways() -> None:
+    found = runs.infer(kernel="smc", move="prior_mh")
+    seeds = found.tree["sample_stats"]["sim_seed"].values
+    assert set(seeds.ravel()) <= set(found.tree["simulations"]["seed"].values)
+    drawn = found.tree["posterior"]["strength_red"].values
+    assert np.isin(drawn, found.tree["simulations"]["strength_red"].values).all()
+
+
 def moody() -> None:
     """A hierarchy, of one number above alpha, and sites on which nothing depends."""
     numpyro.sample("mood", dist.Bernoulli(0.5))

@@ -16,7 +16,7 @@ import phase_ppl as ppl
 from phase_ppl.inference.registry import kernel_info
 from phase_ppl.inference.runs import length, sampler
 from phase_ppl.inference.runs.checkpoint import Checkpoint
-from phase_ppl.inference.runs.length import IDLE, Length, Pace, Tally, counted
+from phase_ppl.inference.runs.length import IDLE, Length, Pace, Tally, tally_of
 from phase_ppl.inference.settings import Budget
 from phase_ppl.models.bridge import Record
 from phase_ppl.simulator.runner import Runner
@@ -166,10 +166,10 @@ def test_a_count_taken_up_again_is_the_same() -> None:
     tally = Tally()
     for iteration, n in enumerate((3, 0, 2, 0, 0)):
         records += [Record(result, {}, 0.0, chain=0, iteration=iteration)] * n
-        tally = counted(records, iteration, tally)
-        assert counted(records, iteration) == tally
+        tally = tally_of(records, iteration, tally)
+        assert tally_of(records, iteration) == tally
     assert tally == Tally(5, 5 * 14, last=2)
-    assert counted(records, 1) == Tally(3, 3 * 14, last=0)
+    assert tally_of(records, 1) == Tally(3, 3 * 14, last=0)
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ import pytest
 from jax import random
 from numpyro.infer import Predictive
 
-from phase_ppl.models.likelihood import DIMENSIONS, RadialLikelihood, RadialTrajectory
+from phase_ppl.models.likelihood import N_COORDINATES, RadialLikelihood, RadialTrajectory
 from phase_ppl.world.errors import InvalidSettingError
 
 BETAS = (0.05, 0.7)
@@ -19,9 +19,9 @@ BETAS = (0.05, 0.7)
 @pytest.mark.parametrize("beta", BETAS)
 def test_radial_density_integrates_to_one(beta: float) -> None:
     radius = np.linspace(1e-6, 60 / beta, 200_001)
-    sphere = 2 * math.pi ** (DIMENSIONS / 2) / math.gamma(DIMENSIONS / 2)
+    sphere = 2 * math.pi ** (N_COORDINATES / 2) / math.gamma(N_COORDINATES / 2)
     density = np.exp(RadialLikelihood(beta).log_prob(radius))
-    assert np.trapezoid(density * sphere * radius ** (DIMENSIONS - 1), radius) == pytest.approx(
+    assert np.trapezoid(density * sphere * radius ** (N_COORDINATES - 1), radius) == pytest.approx(
         1, abs=1e-4
     )
 
@@ -33,7 +33,7 @@ def test_mean_distance_of_samples_is_d_over_beta(beta: float) -> None:
     distance = np.sqrt(((samples - np.asarray(predicted)) ** 2).sum(axis=(-2, -1)))
     assert distance.shape == (2000, 3)
     # the standard deviation of a Gamma(8) distance is its mean / sqrt(8)
-    assert distance.mean() == pytest.approx(DIMENSIONS / beta, rel=4 / math.sqrt(8 * 6000))
+    assert distance.mean() == pytest.approx(N_COORDINATES / beta, rel=4 / math.sqrt(8 * 6000))
 
 
 def test_trajectory_density_is_that_of_its_errors() -> None:

@@ -127,10 +127,10 @@ def test_decisions_say_why() -> None:
     _, decisions = next(run)
     assert nothing == ()
     for decision in decisions:
-        assert 0 < decision.support <= 1
-        assert decision.subgoal != STOP
-        assert decision.visits.sum() > 0
-        assert decision.actions[np.argmax(decision.visits)] == decision.action
+        assert 0 < len(decision.intent.agreeing) <= 50
+        assert decision.intent.subgoal != STOP
+        assert decision.root.visits.sum() > 0
+        assert decision.root.actions[np.argmax(decision.root.visits)] == decision.action
 
 
 def test_a_simulated_event_carries_its_truth() -> None:

@@ -41,9 +41,10 @@ from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.density import NO_DENSITY, Program, Sites, log_density
 from phase_ppl.models.effective import prior_of_pairs
 from phase_ppl.models.program import EventProgram
-from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, effective_table
+from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES
 from phase_ppl.world.checks import positive_number
 from phase_ppl.world.goals import N_GOALS
+from phase_ppl.world.hypothesis import effective_table
 
 POOL: Final = 4096
 """Draws from the proposal in every iteration, of which those that are simulated are taken."""

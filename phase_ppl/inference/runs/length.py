@@ -47,7 +47,7 @@ class Tally(NamedTuple):
     last: int = 0
 
 
-def counted(records: Sequence[Record], done: int, before: Tally | None = None) -> Tally:
+def tally_of(records: Sequence[Record], done: int, before: Tally | None = None) -> Tally:
     """Return what ``done`` iterations have cost.
 
     Args:

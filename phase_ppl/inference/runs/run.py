@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 from collections.abc import Callable, Mapping
 from typing import Any, Final, TypeAlias
@@ -118,12 +119,12 @@ class Run:
             "settings": _plain(fields_of(self.settings)),
         }
 
-    @property
+    @functools.cached_property
     def recipe(self) -> Recipe:
-        """What the compiled programs depend on."""
+        """What the compiled programs depend on: not on the simulator, which runs beside them."""
         options = tuple(self.options.items())
-        n_frames = self.event.observation.n_frames
-        return self.info, options, self.model, self.settings, n_frames
+        model = dataclasses.replace(self.model, simulator=None, planner=None)
+        return self.info, options, model, self.settings, self.event.observation.n_frames
 
     def data(self, bridge: int) -> Data:
         """Return what compiled code is told of the event and the bridge with that handle."""

@@ -31,7 +31,7 @@ from phase_ppl.inference.proposals.strength import estimator_name
 from phase_ppl.inference.runs import length
 from phase_ppl.inference.runs.checkpoint import Checkpoint, write_checkpoint
 from phase_ppl.inference.runs.draws import Columns, build_tree, particles_of
-from phase_ppl.inference.runs.length import Pace, counted, run_length
+from phase_ppl.inference.runs.length import Pace, run_length, tally_of
 from phase_ppl.inference.runs.run import Run, compiled, fields_of, make_kernel
 from phase_ppl.inference.settings import Budget
 from phase_ppl.inference.stepwise import TableRunner, filter_event
@@ -249,7 +249,7 @@ class Sampler:
         with on_cpu():
             blank = jax.eval_shape(self._init, self._keys(), self._data)
         self._state, self._particles = saved.state(blank), list(saved.particles)
-        before = counted(saved.records, saved.done - 1)
+        before = tally_of(saved.records, saved.done - 1)
         if saved.done and self._length.is_spent(before):
             raise InvalidSettingError(
                 f"a budget of {self._length.budget} is too small: {saved.path} went on after "
@@ -258,7 +258,7 @@ class Sampler:
         for record in saved.records:
             self._bridge.remember(record)
         self._bridge.iteration = self._written = saved.done
-        self._tally = counted(saved.records, saved.done, before)
+        self._tally = tally_of(saved.records, saved.done, before)
         self._runner.statistics = dataclasses.replace(saved.statistics)
         self._calls = saved.calls + 1
         began, recent = self._options.began, saved.recent
@@ -320,7 +320,7 @@ class Sampler:
         self._state = state
         self._particles.append(particles)
         self._pace.end(initial=initial)
-        self._tally = counted(self._bridge.records, self._done, self._tally)
+        self._tally = tally_of(self._bridge.records, self._done, self._tally)
         self._keep()
 
     def _first_state(self) -> Any:

@@ -152,16 +152,18 @@ def test_options_of_sampling_are_refused(options: Any) -> None:
 
 @pytest.mark.parametrize("prior", ["strength_levels", "uniform"])
 @pytest.mark.parametrize(
-    ("kernel", "iterations"),
-    [("importance", 400), pytest.param("prior_mh", 2000, marks=pytest.mark.slow)],
+    ("kernel", "chains", "iterations"),
+    [("importance", 400, 40), pytest.param("prior_mh", 40, 2000, marks=pytest.mark.slow)],
 )
-def test_kernels_that_sample_find_the_same(kernel: str, iterations: int, prior: str) -> None:
+def test_kernels_that_sample_find_the_same(
+    kernel: str, chains: int, iterations: int, prior: str
+) -> None:
     # with strengths that tell something, so that a wrong prior of theirs would show
     likelihood = ppl.StepwiseLikelihood(tracking=ppl.Tracking(strength_weight=0.5))
     model = dataclasses.replace(MODEL, prior=prior, likelihood=likelihood)
     exact = ppl.infer(short(), model, workers=1, progress=False)
     post = ppl.infer(
-        *(short(), model), kernel=kernel, chains=40, iterations=iterations, progress=False
+        *(short(), model), kernel=kernel, chains=chains, iterations=iterations, progress=False
     )
     assert isinstance(post, ppl.Posterior)
     if kernel == "prior_mh":

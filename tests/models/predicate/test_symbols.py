@@ -78,7 +78,7 @@ def test_items_are_in_reach_and_rooms_are_as_for_the_planner() -> None:
     poses[:, :2, 2] = rng.uniform(-3, 3, (n, 2))
     where = scene(walls=[FULL_WALL_UP])
     model = WorldModel.of(where, (450.0, 450.0), PlannerConfig())
-    facts, costs = np.zeros((n, N_FACTS), np.int8), np.zeros(n)
+    facts, costs = np.zeros((n, N_FACTS), np.int8), np.zeros((1, n))
     held = np.full((n, 2), NOTHING)
     bodies = np.array(
         [
@@ -88,8 +88,8 @@ def test_items_are_in_reach_and_rooms_are_as_for_the_planner() -> None:
             for pose in poses
         ]
     )
-    goal = np.array([0, 0, 0, 1])
-    describe(bodies, held, 0, goal, goal, model.params, model.layout, facts, costs)
+    goal, done = np.array([[0, 0, 0, 1]]), np.zeros((1, n), np.bool_)
+    describe(bodies, held, 0, goal, model.params, model.layout, facts, done, costs)
     found = symbolic_trajectory(
         where, Observation(poses), Thresholds(touch_item=GRAB_REACH, lasting=1)
     )
