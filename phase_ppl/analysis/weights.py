@@ -177,8 +177,9 @@ def stratified(tree: xr.DataTree) -> Rows:
             "versions do not hold; 'importance' does without"
         )
     simulations = tree["simulations"].dataset
-    log_weight = log_shares(tree) + simulations["log_likelihood"].values
-    log_weight = log_weight + log_reciprocal_proposal(tree)
+    with np.errstate(invalid="ignore"):  # of what failed
+        log_weight = log_shares(tree) + simulations["log_likelihood"].values
+        log_weight = log_weight + log_reciprocal_proposal(tree)
     return _weighted_simulations(tree, "stratified", log_weight)
 
 
@@ -190,7 +191,8 @@ def log_shares(tree: xr.DataTree) -> FloatArray:
     """
     simulations = tree["simulations"].dataset
     log_proposal = simulations["log_proposal"].values.astype(float)
-    log_ratio = simulations["log_prior"].values - log_proposal
+    with np.errstate(invalid="ignore"):
+        log_ratio = simulations["log_prior"].values - log_proposal
     known = np.flatnonzero(np.isfinite(log_ratio) & ~simulations["failed"].values)
     pair = np.stack([simulations[name].values[known].astype(np.int64) for name in _PAIR])
     _, stratum = np.unique(pair, axis=1, return_inverse=True)
@@ -198,7 +200,7 @@ def log_shares(tree: xr.DataTree) -> FloatArray:
     for number in range(int(stratum.max(initial=-1)) + 1):
         rows = known[stratum == number]
         found[rows] = np.log(truncated(normalised(log_ratio[rows])))
-    prior = tree["constant_data"]["prior_of_pairs"].values[tuple(pair)]
+    prior = tree["constant_data"].dataset["prior_of_pairs"].values[tuple(pair)]
     with np.errstate(divide="ignore"):
         found[known] += np.log(prior)
     return found + log_proposal
@@ -234,7 +236,9 @@ def importance(tree: xr.DataTree) -> Rows:
         )
     simulations = tree["simulations"].dataset
     log_joint = (simulations["log_prior"] + simulations["log_likelihood"]).values.astype(float)
-    rows = _weighted_simulations(tree, "importance", log_joint + log_reciprocal_proposal(tree))
+    with np.errstate(invalid="ignore"):  # of what failed
+        log_weight = log_joint + log_reciprocal_proposal(tree)
+    rows = _weighted_simulations(tree, "importance", log_weight)
     return dataclasses.replace(rows, weights=truncated(rows.weights))
 
 

@@ -8,7 +8,6 @@ user's own are averaged out over draws from the prior.
 from __future__ import annotations
 
 import functools
-import itertools
 import math
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -25,16 +24,17 @@ from phase_ppl.models.density import (
     remembered,
     trace_log_density,
 )
-from phase_ppl.models.sites import STRENGTH_SITES
+from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.goals import N_GOALS
-from phase_ppl.world.hypothesis import STRENGTH_LEVELS, effective_table
+from phase_ppl.world.hypothesis import effective_table
 
 Prior = Callable[[], object]
 
 _CHUNK = 4096
 _OWN_DRAWS = 64
 _PRIORS_KEPT = 16
+_STATED_SITES = (*GOAL_SITES, ALPHA_SITE)
 
 
 @functools.cache
@@ -115,19 +115,16 @@ def log_prior_of_effective(
 def prior_of_pairs(prior: Prior) -> FloatArray:
     """Return (goal_red, goal_green) prior masses of the pairs of effective goals, their sum 1.
 
-    The mean over the least and greatest strengths, which is the prior mass where strengths do
-    not depend on goals, and approximates it where a user's prior makes them.
+    Exact where goals and alpha depend on nothing else, as on strengths or sites of a user's own;
+    these are averaged out over draws.
     """
-    pairs = np.array(list(stated_hypotheses()))
-    ends = STRENGTH_LEVELS[0], STRENGTH_LEVELS[-1]
-    strengths = np.array(list(itertools.product(ends, repeat=len(STRENGTH_SITES))))
-    columns = {
-        name: np.repeat(values, len(pairs))
-        for name, values in zip(STRENGTH_SITES, strengths.T, strict=True)
-    }
-    log_mass = log_prior_of_effective(prior, np.tile(pairs, (len(strengths), 1)), columns)
+    pairs = list(stated_hypotheses())
+    stated = np.concatenate(list(stated_hypotheses().values()))
+    columns = dict(zip(_STATED_SITES, stated.T, strict=True))
+    row = np.repeat(np.arange(len(pairs)), [len(rows) for rows in stated_hypotheses().values()])
+    log_mass = log_prior_of_hypotheses(prior, columns)
     mass = np.zeros((N_GOALS, N_GOALS))
-    mass[tuple(pairs.T)] = np.exp(log_mass - log_mass.max()).reshape(len(strengths), -1).sum(axis=0)
+    mass[tuple(np.array(pairs).T)] = np.bincount(row, np.exp(log_mass - log_mass.max()))
     mass /= mass.sum()
     mass.setflags(write=False)
     return mass

@@ -62,10 +62,8 @@ def watch_film(post: StepwisePosterior, path: str | os.PathLike[str]) -> None:
             name: [
                 (
                     label,
-                    *(
-                        float(at[part].sel({f"{name}_is": label}))
-                        for part in (name, f"{name}_error")
-                    ),
+                    float(at[name].sel({f"{name}_is": label})),
+                    float(at[f"{name}_error"].sel({f"{name}_is": label})),
                 )
                 for label in labels
             ]

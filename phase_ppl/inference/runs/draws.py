@@ -157,7 +157,9 @@ def build_tree(
     }
     tree = xr.DataTree.from_dict(groups)
     if kernel.weights is not None:
-        tree["sample_stats"]["log_weight"].values[:] = _log_weight_of_draws(tree, kernel, index)
+        tree["sample_stats"].dataset["log_weight"].values[:] = _log_weight_of_draws(
+            tree, kernel, index
+        )
     short = n_draws < LONG and not kernel.weighted and has_proposals(tree)
     tree.attrs = {
         "event_id": event.id,
