@@ -28,8 +28,8 @@ from phase_ppl.analysis.tree import (
 from phase_ppl.analysis.weights import Rows, aborted_mass_bound
 from phase_ppl.dataset.generation.situation import overlaps
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.goals import GOALS, N_GOALS
-from phase_ppl.world.names import ENTITIES
+from phase_ppl.world.goals import GOALS, N_GOALS, goal_index, goal_literal, is_self_referring
+from phase_ppl.world.names import ENTITIES, Predicate
 from phase_ppl.world.scene import Scene
 
 MIN_DRAWS: Final = 4
@@ -166,6 +166,7 @@ def verdict(found: Mapping[str, Any]) -> str:
     weighted = found["weighted_draws_ess"] is not None
     signs = [overlap_sign(found["overlapping_frames"])] if found["overlapping_frames"] else []
     signs += _biased(found) + undecided(found["leaders"]) + _by_prior(found["leaders"])
+    signs += _untried_rivals(found["untried_rivals"])
     if not weighted:
         signs += _acceptance(found["acceptance_rate"])
     size = found["effective_size"]
@@ -340,10 +341,19 @@ def _by_prior(leaders: Mapping[str, Mapping[str, Any]]) -> list[str]:
     ]
 
 
+def _untried_rivals(n: int) -> list[str]:
+    if not n:
+        return []
+    return [
+        f"Not ruled out: {n} rivals of the leading goals, with which one agent wants the same "
+        "thing at another landmark, were never simulated."
+    ]
+
+
 def _weighted(found: Mapping[str, Any]) -> list[str]:
-    ess, draws = found["weighted_draws_ess"], found["particles"] * found["iterations"]
     if found["weights"] != "count":  # all simulations count, not the draws alone
         return []
+    ess, draws = found["weighted_draws_ess"], found["particles"] * found["iterations"]
     text = f"The {draws} weighted draws are worth {ess * draws:.1f} equal ones"
     margin = _margin(found)
     text += f" {margin}" if margin else ""
@@ -387,8 +397,10 @@ def diagnostics(
     * ``leaders``: the most probable goals and relation, with errors, the next ones, and what they
       would have ``without_prior``: with all pairs of goals that were simulated equally probable
       beforehand; None where the file does not hold the prior of pairs.
-    * ``decided``: whether all three are sure, with the prior and without it, by ``FEW_DRAWS``
-      independent draws or more.
+    * ``untried_rivals``: how many pairs that differ from the leading one in nothing but one
+      agent's landmark were never simulated, though the prior allows them.
+    * ``decided``: whether all three leaders are sure, with the prior and without it, by
+      ``FEW_DRAWS`` independent draws or more, and all rivals were tried.
     * ``monte_carlo_error``: per goal, the error of the leading goal's probability under the
       weighting in use; None with one particle.
     * ``effective_size``: how many independent draws would be as sure of the goals as the
@@ -457,7 +469,9 @@ def diagnostics(
         "leading_goals": {name: _leading_goals(p, shares) for name, p in by_chain.items()},
         "between_chain_tv": {name: _between_chain_tv(p, shares) for name, p in by_chain.items()},
         "leaders": (answers := _without_prior(tree, rows, leaders)),
+        "untried_rivals": (n_untried := untried_rivals(tree, leaders)),
         "decided": effective_size >= FEW_DRAWS
+        and not n_untried
         and all(
             one["sure"] and one["without_prior"] is not None and one["without_prior"] > 0.5
             for one in answers.values()
@@ -506,6 +520,39 @@ def _without_prior(
         name: {**one, "error": _finite(one["error"]), "without_prior": share[name]}
         for name, one in leaders.items()
     }
+
+
+def untried_rivals(tree: xr.DataTree, leaders: Mapping[str, Mapping[str, Any]]) -> int:
+    """Return how many rivals of the leading goals were never simulated; 0 where no prior is kept.
+
+    A rival differs in the landmark of one agent's goal, about the same entity and of the same sign.
+    """
+    constant, simulations = tree["constant_data"].dataset, tree["simulations"].dataset
+    if "prior_of_pairs" not in constant:
+        return 0
+    tried = ~simulations["failed"].values
+    done = set(zip(*(simulations[g].values[tried].tolist() for g in _NAMES), strict=True))
+    leading = tuple(goal_index(leaders[name]["label"]) for name in _NAMES)
+    rivals = [
+        tuple(other if place == agent else goal for place, goal in enumerate(leading))
+        for agent in range(len(leading))
+        for other in range(N_GOALS)
+        if _elsewhere(other, leading[agent], agent)
+    ]
+    prior = constant["prior_of_pairs"].values
+    return sum(prior[pair] > 0 and pair not in done for pair in rivals)
+
+
+def _elsewhere(goal: int, other: int, agent: int) -> bool:
+    """Whether two goals of an agent differ in the landmark alone."""
+    if is_self_referring(goal, agent) or is_self_referring(other, agent):
+        return False
+    one, two = goal_literal(goal, agent), goal_literal(other, agent)
+    return (
+        one.predicate is Predicate.ON is two.predicate
+        and (one.subject, one.positive) == (two.subject, two.positive)
+        and one.target != two.target
+    )
 
 
 def scalars(tree: xr.DataTree) -> dict[str, FloatArray]:

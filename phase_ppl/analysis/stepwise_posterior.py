@@ -233,21 +233,27 @@ class StepwisePosterior(Hypotheses):
         codes = {"goal_red": red, "goal_green": green}
         codes |= relation_codes(red, green, self._scenario)
         time = self._found["time"].values[: self._frame + 1]
-        masses = self._table.pair_masses().reshape(-1, N_GOALS**2)[: len(time)]
-        found = by_label(time, codes, lambda indicators: masses @ indicators)
-        n = self.planner_seeds
-        without = self._table.pair_masses_without().reshape(-1, *masses.shape[1:])
-        without = without.reshape(-1, self._table.n_frames, N_GOALS**2)[:, : len(time)]
-        errors = Jackknife(np.empty((n, 0)), n - 1.0)
+        masses = self._table.pair_masses()[: len(time)].reshape(len(time), -1)
+        without = self._table.pair_masses_without()[:, : len(time)]
+        without = without.reshape(*without.shape[:2], masses.shape[1])
 
         def error(indicators: NDArray[np.bool_]) -> FloatArray:
-            if n == 1:
-                return np.full((len(time), indicators.shape[1]), np.nan)
-            return errors.error(without @ indicators, masses @ indicators)
+            return self._error_over_sets(without @ indicators, masses @ indicators)
 
-        of_error = by_label(time, codes, error)
-        found = found.assign({f"{name}_error": of_error[name] for name in of_error.data_vars})
+        found = by_label(time, codes, lambda indicators: masses @ indicators)
+        for name, errors in by_label(time, codes, error).data_vars.items():
+            found[f"{name}_error"] = errors
         return found.assign_attrs(filtering=FILTERING)
+
+    def _error_over_sets(self, without: FloatArray, value: FloatArray) -> FloatArray:
+        """Return the errors of (...) values, given (set, ...) those without each set of searches.
+
+        By the jackknife; NaN where there is a single set.
+        """
+        n = self.planner_seeds
+        if n == 1:
+            return np.full(np.shape(value), np.nan)
+        return Jackknife(np.empty((n, 0)), n - 1.0).error(without, value)
 
     def why(self, event: str, over: str | None = None) -> xr.Dataset:
         """Return which frames speak for ``event``, and against what.
@@ -270,7 +276,8 @@ class StepwisePosterior(Hypotheses):
         columns |= derived_codes(columns["goal_red"], columns["goal_green"], self._scenario)
         wanted = _satisfied(columns, event)
         other = ~wanted if over is None else _satisfied(columns, over)
-        odds, error = np.full((2, self._frame + 1), np.nan)
+        odds = np.empty(self._frame + 1)
+        without = np.full((self.planner_seeds, len(odds)), np.nan)
 
         def log_odds(log_mass: FloatArray) -> float:
             flat = log_mass.ravel()
@@ -279,14 +286,15 @@ class StepwisePosterior(Hypotheses):
 
         for t in range(self._frame + 1):
             odds[t] = log_odds(self._table.log_mass(t))
-            without = np.array([log_odds(mass) for mass in self._table.log_masses_without(t)])
-            if len(without) > 1 and np.isfinite(without).all():
-                error[t] = np.sqrt((len(without) - 1) * without.var())
+            for place, mass in enumerate(self._table.log_masses_without(t)):
+                without[place, t] = log_odds(mass)
         if not np.isfinite(odds[0]):
             possible = np.isfinite(log_sum_exp(self._table.log_mass(0).ravel()[wanted]))
             raise InvalidSettingError(
                 f"{over if possible else event} is impossible under the prior: there are no odds"
             )
+        with np.errstate(invalid="ignore"):  # of odds that are not finite there is no error
+            error = self._error_over_sets(without, odds)
         time = self._found["time"].values[: self._frame + 1]
         return xr.Dataset(
             {

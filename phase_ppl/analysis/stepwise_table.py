@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Iterator
 from typing import Any, Final
 
@@ -14,7 +13,7 @@ from phase_ppl.analysis.weights import Rows, log_sum_exp
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.goals import N_GOALS
-from phase_ppl.world.hypothesis import ALPHAS, effective_table
+from phase_ppl.world.hypothesis import ALPHAS, effective_pairs
 
 SCHEMA: Final = "phase_ppl/stepwise/2"
 
@@ -87,12 +86,6 @@ def check(found: xr.Dataset) -> None:
     likelihood = found["log_likelihood"].values
     if np.isnan(likelihood).any() or (likelihood == np.inf).any():
         raise InvalidEventError("log_likelihood has values that are no log densities")
-
-
-@functools.cache
-def effective_pairs() -> IntArray:
-    """Return (stated_goal_red, stated_goal_green, alpha) -> goal_red * 36 + goal_green."""
-    return effective_table() @ np.array([N_GOALS, 1])
 
 
 class Table:

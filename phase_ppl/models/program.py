@@ -22,8 +22,7 @@ from phase_ppl.models.density import (
 )
 from phase_ppl.models.model import Model
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, STRENGTH_SITES
-from phase_ppl.world.goals import N_GOALS
-from phase_ppl.world.hypothesis import effective_table
+from phase_ppl.world.hypothesis import effective_pairs
 from phase_ppl.world.identity import physics_rules
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
@@ -105,8 +104,7 @@ class EventProgram:
         """
         if self.model.noise == "fixed":
             codes = tuple(sites[name] for name in (*GOAL_SITES, ALPHA_SITE))
-            pairs = (effective_table() @ [N_GOALS, 1]).astype(np.uint32)
-            pair = jnp.asarray(pairs)[codes]
+            pair = jnp.asarray(effective_pairs().astype(np.uint32))[codes]
             key = random.fold_in(random.key(self.salt), pair)
             for name in STRENGTH_SITES:
                 strength = jnp.asarray(sites[name], jnp.float32)

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, Final, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -30,9 +30,6 @@ from phase_ppl.inference.registry import Validity
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.density import NO_DENSITY, Program, Sites
 from phase_ppl.models.program import EventProgram
-
-_SLACK: Final = 0.01
-_RELATIVE_SLACK: Final = 1e-5
 
 
 class MHState(NamedTuple):
@@ -250,7 +247,7 @@ class MetropolisKernel(ParticleKernel[MHState]):
         ceiling: jax.Array | float = np.inf
         log_bound: jax.Array | float = np.inf
         if self._early_reject:
-            ceiling, log_bound = self._error_ceiling(floor), log_u - floor
+            ceiling, log_bound = self.error_ceiling(floor), log_u - floor
         step_error = program.simulate(
             move.sites, move.log_prior, seed, ceiling, move.log_proposal, log_bound
         )
@@ -272,18 +269,6 @@ class MetropolisKernel(ParticleKernel[MHState]):
             n_accepted=state.n_accepted + accepted,
             rng_key=key,
         )
-
-    def _error_ceiling(self, log_floor: jax.Array) -> jax.Array:
-        """Return the summed error beyond which a proposal cannot be accepted, units.
-
-        Args:
-            log_floor: log likelihood that the proposal must reach. A little is allowed for
-                rounding, so that no simulation is stopped which would have been accepted.
-        """
-        floor = log_floor - _SLACK - _RELATIVE_SLACK * jnp.abs(log_floor)
-        # without a floor, as before a first completed simulation, there is no ceiling either
-        floor = jnp.where(jnp.isfinite(floor), floor, -jnp.inf)
-        return self.model.likelihood.max_total_error(floor, self.model.n_frames)
 
 
 class ProposalKernel(MetropolisKernel):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import Any, ClassVar, Generic, NamedTuple, Protocol, Self, TypeVar
+from typing import Any, ClassVar, Final, Generic, NamedTuple, Protocol, Self, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +19,9 @@ from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.density import NO_DENSITY, Program, draw
 from phase_ppl.models.program import EventProgram
 from phase_ppl.world.errors import InvalidSettingError
+
+_SLACK: Final = 0.01
+_RELATIVE_SLACK: Final = 1e-5
 
 
 class ParticleState(Protocol):
@@ -85,6 +88,28 @@ class EventKernel(MCMCKernel, Generic[State]):
             raise InvalidSettingError(f"{type(self).__name__} needs a guide")
         return self._guide
 
+    def init(
+        self,
+        rng_key: jax.Array,
+        num_warmup: int,
+        init_params: dict[str, jax.Array] | None = None,
+        model_args: tuple[Any, ...] = (),
+        model_kwargs: dict[str, Any] | None = None,
+    ) -> State:
+        """Return the initial state of the particle, or of a batch where ``rng_key`` is one.
+
+        Args:
+            rng_key: a key, or a batch of keys.
+            num_warmup: ignored: nothing is tuned.
+            init_params: hypothesis to start from; None: what the kernel proposes.
+            model_args, model_kwargs: ignored: the program knows its event.
+        """
+        return jax.jit(self._init_fn)(rng_key, init_params)
+
+    def _init_fn(self, key: jax.Array, sites: dict[str, jax.Array] | None) -> State:
+        """Start one particle or a batch; of kernels that do not replace :meth:`init`."""
+        raise NotImplementedError
+
     def sample(
         self,
         state: State,
@@ -100,6 +125,18 @@ class EventKernel(MCMCKernel, Generic[State]):
     def get_diagnostics_str(self, state: State) -> str:
         """Return the share of accepted proposals, for NumPyro's progress bar."""
         return f"acc. rate={float(jnp.mean(state.n_accepted / jnp.maximum(state.i, 1))):.2f}"
+
+    def error_ceiling(self, log_floor: jax.Array) -> jax.Array:
+        """Return the summed error beyond which a simulation cannot matter any more, units.
+
+        Args:
+            log_floor: log likelihood that it must reach. A little is allowed for rounding, so that
+                no simulation is stopped which would have been accepted.
+        """
+        floor = log_floor - _SLACK - _RELATIVE_SLACK * jnp.abs(log_floor)
+        # without a floor, as before a first completed simulation, there is no ceiling either
+        floor = jnp.where(jnp.isfinite(floor), floor, -jnp.inf)
+        return self.model.likelihood.max_total_error(floor, self.model.n_frames)
 
     @property
     def n_windows(self) -> int:
@@ -118,26 +155,10 @@ class ParticleKernel(EventKernel[State]):
     """Initial hypotheses drawn per particle, of which the first with prior mass is taken; 1 where
     the draw is weighed, since the best of several has another density."""
 
-    def init(
-        self,
-        rng_key: jax.Array,
-        num_warmup: int,
-        init_params: dict[str, jax.Array] | None = None,
-        model_args: tuple[Any, ...] = (),
-        model_kwargs: dict[str, Any] | None = None,
-    ) -> State:
-        """Return the initial state of the particle, or of a batch where ``rng_key`` is one.
-
-        Args:
-            rng_key: a key, or a batch of keys.
-            num_warmup: ignored: nothing is tuned.
-            init_params: hypothesis to start from; None: what the kernel proposes.
-            model_args, model_kwargs: ignored: the program knows its event.
-        """
-        start = self._init
-        if not is_prng_key(rng_key):
-            start = jax.vmap(start, in_axes=(0, None if init_params is None else 0))
-        return jax.jit(start)(rng_key, init_params)
+    def _init_fn(self, key: jax.Array, sites: dict[str, jax.Array] | None) -> State:
+        if is_prng_key(key):
+            return self._init(key, sites)
+        return jax.vmap(self._init, in_axes=(0, None if sites is None else 0))(key, sites)
 
     def _init(self, key: jax.Array, sites: dict[str, jax.Array] | None) -> State:
         key, key_sites, key_start = random.split(key, 3)

@@ -21,12 +21,12 @@ unlikely that it can neither lead nor count is not simulated to its end.
 
 Whatever was chosen, the simulations of a pair are independent draws of its likelihood, and the
 prior says what each pair weighs: the weights "stratified" make the posterior of them, which is
-consistent as simulations grow. The draws themselves, counted, are not the posterior.
+consistent as simulations grow. Draws carry the weights of their simulations.
 """
 
 from __future__ import annotations
 
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -44,7 +44,7 @@ from phase_ppl.models.program import EventProgram
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES
 from phase_ppl.world.checks import positive_number
 from phase_ppl.world.goals import N_GOALS
-from phase_ppl.world.hypothesis import effective_table
+from phase_ppl.world.hypothesis import effective_pairs
 
 POOL: Final = 4096
 """Draws from the proposal in every iteration, of which those that are simulated are taken."""
@@ -110,27 +110,10 @@ class Racing(EventKernel[RacingState]):
         super().__init__(program, guide, settings)
         self._sigma = positive_number("sigma", sigma)
 
-    def init(
-        self,
-        rng_key: jax.Array,
-        num_warmup: int,
-        init_params: dict[str, jax.Array] | None = None,
-        model_args: tuple[Any, ...] = (),
-        model_kwargs: dict[str, Any] | None = None,
-    ) -> RacingState:
-        """Return the state after the first simulations.
-
-        Args:
-            rng_key: a key, or a batch of keys.
-            num_warmup: ignored: nothing is tuned.
-            init_params: hypotheses to simulate first; None: as many different pairs of goals as
-                there are particles.
-            model_args, model_kwargs: ignored: the program knows its event.
-        """
-        start = jax.jit(self._start)
-        if is_prng_key(rng_key):
-            return as_batch_of_one(lambda given: start(*given), (rng_key, init_params))
-        return start(rng_key, init_params)
+    def _init_fn(self, key: jax.Array, sites: dict[str, jax.Array] | None) -> RacingState:
+        if is_prng_key(key):
+            return as_batch_of_one(lambda given: self._start(*given), (key, sites))
+        return self._start(key, sites)
 
     def _sample_fn(self, state: RacingState) -> RacingState:
         step = self._step
@@ -141,8 +124,8 @@ class Racing(EventKernel[RacingState]):
         zeros = jnp.zeros(n, jnp.int32)
         nothing = jnp.full((n, N_GOALS**2), -jnp.inf, jnp.float32)
         n_of_pair = jnp.zeros(nothing.shape, jnp.int32)
-        pool = jax.vmap(self.model.draw_prior)(keys)  # for the types of its sites
-        state = RacingState(zeros - 1, pool, zeros, zeros > 0, zeros, n_of_pair, nothing, keys)
+        before = jax.vmap(self.model.draw_prior)(keys)  # for the types of its sites
+        state = RacingState(zeros - 1, before, zeros, zeros > 0, zeros, n_of_pair, nothing, keys)
         return self._step(state, given)
 
     def _step(self, state: RacingState, given: dict[str, jax.Array] | None = None) -> RacingState:
@@ -161,8 +144,9 @@ class Racing(EventKernel[RacingState]):
         log_proposal = jax.vmap(lambda one: log_density(self.guide, one, self.n_windows))(sites)
         seed = jax.vmap(program.simulator_seed)(keys[:, 1], sites)
         log_floor = log_mass.max() - NEGLIGIBLE - log_prior_of_pair[pair]
+        without_error = program.log_likelihood(jnp.zeros(program.n_frames)).sum()
         errors = jax.vmap(program.simulate)(
-            sites, log_prior, seed, self._error_ceiling(log_floor), log_proposal
+            sites, log_prior, seed, self.error_ceiling(log_floor + without_error), log_proposal
         )
         completed = jnp.isfinite(errors).all(axis=-1)
         found = jax.vmap(program.relative_log_likelihood)(errors)
@@ -237,13 +221,6 @@ class Racing(EventKernel[RacingState]):
         with np.errstate(divide="ignore"):
             return jnp.asarray(np.log(mass.ravel()), jnp.float32)
 
-    def _error_ceiling(self, log_floor: jax.Array) -> jax.Array:
-        """Return (particle,) the summed error at which L falls to the floor, units."""
-        n_frames = self.model.n_frames
-        without_error = self.model.log_likelihood(jnp.zeros(n_frames)).sum()
-        floor = jnp.where(jnp.isfinite(log_floor), log_floor + without_error, -jnp.inf)
-        return self.model.likelihood.max_total_error(floor, n_frames)
-
 
 def _by(share: float, i: jax.Array, n: int) -> jax.Array:
     """Return how many of n particles' simulations were for a purpose after i iterations."""
@@ -252,5 +229,5 @@ def _by(share: float, i: jax.Array, n: int) -> jax.Array:
 
 def _pair_of(sites: Sites) -> jax.Array:
     """Return (...) the pair of effective goals, 36 x that of red + that of green."""
-    pairs = jnp.asarray(effective_table() @ [N_GOALS, 1], jnp.int32)
+    pairs = jnp.asarray(effective_pairs(), jnp.int32)
     return pairs[tuple(sites[name] for name in (*GOAL_SITES, ALPHA_SITE))]
