@@ -5,11 +5,14 @@ from __future__ import annotations
 import contextlib
 import csv
 import io
-from collections.abc import Iterator
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 from phase_ppl.dataset.documents import MAX_BYTES
 from phase_ppl.world.errors import InvalidEventError, PhasePPLError
+from phase_ppl.world.files import existing_file
 
 
 def csv_text(source: Path) -> str:
@@ -52,3 +55,55 @@ def naming_line(line: int) -> Iterator[None]:
         yield
     except PhasePPLError as error:
         raise type(error)(f", line {line}: {error}") from None
+
+
+def read_rows(
+    path: str | os.PathLike[str],
+    names: Sequence[str],
+    check: Callable[[dict[str, Any]], None],
+    required: Sequence[str] | None = None,
+) -> list[dict[str, Any]]:
+    """Return the cells of some columns of a CSV file, row by row, as text.
+
+    Args:
+        path: of the file.
+        names: of the columns; others are not read.
+        check: is given each row, and may change it, or raise.
+        required: those whose cells must not be empty; default all.
+
+    Raises:
+        InvalidEventError: there is no such file, it holds no rows, columns or cells are missing, or
+            ``check`` raised it; the message names file and line.
+    """
+    source = existing_file(path)
+    found: list[dict[str, Any]] = []
+    try:
+        lines = csv_lines(csv_text(source))
+        line, header = next(lines, (0, []))
+        for name in names:
+            if header.count(name) != 1:
+                raise InvalidEventError(f", line {line}: expected a column {name}")
+        for line, cells in lines:
+            with naming_line(line):
+                if len(cells) != len(header):
+                    raise InvalidEventError(f"has {len(cells)} cells, expected {len(header)}")
+                row = dict(zip(header, cells, strict=True))
+                for name in names if required is None else required:
+                    if not row[name]:
+                        raise InvalidEventError(f"{name} is empty")
+                found.append({name: row[name] for name in names})
+                check(found[-1])
+    except PhasePPLError as error:
+        raise type(error)(f"{source}{error}") from None
+    if not found:
+        raise InvalidEventError(f"{source}: holds no rows")
+    return found
+
+
+def csv_bytes(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> bytes:
+    """Return a CSV file of rows; cells that are None stay empty."""
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(header)
+    writer.writerows(["" if cell is None else cell for cell in row] for row in rows)
+    return text.getvalue().encode()

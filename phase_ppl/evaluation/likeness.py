@@ -20,10 +20,10 @@ from typing import Any, Final, Literal
 import numpy as np
 import pandas as pd
 
-from phase_ppl.evaluation.tags import read_rows
+from phase_ppl.evaluation.csv_file import read_rows
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import positive_number
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown, unknown_name
+from phase_ppl.world.errors import InvalidEventError, shown, unknown_name
 
 RATINGS: Final = (1, 2, 3, 4, 5)
 MARGIN: Final = 0.5
@@ -159,16 +159,3 @@ def load_likeness(path: str | os.PathLike[str]) -> Likeness:
         found = sorted({row["group"] for row in rows})
         raise InvalidEventError(f"{path}: groups are {shown(found)}, expected two")
     return Likeness(pd.DataFrame(rows))
-
-
-def as_likeness(source: object) -> Likeness:
-    """Return ratings, read where they are a file.
-
-    Raises:
-        InvalidSettingError: it is neither; or as :func:`load_likeness`.
-    """
-    if isinstance(source, str | os.PathLike):
-        return load_likeness(source)
-    if not isinstance(source, Likeness):
-        raise InvalidSettingError(f"{shown(source)}, expected a Likeness or its file")
-    return source

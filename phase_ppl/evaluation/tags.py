@@ -16,14 +16,12 @@ from __future__ import annotations
 import dataclasses
 import functools
 import os
-from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 import pandas as pd
 
-from phase_ppl.evaluation.csv_file import csv_lines, csv_text, naming_line
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, PhasePPLError, shown
-from phase_ppl.world.files import existing_file
+from phase_ppl.evaluation.csv_file import read_rows
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
 
 LABELS: Final = (
     "not interacting",
@@ -132,58 +130,3 @@ def load_tags(path: str | os.PathLike[str]) -> Tags:
 
     rows = read_rows(path, names, check, required=names[:2])
     return Tags(pd.DataFrame(rows, columns=list(names), dtype=object))
-
-
-def read_rows(
-    path: str | os.PathLike[str],
-    names: Sequence[str],
-    check: Callable[[dict[str, Any]], None],
-    required: Sequence[str] | None = None,
-) -> list[dict[str, Any]]:
-    """Return the cells of some columns of a CSV file, row by row, as text.
-
-    Args:
-        path: of the file.
-        names: of the columns; others are not read.
-        check: is given each row, and may change it, or raise.
-        required: those whose cells must not be empty; default all.
-
-    Raises:
-        InvalidEventError: as :func:`load_tags`.
-    """
-    source = existing_file(path)
-    found: list[dict[str, Any]] = []
-    try:
-        lines = csv_lines(csv_text(source))
-        line, header = next(lines, (0, []))
-        for name in names:
-            if header.count(name) != 1:
-                raise InvalidEventError(f", line {line}: expected a column {name}")
-        for line, cells in lines:
-            with naming_line(line):
-                if len(cells) != len(header):
-                    raise InvalidEventError(f"has {len(cells)} cells, expected {len(header)}")
-                row = dict(zip(header, cells, strict=True))
-                for name in names if required is None else required:
-                    if not row[name]:
-                        raise InvalidEventError(f"{name} is empty")
-                found.append({name: row[name] for name in names})
-                check(found[-1])
-    except PhasePPLError as error:
-        raise type(error)(f"{source}{error}") from None
-    if not found:
-        raise InvalidEventError(f"{source}: holds no rows")
-    return found
-
-
-def as_tags(source: object) -> Tags:
-    """Return labels, read where they are a file.
-
-    Raises:
-        InvalidSettingError: it is neither; or as :func:`load_tags`.
-    """
-    if isinstance(source, str | os.PathLike):
-        return load_tags(source)
-    if not isinstance(source, Tags):
-        raise InvalidSettingError(f"{shown(source)}, expected Tags or their file")
-    return source

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
-import io
 import json
 import statistics
 import time
@@ -15,6 +13,7 @@ from typing import Any, Final, NamedTuple
 
 from phase_ppl import __version__
 from phase_ppl.dataset.load import save_events
+from phase_ppl.evaluation.csv_file import csv_bytes
 from phase_ppl.study.settings import Settings
 from phase_ppl.study.store import Store
 from phase_ppl.world.errors import OutputError
@@ -189,7 +188,7 @@ def write(
         tables["people.csv"] = [list(r.values()) for r in asked if r["participant"] in included]
     files, columns = {name: "" for name in tables}, dict(_COLUMNS)
     for name, rows in tables.items():
-        write_bytes(out / name, (".csv",), _csv(list(_COLUMNS[name]), rows))
+        write_bytes(out / name, (".csv",), csv_bytes(list(_COLUMNS[name]), rows))
     save_events(list(events.values()), out / "events.json")
     files["events.json"] = "the events that were shown" + " or played" * (settings.kind == "play")
     for config in store.rows("SELECT sha256, text FROM config ORDER BY first_used"):
@@ -232,14 +231,6 @@ def _answers(settings: Settings, viewings: Iterable[Mapping[str, Any]]) -> dict[
 
 def _number(value: float | None, divisor: float = 1.0) -> str:
     return "" if value is None else f"{value / divisor:.3f}".rstrip("0").rstrip(".")
-
-
-def _csv(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> bytes:
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows(["" if cell is None else cell for cell in row] for row in rows)
-    return text.getvalue().encode()
 
 
 def _viewings(store: Store) -> list[dict[str, Any]]:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import functools
-import io
 import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -14,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from phase_ppl.dataset.load import save_events
+from phase_ppl.evaluation.csv_file import csv_bytes
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import ACTION_NAMES, NO_ACTION, Action
 from phase_ppl.physics.pymunk_world import PymunkWorld
@@ -291,8 +290,6 @@ def export(
 
 
 def _write(folder: Path, name: str, rows: Iterable[Mapping[str, Any]]) -> None:
-    text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, list(COLUMNS[name]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    write_bytes(folder / name, (".csv",), text.getvalue().encode())
+    columns = list(COLUMNS[name])
+    content = csv_bytes(columns, ([row[column] for column in columns] for row in rows))
+    write_bytes(folder / name, (".csv",), content)

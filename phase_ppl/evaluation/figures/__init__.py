@@ -12,7 +12,7 @@ import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeVar
 
 from phase_ppl.analysis.figures.style import written
 from phase_ppl.evaluation.comparison import ModelComparison
@@ -20,12 +20,15 @@ from phase_ppl.evaluation.figures import grids as _grids
 from phase_ppl.evaluation.figures import people as _people
 from phase_ppl.evaluation.figures import rows as _rows
 from phase_ppl.evaluation.figures.layout import NothingToDrawError, Results, Source
-from phase_ppl.evaluation.likeness import MARGIN, Likeness, as_likeness
-from phase_ppl.evaluation.tags import MAJORITY, Tags, as_tags
+from phase_ppl.evaluation.likeness import MARGIN, Likeness, load_likeness
+from phase_ppl.evaluation.tags import MAJORITY, Tags, load_tags
+from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.files import writable_folder
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+_Data = TypeVar("_Data")
 
 FOLDER: Final = "figures"
 """The folder of the figures in that of the results."""
@@ -165,6 +168,14 @@ differences = _public("differences")
 equivalence = _public("equivalence")
 
 
+def _read(source: Any, kind: type[_Data], load: Callable[[Any], _Data]) -> _Data:
+    if isinstance(source, str | os.PathLike):
+        return load(source)
+    if not isinstance(source, kind):
+        raise InvalidSettingError(f"{shown(source)}, expected {kind.__name__} or their file")
+    return source
+
+
 def tags(
     source: Tags | str | os.PathLike[str],
     path: str | os.PathLike[str] | None = None,
@@ -177,8 +188,12 @@ def tags(
         source: labels, or their CSV file (:mod:`phase_ppl.evaluation.tags`), anybody's.
         path: where to write it as well.
         majority: share of the viewers of a video from which on it has a category.
+
+    Raises:
+        InvalidSettingError: ``source`` is neither labels nor a file, or ``majority`` no share.
+        InvalidEventError: the file holds no labels; the message names file and line.
     """
-    return written(_people.tags(as_tags(source), majority), path)
+    return written(_people.tags(_read(source, Tags, load_tags), majority), path)
 
 
 def likeness(
@@ -193,5 +208,9 @@ def likeness(
         source: ratings, or their CSV file (:mod:`phase_ppl.evaluation.likeness`), anybody's.
         path: where to write it as well.
         margin: difference of mean ratings below which the groups count as equivalent.
+
+    Raises:
+        InvalidSettingError: ``source`` is neither ratings nor a file, or ``margin`` not positive.
+        InvalidEventError: the file holds no ratings; the message names file and line.
     """
-    return written(_people.likeness(as_likeness(source), margin), path)
+    return written(_people.likeness(_read(source, Likeness, load_likeness), margin), path)
