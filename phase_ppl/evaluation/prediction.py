@@ -58,8 +58,8 @@ class Prediction:
     errors: Mapping[str, FloatArray] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        given = {**self.probabilities, **self.answers, **self.errors}
-        for question in given:
+        given = {**self.probabilities, **self.answers}
+        for question in {**given, **self.errors}:
             if question not in QUESTIONS:
                 raise unknown_name("question", question, QUESTIONS)
         probabilities = {

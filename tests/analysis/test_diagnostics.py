@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from phase_ppl.analysis import Posterior
 from phase_ppl.analysis.diagnostics import ess, mcse, r_hat
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import Hypothesis
+from phase_ppl.world.names import LANDMARKS
 
 from .factory import BLUE_TO_RED, PINK_TO_BLUE, Simulation, hypothesis, make_tree, random_tree
 
@@ -268,3 +271,57 @@ def test_diagnostics_are_plain_data(shape: tuple[int, int], weights: str) -> Non
     post = Posterior(random_tree(5, *shape), weights)
     found = post.diagnostics()
     assert json.loads(json.dumps(found, allow_nan=False)) == found
+
+
+def rivals_of(h: Hypothesis) -> list[Hypothesis]:
+    """Return those with which one agent wants its item at another landmark."""
+    found = []
+    for name in ("goal_red", "goal_green"):
+        goal = GOALS[getattr(h, name)]
+        for landmark in LANDMARKS:
+            other = f"{goal.rsplit(' to ', 1)[0]} to {landmark}"
+            if other in GOALS and other != goal:
+                found.append(dataclasses.replace(h, **{name: GOALS.index(other)}))
+    return found
+
+
+def test_an_answer_is_decided_only_where_all_its_rivals_were_simulated() -> None:
+    rivals = rivals_of(A)
+    assert len(rivals) > 2
+    lead = [Simulation(A, seed, iteration=1, log_likelihood=-5.0) for seed in range(12)]
+    lost = [Simulation(h, 99, iteration=1, log_likelihood=-60.0) for h in rivals]
+    draws = [[place] for place in range(12)]
+
+    def diagnose(simulations: list[Simulation]) -> dict[str, Any]:
+        tree = make_tree(simulations, draws)
+        prior = np.full((len(GOALS), len(GOALS)), 1 / len(GOALS) ** 2)
+        tree["constant_data"]["prior_of_pairs"] = xr.DataArray(prior, dims=("red", "green"))
+        return Posterior(tree, "count").diagnostics()
+
+    found = diagnose(lead + lost)
+    assert found["untried_rivals"] == 0
+    assert found["decided"]
+    assert "rivals" not in found["verdict"]
+    found = diagnose(lead + lost[1:])
+    assert found["untried_rivals"] == 1
+    assert not found["decided"]
+    assert "1 rivals of the leading goals" in found["verdict"]
+    failed = dataclasses.replace(lost[0], failed=True, completed=False)
+    assert diagnose([*lead, failed, *lost[1:]])["untried_rivals"] == 1
+    untold = Posterior(make_tree(lead + lost[1:], draws), "count").diagnostics()
+    assert untold["untried_rivals"] == 0, "a file without the prior cannot tell"
+    assert not untold["decided"]
+
+
+def test_leaders_say_by_how_much_they_lead() -> None:
+    simulations = [proposed(A, seed) for seed in range(9)] + [proposed(B, 9)]
+    post = Posterior(make_tree(simulations, [[place] for place in range(10)]), "count")
+    found = post.leaders()["goal_red"]
+    assert (found["label"], found["next"]) == (GOALS[A.goal_red], GOALS[B.goal_red])
+    assert (found["probability"], found["next_probability"]) == pytest.approx((0.9, 0.1))
+    assert found["sure"]
+    split = [proposed(h, seed) for seed, h in enumerate([A] * 6 + [B] * 4)]
+    post = Posterior(make_tree(split, [[place] for place in range(10)]), "count")
+    assert not post.leaders()["goal_red"]["sure"], "0.6 of ten draws is not yet a majority"
+    alone = Posterior(make_tree(simulations[:1], [[0]]), "count")
+    assert not alone.leaders()["goal_red"]["sure"], "one draw knows no error"

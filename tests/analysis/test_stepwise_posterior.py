@@ -81,8 +81,15 @@ def test_over_time_is_the_posterior_at_each_frame() -> None:
             np.testing.assert_allclose(
                 found[name].values[frame], at.marginal(name).values, atol=1e-9
             )
+        for label in ("friendly", "neutral", "adversarial"):
+            error = found["relation_error"].sel(relation_is=label).values[frame]
+            expected = at.probability(relation=label).error
+            assert error == pytest.approx(expected, rel=1e-6, abs=1e-9)
+    assert (found["relation_error"].values[-1] > 0.001).any()
     assert "filtering" in found.attrs
     assert len(post.at(1).over_time()["time"]) == 2
+    one = StepwisePosterior(reading(planner_seeds=1)).over_time()
+    assert np.isnan(one["relation_error"].values).all()
 
 
 def test_the_best_hypothesis_leads_and_the_evidence_grows() -> None:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import phase_ppl as ppl
@@ -15,7 +17,7 @@ from phase_ppl.evaluation.metrics import reference_models
 from phase_ppl.evaluation.people import human_accuracy
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.references import reference_predictions
-from phase_ppl.world.errors import PhasePPLError, UnknownNameError
+from phase_ppl.world.errors import InvalidEventError, PhasePPLError, UnknownNameError
 from tests.evaluation.judged import (
     BLUE_TO_RED,
     COLLABORATIVE,
@@ -68,6 +70,32 @@ def test_predictions_of_the_package_are_read_back(tmp_path: Path) -> None:
     found = reference_predictions(events)["mine"]
     assert found["a"].to_dict() == record
     assert found["b"].answers == {"relation": "neutral"}
+
+
+def test_errors_of_probabilities_are_kept() -> None:
+    errors = [0.1, float("nan"), 0.0]
+    made = Prediction("a", {"relation": [0.5, 0.25, 0.25]}, errors={"relation": errors})
+    assert str(made.estimate("relation", "friendly")) == "0.50 ± 0.10"
+    assert np.isnan(made.estimate("relation", "neutral").error)
+    again = Prediction.from_dict(json.loads(json.dumps(made.to_dict())))
+    np.testing.assert_array_equal(again.errors["relation"], errors)
+    unknown = Prediction("a", {"relation": [0.5, 0.25, 0.25]})
+    assert "errors" not in unknown.to_dict()
+    assert np.isnan(unknown.estimate("relation", "friendly").error)
+
+
+@pytest.mark.parametrize(
+    ("errors", "message"),
+    [
+        ({"goal_red": [0.1] * 36}, "goal_red has errors, but no probabilities"),
+        ({"relation": [0.1, 0.1]}, "relation has errors .*, expected 3 numbers >= 0 or NaN"),
+        ({"relation": [0.1, -0.1, 0.1]}, "expected 3 numbers >= 0"),
+        ({"relations": [0.1, 0.1, 0.1]}, "unknown question 'relations'"),
+    ],
+)
+def test_bad_errors_are_refused(errors: dict[str, list[float]], message: str) -> None:
+    with pytest.raises((InvalidEventError, UnknownNameError), match=message):
+        Prediction("a", {"relation": [0.5, 0.25, 0.25]}, errors=errors)
 
 
 def test_probabilities_of_goals_may_be_given_for_one_agent() -> None:
