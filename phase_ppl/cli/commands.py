@@ -3,46 +3,60 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import sys
 from collections.abc import Sequence
 from typing import Final
 
 import phase_ppl
-from phase_ppl.cli import (
-    compare,
-    compare_models,
-    evaluate,
-    events,
-    generate,
-    infer,
-    results,
-    study,
-    train,
-)
 from phase_ppl.cli.shared import BAD_INPUT, Parser, one_line
 from phase_ppl.world.errors import PhasePPLError
 
-_COMMANDS: Final = (
-    infer.add_to,
-    events.add_simulate,
-    events.add_render,
-    compare.add_to,
-    results.add_query,
-    evaluate.add_to,
-    compare_models.add_to,
-    results.add_report,
-    results.add_diagnose,
-    generate.add_to,
-    events.add_describe,
-    train.add_to,
-    study.add_to,
-    events.add_export,
-)
-"""What adds the commands, in the order in which ``--help`` lists them."""
+COMMANDS: Final = {
+    "infer": (
+        "infer",
+        "print, draw and save the posterior over goals, relation and strengths of an event",
+    ),
+    "resume": ("infer", "go on with an interrupted run, or extend one"),
+    "simulate": ("events", "run the joint simulator from an event's start under a hypothesis"),
+    "render": ("events", "film an event, or draw a frame or a film strip of it"),
+    "compare": (
+        "compare",
+        "compare kernels on an event: same budget, several seeds, against a reference",
+    ),
+    "query": (
+        "results",
+        "ask a saved posterior, as in 'P(relation=friendly | goal_red=get to green agent)'",
+    ),
+    "evaluate": ("evaluate", "ask a model about many events, and score what it answers"),
+    "compare-models": (
+        "compare_models",
+        "compare evaluations of several models, and people, on the same events",
+    ),
+    "report": (
+        "results",
+        "make one self-contained HTML page of a run, an evaluation or a comparison",
+    ),
+    "diagnose": ("results", "say whether the chains of a posterior can be trusted"),
+    "generate": ("generate", "make a data set of simulated social events"),
+    "verify": ("generate", "compare a generated data set with its checksums"),
+    "describe": (
+        "events",
+        "print and draw the statistics of a set of events beside those of PHASE",
+    ),
+    "train": ("train", "train a model of social perception on a generated data set"),
+    "study": ("study", "put events before people, in the browser"),
+    "export": (
+        "events",
+        "write events in another format, or read the pickles of PHASE's authors",
+    ),
+}
+"""Command -> the module that adds it, which is imported where it is asked for; what it does."""
 
 
 def run(arguments: Sequence[str] | None) -> int:
     """Run a command; return the exit code."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
     parser = Parser(
         prog="phase-ppl",
         description="Who wants what? Social perception grounded in intuitive physics.",
@@ -50,9 +64,12 @@ def run(arguments: Sequence[str] | None) -> int:
     )
     parser.add_argument("--version", action="version", version=phase_ppl.__version__)
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
-    for add in _COMMANDS:
-        add(commands)
-    options: argparse.Namespace = parser.parse_args(arguments)
+    if given and given[0] in COMMANDS:
+        importlib.import_module(f"phase_ppl.cli.{COMMANDS[given[0]][0]}").add_to(commands)
+    else:
+        for name, (_, does) in COMMANDS.items():
+            commands.add_parser(name, help=does)
+    options: argparse.Namespace = parser.parse_args(given)
     try:
         code: int = options.run(options)
         return code

@@ -34,7 +34,6 @@ def add_to(commands: Any) -> None:
     """Add the command."""
     parser = commands.add_parser(
         "compare-models",
-        help="compare evaluations of several models, and people, on the same events",
         description="Compare evaluations of several models, and people, on the same events: "
         "accuracy, agreement with people, paired differences with Holm's correction, equivalence "
         "with people, cost.",

@@ -53,7 +53,6 @@ def add_to(commands: Any) -> None:
     """Add the command."""
     parser = commands.add_parser(
         "evaluate",
-        help="ask a model about many events, and score what it answers",
         description="Ask a model about many events, longest first, and score what it answers. "
         "Without EVENTS, the evaluation in --out is read and shown again, to be compared by "
         "--against.",

@@ -41,8 +41,15 @@ def _alpha(text: str) -> int:
     return int(text)
 
 
-def add_simulate(commands: Any) -> None:
-    """Add the command ``simulate``."""
+def add_to(commands: Any) -> None:
+    """Add the commands."""
+    _add_simulate(commands)
+    _add_render(commands)
+    _add_describe(commands)
+    _add_export(commands)
+
+
+def _add_simulate(commands: Any) -> None:
     parser = event_command(
         commands,
         "simulate",
@@ -95,8 +102,7 @@ def _simulate(options: argparse.Namespace) -> int:
     return 0
 
 
-def add_render(commands: Any) -> None:
-    """Add the command ``render``."""
+def _add_render(commands: Any) -> None:
     parser = event_command(
         commands,
         "render",
@@ -147,8 +153,7 @@ def _render(options: argparse.Namespace) -> int:
     return 0
 
 
-def add_describe(commands: Any) -> None:
-    """Add the command ``describe``."""
+def _add_describe(commands: Any) -> None:
     parser = command(
         commands,
         "describe",
@@ -207,8 +212,7 @@ def _statistics(path: Path) -> tuple[list[Event], Mapping[str, Any]]:
     return events, phase_ppl.statistics(events, manifest, name=name)
 
 
-def add_export(commands: Any) -> None:
-    """Add the command ``export``."""
+def _add_export(commands: Any) -> None:
     parser = command(
         commands,
         "export",

@@ -41,7 +41,6 @@ def add_to(commands: Any) -> None:
         "Make a data set like PHASE: draw situations, simulate them, keep those that show what "
         "they should.",
         "phase-ppl generate --n 20 --seed 1 --out events",
-        help="make a data set of simulated social events",
     )
     size = parser.add_mutually_exclusive_group()
     size.add_argument("--n", metavar="N", type=whole(1), help="events, in the paper's proportions")
@@ -96,7 +95,6 @@ def add_to(commands: Any) -> None:
         _verify,
         "Compare a generated data set with its checksums.",
         "phase-ppl verify events",
-        help="compare a generated data set with its checksums",
     )
     check.add_argument("folder", metavar="DIR", type=Path)
 

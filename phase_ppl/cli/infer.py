@@ -111,7 +111,6 @@ def add_to(commands: Any) -> None:
         _resume,
         "Go on with an interrupted run, or extend one, as if it had never stopped.",
         "phase-ppl resume out/run.ckpt --workers 4",
-        help="go on with an interrupted run, or extend one",
     )
     resume.add_argument("file", metavar="FILE", type=Path, help="the run.ckpt that it left")
     resume.add_argument("--out", metavar="DIR", type=Path, help="default: where FILE is")

@@ -72,11 +72,16 @@ strength_A, with A = red or green; relation, scenario, alpha; sites of your own.
 example: phase-ppl query out "P(relation=friendly)" "top 3 goal_red" """
 
 
-def add_query(commands: Any) -> None:
-    """Add the command ``query``."""
+def add_to(commands: Any) -> None:
+    """Add the commands."""
+    _add_query(commands)
+    _add_diagnose(commands)
+    _add_report(commands)
+
+
+def _add_query(commands: Any) -> None:
     parser = commands.add_parser(
         "query",
-        help="ask a saved posterior, as in 'P(relation=friendly | goal_red=get to green agent)'",
         description=_HELP,
         epilog=_QUANTITIES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -184,8 +189,7 @@ _BLOCKS: Final = 10
 """Stretches of iterations whose acceptance is printed, at most."""
 
 
-def add_diagnose(commands: Any) -> None:
-    """Add the command ``diagnose``."""
+def _add_diagnose(commands: Any) -> None:
     parser = command(
         commands,
         "diagnose",
@@ -335,15 +339,13 @@ def _whole(value: float | None) -> str:
 # --- report ----------------------------------------------------------------------------------
 
 
-def add_report(commands: Any) -> None:
-    """Add the command ``report``."""
+def _add_report(commands: Any) -> None:
     parser = command(
         commands,
         "report",
         _report,
         "Make one self-contained HTML page of a run, an evaluation, or a comparison of models.",
         "phase-ppl report out",
-        help="make one self-contained HTML page of a run, an evaluation or a comparison",
     )
     parser.add_argument(
         "folder",

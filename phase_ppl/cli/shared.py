@@ -90,11 +90,11 @@ def whole(minimum: int) -> Any:
 
 
 def command(
-    commands: Any, name: str, run: Any, description: str, example: str, *, help: str | None = None
+    commands: Any, name: str, run: Any, description: str, example: str
 ) -> argparse.ArgumentParser:
-    """Add a command; ``help`` is what the list of all says of it, by default the description."""
+    """Add a command."""
     parser: argparse.ArgumentParser = commands.add_parser(
-        name, help=help or description, description=description, epilog=f"example: {example}"
+        name, help=description, description=description, epilog=f"example: {example}"
     )
     parser.set_defaults(run=run)
     return parser

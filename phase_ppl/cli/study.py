@@ -23,7 +23,6 @@ def add_to(commands: Any) -> None:
     """Add the command."""
     parser = commands.add_parser(
         "study",
-        help="put events before people, in the browser",
         description="The paper's studies of people in the browser: judgments, tags, sessions "
         "played by hand, and their likeness to people. docs/studies.md tells how to run one.",
         epilog="example: phase-ppl study demo",
@@ -77,7 +76,7 @@ def add_to(commands: Any) -> None:
     exclude.add_argument("--reason", metavar="TEXT", required=True)
     demo = command(
         parts, "demo", _demo, "Make a study of the bundled events and serve it; nothing is kept.",
-        "phase-ppl study demo", help="try a study of bundled events",
+        "phase-ppl study demo",
     )  # fmt: skip
     demo.add_argument("--kind", choices=_KINDS, default="judgment")
     _add_server(demo)

@@ -33,7 +33,6 @@ def add_to(commands: Any) -> None:
         "Train a model of social perception on a generated data set: networks from several seeds, "
         "whose answers are averaged. Needs the extra neural (PyTorch).",
         "phase-ppl train socialgnn --data events --out gnn",
-        help="train a model of social perception on a generated data set",
     )
     parser.add_argument("model", choices=("socialgnn",))
     parser.add_argument(
