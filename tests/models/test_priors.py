@@ -52,6 +52,14 @@ def density(name: str, codes: Any, strengths: Any) -> np.ndarray:
     return np.exp(np.asarray(compiled_density(name)(z), float))
 
 
+@ALL
+def test_a_ready_made_prior_passes_the_checks_of_a_users_own(name: str) -> None:
+    prior = priors.named(name)
+    assert list(Model(prior=lambda: prior()).sites.items()) == list(
+        Model(prior=prior).sites.items()
+    )
+
+
 @functools.cache
 def draws(name: str, n: int = 20_000) -> dict[str, np.ndarray]:
     many = compiled_quickly(jax.vmap(lambda key: draw(priors.named(name), key)))
