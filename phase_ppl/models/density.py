@@ -56,6 +56,18 @@ def latent_sites(trace: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
+def site_shapes(program: Program) -> dict[str, tuple[int, ...]]:
+    """Return the latent sites of ``program()`` and their shapes; nothing is drawn or compiled."""
+    found: dict[str, tuple[int, ...]] = {}
+
+    def run() -> None:
+        trace = handlers.trace(handlers.seed(program, jax.random.key(0))).get_trace()
+        found.update({name: jnp.shape(s["value"]) for name, s in latent_sites(trace).items()})
+
+    jax.eval_shape(run)
+    return found
+
+
 def draw(program: Program, key: jax.Array, *args: Any) -> dict[str, jax.Array]:
     """Return values of all latent sites of ``program(*args)``."""
     trace = handlers.trace(handlers.seed(program, key)).get_trace(*args)

@@ -19,11 +19,7 @@ from jax.scipy.special import logsumexp
 from numpy.typing import NDArray
 from numpyro import handlers
 
-from phase_ppl.models.density import (
-    latent_sites,
-    remembered,
-    trace_log_density,
-)
+from phase_ppl.models.density import remembered, site_shapes, trace_log_density
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.goals import N_GOALS
@@ -63,7 +59,7 @@ def log_prior_of_hypotheses(prior: Prior, sites: Mapping[str, NDArray[Any]]) -> 
 
 @remembered(_PRIORS_KEPT)
 def _density(prior: Prior, names: tuple[str, ...]) -> Callable[[dict[str, jax.Array]], jax.Array]:
-    has_own = not latent_sites(_trace(prior, jax.random.key(0), {})).keys() <= set(names)
+    has_own = not site_shapes(prior).keys() <= set(names)
     keys = jax.random.split(jax.random.key(0), _OWN_DRAWS if has_own else 1)
 
     def given(key: jax.Array, z: dict[str, jax.Array]) -> jax.Array:

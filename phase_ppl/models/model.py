@@ -24,6 +24,7 @@ from phase_ppl.models.density import (
     latent_sites,
     log_density,
     remembered,
+    site_shapes,
 )
 from phase_ppl.models.likelihood import (
     InNats,
@@ -32,7 +33,6 @@ from phase_ppl.models.likelihood import (
     TrajectoryLikelihood,
     gives_table,
 )
-from phase_ppl.models.priors import PRIORS
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, HYPOTHESIS_SITES, STRENGTH_SITES
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.goals import N_GOALS
@@ -98,7 +98,6 @@ def checked_sites(prior: Program) -> dict[str, tuple[int, ...]]:
 @remembered(_REMEMBERED)
 def _checked(prior: Program) -> dict[str, tuple[int, ...]]:
     name = getattr(prior, "__name__", shown(prior))
-    ready_made = any(prior is known for _, known in PRIORS.items())
     try:
         jax.local_devices(backend="cpu")
     except RuntimeError as error:
@@ -106,23 +105,14 @@ def _checked(prior: Program) -> dict[str, tuple[int, ...]]:
         raise InvalidSettingError(
             f"JAX has no processor to work on, with JAX_PLATFORMS={platforms!r}: {_reason(error)}"
         ) from error
-    sites: dict[str, tuple[int, ...]] = {}
-
-    def run(key: jax.Array) -> None:
-        trace = handlers.trace(handlers.seed(prior, key)).get_trace()
-        sites.update({site: jnp.shape(s["value"]) for site, s in latent_sites(trace).items()})
-        if not ready_made:
-            _check_trace(name, trace)
-
-    if ready_made:  # nothing is drawn, which would take seconds: the tests check them
-        jax.eval_shape(run, random.key(0))
-        return sites
+    if any(prior is known for _, known in priors.PRIORS.items()):
+        return site_shapes(prior)  # to draw takes seconds, and the tests do
     try:
-        run(random.key(0))
-    except InvalidSettingError:
-        raise
+        trace = handlers.trace(handlers.seed(prior, random.key(0))).get_trace()
     except Exception as error:  # whatever a user's program does
         raise InvalidSettingError(f"the prior {name} cannot be run: {_reason(error)}") from error
+    _check_trace(name, trace)
+    sites = {site: tuple(jnp.shape(s["value"])) for site, s in latent_sites(trace).items()}
     _check_draws(name, prior, sites)
     return sites
 

@@ -26,7 +26,7 @@ from numpyro.distributions import constraints
 from numpyro.primitives import Messenger
 
 from phase_ppl.inference.proposals.tables import BottomUpTables
-from phase_ppl.models.density import Program, compiled_quickly, draw, log_density
+from phase_ppl.models.density import Program, draw, log_density
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, IMPOSSIBLE, STRENGTH_SITES, OneOf
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_RANGE
@@ -111,7 +111,7 @@ def _prior_of_alpha(prior: Program) -> jax.Array:
         return jnp.exp(trace[ALPHA_SITE]["fn"].log_prob(jnp.arange(len(ALPHAS))))
 
     keys = random.split(random.key(0), _PRIOR_DRAWS)
-    mean = compiled_quickly(jax.vmap(probabilities))(keys).mean(axis=0)
+    mean = jax.jit(jax.vmap(probabilities))(keys).mean(axis=0)
     return jnp.log(jnp.maximum(mean, _NEVER_ALPHA))
 
 
