@@ -62,10 +62,10 @@ def over_time(tree: xr.DataTree, scenario: ScenarioFunction | None = None) -> xr
     if not has_proposals(tree):
         name, (rows, weights) = "visited", _by_visits(tree)
     elif tree.attrs["weights"] == "stratified":
-        name, (rows, weights) = "stratified", _by_proposals(tree, log_shares(tree), normalised)
+        name, (rows, weights) = "stratified", _by_proposals(tree, log_shares(tree))
     else:
         name, log_prior = "importance", simulations["log_prior"].values
-        rows, weights = _by_proposals(tree, log_prior, lambda log: truncated(normalised(log)))
+        rows, weights = _by_proposals(tree, log_prior)
     codes = {goal: simulations[goal].values[rows] for goal in FOLLOWED[:2]}
     codes |= relation_codes(codes["goal_red"], codes["goal_green"], scenario)
     time = array(tree, "observed_data", "time")
@@ -93,15 +93,12 @@ def by_label(
     return result
 
 
-def _by_proposals(
-    tree: xr.DataTree, log_base: FloatArray, made: Callable[[FloatArray], FloatArray]
-) -> tuple[NDArray[np.int64], FloatArray]:
+def _by_proposals(tree: xr.DataTree, log_base: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
     """Return the rows of simulations and their weights (row, time).
 
     Args:
         tree: of draws.
         log_base: (simulation,) log weight beside the likelihood and the proposal's density.
-        made: of log weights the weights, sum 1.
     """
     simulations = tree["simulations"].dataset
     known, so_far = _likelihood_so_far(tree)
@@ -123,7 +120,7 @@ def _by_proposals(
     weights = np.zeros((len(rows), n_frames))
     for t, column in enumerate(log_weight[rows].T):
         usable = np.isfinite(column)
-        weights[usable, t] = made(column[usable])
+        weights[usable, t] = truncated(normalised(column[usable]))
     return rows, weights
 
 

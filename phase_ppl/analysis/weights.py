@@ -17,17 +17,17 @@ Every query is a sum over such a table. Which weighting is valid when:
     will do. Consistent as the simulations of every pair grow; a pair without any counts as
     impossible, and how much of the prior that is is known. Until then biased towards what is
     proposed often: of pairs simulated once or twice P / Q hardly counts. The weights P / Q within a
-    pair are truncated as under "importance".
+    pair, and then those of all, are truncated as under "importance".
 ``"importance"``
     Every completed simulation weighs P(h) L / Q(h), accepted or not, with Q the density of the
     proposal that it was drawn from, given all that was done before (Rudolf & Sprungk 2020,
     Electronic Journal of Statistics 14:857, on the proposals of a Markov chain). A simulation that
     could have been stopped early and was not weighs more by the reciprocal of the probability of
     that, so that those that were stopped are made up for. Weights are truncated at the square root
-    of their number times their mean (Ionides 2008, JCGS 17:295), which makes answers
-    from few simulations steadier and vanishes as they grow. Consistent, whatever the acceptance
-    rule; for kernels whose proposals have a density that covers the prior (``local_mh``,
-    ``prior_mh``, the local moves of ``mixture``).
+    of their number times their mean (Ionides 2008, JCGS 17:295), and what is left once more, so
+    that no simulation decides alone; it makes answers from few simulations steadier and vanishes as
+    they grow. Consistent, whatever the acceptance rule; for kernels whose proposals have a density
+    that covers the prior (``local_mh``, ``prior_mh``, the local moves of ``mixture``).
 ``"visited"``
     Every pair of effective goals that was simulated weighs its prior times the mean likelihood of
     its simulations, whatever they were proposed from. Not the posterior, however long the run:
@@ -180,7 +180,8 @@ def stratified(tree: xr.DataTree) -> Rows:
     with np.errstate(invalid="ignore"):  # of what failed
         log_weight = log_shares(tree) + simulations["log_likelihood"].values
         log_weight = log_weight + log_reciprocal_proposal(tree)
-    return _weighted_simulations(tree, "stratified", log_weight)
+    rows = _weighted_simulations(tree, "stratified", log_weight)
+    return dataclasses.replace(rows, weights=truncated(rows.weights))
 
 
 def log_shares(tree: xr.DataTree) -> FloatArray:
@@ -273,9 +274,11 @@ def log_reciprocal_proposal(
 
 
 def truncated(weights: FloatArray) -> FloatArray:
-    """Return weights of sum 1, none of which was above sqrt(n) times the mean of the n weights."""
-    kept = np.minimum(weights, weights.sum() / math.sqrt(weights.size))
-    return kept / kept.sum()
+    """Return n weights of sum 1, truncated at sqrt(n) times their mean, and then once more."""
+    # of weights that differ by many nats the first truncation leaves little beside the largest
+    for _ in range(2):
+        weights = np.minimum(weights, weights.sum() / math.sqrt(weights.size))
+    return weights / weights.sum()
 
 
 def aborted_mass_bound(tree: xr.DataTree) -> float:
