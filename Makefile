@@ -34,7 +34,7 @@ demo: $(VENV)/.installed
 	$(BIN)/phase-ppl infer $(EVENT) --planner $(PLANNER) --seed $(SEED) --out $(OUT) --overwrite
 
 test: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal $(ARGS)
+	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal --durations 40 --durations-min 4 $(ARGS)
 
 test-all: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -n $(JOBS) --dist worksteal -m 'slow or not slow' $(ARGS)

@@ -167,8 +167,8 @@ class GoalFilter:
         without += highest
         self._log_mass += self._weight * likelihood
         for agent, action in enumerate(most_probable_actions(density)):
-            for pair in self._policies:
-                pair[agent].done(action)
+            for both in self._policies:
+                both[agent].done(action)
         actions = np.stack([relative.sum(axis=1), relative.sum(axis=0)])
         return Reading(
             likelihood,
@@ -178,7 +178,7 @@ class GoalFilter:
             self._hidden.best().held.copy(),
             self._hidden.log_peak - highest,
             self._hidden.log_peak,
-            sum(len(root.actions) > 1 for pair in looked for one in pair for root in one.roots),
+            sum(len(root.actions) > 1 for both in looked for one in both for root in one.roots),
         )
 
     def _share(self, function: Callable[..., Any], tasks: Iterable[Any]) -> Iterator[Any]:
@@ -211,8 +211,8 @@ class GoalFilter:
         searches = [(one, intent) for one, _, _ in observing for intent in one.intents]
         roots = iter(list(self._share(lambda task: task[0].root_statistics(task[1]), searches)))
         return [
-            [Looked([next(roots) for _ in one.intents], one.of_pair.copy()) for one in pair]
-            for pair in self._policies
+            [Looked([next(roots) for _ in one.intents], one.of_pair.copy()) for one in both]
+            for both in self._policies
         ]
 
     def _model(self, strengths: tuple[float, float]) -> WorldModel:
@@ -247,8 +247,8 @@ def frame_log_likelihood(
     n = len(looked)
     # (set, agent, goal_red, goal_green, action), 0 where there is no intent
     policies = np.empty((n, len(AGENTS), N_GOALS, N_GOALS, N_ACTIONS))
-    for place, pair in enumerate(looked):
-        for agent, one in enumerate(pair):
+    for place, both in enumerate(looked):
+        for agent, one in enumerate(both):
             table = np.zeros((len(one.roots) + 1, N_ACTIONS))
             for row, root in enumerate(one.roots):
                 table[row] = conduct.policy(root)
