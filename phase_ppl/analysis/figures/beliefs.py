@@ -1,10 +1,11 @@
-"""How an agent's belief changes with what it sees (paper, Appendix C, figure of belief update)."""
+"""What an agent believes and where it looks (paper, Appendix C: belief update, value function)."""
 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
@@ -16,9 +17,12 @@ from phase_ppl.world.arrays import BoolArray, FloatArray
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidSettingError, unknown_name
 from phase_ppl.world.event import Event
-from phase_ppl.world.hypothesis import STRENGTH_RANGE
-from phase_ppl.world.names import AGENTS, ENTITIES
+from phase_ppl.world.geometry import heading
+from phase_ppl.world.hypothesis import STRENGTH_RANGE, Hypothesis
+from phase_ppl.world.names import AGENTS, ENTITIES, NOTHING
 from phase_ppl.world.observation import FRAMES_PER_SECOND, State
+from phase_ppl.world.rooms import RAY_DIRECTIONS
+from phase_ppl.world.scene import ARENA, Scene
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -81,12 +85,14 @@ def beliefs_of(event: Event, agent: int, particles: int, seed: int = 0) -> Itera
         yield Belief(found.visible.copy(), found.observed.copy(), np.array(poses_of_all))
 
 
-def _discovery(found: list[Belief]) -> int | None:
-    """Return the first frame after the start in which something is seen that was not before."""
-    for frame in range(1, len(found)):
-        if (found[frame].observed & ~found[frame - 1].observed).any():
-            return frame
-    return None
+def discovery(event: Event, agent: int) -> int | None:
+    """Return the first frame in which an agent sees something that it did not see before it."""
+    return _discovery([one.observed for one in beliefs_of(event, agent, 1)])
+
+
+def _discovery(observed: Sequence[BoolArray]) -> int | None:
+    pairs = itertools.pairwise(observed)
+    return next((i for i, (a, b) in enumerate(pairs, 1) if (b & ~a).any()), None)
 
 
 @figure_of(Event)
@@ -120,7 +126,7 @@ def beliefs(
     who = AGENTS.index(agent)
     found = list(beliefs_of(event, who, particles, seed))
     if frame is None:
-        frame = _discovery(found)
+        frame = _discovery([one.observed for one in found])
         if frame is None:
             raise InvalidSettingError(f"the {agent} of {event.id} sees nothing new: give a frame")
     whole_number("frame", frame, 1, len(found) - 1)
@@ -170,3 +176,76 @@ def _darken(axes: Axes, event: Event, visible: BoolArray) -> None:
     shade = np.zeros((side, side, 4))
     shade[..., 3] = np.where(visible.reshape(side, side), 0.0, _DARK)
     axes.imshow(shade, extent=(x0, x0 + side, y1 - side, y1), zorder=2, interpolation="nearest")
+
+
+# --- searching for what is not seen ---------------------------------------------------------------
+
+_SEARCH: Final = {
+    "walls": (10.0, 5.0, 0.0, 7.5),
+    "start": [[8.5, 19.5, 0.0], [20.0, 10.0, 2.8], [12.0, 20.0, 0.0], [24.0, 4.0, 0.0]],
+    "goals": ("Get red agent to blue lm", "Get blue item to red lm"),
+}
+"""Green does not see the blue item: most of what it has not seen, and the item, lie on the left; a
+room close to it lies above. Walls go up, left, down, right."""
+
+_SIZE: Final = 0.8
+_STEPS: Final = 100
+_STATIONS: Final = 6
+
+
+def search(
+    path: str | os.PathLike[str] | None = None,
+    *,
+    cost_weights: Sequence[float] = (0.0, 0.05),
+    planner: str = "fast",
+    seed: int = 0,
+) -> Figure:
+    """Draw how the green agent looks for an item, by what the way there counts.
+
+    Args:
+        path: where to write the figure as well.
+        cost_weights: lambda of each panel; the paper's 0 and 0.05.
+        planner: "fast" or "paper".
+        seed: of the simulations.
+
+    Raises:
+        InvalidSettingError, UnknownNameError: a cost weight or planner that cannot be used.
+    """
+    from phase_ppl.agents.config import PlannerConfig
+    from phase_ppl.simulator.joint import simulate
+
+    scene = Scene(np.array(_SEARCH["start"]), np.full(len(ENTITIES), _SIZE), _walls())
+    hypothesis = Hypothesis(*_SEARCH["goals"])  # type: ignore[arg-type]
+    figure = new_figure(3.6 * len(cost_weights), 3.9, "constrained")
+    green = AGENTS.index("green agent")
+    panels = figure.subplots(1, len(cost_weights), squeeze=False)[0]
+    for axes, weight, letter in zip(panels, cost_weights, "ABCDEFGH", strict=False):
+        config = dataclasses.replace(PlannerConfig.named(planner), cost_weight=weight)
+        event = simulate(scene, hypothesis, frames=_STEPS, seed=seed, planner=config)
+        frames = event.observation.trajectory
+        holds = items_held(frames, scene.radius)[:, green] != NOTHING
+        end = int(holds.argmax()) if holds.any() else len(frames) - 1
+        draw_arena(axes, scene)
+        for entity in range(len(ENTITIES)):
+            draw_entity(axes, entity, frames[0, entity], _SIZE)
+        axes.plot(*frames[: end + 1, green, :2].T, color="#00a000", lw=2, zorder=4)
+        for number, frame in enumerate(np.linspace(0, end, _STATIONS).round().astype(int), 1):
+            x, y, angle = frames[frame, green]
+            ahead = np.array([x, y]) + 2 * heading(angle)
+            axes.annotate("", ahead, (x, y), arrowprops={"arrowstyle": "->"}, zorder=4)
+            axes.plot(x, y, "o", ms=10, mfc="white", mec="#00a000", zorder=5)
+            axes.text(x, y, str(number), ha="center", va="center", fontsize=SMALL, zorder=6)
+        axes.set_title(f"{letter}  \N{GREEK SMALL LETTER LAMDA} = {weight:g}", fontsize=NORMAL)
+    figure.supxlabel(
+        "The green agent wants the blue item, which it does not see. Numbers: moments in order; "
+        "arrows: where it looks.",
+        fontsize=SMALL, color=GREY, wrap=True,
+    )  # fmt: skip
+    return written(figure, path)
+
+
+def _walls() -> FloatArray:
+    """Return the walls of the search, from the arena's centre outwards."""
+    centre = np.array(ARENA).reshape(2, 2).mean(axis=1)
+    pairs = zip(RAY_DIRECTIONS, _SEARCH["walls"], strict=True)
+    return np.array([[centre, centre + length * ray] for ray, length in pairs if length])
