@@ -43,16 +43,23 @@ class Printed(NamedTuple):
     high: float | None = None
     below: bool = False
 
+    @property
+    def digits(self) -> int:
+        """Decimals to show: none of a count."""
+        if self.value > 1 and self.value == int(self.value):
+            return 0
+        return 2 if round(self.value, 2) == self.value else 3
+
 
 def _of(scenario: str, kind: str) -> tuple[str, ...]:
     return "by_scenario", scenario, f"{kind}_accuracy"
 
 
 _HUMAN: Final = "Results, Human results"
-_ACCURACY: Final = "Results, Comparing model and human accuracy; Fig. accuracy"
-_GRADED: Final = "Results, Explaining human graded judgments; Fig. correlation"
-_SETS: Final = "A Paradigm"
-_A2: Final = "Appendix A.2"
+_ACCURACY: Final = "Results, Comparing model and human accuracy"
+_GRADED: Final = "Results, Explaining human graded judgments"
+_SETS: Final = "A Paradigm for Physically Grounded Social Perception"
+_A2: Final = "Appendix A.2, Comparing PHASE and human-generated videos"
 
 _GOALS_R: Final = ("human", "goal_r")
 _RELATIONS_R: Final = ("human", "relation_r")
@@ -97,9 +104,9 @@ PRINTED: Final = (
     Printed(_SETS, "share of friendly events", EVENTS, ("friendly",), 200 / 500),
     Printed(_SETS, "share of neutral events", EVENTS, ("neutral",), 108 / 500),
     Printed(_SETS, "share of adversarial events", EVENTS, ("adversarial",), 192 / 500),
-    Printed(f"{_SETS}; Fig. video annotation", "labels used, of 23", LABELLED, ("used",), 23),
+    Printed(_SETS, "labels used, of 23", LABELLED, ("used",), 23),
     Printed(
-        f"{_SETS}; Fig. video annotation", "labels that are a category", LABELLED,
+        _SETS, "labels that are a category", LABELLED,
         ("categories",), 18,
     ),
     Printed(_A2, "mode of responses right, goals", STEERED, (), 0.965),

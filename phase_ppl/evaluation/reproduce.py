@@ -24,7 +24,7 @@ import numpy as np
 
 from phase_ppl.dataset.documents import read_json
 from phase_ppl.dataset.generated import MANIFEST
-from phase_ppl.evaluation.answer_sets import PEOPLE
+from phase_ppl.evaluation.answer_sets import PEOPLE, label_of
 from phase_ppl.evaluation.bootstrap import Figure, proportion
 from phase_ppl.evaluation.comparison import ModelComparison, compare_models
 from phase_ppl.evaluation.evaluate import evaluate
@@ -118,8 +118,8 @@ def models_of(profile: str, vlm_store: str | os.PathLike[str] | None) -> dict[st
     if profile == "quick":
         quick = {**printed, "planner": "fast", **_FEW}
         found = {
-            "simple_as_printed": Asked("simple", 16, quick, SIMPLE),
-            "simple": Asked("simple", 16, _FEW, SIMPLE),
+            "simple_as_printed": Asked("simple", 20, quick, SIMPLE),
+            "simple": Asked("simple", 20, _FEW, SIMPLE),
         }
     else:
         found = {
@@ -220,7 +220,7 @@ def reproduce(
         comparison = compare_models(found, stored="all")
         comparison.save(folder / COMPARED)
         cells = list(_cells(comparison, asked, missing, labels, rated))
-        notes = [note, *(f"{label} is left out: {why}" for label, why in missing.items())]
+        notes = [note, *(f"{label_of(label)} is left out: {why}" for label, why in missing.items())]
         if real and len(events) != _VIDEOS:
             notes.append(f"the paper has {_VIDEOS} test videos, these are {len(events)}")
         if profile == "quick":
@@ -317,7 +317,10 @@ def _cells(
             of_model = {**metrics, **others}.get(label, {})
             ours = at(of_model, printed.path) if printed.path else None
             if ours is not None:
-                yield Cell(printed, label, ours, verdict(printed, ours))
+                alone = printed.path[0] == "by_scenario" and ours["ci_low"] is None
+                why = f"more than one {printed.path[1]} event" if alone else ""
+                found = "not computable" if alone else verdict(printed, ours)
+                yield Cell(printed, label, ours, found, why)
                 continue
             why = missing.get(label) or _NEEDS.get(printed.whose) or _data(printed)
             yield Cell(printed, label, None, "not computable", why)

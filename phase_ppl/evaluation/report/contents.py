@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -509,9 +510,9 @@ def reproduction_page(made: Reproduction, *, progress: bool | None = None) -> st
         title="The paper, cell by cell" if made.real else "No reproduction: a try",
         warning="" if made.real else NO_REPRODUCTION,
         notes=made.notes,
-        cells=[
-            (one, one.label if one.label == one.printed.whose else label_of(one.label))
-            for one in made.cells
+        places=[
+            (place, [(one, label_of(one.label)) for one in rows])
+            for place, rows in itertools.groupby(made.cells, lambda one: one.printed.place)
         ],
         counts=[(kind, sum(one.verdict == kind for one in made.cells)) for kind in VERDICTS],
         summary=_summary(results.measured),
