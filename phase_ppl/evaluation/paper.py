@@ -193,12 +193,13 @@ def verdict(printed: Printed, ours: Figure) -> str:
     They can if either value lies within the other's interval, or both are the same to the digits
     that are printed; a bound holds if our interval does not lie above it.
     """
-    low, high = ours["ci_low"], ours["ci_high"]
+    value, low, high = ours["value"], ours["ci_low"], ours["ci_high"]
+    assert value is not None, "a figure has a value"
     if printed.below:
-        return "inside" if (ours["value"] if low is None else low) < printed.value else "outside"
-    inside = abs(ours["value"] - printed.value) < 0.005
+        return "inside" if (value if low is None else low) < printed.value else "outside"
+    inside = abs(value - printed.value) < 0.005
     if low is not None and high is not None:
         inside |= low <= printed.value <= high
     if printed.low is not None and printed.high is not None:
-        inside |= printed.low <= ours["value"] <= printed.high
+        inside |= printed.low <= value <= printed.high
     return "inside" if inside else "outside"

@@ -200,7 +200,7 @@ def reproduce(
         }
         _same_as_before(folder / ASKED, given, resume)
         events, real, note = _events(folder, videos, profile, slots, progress, say)
-        events = list(judged(events, judgments))
+        events = judged(list(events), judgments)
         missing = {
             label: needs
             for label, one in asked.items()
@@ -319,8 +319,8 @@ def _cells(
             if ours is not None:
                 alone = printed.path[0] == "by_scenario" and ours["ci_low"] is None
                 why = f"more than one {printed.path[1]} event" if alone else ""
-                found = "not computable" if alone else verdict(printed, ours)
-                yield Cell(printed, label, ours, found, why)
+                said = "not computable" if alone else verdict(printed, ours)
+                yield Cell(printed, label, ours, said, why)
                 continue
             why = missing.get(label) or _NEEDS.get(printed.whose) or _data(printed)
             yield Cell(printed, label, None, "not computable", why)

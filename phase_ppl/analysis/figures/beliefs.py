@@ -152,11 +152,11 @@ def beliefs(
         row[0].text(0.02, 0.5, name, transform=row[0].transAxes, rotation=90, va="center",
                     ha="right", fontsize=NORMAL)  # fmt: skip
     new = [ENTITIES[e] for e in np.flatnonzero(found[frame].observed & ~found[frame - 1].observed)]
-    seen = (
+    told = (
         f"In the lower row it sees {' and '.join(f'the {name}' for name in new)}: " if new else ""
     )
     figure.supxlabel(
-        f"{seen}entities in view have their true properties in all particles; others move on as "
+        f"{told}entities in view have their true properties in all particles; others move on as "
         "they did, or are drawn anew where they contradict what is seen.",
         fontsize=SMALL, color=GREY, wrap=True,
     )  # fmt: skip

@@ -119,8 +119,9 @@ def test_a_prompt_of_ones_own_is_asked_and_known_by_its_text(tmp_path: Path) -> 
     usual = Says(text())
     predict(usual, store=tmp_path / "kept")  # another prompt is another request
     assert len(usual.asked) == 1
-    kept = [vlm(client=usual, name="toy", **given).settings() for given in ({}, {"prompt": own})]
-    assert kept[0]["prompt_sha256"] != kept[1]["prompt_sha256"]
+    made: list[Any] = [vlm(client=usual, name="toy", prompt=given) for given in (None, own)]
+    one, other = (model.settings()["prompt_sha256"] for model in made)
+    assert one != other
 
 
 def test_a_prompt_that_cannot_be_asked_is_refused(tmp_path: Path) -> None:
