@@ -29,7 +29,7 @@ class Printed(NamedTuple):
         place: where it is printed.
         what: it says.
         whose: people's, a model's, or of what else.
-        path: of the same number in our metrics.
+        path: of the same number in our metrics, parts joined by dots.
         value: printed; low, high: its interval, where one is printed.
         below: whether the value is printed as a bound only, "< 0.6".
     """
@@ -37,7 +37,7 @@ class Printed(NamedTuple):
     place: str
     what: str
     whose: str
-    path: tuple[str, ...]
+    path: str
     value: float
     low: float | None = None
     high: float | None = None
@@ -51,69 +51,45 @@ class Printed(NamedTuple):
         return 2 if round(self.value, 2) == self.value else 3
 
 
-def _of(scenario: str, kind: str) -> tuple[str, ...]:
-    return "by_scenario", scenario, f"{kind}_accuracy"
-
-
 _HUMAN: Final = "Results, Human results"
 _ACCURACY: Final = "Results, Comparing model and human accuracy"
 _GRADED: Final = "Results, Explaining human graded judgments"
 _SETS: Final = "A Paradigm for Physically Grounded Social Perception"
 _A2: Final = "Appendix A.2, Comparing PHASE and human-generated videos"
 
-_GOALS_R: Final = ("human", "goal_r")
-_RELATIONS_R: Final = ("human", "relation_r")
+_GOALS, _RELATIONS = (f"by_scenario.competing.{kind}_accuracy" for kind in ("goal", "relation"))
+_APART: Final = "by_scenario.independent.goal_accuracy"
+_ALIKE: Final = "scenario types without a significant difference from people"
 
 PRINTED: Final = (
-    Printed(_HUMAN, "goals right", PEOPLE, ("goal_accuracy",), 0.78),
-    Printed(_HUMAN, "relations right", PEOPLE, ("relation_accuracy",), 0.89),
-    Printed(_HUMAN, "r of halves, goals", PEOPLE, ("human", "goal_split_half_r"), 0.92, 0.91, 0.94),
-    Printed(_HUMAN, "r of halves, relations", PEOPLE, ("human", "split_half_r"), 0.96, 0.95, 0.97),
-    Printed(
-        _ACCURACY, "goals right, competing", PEOPLE, _of("competing", "goal"), 0.76, 0.74, 0.78
-    ),
-    Printed(
-        _ACCURACY, "goals right, competing", SIMPLE, _of("competing", "goal"), 0.59, 0.41, 0.77
-    ),
-    Printed(
-        _ACCURACY, "relations right, competing", SIMPLE, _of("competing", "relation"),
-        0.91, 0.72, 1.0,
-    ),
-    Printed(
-        _ACCURACY, "relations right, competing", SOCIALGNN, _of("competing", "relation"), 0.0
-    ),
-    Printed(
-        _ACCURACY, "goals right, independent", PREDICATE, _of("independent", "goal"),
-        0.35, 0.22, 0.48,
-    ),
-    Printed(
-        _ACCURACY, "scenario types without a significant difference from people, goals", SIMPLE,
-        ("like_people", "goal"), 3,
-    ),
-    Printed(
-        _ACCURACY, "scenario types without a significant difference from people, relations", SIMPLE,
-        ("like_people", "relation"), 4,
-    ),
-    Printed(_GRADED, "r with people, goals", SIMPLE, _GOALS_R, 0.82, 0.78, 0.85),
-    Printed(_GRADED, "r with people, relations", SIMPLE, _RELATIONS_R, 0.78, 0.71, 0.82),
+    Printed(_HUMAN, "goals right", PEOPLE, "goal_accuracy", 0.78),
+    Printed(_HUMAN, "relations right", PEOPLE, "relation_accuracy", 0.89),
+    Printed(_HUMAN, "r of halves, goals", PEOPLE, "human.goal_split_half_r", 0.92, 0.91, 0.94),
+    Printed(_HUMAN, "r of halves, relations", PEOPLE, "human.split_half_r", 0.96, 0.95, 0.97),
+    Printed(_ACCURACY, "goals right, competing", PEOPLE, _GOALS, 0.76, 0.74, 0.78),
+    Printed(_ACCURACY, "goals right, competing", SIMPLE, _GOALS, 0.59, 0.41, 0.77),
+    Printed(_ACCURACY, "relations right, competing", SIMPLE, _RELATIONS, 0.91, 0.72, 1.0),
+    Printed(_ACCURACY, "relations right, competing", SOCIALGNN, _RELATIONS, 0.0),
+    Printed(_ACCURACY, "goals right, independent", PREDICATE, _APART, 0.35, 0.22, 0.48),
+    Printed(_ACCURACY, f"{_ALIKE}, goals", SIMPLE, "like_people.goal", 3),
+    Printed(_ACCURACY, f"{_ALIKE}, relations", SIMPLE, "like_people.relation", 4),
+    Printed(_GRADED, "r with people, goals", SIMPLE, "human.goal_r", 0.82, 0.78, 0.85),
+    Printed(_GRADED, "r with people, relations", SIMPLE, "human.relation_r", 0.78, 0.71, 0.82),
     *(
-        Printed(_GRADED, f"r with people, {kind}", whose, path, 0.6, below=True)
+        Printed(_GRADED, f"r with people, {kind}s", whose, f"human.{kind}_r", 0.6, below=True)
         for whose in (SOCIALGNN, PREDICATE, VLM)
-        for kind, path in (("goals", _GOALS_R), ("relations", _RELATIONS_R))
+        for kind in ("goal", "relation")
     ),
-    Printed(_SETS, "share of friendly events", EVENTS, ("friendly",), 200 / 500),
-    Printed(_SETS, "share of neutral events", EVENTS, ("neutral",), 108 / 500),
-    Printed(_SETS, "share of adversarial events", EVENTS, ("adversarial",), 192 / 500),
-    Printed(_SETS, "labels used, of 23", LABELLED, ("used",), 23),
-    Printed(
-        _SETS, "labels that are a category", LABELLED,
-        ("categories",), 18,
-    ),
-    Printed(_A2, "mode of responses right, goals", STEERED, (), 0.965),
-    Printed(_A2, "mode of responses right, relations", STEERED, (), 0.92),
-    Printed(_A2, "mean likeness, videos that people steer", RATED, ("played",), 4.06),
-    Printed(_A2, "mean likeness, PHASE", RATED, ("generated",), 3.98),
-)  # fmt: skip
+    Printed(_SETS, "share of friendly events", EVENTS, "friendly", 200 / 500),
+    Printed(_SETS, "share of neutral events", EVENTS, "neutral", 108 / 500),
+    Printed(_SETS, "share of adversarial events", EVENTS, "adversarial", 192 / 500),
+    Printed(_SETS, "labels used, of 23", LABELLED, "used", 23),
+    Printed(_SETS, "labels that are a category", LABELLED, "categories", 18),
+    Printed(_A2, "mode of responses right, goals", STEERED, "goals", 0.965),
+    Printed(_A2, "mode of responses right, relations", STEERED, "relations", 0.92),
+    Printed(_A2, "mean likeness, videos that people steer", RATED, "played", 4.06),
+    Printed(_A2, "mean likeness, PHASE", RATED, "generated", 3.98),
+)
 
 NOT_DRAWN: Final = (
     "Fig. intro and Fig. of the model show photographs and sketches, Fig. interface the authors' "

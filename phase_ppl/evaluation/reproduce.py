@@ -315,10 +315,10 @@ def _cells(
         stored = next((n for n in metrics if n.startswith(_STORED.get(printed.whose, "?"))), None)
         for label in [*labels, *([stored] if stored else [])] or [printed.whose]:
             of_model = {**metrics, **others}.get(label, {})
-            ours = at(of_model, printed.path) if printed.path else None
+            ours = at(of_model, tuple(printed.path.split(".")))
             if ours is not None:
-                alone = printed.path[0] == "by_scenario" and ours["ci_low"] is None
-                why = f"more than one {printed.path[1]} event" if alone else ""
+                alone = printed.path.startswith("by_scenario") and ours["ci_low"] is None
+                why = f"more than one {printed.path.split('.')[1]} event" if alone else ""
                 said = "not computable" if alone else verdict(printed, ours)
                 yield Cell(printed, label, ours, said, why)
                 continue
@@ -328,13 +328,13 @@ def _cells(
 
 def _data(printed: Printed) -> str:
     """Return which data a number takes."""
-    goals = any("goal" in part for part in printed.path)
-    if printed.path[0] in ("human", "like_people") or printed.whose == PEOPLE:
+    goals = "goal" in printed.path
+    if printed.path.startswith(("human", "like_people")) or printed.whose == PEOPLE:
         what = f"people's judgments of {'goals' if goals else 'relations'} (--judgments)"
     else:
         what = f"answers about {'goals' if goals else 'relations'}"
-    if printed.path[0] == "by_scenario":
-        what += f", in {printed.path[1]} events"
+    if printed.path.startswith("by_scenario"):
+        what += f", in {printed.path.split('.')[1]} events"
     return what
 
 

@@ -42,7 +42,7 @@ def ours(value: float, low: float | None = None, high: float | None = None) -> d
     ],
 )
 def test_verdicts(printed: tuple[Any, ...], found: dict[str, Any], wanted: str) -> None:
-    assert verdict(Printed("here", "what", SIMPLE, ("goal_accuracy",), *printed), found) == wanted
+    assert verdict(Printed("here", "what", SIMPLE, "goal_accuracy", *printed), found) == wanted
 
 
 def test_every_printed_number_has_its_place_and_lies_in_its_interval() -> None:
