@@ -201,6 +201,7 @@ def reproduce(
         _same_as_before(folder / ASKED, given, resume)
         events, real, note = _events(folder, videos, profile, slots, progress, say)
         events = judged(list(events), judgments)
+        write_json(folder / ASKED, given)
         missing = {
             label: needs
             for label, one in asked.items()
@@ -239,7 +240,6 @@ def reproduce(
 
 def _same_as_before(file: Path, given: Mapping[str, Any], resume: bool) -> None:
     if not file.exists():
-        write_json(file, dict(given))
         return
     if not resume:
         raise OutputError(f"{file.parent} holds a reproduction already; resume it, or name another")

@@ -162,6 +162,15 @@ def test_it_goes_on_with_what_is_finished_and_refuses_another(
     assert after == before, "nothing is predicted twice"
 
 
+def test_what_cannot_be_read_loses_nothing(
+    cheap: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["reproduce", "--out", str(tmp_path / "out"), "--quiet", "--videos"]
+    assert main([*command, str(tmp_path / "no.json")]) == 2
+    assert "no.json" in capsys.readouterr().err
+    assert list((tmp_path / "out").iterdir()) == []
+
+
 def test_generated_events_are_no_reproduction_and_say_so_everywhere(
     cheap: None, tmp_path: Path
 ) -> None:
