@@ -331,6 +331,8 @@ def _data(printed: Printed) -> str:
     goals = "goal" in printed.path
     if printed.path.startswith(("human", "like_people")) or printed.whose == PEOPLE:
         what = f"people's judgments of {'goals' if goals else 'relations'} (--judgments)"
+        if printed.path.startswith("human") and printed.whose != PEOPLE:
+            what = f"probabilities, and {what}"
     else:
         what = f"answers about {'goals' if goals else 'relations'}"
     if printed.path.startswith("by_scenario"):
@@ -423,7 +425,8 @@ def _drawings(
 
 
 def _with_discovery(events: Sequence[Event]) -> Event:
-    """Return the first event in which the red agent sees something new on its way."""
-    from phase_ppl.analysis.figures.beliefs import discovery
+    """Return the first event in which the red agent sees what it did not know where to look for."""
+    from phase_ppl.analysis.figures.beliefs import PAPERS_PARTICLES, beliefs_of, discovery
 
-    return next((event for event in events if discovery(event, 0) is not None), events[0])
+    seen = (discovery(list(beliefs_of(event, 0, PAPERS_PARTICLES))) for event in events)
+    return next((e for e, frame in zip(events, seen, strict=True) if frame), events[0])

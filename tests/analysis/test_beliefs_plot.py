@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.analysis.figures.beliefs import beliefs_of
+from phase_ppl.analysis.figures.beliefs import beliefs_of, discovery
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from tests.evaluation.toys import still
 
@@ -33,9 +33,13 @@ def test_it_shows_the_frame_in_which_something_new_is_seen(tmp_path: Path) -> No
     assert file.stat().st_size > 20_000
     assert len(figure.axes) == 6
     said = figure.get_supxlabel()
-    observed = [one.observed for one in beliefs_of(EVENT, 0, 10)]
-    first = next(i for i in range(1, 99) if (observed[i] & ~observed[i - 1]).any())
-    new = np.flatnonzero(observed[first] & ~observed[first - 1])
+    found = list(beliefs_of(EVENT, 0, 10))
+    first = discovery(found)
+    assert first is not None
+    new = np.flatnonzero(found[first].observed & ~found[first - 1].observed)
+    before = found[first - 1].particles[:, new, :2]
+    assert np.ptp(before, axis=0).max() > 4, "it did not know where to look"
+    assert discovery(found[:first]) is None, "it is the first"
     names = ("red agent", "green agent", "blue item", "pink item")
     assert all(names[entity] in said for entity in new)
     assert f"{first / 12:.2f} s" in [text.get_text() for axes in figure.axes for text in axes.texts]

@@ -28,10 +28,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_PAPERS_PARTICLES: Final = 10
+PAPERS_PARTICLES: Final = 10
 _DARK: Final = 0.35
 _FAINT: Final = 0.55
 _MOST_PARTICLES: Final = 1000
+_APART: Final = 4.0
+"""Units between particles from which on a place is not known."""
 
 
 class Belief(NamedTuple):
@@ -85,14 +87,17 @@ def beliefs_of(event: Event, agent: int, particles: int, seed: int = 0) -> Itera
         yield Belief(found.visible.copy(), found.observed.copy(), np.array(poses_of_all))
 
 
-def discovery(event: Event, agent: int) -> int | None:
-    """Return the first frame in which an agent sees something that it did not see before it."""
-    return _discovery([one.observed for one in beliefs_of(event, agent, 1)])
+def discovery(found: Sequence[Belief]) -> int | None:
+    """Return the first frame in which an agent sees what it did not know where to look for.
 
-
-def _discovery(observed: Sequence[BoolArray]) -> int | None:
-    pairs = itertools.pairwise(observed)
-    return next((i for i, (a, b) in enumerate(pairs, 1) if (b & ~a).any()), None)
+    That is an entity that is not seen in the frame before, and that particles have in different
+    places there; None where there is none.
+    """
+    for frame, (before, after) in enumerate(itertools.pairwise(found), 1):
+        spread = np.ptp(before.particles[..., :2], axis=0).max(axis=-1)
+        if (after.observed & ~before.observed & (spread > _APART)).any():
+            return frame
+    return None
 
 
 @figure_of(Event)
@@ -102,7 +107,7 @@ def beliefs(
     path: str | os.PathLike[str] | None = None,
     *,
     frame: int | None = None,
-    particles: int = _PAPERS_PARTICLES,
+    particles: int = PAPERS_PARTICLES,
     seed: int = 0,
 ) -> Figure:
     """Draw an agent's belief before and after a frame: what it sees, all particles, one of them.
@@ -126,7 +131,7 @@ def beliefs(
     who = AGENTS.index(agent)
     found = list(beliefs_of(event, who, particles, seed))
     if frame is None:
-        frame = _discovery([one.observed for one in found])
+        frame = discovery(found)
         if frame is None:
             raise InvalidSettingError(f"the {agent} of {event.id} sees nothing new: give a frame")
     whole_number("frame", frame, 1, len(found) - 1)
