@@ -17,8 +17,14 @@ from phase_ppl.evaluation.comparison import ModelComparison
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawn
 
-SIMPLE, SOCIALGNN, PREDICATE, VLM = "SIMPLE", "SocialGNN", "predicate inverse planning", "Gemini"
-LABELLED, RATED, STEERED, EVENTS = "labels", "likeness", "videos that people steer", "PHASE"
+SIMPLE: Final = "SIMPLE"
+SOCIALGNN: Final = "SocialGNN"
+PREDICATE: Final = "predicate inverse planning"
+VLM: Final = "Gemini"
+LABELLED: Final = "labels"
+RATED: Final = "likeness"
+STEERED: Final = "videos that people steer"
+EVENTS: Final = "PHASE"
 """Of whom, or of what, a number is, beside people."""
 
 
