@@ -183,3 +183,18 @@ def test_generated_events_are_no_reproduction_and_say_so_everywhere(
     assert page.count(escaped) == 1 + 4, "above, and with every event"
     assert str(made).startswith(NO_REPRODUCTION)
     assert not json.loads((tmp_path / "out" / module.RESULT).read_text())["real"]
+
+
+def test_without_videos_events_are_generated_once(
+    cheap: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "_QUICK_SET", 1)
+    said: list[str] = []
+    made = ppl.reproduce(tmp_path, workers=1, progress=False, say=said.append)
+    assert said[0] == "no real videos: 1 events are generated"
+    assert not made.real
+    again = ppl.reproduce(tmp_path, workers=1, progress=False, resume=True, say=said.append)
+    assert said.count(said[0]) == 1
+    ids = [[event.id for event in one.comparison.events] for one in (made, again)]
+    assert ids[0] == ids[1]
+    assert len(ids[0]) == 1
