@@ -1,4 +1,4 @@
-"""The behaviour battery: python benchmarks/behaviour.py [--json FILE] [--figure FILE]
+"""The behaviour battery: python benchmarks/behaviour.py [--json FILE]
 
 Do simulated pairs help, hinder, chase, flee and search as in the paper's animations, and do they
 reach the goals of the real videos from where those start?
@@ -112,15 +112,13 @@ def main() -> None:
     )
     common.add_planner(parser)
     parser.add_argument("--json", metavar="FILE", help="write the rates as JSON")
-    parser.add_argument("--figure", metavar="FILE", help="draw the search for an unseen item, PNG")
     parser.add_argument("--seeds", type=int, default=20, help="tries of each behaviour")
     parser.add_argument(
         "--only", nargs="+", choices=[*BEHAVIOURS, REAL], metavar="NAME", help="these only"
     )
     options = parser.parse_args()
     planner = common.planner_of(options)
-    only_figure = options.figure and not options.json
-    names = options.only or ([] if only_figure else [*BEHAVIOURS, REAL])
+    names = options.only or [*BEHAVIOURS, REAL]
     JointSimulator(planner).warm_up()
     tasks = [
         Try(name, seed, planner) for name in names if name != REAL for seed in range(options.seeds)
@@ -141,8 +139,6 @@ def main() -> None:
     for video, failing in figures.get(REAL, {}).get("failed_seeds", {}).items():
         print(f"  {video:24} failed with seeds {failing}")
     common.write({"planner": planner.to_dict(), "behaviours": figures}, options.json)
-    if options.figure:
-        searching.figure(options.figure, planner, options.seeds)
 
 
 if __name__ == "__main__":

@@ -42,6 +42,7 @@ from phase_ppl.evaluation.likeness import load_likeness as load_likeness
 from phase_ppl.evaluation.metrics import evaluate_predictions as evaluate_predictions
 from phase_ppl.evaluation.metrics import paired_difference as paired_difference
 from phase_ppl.evaluation.metrics import reference_models as reference_models
+from phase_ppl.evaluation.paper import Reproduction as Reproduction
 from phase_ppl.evaluation.people import human_accuracy as human_accuracy
 from phase_ppl.evaluation.prediction import Prediction as Prediction
 from phase_ppl.evaluation.ratings import Judgments as Judgments
@@ -51,6 +52,7 @@ from phase_ppl.evaluation.registry import available_models as available_models
 from phase_ppl.evaluation.registry import model_info as model_info
 from phase_ppl.evaluation.registry import register_model as register_model
 from phase_ppl.evaluation.report import report as report
+from phase_ppl.evaluation.reproduce import reproduce as reproduce
 from phase_ppl.evaluation.tags import Tags as Tags
 from phase_ppl.evaluation.tags import load_tags as load_tags
 from phase_ppl.evaluation.training import train_socialgnn as train_socialgnn

@@ -5,6 +5,7 @@ given writes it there as well, as .png, .pdf or .svg; OutputError: it cannot be 
 the ending is another.
 """
 
+from phase_ppl.analysis.figures.beliefs import beliefs, search
 from phase_ppl.analysis.figures.curves import comparison, training_curves
 from phase_ppl.analysis.figures.data_card import data_card
 from phase_ppl.analysis.figures.diagnostics import chains, diagnostics, errors, goal_map
@@ -12,6 +13,7 @@ from phase_ppl.analysis.figures.over_time import over_time, why
 from phase_ppl.analysis.figures.posterior import posterior
 
 __all__ = [
+    "beliefs",
     "chains",
     "comparison",
     "data_card",
@@ -20,6 +22,7 @@ __all__ = [
     "goal_map",
     "over_time",
     "posterior",
+    "search",
     "training_curves",
     "why",
 ]

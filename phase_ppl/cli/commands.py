@@ -33,6 +33,7 @@ COMMANDS: Final = {
         "compare_models",
         "compare evaluations of several models, and people, on the same events",
     ),
+    "reproduce": ("reproduce", "the paper's tables and figures, cell by cell"),
     "report": (
         "results",
         "make one self-contained HTML page of a run, an evaluation or a comparison",

@@ -44,7 +44,8 @@ def add_to(commands: Any) -> None:
         "--kernels",
         metavar="A,B",
         required=True,
-        help="names, with options as NAME:OPTION=VALUE:OPTION=VALUE",
+        help="names, with options as NAME:OPTION=VALUE:OPTION=VALUE; as_printed, as_intended and "
+        "default are SIMPLE by a preset, on this planner and these weights",
     )
     parser.add_argument(
         "--budget",

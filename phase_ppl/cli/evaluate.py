@@ -16,6 +16,7 @@ from phase_ppl.cli.shared import (
     BUDGET,
     FAILED,
     INTERRUPTED,
+    PRESET,
     add_progress,
     budget,
     named_value,
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
 AGAINST: Final = "against.json"
 """The file in the folder of results that holds the differences from another model."""
 
-_SHORT_FOR: Final = ("planner", "kernel", "budget", "weights", "prior")
+_SHORT_FOR: Final = ("preset", "planner", "kernel", "budget", "weights", "prior")
 """Options of models that have options of the command of their own."""
 
 _OF_WORK: Final = (
@@ -101,6 +102,7 @@ def add_to(commands: Any) -> None:
     model = parser.add_argument_group(
         "options of the model; of several models, of all that take them"
     )
+    model.add_argument("--preset", metavar="NAME", help=PRESET)
     model.add_argument("--planner", choices=("fast", "paper"))
     model.add_argument("--kernel", metavar="NAME")
     model.add_argument("--budget", metavar="B", type=budget, help=BUDGET)

@@ -18,6 +18,7 @@ from phase_ppl.cli.shared import (
     BUDGET,
     INTERRUPTED,
     POSTERIOR,
+    PRESET,
     add_other_versions,
     add_overwrite,
     add_planner,
@@ -34,6 +35,7 @@ from phase_ppl.cli.shared import (
     shows_progress,
     whole,
 )
+from phase_ppl.inference.presets import completed
 from phase_ppl.world.errors import InvalidSettingError, OutputError, PhasePPLError
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import write_json
@@ -71,8 +73,7 @@ def add_to(commands: Any) -> None:
         "--preset",
         metavar="NAME",
         default="default",
-        help="as_printed, as_intended or default: kernel, proposal, planner and weights in one "
-        "word; what else is given goes before it",
+        help=PRESET,
     )
     infer.add_argument("--prior", metavar="NAME", default="uniform", help="default uniform")
     infer.add_argument(
@@ -97,7 +98,8 @@ def add_to(commands: Any) -> None:
         type=named_value,
         action="append",
         default=[],
-        help="of the kernel, such as rule=paper; may be given several times",
+        help="of the kernel, such as rule=paper, or of SIMPLE's settings, such as beta=0.1; may "
+        "be given several times",
     )
     infer.add_argument(
         "--out", metavar="DIR", type=Path, help="for the posterior, a figure and a film"
@@ -172,36 +174,21 @@ def _infer(options: argparse.Namespace) -> int:
             return _watched(event, out, options)
         exact = options.model == "stepwise" and options.kernel is None
         given = {**_run_options(options), **_kernel_options(options.option)}
-        given |= {
-            name: getattr(options, name)
-            for name in ("kernel", "chains")
-            if getattr(options, name) is not None
-        }
+        given |= {name: getattr(options, name) for name in ("kernel", "chains", "planner")}
         run = functools.partial(
             phase_ppl.infer,
             event,
             _model_of(options),
             seed=options.seed,
             checkpoint=None if exact else kept,
-            **_completed(phase_ppl.preset(options.preset), options.planner, given),
+            **completed(options.preset, given),
         )
         return _finish(run, event, out, kept, options)
 
 
-def _completed(usual: dict[str, Any], planner: str | None, given: dict[str, Any]) -> dict[str, Any]:
-    """Return what was given, and of a preset the rest."""
-    if planner is not None:
-        usual.pop("planner", None)
-    if "budget" in given:
-        usual.pop("iterations", None)
-    if "kernel" in given:
-        usual.pop("rule", None)
-    return {**usual, **given}
-
-
 def _model_of(options: argparse.Namespace) -> phase_ppl.Model:
     if options.model == "simple":
-        return phase_ppl.Model(prior=options.prior, planner=options.planner)
+        return phase_ppl.Model(prior=options.prior)
     likelihood = phase_ppl.StepwiseLikelihood()
     return phase_ppl.Model(prior=options.prior, planner=options.planner, likelihood=likelihood)
 
@@ -252,7 +239,8 @@ def _finish(
     if out is None:
         print("\nNothing was saved; --out DIR keeps the posterior, a figure and a video.")
     else:
-        _write_results(post, event, out)
+        told = {"preset": options.preset} if "preset" in options else {}
+        _write_results(post, event, out, **told)
     if kept is not None and kept.exists():
         if code:
             print(f"Go on with: phase-ppl resume {shlex.quote(str(kept))}")
@@ -284,10 +272,12 @@ def _kernel_options(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
     return found
 
 
-def _write_results(post: Posterior | StepwisePosterior, event: Event, out: Path) -> None:
-    """Write the posterior, a summary, figures and a film into ``out``."""
+def _write_results(
+    post: Posterior | StepwisePosterior, event: Event, out: Path, **told: str
+) -> None:
+    """Write the posterior, a summary with what else is told, figures and a film into ``out``."""
     post.save(out / POSTERIOR)
-    write_json(out / "summary.json", post.summary())
+    write_json(out / "summary.json", {**post.summary(), **told})
     phase_ppl.plot.posterior(post, path=out / "posterior.png")
     if isinstance(post, phase_ppl.Posterior):
         phase_ppl.render.video(event, out / "replay.mp4", compare=post.replay())

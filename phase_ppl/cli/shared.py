@@ -126,6 +126,12 @@ def add_workers(parser: argparse.ArgumentParser) -> None:
     )
 
 
+PRESET: Final = (
+    "as_printed, as_intended or default: kernel, proposal, planner, weights, prior and thresholds "
+    "in one word; what else is given goes before it"
+)
+"""What ``--preset`` does."""
+
 BUDGET: Final = "simulations, as in 500, simulated frames, as in 20000f, or seconds, as in 60s"
 """What a budget is given in."""
 

@@ -71,7 +71,7 @@ def _train(options: argparse.Namespace) -> int:
         if name in given:
             raise InvalidSettingError(f"--option {name}: given twice")
         given[name] = value
-    settings = TrainingSettings(options.variant, **given)
+    settings = TrainingSettings.of(options.variant, **given)
     writable_folder(options.out)
     try:
         report = phase_ppl.train_socialgnn(

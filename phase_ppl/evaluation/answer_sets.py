@@ -20,11 +20,15 @@ MODEL_COLOUR: Final = "#0072b2"
 
 LABELS: Final[Mapping[str, str]] = {
     "simple": "SIMPLE",
+    "simple_as_printed": "SIMPLE as printed",
+    "simple_as_intended": "SIMPLE as intended",
     "simple_authors": "authors' SIMPLE",
     "socialgnn": "SocialGNN",
+    "socialgnn_original": "SocialGNN, original",
     "socialgnn_2023": "SocialGNN 2023",
     "cue_lstm_2023": "cue LSTM 2023",
     "predicate": "predicate planning",
+    "predicate_as_printed": "predicates as printed",
     "vlm": "VLM",
 }
 """How known sources are called in figures; others by their names, with spaces."""

@@ -5,7 +5,7 @@ The folder that it writes::
     DIR/
       training.json           what was asked for
       members/3.npz, 3.json   a finished network, by seed, and how its training went
-      extended.npz            all networks ("original.npz" of the original variant)
+      extended.npz            all networks, called by their variant
       extended.json           the report
       extended.png            the curves
 
@@ -90,7 +90,7 @@ def train_socialgnn(
         OutputError: ``out`` cannot be written, or holds a training of something else.
     """
     needs_torch()
-    settings = settings or TrainingSettings()
+    settings = settings or TrainingSettings.of("extended")
     n_seeds = whole_number("seeds", seeds, maximum=_MOST_SEEDS)
     wanted = range(whole_number("seed", seed, 0), seed + n_seeds)
     found = GeneratedEvents(data)
@@ -236,7 +236,7 @@ def _finish(
 
 def _command(settings: TrainingSettings, seeds: Sequence[int]) -> str:
     """Return the command that makes these networks, of a set and in a folder of any name."""
-    usual = TrainingSettings(settings.variant).to_dict()
+    usual = TrainingSettings.of(settings.variant).to_dict()
     changed = {name: v for name, v in settings.to_dict().items() if v != usual[name]}
     given = [f"--option {name}={json.dumps(value)}" for name, value in changed.items()]
     given.append(f"--seeds {len(seeds)} --seed {seeds[0]} --out DIR")

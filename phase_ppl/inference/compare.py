@@ -80,7 +80,8 @@ def compare(
         event: what to explain. Its truth, where it has one, is used to judge the results.
         model: prior, simulator and likelihood; by default the paper's.
         kernels: names, or label -> name; instead of a name also ``(name, options)``, a kernel
-            class, or a function that makes a kernel. Options are the kernel's own, and
+            class, or a function that makes a kernel; or a preset of SIMPLE such as "as_printed",
+            whose planner and weights are the comparison's here. Options are the kernel's own, and
             ``chains`` and ``settings``, as in
             ``{"as printed": ("local_mh", {"rule": "paper"})}``.
         budget: of every single run; ``phase_ppl.simulations(n)`` or ``phase_ppl.frames(n)``,

@@ -8,6 +8,7 @@ from typing import Any, Final, TypeAlias
 
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.inference.infer import infer
+from phase_ppl.inference.presets import PRESETS, completed
 from phase_ppl.inference.registry import KernelInfo, described
 from phase_ppl.inference.runs.run import Kernel, Run
 from phase_ppl.inference.settings import SimpleSettings
@@ -24,6 +25,9 @@ _TAKEN: Final = (
     *("iterations", "checkpoint"),
 )
 """Arguments of ``infer`` that are the comparison's to give."""
+
+_OF_COMPARISON: Final = ("planner", "weights", "iterations")
+"""What a preset says that is the same for all kernels."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -123,8 +127,13 @@ def entry(
         raise InvalidSettingError(
             f"{shown(spec)} is no kernel: expected a name, a kernel class, or (name, options)"
         )
-    info = described(kernel)
     options = dict(given)
+    if isinstance(kernel, str) and kernel in PRESETS:
+        label = label or kernel
+        usual = completed(kernel, {"kernel": "local_mh", **options})
+        kernel = str(usual.pop("kernel"))
+        options = {name: value for name, value in usual.items() if name not in _OF_COMPARISON}
+    info = described(kernel)
     length = {}
     if own_length:
         length = {k: options.pop(k) for k in ("budget", "iterations") if k in options}

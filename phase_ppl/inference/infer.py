@@ -209,7 +209,7 @@ def resume(
         workers, executor, progress: as in :func:`infer`.
         on_failure, retries: as in :func:`infer`; by default as before. They can be changed for
             others as long as no simulation has failed.
-        burn_in, weights: as in :func:`infer`.
+        burn_in, weights: as in :func:`infer`; by default as before.
         simulation_seconds: as in :func:`infer`; by default as before.
         other_versions: whether to go on although the versions are others; the attributes
             ``versions`` and ``earlier_versions`` of the posterior's tree keep both.
@@ -248,6 +248,8 @@ def resume(
     _check_same(saved, what)
     if iterations is None and budget is None:
         iterations, budget = saved.target["iterations"], saved.target["budget"]
+    weights = saved.asked["weights"] if weights is None else weights
+    burn_in = saved.asked["burn_in"] if burn_in is None else burn_in
     before = saved.failures
     if on_failure is None:
         on_failure = str(before["on_failure"])

@@ -1,56 +1,52 @@
 """SIMPLE in one word: as the paper prints it, as it means it, and as it is by default.
 
 >>> ppl.infer(event, **ppl.preset("as_printed"))
->>> ppl.evaluate(events, "simple", **ppl.preset("as_intended"))
+>>> ppl.evaluate(events, "simple", preset="as_intended")
 
 A preset is a dictionary of arguments, so that any of them can be replaced or left out.
+:func:`completed` does so: it puts what is given before what a preset says.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import dataclasses
+from collections.abc import Mapping
 from typing import Any, Final
 
 from phase_ppl.inference.settings import SimpleSettings
-from phase_ppl.world.errors import unknown_name
+from phase_ppl.world.errors import InvalidSettingError, unknown_name
 
-
-def _as_printed() -> dict[str, Any]:
-    """Appendix 4 to the letter: the proposal of goals with its printed sign, the printed ratio.
-
-    Both are held to be misprints: goals that are far are proposed, and the stationary law is not
-    the posterior.
-    """
-    settings = SimpleSettings(proposal="paper", sign="printed")
-    return {**_of_the_paper(settings), "rule": "paper"}
-
-
-def _as_intended() -> dict[str, Any]:
-    """The paper's proposal with the sign that its text describes, and Hastings' exact ratio."""
-    return {**_of_the_paper(SimpleSettings(proposal="paper")), "rule": "exact"}
-
-
-def _of_the_paper(settings: SimpleSettings) -> dict[str, Any]:
-    return {
-        "kernel": "local_mh",
-        "planner": "paper",
-        "settings": settings,
-        "weights": "count",
-        "chains": 15,
-        "iterations": 6,
-    }
-
-
-def _default() -> dict[str, Any]:
-    """What ``infer`` does unasked: learned proposals, the exact rule, the fast planner."""
-    return {}
-
-
-PRESETS: Final[Mapping[str, Callable[[], dict[str, Any]]]] = {
-    "as_printed": _as_printed,
-    "as_intended": _as_intended,
-    "default": _default,
+_OF_THE_PAPER: Final = {
+    "kernel": "local_mh",
+    "planner": "paper",
+    "weights": "count",
+    "chains": 15,
+    "iterations": 6,
 }
+
+PRESETS: Final[Mapping[str, Mapping[str, Any]]] = {
+    # Appendix 4 to the letter. Sign and ratio are held to be misprints: goals that are far are
+    # proposed, and the stationary law is not the posterior
+    "as_printed": {
+        **_OF_THE_PAPER,
+        "settings": SimpleSettings(proposal="paper", sign="printed"),
+        "rule": "paper",
+    },
+    # the paper's proposal with the sign that its text describes, and Hastings' exact ratio
+    "as_intended": {
+        **_OF_THE_PAPER,
+        "settings": SimpleSettings(proposal="paper"),
+        "rule": "exact",
+    },
+    # what ``infer`` does unasked: learned proposals, the exact rule, the fast planner
+    "default": {},
+}
+"""Name -> arguments of :func:`phase_ppl.infer`."""
+
+SETTINGS: Final = tuple(field.name for field in dataclasses.fields(SimpleSettings))
+"""Names of SIMPLE's settings, which :func:`completed` takes one by one too."""
+
+_OF_ITS_KERNEL: Final = ("kernel", "rule", "weights", "iterations")
 
 
 def preset(name: str) -> dict[str, Any]:
@@ -65,4 +61,33 @@ def preset(name: str) -> dict[str, Any]:
     """
     if name not in PRESETS:
         raise unknown_name("preset", name, PRESETS)
-    return PRESETS[name]()
+    return dict(PRESETS[name])
+
+
+def completed(name: str, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what is given, and of a preset the rest.
+
+    Another kernel takes the place of the preset's with all that is of it, another length that of
+    its iterations; single settings of SIMPLE change those of the preset.
+
+    Args:
+        name: of the preset.
+        given: arguments of :func:`phase_ppl.infer`, None for those that are not given, and
+            settings of SIMPLE by name, such as ``beta=0.1``.
+
+    Raises:
+        UnknownNameError: there is no such preset.
+        InvalidSettingError: settings are given whole and one by one, or cannot be used.
+    """
+    usual = preset(name)
+    told = {argument: value for argument, value in given.items() if value is not None}
+    if told.get("kernel", usual.get("kernel")) != usual.get("kernel"):
+        usual = {name: v for name, v in usual.items() if name not in _OF_ITS_KERNEL}
+    if not {"budget", "iterations"}.isdisjoint(told):
+        usual.pop("iterations", None)
+    single = {argument: told.pop(argument) for argument in SETTINGS if argument in told}
+    if single and "settings" in told:
+        raise InvalidSettingError(f"give either settings or {', '.join(single)}")
+    if single:
+        told["settings"] = dataclasses.replace(usual.get("settings", SimpleSettings()), **single)
+    return {**usual, **told}

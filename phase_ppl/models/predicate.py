@@ -15,7 +15,7 @@ import dataclasses
 import functools
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -484,6 +484,12 @@ def _with_near(state: SymbolicState, agent: int, entity: int) -> SymbolicState:
 
 INDEPENDENT: Final = "independent"
 """Name of the prior under which all pairs of effective goals are alike."""
+
+AS_THE_PAPER: Final[Mapping[str, Any]] = {
+    "prior": INDEPENDENT,
+    **{"on_agent": NEAR_AGENT_ON, "on_item": NEAR_ITEM_ON, "touch_item": GRAB_REACH},
+}
+"""The paper's P(g), and the predicates as SIMPLE's planner has them."""
 
 _STRENGTH: Final = 450.0
 

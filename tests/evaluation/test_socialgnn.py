@@ -25,7 +25,7 @@ from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import RELATIONS
 from tests.models.walks import eight, make_set, needs_torch, walk
 
-QUICK = TrainingSettings(epochs=3)
+QUICK = TrainingSettings.of("extended", epochs=3)
 SPLITS = ["train"] * 5 + ["validation"] * 2 + ["test"]
 
 
@@ -45,23 +45,35 @@ def trained(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
-def test_five_networks_come_with_the_package_and_how_they_were_made(variant: Any) -> None:
+def test_networks_come_with_the_package_and_how_they_were_made(variant: Any) -> None:
     found = shipped(variant)
     assert found.variant == variant
-    assert len(found.members) == 5
+    seeds = [0, 1, 2, 3, 4] if variant == "message_passing" else [0]  # the paper's is one
+    assert len(found.members) == len(seeds)
     folder = Path(ppl.__file__).parent / "models" / "socialgnn" / "weights"
-    assert sum(file.stat().st_size for file in folder.glob("*.npz")) < 1_000_000
+    assert sum(file.stat().st_size for file in folder.glob("*.npz")) < 1_500_000
     made = json.loads((folder / f"{variant}.json").read_text())
-    assert [member["seed"] for member in made["members"]] == [0, 1, 2, 3, 4]
-    assert made["settings"]["variant"] == variant
+    assert [member["seed"] for member in made["members"]] == seeds
+    assert made["settings"] == TrainingSettings.of(variant).to_dict()
     assert made["data"]["events"] == {"train": 320, "validation": 80, "test": 100}
 
 
+def test_the_papers_variants_are_trained_as_their_authors_did() -> None:
+    usual = TrainingSettings.of("original")
+    assert (usual.epochs, usual.batch, usual.learning_rate) == (100, 20, 0.001)
+    assert (usual.patience, usual.dropout, usual.looks, usual.balanced) == (0, 0.0, False, False)
+    assert usual.decay == 0.05 / 2  # of the squared norm, whose half the authors count
+    assert TrainingSettings.of("extended", epochs=3).to_dict() == {
+        **usual.to_dict(), "variant": "extended", "epochs": 3,
+    }  # fmt: skip
+
+
 @needs_torch
-def test_the_default_averages_all_and_a_member_can_be_asked_alone() -> None:
+def test_message_passing_averages_all_and_a_member_can_be_asked_alone() -> None:
     event = ppl.load_event("collaborate")
-    each = [socialgnn(member=n)(event.scene, event.observation, 0) for n in range(5)]
-    found = socialgnn()(event.scene, event.observation, 0)
+    own = "message_passing"
+    each = [socialgnn(variant=own, member=n)(event.scene, event.observation, 0) for n in range(5)]
+    found = socialgnn(variant=own)(event.scene, event.observation, 0)
     for question in ("goal_red", "goal_green", "relation"):
         mean = np.mean([one.probabilities[question] for one in each], axis=0)
         np.testing.assert_allclose(found.probabilities[question], mean)
@@ -76,7 +88,7 @@ def test_the_original_says_the_relation_only() -> None:
 
 @needs_torch
 def test_what_is_true_of_the_bundled_events_gets_more_than_its_share() -> None:
-    predict, goals, relations = socialgnn(), [], []
+    predict, goals, relations = socialgnn(variant="message_passing"), [], []
     for event in map(ppl.load_event, ppl.bundled_events()):
         shares, truth = predict(event.scene, event.observation, 0).probabilities, event.truth
         assert truth is not None
@@ -95,8 +107,8 @@ def test_who_is_red_hardly_matters_to_the_relation() -> None:
 
     # learned, not built in: so only on average
     swapped = next(n for n, look in enumerate(LOOKS) if look == ("none", True, False))
-    examples = Examples([ppl.load_event(name) for name in ppl.bundled_events()], "extended")
-    ensemble = Ensemble(shipped("extended"))
+    examples = Examples([ppl.load_event(name) for name in ppl.bundled_events()], "message_passing")
+    ensemble = Ensemble(shipped("message_passing"))
     apart = [
         np.abs(
             ensemble.of(examples(event).graphs)["relation"]
@@ -109,8 +121,9 @@ def test_who_is_red_hardly_matters_to_the_relation() -> None:
 
 def test_options_that_cannot_be_used_are_refused(tmp_path: Path) -> None:
     for options, message in (
-        ({"member": 5}, "member=5, expected 0 to 4"),
+        ({"member": 5, "variant": "message_passing"}, "member=5, expected 0 to 4"),
         ({"member": True}, "member=True"),
+        ({"member": 1}, "member=1, expected 0"),
         ({"threads": 0}, "threads=0"),
         ({"variant": "other"}, "variant 'other'"),
         ({"weights": tmp_path, "variant": "original"}, "either weights or variant"),
@@ -165,7 +178,9 @@ def test_networks_can_be_added_and_are_those_that_come_of_one_go(
     with pytest.raises(OutputError, match="holds a training already; resume it"):
         ppl.train_socialgnn(data, out, seeds=2, settings=QUICK, progress=False)
     with pytest.raises(OutputError, match=r"something else: settings\.epochs is 4, was 3"):
-        ppl.train_socialgnn(data, out, settings=TrainingSettings(epochs=4), resume=True)
+        ppl.train_socialgnn(
+            data, out, settings=TrainingSettings.of("extended", epochs=4), resume=True
+        )
     ppl.train_socialgnn(data, out, seeds=2, settings=QUICK, resume=True, progress=False)
     assert load(out).digest() == load(trained).digest()
 

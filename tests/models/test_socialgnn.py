@@ -22,7 +22,9 @@ from phase_ppl.models.socialgnn.graphs import (
     Graphs,
     Variant,
     contacts,
+    edge_slots,
     frame_graphs,
+    touching,
 )
 from phase_ppl.models.socialgnn.store import Trained, TrainingSettings, shapes
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
@@ -30,12 +32,14 @@ from phase_ppl.world.geometry import touches
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import RELATIONS
 from phase_ppl.world.observation import Observation
+from phase_ppl.world.scene import Scene
 from tests.models.walks import START, eight, needs_torch, walk
+from tests.world.examples import walls
 
 SETTINGS = TrainingSettings(epochs=60, looks=False, dropout=0.0, learning_rate=0.02)
 
 
-def graphs(variant: Variant = "extended") -> Graphs:
+def graphs(variant: Variant = "message_passing") -> Graphs:
     event = walk(2, 1, n_frames=9, with_item=True)
     return frame_graphs(event.scene, event.observation, variant)
 
@@ -50,7 +54,7 @@ def edges(of: Graphs, kind: int) -> set[tuple[int, int, int]]:
 
 def test_features_are_in_the_units_that_they_say() -> None:
     event = walk(2, 1, n_frames=9)
-    nodes = frame_graphs(event.scene, event.observation, "extended").nodes
+    nodes = frame_graphs(event.scene, event.observation, "message_passing").nodes
     assert nodes.shape == (9, 8, 7)
     np.testing.assert_allclose(nodes[0, 0, :2], [(14 - 16) / 10, (11 - 12) / 10], atol=1e-6)
     step = np.diff(event.observation.positions, axis=0)
@@ -97,24 +101,70 @@ def test_entities_are_joined_with_the_landmarks_near_them() -> None:
     assert (0, 0, 4 + 2) not in found
 
 
-def test_the_original_has_entities_only_and_landmarks_and_walls_as_context() -> None:
+def test_walls_are_context_and_in_the_original_landmarks_too() -> None:
+    outer = [0, 1, -0.5, 0, 0, 0, 0, 0]  # ends on the rays up, left, down, right
+    np.testing.assert_allclose(graphs().context, outer, atol=1e-7)
+    both_ends = [16, 12, 16, 22, 16, 12, 11, 12, *[0] * 8]
+    np.testing.assert_allclose(graphs("extended").context, both_ends)
     found = graphs("original")
-    assert found.nodes.shape == (9, 4, 7)
+    np.testing.assert_allclose(found.context[:16], both_ends)
+    np.testing.assert_allclose(found.context[16:18], [8.5, 19.5])
     assert not edges(found, PROXIMITY)
-    assert edges(found, CONTACT) == edges(graphs(), CONTACT)
-    walls = [0, 1, -0.5, 0, 0, 0, 0, 0]  # ends on the rays up, left, down, right
-    np.testing.assert_allclose(found.context[:8], walls, atol=1e-7)
-    np.testing.assert_allclose(graphs().context, walls, atol=1e-7)
-    np.testing.assert_allclose(found.context[8:10], [-0.75, 0.75])
 
 
-def test_graphs_do_not_depend_on_whole_turns_nor_on_the_angles_of_items() -> None:
+def test_the_papers_variants_see_units_radians_and_kinds() -> None:
+    event = walk(2, 1, n_frames=9)
+    found = graphs("extended").nodes
+    assert found.shape == (9, 8, 7)
+    np.testing.assert_allclose(found[0, 0], [14, 11, 0, 0, 0.3, 0.8, 0], atol=1e-6)
+    step = event.observation.positions[1, 0] - event.observation.positions[0, 0]
+    np.testing.assert_allclose(found[1, 0, 2:4], 12 * step, atol=1e-4)
+    np.testing.assert_array_equal(found[0, :, 6], [0, 0, 1, 1, 2, 2, 2, 2])
+    np.testing.assert_allclose(found[3, 4], [8.5, 19.5, 0, 0, 0, 2.5, 2])
+    np.testing.assert_array_equal(graphs("original").nodes, found[:, :4])
+
+
+def test_the_papers_contact_is_being_near_with_no_wall_between() -> None:
+    radius = np.array([0.8, 1.2, 1.01, 0.8])
+    start = np.array([[15.0, 16, 0], [17.0, 16, 0], [9.0, 5, 0], [11.1, 5, 0]])
+    there = Observation(np.stack([start, start]))
+    open_scene, walled = Scene(start, radius), Scene(start, radius, walls(up=10))
+    # red and green are 2 apart, within 1.2 (0.8 + 1.2); the items 2.1, within 1.2 * 1.81 = 2.17
+    near = touching(open_scene, there, "original")[0]
+    assert near[0, 1]
+    assert near[1, 0]
+    assert near[2, 3]
+    assert near.sum() == 4
+    apart = touching(walled, there, "original")[0]
+    assert not apart[0, 1]
+    assert apart[2, 3]
+    start[1, 0] = 15 + 2.41
+    moved = Observation(np.stack([start, start]))
+    assert not touching(open_scene, moved, "extended")[0, 0, 1]
+
+
+def test_edges_have_a_slot_each_and_two_landmarks_none() -> None:
+    twelve, more = edge_slots("original"), edge_slots("extended")
+    assert [int(twelve[pair]) for pair in ((0, 1), (0, 2), (0, 3), (1, 0), (3, 2))] == [
+        0,
+        1,
+        2,
+        3,
+        11,
+    ]
+    assert (twelve.diagonal() == -1).all()
+    assert sorted(more[more >= 0]) == list(range(12 + 32))
+    assert (more[4:, 4:] == -1).all()
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_graphs_do_not_depend_on_whole_turns_nor_on_the_angles_of_items(variant: Variant) -> None:
     event = walk(0, 1)
     turned = event.observation.trajectory + np.array([0.0, 0.0, 2 * np.pi])
     turned[:, 2:, 2] = 1.0
-    again = frame_graphs(event.scene, Observation(turned), "extended")
+    again = frame_graphs(event.scene, Observation(turned), variant)
     for one, other in zip(
-        again, frame_graphs(event.scene, event.observation, "extended"), strict=True
+        again, frame_graphs(event.scene, event.observation, variant), strict=True
     ):
         np.testing.assert_allclose(one, other, atol=1e-5)
 
@@ -137,7 +187,7 @@ def test_an_example_is_the_event_itself_unless_it_is_asked_for_in_another_look()
 
 @pytest.mark.parametrize("look", range(len(LOOKS)))
 def test_goals_follow_what_is_seen_in_every_look(look: int) -> None:
-    made = Examples([walk(2, 1, n_frames=9, with_item=True)], "extended")(0, look)
+    made = Examples([walk(2, 1, n_frames=9, with_item=True)], "message_passing")(0, look)
     red, green = (GOALS[goal] for goal in made.goals)
     end = made.graphs.nodes[-1]
     for goal in (red, green):
@@ -205,6 +255,27 @@ def test_the_arrays_of_a_network_are_those_that_files_hold(variant: Variant) -> 
 
 
 @needs_torch
+def test_the_lstm_of_the_original_reads_edges_side_by_side_and_zeros() -> None:
+    import torch
+
+    from phase_ppl.models.socialgnn.graphs import batch
+    from phase_ppl.models.socialgnn.network import SocialGNN
+
+    network, found = SocialGNN("original"), graphs("original")
+    seen = network._frames(batch([found])).detach().numpy().reshape(9, 12, 64)
+    joined = edges(found, CONTACT)
+    assert joined
+    for frame in range(9):
+        for (one, other), slot in np.ndenumerate(edge_slots("original")):
+            if (frame, one, other) in joined:
+                told = [found.nodes[frame, one], found.nodes[frame, other], found.context]
+                wanted = network.edge(torch.from_numpy(np.concatenate(told))).detach().numpy()
+                np.testing.assert_allclose(seen[frame, slot], wanted, rtol=1e-3, atol=1e-4)
+            elif slot >= 0:
+                assert not seen[frame, slot].any()
+
+
+@needs_torch
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_it_learns_eight_events_by_heart(variant: Variant) -> None:
     from phase_ppl.models.socialgnn.network import Ensemble
@@ -218,7 +289,7 @@ def test_it_learns_eight_events_by_heart(variant: Variant) -> None:
     for number, event in enumerate(events):
         found, wanted = ensemble(event.scene, event.observation), examples(number)
         assert found["relation"].argmax() == wanted.relation
-        if variant == "extended":
+        if variant != "original":
             assert found["goal_red"].argmax() == wanted.goals[0]
             assert found["goal_green"].argmax() == wanted.goals[1]
         else:
@@ -232,7 +303,7 @@ def test_a_seed_makes_one_network_whatever_was_drawn_before() -> None:
     from phase_ppl.models.socialgnn.training import fit
 
     settings = TrainingSettings(epochs=2)
-    examples = Examples(eight(), "extended")
+    examples = Examples(eight(), "message_passing")
     one = fit(examples, examples, settings, seed=3)
     torch.rand(3)
     threads = torch.get_num_threads()
@@ -251,7 +322,10 @@ def test_it_stops_when_the_validation_gets_no_better() -> None:
     events = eight()
     settings = dataclasses.replace(SETTINGS, epochs=400, patience=3)
     fitted = fit(
-        Examples(events[:4], "extended"), Examples(events[4:], "extended"), settings, seed=0
+        Examples(events[:4], "message_passing"),
+        Examples(events[4:], "message_passing"),
+        settings,
+        seed=0,
     )
     losses = fitted.curves["validation"]
     assert len(losses) == fitted.best + 1 + 3 < 400
@@ -349,7 +423,6 @@ def test_an_event_alone_gets_the_answer_that_it_gets_among_longer_ones() -> None
 @needs_torch
 def test_nobody_near_and_nobody_touching_is_answered_too() -> None:
     from phase_ppl.models.socialgnn.network import Ensemble
-    from phase_ppl.world.scene import Scene
 
     start = START.copy()
     start[:, :2] = [[14, 15], [18, 15], [14, 9], [18, 9]]
@@ -383,17 +456,17 @@ def test_networks_come_back_bit_by_bit(variant: Variant, tmp_path: Path) -> None
 def test_a_trained_network_says_the_same_after_it_was_saved(tmp_path: Path) -> None:
     from phase_ppl.models.socialgnn.training import fit
 
-    examples = Examples(eight(), "extended")
+    examples = Examples(eight(), "message_passing")
     fitted = fit(examples, examples, TrainingSettings(epochs=2), seed=0)
-    store.save([fitted.arrays], tmp_path / "extended.npz")
-    before = answers(Trained("extended", (fitted.arrays,)))
+    store.save([fitted.arrays], tmp_path / "message_passing.npz")
+    before = answers(Trained("message_passing", (fitted.arrays,)))
     for name, shares in answers(store.load(tmp_path)).items():
         np.testing.assert_array_equal(shares, before[name])
 
 
 def damaged(change: Any) -> bytes:
     """Return a file of one network to which something was done."""
-    arrays: dict[str, Any] = {f"0/{n}": a for n, a in random_member("original").items()}
+    arrays: dict[str, Any] = {f"0/{n}": a for n, a in random_member("message_passing").items()}
     change(arrays)
     file = io.BytesIO()
     np.savez(file, **arrays)
@@ -423,9 +496,11 @@ DAMAGES = {
 
 @pytest.mark.parametrize("message", DAMAGES)
 def test_a_damaged_file_is_refused_with_the_reason(message: str, tmp_path: Path) -> None:
-    file = tmp_path / "original.npz"
+    file = tmp_path / "message_passing.npz"
     file.write_bytes(damaged(DAMAGES[message]))
-    with pytest.raises(InvalidSettingError, match=f"original.npz holds no weights.*{message}"):
+    with pytest.raises(
+        InvalidSettingError, match=f"message_passing.npz holds no weights.*{message}"
+    ):
         store.load(file)
 
 
@@ -465,11 +540,11 @@ def test_a_file_that_claims_or_unpacks_to_gigabytes_is_refused(tmp_path: Path) -
 
 
 def test_a_folder_with_no_weights_or_with_two_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InvalidSettingError, match=r"neither extended\.npz nor original\.npz"):
+    with pytest.raises(InvalidSettingError, match=r"holds none of extended\.npz, original\.npz"):
         store.load(tmp_path)
     for variant in VARIANTS:
         store.save([random_member(variant)], tmp_path / f"{variant}.npz")
-    with pytest.raises(InvalidSettingError, match="both variants: name one"):
+    with pytest.raises(InvalidSettingError, match=r"several, extended\.npz, original\.npz, .*name"):
         store.load(tmp_path)
 
 

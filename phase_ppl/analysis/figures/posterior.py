@@ -104,7 +104,7 @@ def _tracks(axes: Axes, post: Posterior | StepwisePosterior) -> None:
 
     scene, observed = post.scene, post.observed()
     predicted = None if isinstance(post, StepwisePosterior) else post.replay()
-    _arena(axes, scene)
+    draw_arena(axes, scene)
     for entity in reversed(range(len(ENTITIES))):
         colour = _line_colour(entity)
         seen = observed[:, entity, :2]
@@ -116,7 +116,7 @@ def _tracks(axes: Axes, post: Posterior | StepwisePosterior) -> None:
                 dark = _darker(colour)
                 axes.plot(*guess.T, color=dark, lw=1.3, ls=_DASHED, zorder=5)
                 axes.plot(*guess[-1], "o", ms=5, mfc="white", mec=dark, mew=1.2, zorder=6)
-        _entity(axes, entity, observed[0, entity], float(scene.radius[entity]))
+        draw_entity(axes, entity, observed[0, entity], float(scene.radius[entity]))
     dot: dict[str, Any] = {"marker": "o", "ms": 5}
     grey = "#8a8a8a"
     signs = {"observed": Line2D([], [], color=grey, lw=1.9, mfc=grey, mec=INK, mew=0.7, **dot)}
@@ -179,7 +179,8 @@ def _bars(
     axes.tick_params(axis="y", length=0)
 
 
-def _arena(axes: Axes, scene: Scene) -> None:
+def draw_arena(axes: Axes, scene: Scene) -> None:
+    """Draw landmarks with their names, and walls."""
     from matplotlib.patches import Rectangle
 
     half = scene.landmark_half_width
@@ -204,16 +205,19 @@ def _arena(axes: Axes, scene: Scene) -> None:
     axes.set_axis_off()
 
 
-def _entity(axes: Axes, entity: int, pose: FloatArray, radius: float) -> None:
+def draw_entity(
+    axes: Axes, entity: int, pose: FloatArray, radius: float, alpha: float = 0.9
+) -> None:
+    """Draw an entity at a pose x, y, angle."""
     from matplotlib.patches import Circle, Polygon
 
     style: dict[str, Any] = {"fc": _share(ENTITY_COLOURS[entity]), "ec": INK, "lw": 0.7}
     if is_agent(entity):
         outline = agent_outline(pose, radius)
-        axes.add_patch(Polygon(outline, closed=True, zorder=3.5, alpha=0.9, **style))
+        axes.add_patch(Polygon(outline, closed=True, zorder=3.5, alpha=alpha, **style))
     else:
         centre = (float(pose[0]), float(pose[1]))
-        axes.add_patch(Circle(centre, radius, zorder=3.4, alpha=0.9, **style))
+        axes.add_patch(Circle(centre, radius, zorder=3.4, alpha=alpha, **style))
 
 
 def _share(colour: tuple[int, int, int]) -> Colour:

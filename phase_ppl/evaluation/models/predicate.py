@@ -59,27 +59,41 @@ def more_options(given: Mapping[str, Any]) -> list[str]:
 
 
 @register_model("predicate", more_options=more_options)
-def predicate(*, prior: str = "uniform", **options: Any) -> PredicateInversePlanning:
+def predicate(
+    *, prior: str | None = None, preset: str = "default", **options: Any
+) -> PredicateInversePlanning:
     """Predicate inverse planning: goals and relation from symbols alone, without physics.
 
     Args:
-        prior: name of a prior over hypotheses, as SIMPLE takes it; or "independent", under which
-            all pairs of effective goals are alike.
+        prior: name of a prior over hypotheses, as SIMPLE takes it, "uniform" by default; or
+            "independent", under which all pairs of effective goals are alike.
+        preset: of :func:`phase_ppl.preset`; what else is given goes before it. The paper's have
+            its uniform P(g), "independent", and the thresholds of SIMPLE's planner.
         **options: fields of :class:`~phase_ppl.models.predicate.Thresholds` and of
             :class:`~phase_ppl.models.predicate.Rationality`.
 
     Raises:
         InvalidSettingError, UnknownNameError: one of them cannot be used.
     """
-    from phase_ppl.models.predicate import Rationality, Thresholds, log_prior_of_pairs
+    from phase_ppl.inference.presets import preset as check_preset
+    from phase_ppl.models.predicate import (
+        AS_THE_PAPER,
+        Rationality,
+        Thresholds,
+        log_prior_of_pairs,
+    )
 
+    check_preset(preset)
+    usual = AS_THE_PAPER if preset != "default" else {}
+    prior = usual.get("prior", "uniform") if prior is None else prior
     known = more_options(options)
     for name in options:
         if name not in known:
             raise InvalidSettingError(
                 f"{name} is no option of model 'predicate': allowed are "
-                f"{', '.join(['prior', *known])}"
+                f"{', '.join(['prior', 'preset', *known])}"
             )
+    options = {**usual, **options}
     thresholds, rationality = (
         {field.name: options[field.name] for field in dataclasses.fields(kind)
          if field.name in options}

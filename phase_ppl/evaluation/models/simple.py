@@ -92,13 +92,14 @@ def _of_simple(given: Mapping[str, Any]) -> list[str] | None:
         InvalidSettingError, UnknownNameError: there is no such kernel.
     """
     from phase_ppl.inference.infer import infer
+    from phase_ppl.inference.presets import SETTINGS
     from phase_ppl.inference.registry import described
 
     of_kernel = described(given.get("kernel") or _KERNEL).options
     if of_kernel is None:
         return None
     of_infer = [name for name in _options_of(infer) if name not in _NOT_OPTIONS]
-    return [*of_infer, *_names_of_settings(), *of_kernel]
+    return [*of_infer, *SETTINGS, *of_kernel]
 
 
 def _options_of(function: Callable[..., Any]) -> list[str]:
@@ -133,20 +134,15 @@ def simple(
         InvalidSettingError, UnknownNameError: one of them cannot be used.
     """
     from phase_ppl.analysis.weights import WEIGHTINGS
-    from phase_ppl.inference.presets import preset as arguments
+    from phase_ppl.inference.presets import completed
     from phase_ppl.inference.registry import described
     from phase_ppl.models.model import Model
 
-    usual = arguments(preset)
-    planner = usual.pop("planner", None) if planner is None else planner
-    weights = usual.pop("weights", None) if weights is None else weights
-    if "kernel" in options:  # the preset's options are of its own
-        usual = {name: value for name, value in usual.items() if name in ("settings", "chains")}
-    if not {"budget", "iterations"}.isdisjoint(options):
-        usual.pop("iterations", None)
-    if not {*_names_of_settings(), "settings"}.isdisjoint(options):
-        usual.pop("settings", None)
-    options = {**usual, **options}
+    options = completed(preset, {"planner": planner, "weights": weights, **options})
+    weights = options.pop("weights", None)
+    usual = options.pop("planner", None)
+    if simulator is None and program is None:
+        planner = usual  # what brings its own simulator brings its planner
     for name in options:
         if name in _NOT_OPTIONS:
             raise InvalidSettingError(f"{name} is no option of model 'simple'")
@@ -163,27 +159,7 @@ def simple(
         program = Model(**parts)
     elif parts != {"prior": "uniform", "planner": None, "simulator": None, "noise": "fresh"}:
         raise InvalidSettingError("give either a program or its prior, planner, simulator, noise")
-    return Simple(program, weights, _with_settings(options))
-
-
-def _names_of_settings() -> list[str]:
-    from phase_ppl.inference.settings import SimpleSettings
-
-    return [field.name for field in dataclasses.fields(SimpleSettings)]
-
-
-def _with_settings(options: dict[str, Any]) -> dict[str, Any]:
-    """Return the options with those that are SIMPLE's settings as one."""
-    from phase_ppl.inference.settings import SimpleSettings
-
-    names = _names_of_settings()
-    given = {name: value for name, value in options.items() if name in names}
-    if not given:
-        return options
-    if options.get("settings") is not None:
-        raise InvalidSettingError(f"give either settings or {', '.join(given)}")
-    rest = {name: value for name, value in options.items() if name not in names}
-    return {**rest, "settings": SimpleSettings(**given)}
+    return Simple(program, weights, options)
 
 
 # --- the closed-loop model: every frame explained from what was observed before it ----------------
@@ -260,7 +236,7 @@ def no_physics(*, planner: Any = None, speed: float | None = None, **options: An
     _refuse(options, "simulator")
     from phase_ppl.simulator.no_physics import SPEED, PathSimulator
 
-    simulator = PathSimulator(_planner(planner), SPEED if speed is None else speed)
+    simulator = PathSimulator(_planner(planner, options), SPEED if speed is None else speed)
     return simple(simulator=simulator, **options)
 
 
@@ -284,25 +260,26 @@ def noisy_physics(
     from phase_ppl.simulator.joint import DynamicsNoise, JointSimulator
 
     noise = DynamicsNoise(**_given(speed=speed_noise, direction=direction_noise))
-    return simple(simulator=JointSimulator(_planner(planner), noise=noise), **options)
+    simulator = JointSimulator(_planner(planner, options), noise=noise)
+    return simple(simulator=simulator, **options)
 
 
 @register_model("full_observation", more_options=_without("simulator"))
 def full_observation(*, planner: Any = None, **options: Any) -> Predict:
     """SIMPLE with full observation: agents see everything at all times."""
-    return simple(planner=_planner(planner, full_observation=True), **options)
+    return simple(planner=_planner(planner, options, full_observation=True), **options)
 
 
 @register_model("true_state", more_options=_without("simulator"))
 def true_state(*, planner: Any = None, **options: Any) -> Predict:
     """SIMPLE without belief particles: agents plan on the true state, whatever they have seen."""
-    return simple(planner=_planner(planner, true_state=True), **options)
+    return simple(planner=_planner(planner, options, true_state=True), **options)
 
 
 @register_model("no_cost_weight", more_options=_without("simulator"))
 def no_cost_weight(*, planner: Any = None, **options: Any) -> Predict:
     """SIMPLE with lambda = 0: subgoals are chosen by their probability, whatever they cost."""
-    return simple(planner=_planner(planner, cost_weight=0.0), **options)
+    return simple(planner=_planner(planner, options, cost_weight=0.0), **options)
 
 
 @register_model("no_social_goals", more_options=_without("prior"))
@@ -318,10 +295,12 @@ def _refuse(options: dict[str, Any], name: str) -> None:
         raise InvalidSettingError(f"{name} is no option here: it is what this model changes")
 
 
-def _planner(planner: Any, **changes: Any) -> Any:
-    """Return a planner by name, or the default one, with fields changed."""
+def _planner(planner: Any, options: Mapping[str, Any], **changes: Any) -> Any:
+    """Return a planner by name, or the preset's or the default one, with fields changed."""
     from phase_ppl.agents.config import PlannerConfig
+    from phase_ppl.inference.presets import completed
     from phase_ppl.models.model import DEFAULT_PLANNER
 
-    config = PlannerConfig.named(DEFAULT_PLANNER if planner is None else planner)
+    usual = completed(options.get("preset", "default"), {"planner": planner})
+    config = PlannerConfig.named(usual.get("planner", DEFAULT_PLANNER))
     return dataclasses.replace(config, **changes)

@@ -71,13 +71,13 @@ def socialgnn(
     """SocialGNN: a graph neural network that says goals and relation from the motion alone.
 
     Those that come with the package were trained on events that the package generated, not on
-    PHASE: on the splits train and validation of the set that ``phase-ppl generate --planner paper
-    --seed 0`` makes, of which only the split test is new to them. ``phase-ppl train socialgnn``
-    makes others.
+    PHASE: on the splits train and validation of the set that their ``.json`` names, of which only
+    the split test is new to them. ``phase-ppl train socialgnn`` makes others.
 
     Args:
-        variant: "extended", the default, or "original", which says the relation only; not with
-            ``weights``, which are of one.
+        variant: "extended", the paper's and the default; "original", the authors', which says the
+            relation only; "message_passing", this package's own; not with ``weights``, which are
+            of one.
         weights: an npz file, or the folder that training wrote, instead of those of the package.
         member: the answers of this network alone, from 0, instead of the mean over all seeds.
         threads: of PyTorch.
@@ -98,6 +98,8 @@ def socialgnn(
     if member is not None:
         n = len(trained.members)
         if whole_number("member", member, 0) >= n:
-            raise InvalidSettingError(f"member={member}, expected 0 to {n - 1}: there are {n}")
+            raise InvalidSettingError(
+                f"member={member}, expected {'0' if n == 1 else f'0 to {n - 1}'}: there are {n}"
+            )
         trained = trained._replace(members=trained.members[member : member + 1])
     return SocialGNNModel(trained, whole_number("threads", threads))

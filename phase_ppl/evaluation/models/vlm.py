@@ -163,6 +163,7 @@ class Vlm:
         replay: whether stored answers are all there is.
         retries: how often an event is asked about again, at most.
         remaining: what becomes of probability that an answer gives to no goal.
+        text: of the question, see :data:`phase_ppl.evaluation.vlm.request.TEXT`.
     """
 
     client: Client
@@ -172,11 +173,14 @@ class Vlm:
     replay: bool
     retries: int
     remaining: str
+    text: str = TEXT
 
     def __call__(self, scene: Scene, observation: Observation, seed: int) -> Answer:
         """Return what the model answers, or has answered to the same request and seed before."""
         as_video = self.named["show"] == "video"
-        request = Request(scene, observation, str(self.named["model"]), self.pictures, as_video)
+        request = Request(
+            scene, observation, str(self.named["model"]), self.pictures, as_video, self.text
+        )
         determines = {
             **self.named,
             "prompt_sha256": hashlib.sha256(request.prompt.encode()).hexdigest(),
@@ -215,7 +219,7 @@ class Vlm:
 
     def settings(self) -> dict[str, Any]:
         """Return what is asked, and how the animation is drawn."""
-        digest = hashlib.sha256(TEXT.encode()).hexdigest()
+        digest = hashlib.sha256(self.text.encode()).hexdigest()
         return {**self.named, "prompt_sha256": digest, "rendering": rendering()}
 
     def _first_readable(self, attempts: Sequence[Attempt]) -> tuple[Parsed | None, int, str | None]:
@@ -307,6 +311,7 @@ def vlm(
     timeout: float | None = None,
     retries: int = 4,
     remaining: str = "spread",
+    prompt: str | os.PathLike[str] | None = None,
 ) -> Vlm:
     """A vision-language model that watches the animation and answers in JSON.
 
@@ -330,6 +335,8 @@ def vlm(
         retries: how often the same request is made again after a failure that may pass or an
             answer that cannot be used.
         remaining: "spread" or "zero" (:data:`phase_ppl.evaluation.vlm.request.REMAINING`).
+        prompt: a text file with a prompt of one's own, in which ``{goals}`` stands for the names of
+            the goals; by default :data:`phase_ppl.evaluation.vlm.request.TEXT`.
 
     Raises:
         InvalidSettingError, UnknownNameError: one of them cannot be used, or the client's
@@ -374,4 +381,21 @@ def vlm(
     else:
         service = make_service(client, name, show, given, to_be_asked=not replay)
         asked, named = service, service.named()
-    return Vlm(asked, named, frames, kept, replay, retries, remaining)
+    text = TEXT if prompt is None else _own_prompt(prompt)
+    return Vlm(asked, named, frames, kept, replay, retries, remaining, text)
+
+
+def _own_prompt(path: object) -> str:
+    """Return the text of a file; InvalidSettingError: it is none that can be asked."""
+    if not isinstance(path, str | os.PathLike):
+        raise InvalidSettingError(f"prompt={shown(path)}, expected the name of a text file")
+    try:
+        text = Path(path).read_text("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "it is no UTF-8 text"
+        raise InvalidSettingError(f"prompt={path}: {reason}") from None
+    if not ("{goals}" in text or "{goals_str}" in text):
+        raise InvalidSettingError(
+            f"prompt={path} has no {{goals}}, in whose place the names of the goals are put"
+        )
+    return text

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -20,6 +21,7 @@ from phase_ppl.evaluation.figures import drawings_of
 from phase_ppl.evaluation.figures.layout import NothingToDrawError, Results
 from phase_ppl.evaluation.folder import POSTERIOR, ResultsFolder
 from phase_ppl.evaluation.metrics import at
+from phase_ppl.evaluation.paper import NO_REPRODUCTION, NOT_DRAWN, VERDICTS, Reproduction
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
 from phase_ppl.evaluation.report.html import (
     LEAST,
@@ -36,7 +38,7 @@ from phase_ppl.inference.progress import counted
 from phase_ppl.render.stills import draw_strip
 from phase_ppl.render.video import video
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.errors import InvalidEventError, unknown_name
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, unknown_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS
 from phase_ppl.world.names import AGENTS
@@ -482,4 +484,43 @@ def comparison_page(comparison: ModelComparison, *, progress: bool | None = None
         ],
         settings=comparison.settings,
         settings_of_models=list(flat(settings)),
+    )
+
+
+# --- the paper, cell by cell -----------------------------------------------------------------
+
+
+def reproduction_page(made: Reproduction, *, progress: bool | None = None) -> str:
+    """Return the page of a reproduction.
+
+    Args:
+        made: what came out.
+        progress: show a bar over the events; None: where stderr is a terminal.
+    """
+    results = Results(made.comparison)
+    drawn, left_out = _figures(results)
+    for title, alt, draw in made.drawn:
+        try:
+            drawn.append((title, figure_of(draw(), alt)))
+        except InvalidSettingError as reason:
+            left_out.append(f"{title}: {reason}.")
+    given = {one.name: {"folder": one.folder, **one.settings} for one in made.comparison.entries}
+    return page(
+        "reproduction.html",
+        title="The paper, cell by cell" if made.real else "No reproduction: a try",
+        warning="" if made.real else NO_REPRODUCTION,
+        notes=made.notes,
+        places=[
+            (place, [(one, label_of(one.label)) for one in rows])
+            for place, rows in itertools.groupby(made.cells, lambda one: one.printed.place)
+        ],
+        counts=[(kind, sum(one.verdict == kind for one in made.cells)) for kind in VERDICTS],
+        summary=_summary(results.measured),
+        drawn=drawn,
+        left_out=[*left_out, f"{NOT_DRAWN}."],
+        items=[
+            _item(event, results.answers)
+            for event in counted(made.comparison.events, progress, "event", "showing")
+        ],
+        settings_of_models=list(flat(given)),
     )

@@ -49,24 +49,22 @@ _SUM_EXACT: Final = 1e-6
 _FENCE: Final = re.compile(r"```[ \t]*(?:\w+[ \t]*)?\r?\n(.*?)```", re.DOTALL)
 
 _MEANING: Final = {
-    "friendly": "they work towards the same goal",
-    "neutral": "each minds its own business",
-    "adversarial": "one hinders the other, or they are rivals",
+    "friendly": "they work together on a goal",
+    "neutral": "their goals have nothing to do with each other",
+    "adversarial": "for instance, one hinders the other, or they compete",
 }
 
 _AGENTS: Final = " and ".join(AGENTS)
 
 TEXT: Final = f"""\
-{{shown}} Two agents move about a room, seen from above. What does each of them want, and how do \
-they stand to each other?
+{{shown}} Two agents act in a two-dimensional world. What does each of them want, and how do they \
+stand to each other?
 
 What there is to see:
-- {len(AGENTS)} agents, {_AGENTS}: trapezoids with two eyes. They move by themselves and can push, \
-hold and carry things.
-- {len(ITEMS)} items, {" and ".join(ITEMS)}: discs in light colours, which move only when an agent \
-moves them.
-- Agents and items come in several sizes; the larger, the heavier.
-- {len(LANDMARKS)} landmarks, {", ".join(LANDMARKS)}: coloured squares ("lm") on the floor, places \
+- {len(AGENTS)} agents, {_AGENTS}: trapezoids.
+- {len(ITEMS)} items, {" and ".join(ITEMS)}: circles.
+- Agents and items come in several colours and sizes; the larger, the heavier.
+- {len(LANDMARKS)} landmarks, {", ".join(LANDMARKS)}: coloured squares ("lm"), places \
 where an agent may want to be or to have something.
 - Walls: black lines. Neither agents nor items get through them.
 
@@ -88,12 +86,20 @@ that sum to 1.
 them, which sum to 1.
 
 Its form, with the names and numbers still to be put in:
-{{{{"goal_red": {{{{"<goal>": <probability>, and nine more}}}}, \
-"goal_green": {{{{"<goal>": <probability>, and nine more}}}}, \
-"relation": {{{{"friendly": <probability>, "neutral": <probability>, \
-"adversarial": <probability>}}}}}}}}
+{{"goal_red": {{"<goal>": <probability>, and nine more}}, \
+"goal_green": {{"<goal>": <probability>, and nine more}}, \
+"relation": {{"friendly": <probability>, "neutral": <probability>, \
+"adversarial": <probability>}}}}
 """
-"""The content of the paper's prompt, in words of our own."""
+"""The facts of the paper's prompt (Appendix D), in words of our own.
+
+In this and in a prompt of one's own ``{goals}`` (``{goals_str}`` in the paper's), ``{relations}``
+and ``{shown}`` stand for the names of the goals, for the relations with their meanings, and for how
+the animation is shown.
+"""
+
+_PAPERS_KEYS: Final = {"red_agent_goals": "goal_red", "green_agent_goals": "goal_green"}
+"""What the paper's prompt calls its questions -> what they are called here."""
 
 
 # what draws is imported where it is used: this module is loaded with every model's name
@@ -121,12 +127,19 @@ class Request:
         model: who is asked, as the service or the user calls it.
         n_pictures: how many frames :attr:`pictures` has, at most.
         as_video: whether the question speaks of a video; else of pictures.
+        text: of the question, as :data:`TEXT`.
     """
 
     def __init__(
-        self, scene: Scene, observation: Observation, model: str, n_pictures: int, as_video: bool
+        self,
+        scene: Scene,
+        observation: Observation,
+        model: str,
+        n_pictures: int,
+        as_video: bool,
+        text: str = TEXT,
     ) -> None:
-        self.model = model
+        self.model, self._text = model, text
         self._scene, self._observation, self._as_video = scene, observation, as_video
         last = observation.n_frames - 1
         count = min(n_pictures, last + 1)
@@ -144,11 +157,15 @@ class Request:
             else f"The {len(self._seconds)} pictures are frames of one animation of "
             f"{self._seconds[-1]:g} seconds, in the order of time, each with its time before it."
         )
-        return TEXT.format(
-            shown=shown,
-            goals="\n".join(f"- {goal}" for goal in GOALS),
-            relations="\n".join(f"- {name}: {_MEANING[name]}" for name in RELATIONS),
-        )
+        goals = "\n".join(f"- {goal}" for goal in GOALS)
+        parts = {
+            **{"shown": shown, "goals": goals, "goals_str": goals},
+            "relations": "\n".join(f"- {name}: {_MEANING[name]}" for name in RELATIONS),
+        }
+        told = self._text
+        for name, part in parts.items():  # a prompt has braces of its own
+            told = told.replace(f"{{{name}}}", part)
+        return told
 
     @functools.cached_property
     def video(self) -> bytes:
@@ -326,7 +343,8 @@ def _without_fence(text: str, repairs: list[str]) -> str:
 def _asked_for(document: Mapping[str, Any], repairs: list[str]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for key, value in document.items():
-        question = _same_name(key, QUESTIONS, repairs)
+        name = _same_name(key, (*QUESTIONS, *_PAPERS_KEYS), repairs)
+        question = _PAPERS_KEYS.get(name or "", name)
         if question is None:
             repairs.append(f"key {shown(key)} left out")
         elif question in found:

@@ -220,6 +220,7 @@ class Checkpoint:
         identity: what the run is (:meth:`phase_ppl.inference.runs.run.Run.identity`).
         event: that it explains.
         target: ``iterations`` and ``budget``, when it was to be complete; one of them is None.
+        asked: ``weights`` and ``burn_in`` of its posterior; None where they were left open.
         failures: ``on_failure``, ``retries`` and ``simulation_seconds``.
         again: ``model``, ``kernel``, ``options`` and ``settings`` to make the run again; each is
             None where it is not plain data, such as parts of a user's own.
@@ -253,6 +254,7 @@ class Checkpoint:
         if event_digest(self.event) != self.identity["event"]:
             raise ValueError("its event is not that of the run")
         self.target = {name: document["target"][name] for name in ("iterations", "budget")}
+        self.asked = {name: document["target"].get(name) for name in ("weights", "burn_in")}
         if self.target["budget"] is not None:
             amount, unit = self.target["budget"]
             self.target["budget"] = _BUDGETS[unit](amount)

@@ -403,6 +403,8 @@ class Sampler:
             "target": {
                 "iterations": ends.iterations,
                 "budget": ends.budget and dataclasses.astuple(ends.budget),
+                "weights": options.weights,
+                "burn_in": options.burn_in,
             },
             "failures": {
                 "on_failure": self._runner.on_failure,

@@ -10,7 +10,7 @@ import numpy as np
 
 from phase_ppl.dataset.generation.copies import Recording, recoloured, reflected
 from phase_ppl.dataset.generation.plan import REFLECTION_SHARES, UNCHANGED, Look
-from phase_ppl.models.socialgnn.graphs import Graphs, Variant, contacts, frame_graphs
+from phase_ppl.models.socialgnn.graphs import Graphs, Variant, frame_graphs, touching
 from phase_ppl.physics.actions import NO_ACTION
 from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.event import Event
@@ -49,7 +49,7 @@ class Examples:
         self._recordings = [_recording(event) for event in events]
         self.relations = [RELATIONS.index(event.truth.relation) for event in events]  # type: ignore[union-attr]
         """Relation of each event, as an index."""
-        self._touching = [contacts(event.scene, event.observation) for event in events]
+        self._touching = [touching(e.scene, e.observation, variant) for e in events]
         self._variant = variant
         self._made: dict[tuple[int, int], Example] = {}
 
@@ -73,10 +73,10 @@ class Examples:
         for swap, first in ((look.agents, 0), (look.items, BLUE_ITEM)):
             if swap:
                 order[[first, first + 1]] = order[[first + 1, first]]
-        touching = self._touching[event][:, order][:, :, order]
+        touch = self._touching[event][:, order][:, :, order]
         observation = Observation(seen.trajectory)
         return Example(
-            frame_graphs(seen.scene, observation, self._variant, touching),
+            frame_graphs(seen.scene, observation, self._variant, touch),
             self.relations[event],
             seen.hypothesis.effective_goals,
         )

@@ -1,7 +1,8 @@
 """The frames of an event as graphs.
 
-Nodes are the four entities and, in the extended variant, the four landmarks after them. Places
-count from the arena's centre in halves of its width, so that the arena is [-1, 1] x [-1, 1].
+Nodes are the four entities and, but for the original variant, the four landmarks after them. The
+paper's variants see the numbers as they are, units and radians; for message passing places count
+from the arena's centre in halves of its width, so that the arena is [-1, 1] x [-1, 1].
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.world.arrays import IntArray
+from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.errors import unknown_name
 from phase_ppl.world.geometry import TOUCH_ENLARGEMENT, touches
 from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS
@@ -23,23 +24,26 @@ from phase_ppl.world.scene import Scene
 SingleArray = NDArray[np.float32]
 SmallIntArray = NDArray[np.int32]
 
-Variant = Literal["extended", "original"]
-VARIANTS: Final = ("extended", "original")
+Variant = Literal["extended", "original", "message_passing"]
+VARIANTS: Final = ("extended", "original", "message_passing")
 
 NEAR: Final = 5.0
 """Units between an entity and a landmark's centre below which an edge joins them: the side of a
 landmark's square in the original world."""
 
-FEATURES: Final = (
-    "x, halves of the arena's width",
-    "y, halves of the arena's width",
-    "x gained since the last frame, units",
-    "y gained since the last frame, units",
-    "heading x; 0 but for agents",
-    "heading y; 0 but for agents",
-    "size R, units; of landmarks half their width",
-)
-"""Of a node in a frame; which node it is follows, one-hot."""
+N_FEATURES: Final = 7
+"""Numbers that a node has in a frame.
+
+Of the paper's variants: x, y, their gain per simulated second, angle (0 but for agents), size R,
+and 0 for agents, 1 for items, 2 for landmarks. For message passing: x, y, their gain since the last
+frame in units, heading x and y (0 but for agents), size R. A landmark's size is half its width.
+"""
+
+CONTACT_FACTOR: Final = 1.2
+"""In the paper's variants two entities touch that are nearer than this times R1 + R2."""
+
+_RATE: Final = 12.0
+"""Frames per simulated second."""
 
 CONTACT, PROXIMITY = 0, 1
 """Kinds of edges: two entities touch; an entity is near a landmark."""
@@ -52,10 +56,11 @@ class Graphs(NamedTuple):
     """The frames of one event.
 
     Attributes:
-        nodes: (time, node, feature), see :data:`FEATURES`.
+        nodes: (time, node, feature), see :data:`N_FEATURES`.
         edges: (edge, 4) frame, sender, receiver, kind; every edge is there in both directions.
-        context: (number,) what all edges are told: the ends of the walls on the four rays (the
-            centre where there is none), and in the original variant the landmarks' centres.
+        context: (number,) what all edges are told: the walls on the four rays, in the paper's
+            variants both ends (0 where there is none), for message passing the outer one (the
+            centre where there is none); and in the original variant the landmarks' centres.
     """
 
     nodes: SingleArray
@@ -90,12 +95,56 @@ def checked_variant(variant: str) -> Variant:
 
 def n_nodes(variant: Variant) -> int:
     """Return how many nodes the graph of a frame has."""
-    return len(ENTITIES) + (len(LANDMARKS) if variant == "extended" else 0)
+    return len(ENTITIES) + (0 if variant == "original" else len(LANDMARKS))
 
 
 def n_context(variant: Variant) -> int:
     """Return how many numbers all edges are told."""
-    return 2 * len(RAY_DIRECTIONS) + (2 * len(LANDMARKS) if variant == "original" else 0)
+    ends = 1 if variant == "message_passing" else 2
+    landmarks = len(LANDMARKS) if variant == "original" else 0
+    return 2 * (ends * len(RAY_DIRECTIONS) + landmarks)
+
+
+def edge_slots(variant: Variant) -> IntArray:
+    """Return (sender, receiver) the slot of each edge that there can be, -1 where there is none."""
+    n = n_nodes(variant)
+    entity = np.arange(n) < len(ENTITIES)
+    possible = (entity[:, None] | entity) & ~np.eye(n, dtype=bool)
+    return np.where(possible, np.cumsum(possible).reshape(n, n) - 1, -1)
+
+
+def touching(scene: Scene, observation: Observation, variant: Variant) -> NDArray[np.bool_]:
+    """Return (time, entity, entity) who touches whom, as the variant has it."""
+    if variant == "message_passing":
+        return contacts(scene, observation)
+    places, walls = observation.positions, scene.rooms.wall_length > 0
+    apart = np.linalg.norm(places[:, :, None] - places[:, None], axis=-1)
+    found = apart < CONTACT_FACTOR * (scene.radius[:, None] + scene.radius)
+    found &= ~np.eye(len(ENTITIES), dtype=bool)
+    for ends in _walls(scene)[walls]:
+        found &= ~_crosses(places[:, :, None], places[:, None], *ends)
+    return found
+
+
+def _walls(scene: Scene) -> FloatArray:
+    """Return (ray, end, coord), 0 where a ray has no wall."""
+    length = scene.rooms.wall_length[:, None]
+    outer = scene.centre + length * RAY_DIRECTIONS
+    ends = np.stack([np.broadcast_to(scene.centre, outer.shape), outer], axis=1)
+    return np.where(length[:, None] > 0, ends, 0.0)
+
+
+def _crosses(
+    one: FloatArray, other: FloatArray, start: FloatArray, end: FloatArray
+) -> NDArray[np.bool_]:
+    """Return whether ways (..., coord) from one place to another meet the wall."""
+
+    def side(a: FloatArray, b: FloatArray, c: FloatArray) -> FloatArray:
+        along, to = b - a, c - a
+        return np.asarray(along[..., 0] * to[..., 1] - along[..., 1] * to[..., 0])
+
+    apart = side(start, end, one) * side(start, end, other) <= 0
+    return np.asarray(apart & (side(one, other, start) * side(one, other, end) <= 0))
 
 
 def contacts(scene: Scene, observation: Observation) -> NDArray[np.bool_]:
@@ -119,37 +168,57 @@ def frame_graphs(
     scene: Scene,
     observation: Observation,
     variant: Variant,
-    touching: NDArray[np.bool_] | None = None,
+    touch: NDArray[np.bool_] | None = None,
 ) -> Graphs:
-    """Return the frames of an event as graphs; ``touching`` is as of :func:`contacts`."""
-    if touching is None:
-        touching = contacts(scene, observation)
-    half = (scene.arena[1] - scene.arena[0]) / 2
-    places = observation.positions
-    nodes = np.zeros((observation.n_frames, n_nodes(variant), len(FEATURES)), np.float32)
-    entities = nodes[:, : len(ENTITIES)]
-    entities[..., :2] = (places - scene.centre) / half
-    entities[1:, :, 2:4] = np.diff(places, axis=0)
-    agents = observation.angles[:, : len(AGENTS)]
-    entities[:, : len(AGENTS), 4:6] = np.stack([-np.sin(agents), np.cos(agents)], axis=-1)
-    entities[..., 6] = scene.radius
-    frame, one, other = np.nonzero(touching)
+    """Return the frames of an event as graphs; ``touch`` is as of :func:`touching`."""
+    touch = touching(scene, observation, variant) if touch is None else touch
+    nodes, context = (_scaled if variant == "message_passing" else _as_they_are)(scene, observation)
+    frame, one, other = np.nonzero(touch)
     edges = [np.stack([frame, one, other, np.full_like(frame, CONTACT)], axis=1)]
-    landmarks = (scene.landmark_centres - scene.centre) / half
-    walls = scene.rooms.wall_length[:, None] * RAY_DIRECTIONS / half
-    if variant == "extended":
-        nodes[:, len(ENTITIES) :, :2] = landmarks
-        nodes[:, len(ENTITIES) :, 6] = scene.landmark_half_width
-        apart = np.linalg.norm(places[:, :, None] - scene.landmark_centres, axis=-1)
+    if variant == "original":
+        nodes, context = nodes[:, : len(ENTITIES)], np.append(context, scene.landmark_centres)
+    else:
+        apart = np.linalg.norm(observation.positions[:, :, None] - scene.landmark_centres, axis=-1)
         frame, entity, landmark = np.nonzero(apart < NEAR)
         kind = np.full_like(frame, PROXIMITY)
         node = len(ENTITIES) + landmark
         edges += [np.stack([frame, entity, node, kind], axis=1),
                   np.stack([frame, node, entity, kind], axis=1)]  # fmt: skip
-        context = walls.ravel()
-    else:
-        context = np.concatenate([walls.ravel(), landmarks.ravel()])
     return Graphs(nodes, np.concatenate(edges).astype(np.int32), context.astype(np.float32))
+
+
+def _as_they_are(scene: Scene, observation: Observation) -> tuple[SingleArray, FloatArray]:
+    """Return the features of entities and landmarks, and the walls, of the paper's variants."""
+    nodes = _empty(observation)
+    nodes[:, : len(ENTITIES), :2] = observation.positions
+    nodes[1:, : len(ENTITIES), 2:4] = _RATE * np.diff(observation.positions, axis=0)
+    angles = observation.angles[:, : len(AGENTS)]
+    nodes[:, : len(AGENTS), 4] = angles - 2 * np.pi * np.round(angles[0] / (2 * np.pi))
+    nodes[:, : len(ENTITIES), 5] = scene.radius
+    nodes[:, len(AGENTS) : len(ENTITIES), 6] = 1
+    nodes[:, len(ENTITIES) :, :2] = scene.landmark_centres
+    nodes[:, len(ENTITIES) :, 5:] = scene.landmark_half_width, 2
+    return nodes, _walls(scene).ravel()
+
+
+def _scaled(scene: Scene, observation: Observation) -> tuple[SingleArray, FloatArray]:
+    """Return the features of entities and landmarks, and the walls, for message passing."""
+    half = (scene.arena[1] - scene.arena[0]) / 2
+    nodes = _empty(observation)
+    entities = nodes[:, : len(ENTITIES)]
+    entities[..., :2] = (observation.positions - scene.centre) / half
+    entities[1:, :, 2:4] = np.diff(observation.positions, axis=0)
+    agents = observation.angles[:, : len(AGENTS)]
+    entities[:, : len(AGENTS), 4:6] = np.stack([-np.sin(agents), np.cos(agents)], axis=-1)
+    entities[..., 6] = scene.radius
+    nodes[:, len(ENTITIES) :, :2] = (scene.landmark_centres - scene.centre) / half
+    nodes[:, len(ENTITIES) :, 6] = scene.landmark_half_width
+    return nodes, (scene.rooms.wall_length[:, None] * RAY_DIRECTIONS / half).ravel()
+
+
+def _empty(observation: Observation) -> SingleArray:
+    n = len(ENTITIES) + len(LANDMARKS)
+    return np.zeros((observation.n_frames, n, N_FEATURES), np.float32)
 
 
 def batch(graphs: Sequence[Graphs]) -> Batch:

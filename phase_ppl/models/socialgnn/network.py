@@ -12,17 +12,16 @@ from torch import nn
 
 from phase_ppl.models.neural import threads
 from phase_ppl.models.socialgnn.graphs import (
-    FEATURES,
     PROXIMITY,
     Batch,
     Graphs,
     Variant,
     batch,
+    edge_slots,
     frame_graphs,
-    n_context,
     n_nodes,
 )
-from phase_ppl.models.socialgnn.store import EDGE, HEADS, NODE, STATE, Arrays, Trained
+from phase_ppl.models.socialgnn.store import HEADS, Arrays, Trained, shapes
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 
@@ -40,23 +39,24 @@ class Outputs(NamedTuple):
 
 
 class SocialGNN(nn.Module):
-    """The network.
+    """A network of any variant.
 
     Args:
-        variant: "extended" or "original".
+        variant: "extended", "original" or "message_passing".
         dropout: share of the LSTM's inputs and of its last state that is left out in training.
     """
 
     def __init__(self, variant: Variant, dropout: float = 0.0) -> None:
         super().__init__()
+        made = shapes(variant)
         self.nodes = n_nodes(variant)
-        n_features = len(FEATURES) + self.nodes
-        # sender, receiver, the way from one to the other, its length, the kind of edge, context
-        self.edge = nn.Linear(2 * n_features + 4 + n_context(variant), EDGE)
-        self.node = nn.Linear(n_features + EDGE, NODE)
-        self.lstm = nn.LSTM(self.nodes * NODE, STATE, batch_first=True)
+        self.register_buffer("slots", torch.from_numpy(edge_slots(variant)), persistent=False)
+        self.edge = _linear(made["edge.weight"])
+        self.node = _linear(made["node.weight"]) if "node.weight" in made else None
+        units, wide = made["lstm.weight_ih_l0"]
+        self.lstm = nn.LSTM(wide, units // 4, batch_first=True)
         self.heads = nn.ModuleDict(
-            {name: nn.Linear(STATE, n) for name, n in HEADS[variant].items()}
+            {name: nn.Linear(units // 4, n) for name, n in HEADS[variant].items()}
         )
         self.dropout = nn.Dropout(dropout)
 
@@ -72,19 +72,30 @@ class SocialGNN(nn.Module):
         return Outputs(said["relation"], torch.stack(goals, dim=1) if goals else None)
 
     def _frames(self, given: Batch) -> Any:
-        """Return (frame, node * NODE) the updated nodes of every frame."""
-        seen = torch.from_numpy(given.nodes)
-        which = torch.eye(self.nodes).expand(len(seen), -1, -1)
-        nodes = torch.cat([seen, which], dim=-1).flatten(0, 1)
+        """Return (frame, number) what the LSTM reads of every frame."""
+        nodes = torch.from_numpy(given.nodes)
         frame, sender, receiver, kind = torch.from_numpy(given.edges).T
-        sender, receiver = frame * self.nodes + sender, frame * self.nodes + receiver
-        way = nodes[receiver, :2] - nodes[sender, :2]
         context = torch.from_numpy(given.context)[torch.from_numpy(given.event)[frame]]
+        if self.node is None:
+            parts = [nodes[frame, sender], nodes[frame, receiver], context]
+            edges = self.edge(torch.cat(parts, dim=1))
+            n = int(self.slots.max()) + 1
+            place = frame * n + self.slots[sender, receiver]
+            empty = edges.new_zeros(len(nodes) * n, edges.shape[1])
+            return empty.index_copy(0, place, edges).view(len(nodes), -1)
+        which = torch.eye(self.nodes).expand(len(nodes), -1, -1)
+        flat = torch.cat([nodes, which], dim=-1).flatten(0, 1)
+        sender, receiver = frame * self.nodes + sender, frame * self.nodes + receiver
+        way = flat[receiver, :2] - flat[sender, :2]
         near = (kind == PROXIMITY).to(way.dtype)[:, None]
-        parts = [nodes[sender], nodes[receiver], way, way.norm(dim=1, keepdim=True), near, context]
+        parts = [flat[sender], flat[receiver], way, way.norm(dim=1, keepdim=True), near, context]
         edges = self.edge(torch.cat(parts, dim=1)).relu()
-        arrived = nodes.new_zeros(len(nodes), EDGE).index_add(0, receiver, edges)
-        return self.node(torch.cat([nodes, arrived], dim=1)).relu().view(len(seen), -1)
+        arrived = flat.new_zeros(len(flat), edges.shape[1]).index_add(0, receiver, edges)
+        return self.node(torch.cat([flat, arrived], dim=1)).relu().view(len(nodes), -1)
+
+
+def _linear(shape: tuple[int, ...]) -> nn.Linear:
+    return nn.Linear(shape[1], shape[0])
 
 
 # --- what trained networks say of an event. Importing this module needs PyTorch -------------------

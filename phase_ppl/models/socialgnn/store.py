@@ -1,7 +1,7 @@
 """How a network is made, and trained networks in files: plain arrays in half precision, no code.
 
-A file ``extended.npz`` or ``original.npz`` holds one or more *members*, networks of the same
-variant that were trained from different seeds; their arrays are called ``MEMBER/NAME``, MEMBER
+A file such as ``original.npz``, called by its variant, holds one or more *members*, networks of the
+same variant that were trained from different seeds; their arrays are called ``MEMBER/NAME``, MEMBER
 being 0, 1, ... The JSON file beside it says how they were made.
 """
 
@@ -22,10 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.models.socialgnn.graphs import (
-    FEATURES,
+    N_FEATURES,
     VARIANTS,
     Variant,
     checked_variant,
+    edge_slots,
     n_context,
     n_nodes,
 )
@@ -35,53 +36,64 @@ from phase_ppl.world.files import atomic_output
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import RELATIONS
 
-EDGE: Final = 32
-NODE: Final = 16
-STATE: Final = 64
-"""Units of an updated edge, of an updated node, and of the LSTM's state."""
+EDGE, STATE = 64, 16
+"""Units of an edge and of the LSTM's state in the paper's variants, those of the authors."""
+
+_OWN_EDGE, _OWN_NODE, _OWN_STATE = 32, 16, 64
+"""Units of an updated edge, of an updated node and of the LSTM's state for message passing."""
+
+_ALL: Final = {"relation": len(RELATIONS), "goal_red": N_GOALS, "goal_green": N_GOALS}
 
 HEADS: Final[Mapping[str, Mapping[str, int]]] = {
-    "extended": {"relation": len(RELATIONS), "goal_red": N_GOALS, "goal_green": N_GOALS},
+    "extended": _ALL,
     "original": {"relation": len(RELATIONS)},
+    "message_passing": _ALL,
 }
 """Variant -> head -> its answers."""
 
 
 def shapes(variant: Variant) -> dict[str, tuple[int, ...]]:
     """Return the arrays of a trained network, as PyTorch calls them, with their shapes."""
-    nodes = n_nodes(variant)
-    features = len(FEATURES) + nodes
-    layers = {
-        "edge": (EDGE, 2 * features + 4 + n_context(variant)),
-        "node": (NODE, features + EDGE),
-        **{f"heads.{name}": (n, STATE) for name, n in HEADS[variant].items()},
-    }
+    nodes, context = n_nodes(variant), n_context(variant)
+    if variant == "message_passing":
+        # which node it is, the way from one to the other, its length, the kind of edge
+        features, state = N_FEATURES + nodes, _OWN_STATE
+        layers = {
+            "edge": (_OWN_EDGE, 2 * features + 4 + context),
+            "node": (_OWN_NODE, features + _OWN_EDGE),
+        }
+        wide = nodes * _OWN_NODE
+    else:
+        layers, state = {"edge": (EDGE, 2 * N_FEATURES + context)}, STATE
+        wide = (int(edge_slots(variant).max()) + 1) * EDGE
+    layers |= {f"heads.{name}": (n, state) for name, n in HEADS[variant].items()}
     found: dict[str, tuple[int, ...]] = {}
     for name, shape in layers.items():
         found |= {f"{name}.weight": shape, f"{name}.bias": shape[:1]}
     return found | {
-        "lstm.weight_ih_l0": (4 * STATE, nodes * NODE),
-        "lstm.weight_hh_l0": (4 * STATE, STATE),
-        "lstm.bias_ih_l0": (4 * STATE,),
-        "lstm.bias_hh_l0": (4 * STATE,),
+        "lstm.weight_ih_l0": (4 * state, wide),
+        "lstm.weight_hh_l0": (4 * state, state),
+        "lstm.bias_ih_l0": (4 * state,),
+        "lstm.bias_hh_l0": (4 * state,),
     }
 
 
 @dataclasses.dataclass(frozen=True)
 class TrainingSettings:
-    """How one network is trained; the paper gives the loss, the numbers are this package's.
+    """How one network is trained; the defaults are for message passing, :meth:`of` for a variant.
 
     Attributes:
-        variant: "extended" (relation and goals) or "original" (relation only).
+        variant: "extended", "message_passing" (relation and goals) or "original" (relation only).
         epochs: passes over the training events, at most.
         patience: epochs without a smaller loss on the validation events after which it ends; the
-            network of the smallest one counts.
+            network of the smallest one counts. 0: all epochs at one rate, the last one counts.
         batch: events per step.
         learning_rate: of Adam at the start; halved after a third of the patience without progress.
-        decay: lambda, weight of the squared norm of all weights in the loss.
+        decay: weight of the squared norm of all weights in the loss.
         dropout: share of units left out in each step.
-        balanced: whether relations that are rare among the training events weigh more. The loss of
-            a batch is their weighted mean, so that in batches of one event this changes nothing.
+        balanced: whether relations that are rare among the training events weigh more; else
+            neutral ones count twice, as the authors have it. The loss of a batch is the weighted
+            mean, so that in batches of one event neither changes anything.
         looks: whether an event is reflected and recoloured anew in each epoch.
         threads: of PyTorch; the result depends on it.
 
@@ -89,7 +101,7 @@ class TrainingSettings:
         InvalidSettingError, UnknownNameError: a value that is not allowed.
     """
 
-    variant: Variant = "extended"
+    variant: Variant = "message_passing"
     epochs: int = 250
     patience: int = 40
     batch: int = 16
@@ -102,8 +114,9 @@ class TrainingSettings:
 
     def __post_init__(self) -> None:
         checked_variant(self.variant)
-        for name in ("epochs", "patience", "batch", "threads"):
+        for name in ("epochs", "batch", "threads"):
             whole_number(name, getattr(self, name))
+        whole_number("patience", self.patience, 0)
         for name in ("balanced", "looks"):
             if not isinstance(getattr(self, name), bool):
                 raise InvalidSettingError(
@@ -119,9 +132,22 @@ class TrainingSettings:
                     f"{name}={shown(value)}, expected a number from {low:g} to {high:g}"
                 )
 
+    @classmethod
+    def of(cls, variant: Variant, **changes: Any) -> TrainingSettings:
+        """Return how a variant is usually trained: those of the paper as its authors did."""
+        usual = {} if variant == "message_passing" else AS_THE_AUTHORS
+        return cls(variant, **{**usual, **changes})
+
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain data."""
         return dataclasses.asdict(self)
+
+
+AS_THE_AUTHORS: Final[Mapping[str, Any]] = {
+    **{"epochs": 100, "patience": 0, "batch": 20, "learning_rate": 1e-3, "dropout": 0.0},
+    **{"decay": 0.05 / 2, "balanced": False, "looks": False},  # their lambda, of half the norm
+}
+"""How the authors of SocialGNN trained it."""
 
 
 # --- files ----------------------------------------------------------------------------------------
@@ -188,8 +214,8 @@ def load(path: str | os.PathLike[str]) -> Trained:
         known = [source / f"{variant}.npz" for variant in VARIANTS]
         there = [file for file in known if file.is_file()]
         if len(there) != 1:
-            names = " nor ".join(f.name for f in known) if not there else ""
-            why = f"holds neither {names}" if names else "holds both variants: name one file"
+            names = ", ".join(file.name for file in there or known)
+            why = f"holds several, {names}: name one" if there else f"holds none of {names}"
             raise InvalidSettingError(f"{source} {why}")
         source = there[0]
     try:
@@ -227,6 +253,8 @@ def _checked(arrays: dict[str, NDArray[Any]]) -> Trained:
         raise ValueError(f"expected members 0, 1, ..., found {names}")
     first = by_member["0"]
     variant: Variant = "extended" if "heads.goal_red.weight" in first else "original"
+    if "node.weight" in first:
+        variant = "message_passing"
     members = [_member(number, by_member[str(number)], variant) for number in range(len(by_member))]
     return Trained(variant, tuple(members))
 

@@ -25,6 +25,9 @@ _SLOWER: Final = 0.5
 _LONGEST_STEP: Final = 1.0
 """Norm to which gradients are cut: an LSTM over a hundred frames can make them jump."""
 
+NEUTRAL_TWICE: Final = (1.0, 2.0, 1.0)
+"""Weights of the relations in the authors' loss."""
+
 
 class Fitted(NamedTuple):
     """A trained network.
@@ -81,7 +84,9 @@ class _Fit:
         self.schedule = torch.optim.lr_scheduler.ReduceLROnPlateau(
             self.optimizer, factor=_SLOWER, patience=max(1, settings.patience // 3)
         )
-        self.weights = class_weights(training.relations) if settings.balanced else None
+        self.weights = (
+            class_weights(training.relations) if settings.balanced else torch.tensor(NEUTRAL_TWICE)
+        )
 
     def run(self, after_epoch: Callable[[int], object]) -> Fitted:
         curves: Curves = {name: [] for name in ("training", "validation", "relation", "goals")}
@@ -95,12 +100,13 @@ class _Fit:
                 )
             for name, value in self._validate().items():
                 curves[name].append(value)
-            now = curves["validation"][-1]
-            self.schedule.step(now)
-            if epoch == 0 or now < curves["validation"][best]:
+            now, patience = curves["validation"][-1], self.settings.patience
+            if patience:
+                self.schedule.step(now)
+            if epoch == 0 or not patience or now < curves["validation"][best]:
                 best, kept = epoch, copy.deepcopy(self.network.state_dict())
             after_epoch(epoch)
-            if epoch - best >= self.settings.patience:
+            if patience and epoch - best >= patience:
                 break
         arrays = halved({name: values.numpy() for name, values in kept.items()})
         return Fitted(arrays, {name: values for name, values in curves.items() if values}, best)
@@ -118,7 +124,8 @@ class _Fit:
             found = loss(said, examples, self.weights)
             self.optimizer.zero_grad()
             (found + self.settings.decay * self._squared_norm()).backward()
-            torch.nn.utils.clip_grad_norm_(self.network.parameters(), _LONGEST_STEP)
+            if self.settings.patience:
+                torch.nn.utils.clip_grad_norm_(self.network.parameters(), _LONGEST_STEP)
             self.optimizer.step()
             losses.append(found.item() * len(chosen))
         return sum(losses) / n

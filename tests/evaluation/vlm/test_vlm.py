@@ -102,6 +102,40 @@ def test_the_prompt_has_the_content_of_the_papers() -> None:
     assert "{{" not in video, "a brace of the template was left"
 
 
+def test_a_prompt_of_ones_own_is_asked_and_known_by_its_text(tmp_path: Path) -> None:
+    own = tmp_path / "own.txt"
+    own.write_text('Choose from:\n{goals_str}\nAnswer as {"red_agent_goals": {...}}')
+    answers = json.dumps({
+        "red_agent_goals": goals(), "green_agent_goals": goals(5),
+        "relation": {"Friendly": 0.7, "Neutral": 0.2, "Adversarial": 0.1},
+    })  # fmt: skip
+    client = Says(answers)
+    found = predict(client, prompt=own, store=tmp_path / "kept")
+    asked = client.asked[0].prompt
+    assert asked.startswith("Choose from:\n- Get blue item to blue lm\n")
+    assert asked.endswith('{"red_agent_goals": {...}}')
+    assert found.answers["goal_red"] == next(iter(goals()))
+    assert found.answers["relation"] == "friendly"
+    usual = Says(text())
+    predict(usual, store=tmp_path / "kept")  # another prompt is another request
+    assert len(usual.asked) == 1
+    made: list[Any] = [vlm(client=usual, name="toy", prompt=given) for given in (None, own)]
+    one, other = (model.settings()["prompt_sha256"] for model in made)
+    assert one != other
+
+
+def test_a_prompt_that_cannot_be_asked_is_refused(tmp_path: Path) -> None:
+    without, binary = tmp_path / "without.txt", tmp_path / "binary.txt"
+    without.write_text("Who wants what?")
+    binary.write_bytes(b"\xff\xfe\x00")
+    for given, message in (
+        (without, "without.txt has no {goals}"), (binary, "no UTF-8 text"),
+        (tmp_path / "no.txt", "No such file"), (3, "prompt=3, expected the name"),
+    ):  # fmt: skip
+        with pytest.raises(InvalidSettingError, match=message):
+            vlm(client=Says(text()), name="toy", prompt=given)  # type: ignore[arg-type]
+
+
 def test_the_model_sees_nothing_but_the_animation() -> None:
     client, other = Says(text()), Says(text())
     predict(client)

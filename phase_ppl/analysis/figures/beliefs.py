@@ -1,0 +1,258 @@
+"""What an agent believes and where it looks (paper, Appendix C: belief update, value function)."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import os
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from phase_ppl.analysis.figures.posterior import draw_arena, draw_entity
+from phase_ppl.analysis.figures.style import GREY, NORMAL, SMALL, figure_of, new_figure, written
+from phase_ppl.dataset.motion import items_held
+from phase_ppl.world.arrays import BoolArray, FloatArray
+from phase_ppl.world.checks import whole_number
+from phase_ppl.world.errors import InvalidSettingError, unknown_name
+from phase_ppl.world.event import Event
+from phase_ppl.world.geometry import heading
+from phase_ppl.world.hypothesis import STRENGTH_RANGE, Hypothesis
+from phase_ppl.world.names import AGENTS, ENTITIES, NOTHING
+from phase_ppl.world.observation import FRAMES_PER_SECOND, State
+from phase_ppl.world.rooms import RAY_DIRECTIONS
+from phase_ppl.world.scene import ARENA, Scene
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+PAPERS_PARTICLES: Final = 10
+"""K in the figure of the paper."""
+
+_DARK: Final = 0.35
+_FAINT: Final = 0.55
+_MOST_PARTICLES: Final = 1000
+_APART: Final = 4.0
+"""Units between particles from which on a place is not known."""
+
+
+class Belief(NamedTuple):
+    """What an agent sees and believes in a frame.
+
+    Attributes:
+        visible: (cells,) in view, row after row from the top left.
+        observed: (entity,) whether the agent sees or feels it.
+        particles: (particle, entity, coord) x, y [units], angle [rad].
+    """
+
+    visible: BoolArray
+    observed: BoolArray
+    particles: FloatArray
+
+
+def beliefs_of(event: Event, agent: int, particles: int, seed: int = 0) -> Iterator[Belief]:
+    """Yield what an agent sees and believes in each frame of an event.
+
+    It is what the simulator's agents believe, given the true states as far as they can be read
+    off the observation; in between the agent is taken to coast.
+
+    Args:
+        event: what happens.
+        agent: 0 red, 1 green.
+        particles: K.
+        seed: of the particles.
+    """
+    from phase_ppl.agents.beliefs import Perception
+    from phase_ppl.agents.config import PlannerConfig
+    from phase_ppl.agents.world_model import WorldModel
+    from phase_ppl.physics.actions import Action
+    from phase_ppl.physics.compiled import from_state, to_state
+
+    scene, frames = event.scene, event.observation.trajectory
+    config = dataclasses.replace(PlannerConfig.fast(), particles=particles)
+    strength = float(np.mean(STRENGTH_RANGE))
+    model = WorldModel.of(scene, (strength, strength), config)
+    perception = Perception(agent, model, config, np.random.default_rng(seed))
+    moved = np.diff(frames, axis=0, prepend=frames[:1]) * FRAMES_PER_SECOND
+    held = items_held(frames, scene.radius)
+    for poses, rates, items in zip(frames, moved, held, strict=True):
+        state = State(poses, rates[:, :2], rates[:, 2], items, np.zeros((len(AGENTS), 3)))
+        perception.observe(*from_state(state, scene.radius))
+        perception.done(Action.NO_FORCE)
+        found = perception.beliefs
+        poses_of_all = [
+            to_state(*one, scene.radius).pose
+            for one in zip(found.bodies, found.held, found.weld, strict=True)
+        ]
+        yield Belief(found.visible.copy(), found.observed.copy(), np.array(poses_of_all))
+
+
+def discovery(found: Sequence[Belief]) -> int | None:
+    """Return the first frame in which an agent sees what it did not know where to look for.
+
+    That is an entity that is not seen in the frame before, and that particles have in different
+    places there; None where there is none.
+    """
+    for frame, (before, after) in enumerate(itertools.pairwise(found), 1):
+        spread = np.ptp(before.particles[..., :2], axis=0).max(axis=-1)
+        if (after.observed & ~before.observed & (spread > _APART)).any():
+            return frame
+    return None
+
+
+@figure_of(Event)
+def beliefs(
+    event: Event,
+    agent: str = "red agent",
+    path: str | os.PathLike[str] | None = None,
+    *,
+    frame: int | None = None,
+    particles: int = PAPERS_PARTICLES,
+    seed: int = 0,
+) -> Figure:
+    """Draw an agent's belief before and after a frame: what it sees, all particles, one of them.
+
+    Args:
+        event: what happens; the truth is not used.
+        agent: whose belief.
+        path: where to write the figure as well.
+        frame: the second of the two; by default the first in which it sees something new.
+        particles: K; 10 in the paper's figure.
+        seed: of the particles.
+
+    Raises:
+        UnknownNameError: there is no such agent.
+        InvalidSettingError: there is no such frame, or nothing new is ever seen.
+    """
+    if agent not in AGENTS:
+        raise unknown_name("agent", agent, AGENTS)
+    whole_number("particles", particles, maximum=_MOST_PARTICLES)
+    whole_number("seed", seed, 0)
+    who = AGENTS.index(agent)
+    found = list(beliefs_of(event, who, particles, seed))
+    if frame is None:
+        frame = discovery(found)
+        if frame is None:
+            raise InvalidSettingError(f"the {agent} of {event.id} sees nothing new: give a frame")
+    whole_number("frame", frame, 1, len(found) - 1)
+    figure = new_figure(8.4, 6.4, "constrained")
+    panels = figure.subplots(2, 3)
+    radius, truth = event.scene.radius, event.observation.trajectory
+    titles = f"true state, and what the {agent} sees", f"all {particles} particles", "one of them"
+    for axes, title, letter in zip(panels[0], titles, "ABC", strict=True):
+        axes.set_title(f"{letter}  {title}", fontsize=NORMAL, loc="left")
+    one = _resampled(found[frame - 1], found[frame])
+    for row, now in zip(panels, (frame - 1, frame), strict=True):
+        belief = found[now]
+        for axes in row:
+            draw_arena(axes, event.scene)
+        _darken(row[0], event, belief.visible)
+        for entity in range(len(ENTITIES)):
+            draw_entity(row[0], entity, truth[now, entity], radius[entity])
+            seen = bool(belief.observed[entity])
+            for pose in belief.particles[:1] if seen else belief.particles:
+                draw_entity(row[1], entity, pose[entity], radius[entity], 0.9 if seen else _FAINT)
+            draw_entity(row[2], entity, belief.particles[one, entity], radius[entity])
+        name = f"{now / FRAMES_PER_SECOND:.2f} s"
+        row[0].text(0.02, 0.5, name, transform=row[0].transAxes, rotation=90, va="center",
+                    ha="right", fontsize=NORMAL)  # fmt: skip
+    new = [ENTITIES[e] for e in np.flatnonzero(found[frame].observed & ~found[frame - 1].observed)]
+    told = (
+        f"In the lower row it sees {' and '.join(f'the {name}' for name in new)}: " if new else ""
+    )
+    figure.supxlabel(
+        f"{told}entities in view have their true properties in all particles; others move on as "
+        "they did, or are drawn anew where they contradict what is seen.",
+        fontsize=SMALL, color=GREY, wrap=True,
+    )  # fmt: skip
+    return written(figure, path)
+
+
+def _resampled(before: Belief, after: Belief) -> int:
+    """Return the particle whose unseen entities moved farthest."""
+    moved = np.linalg.norm((after.particles - before.particles)[..., :2], axis=-1)
+    return int(moved[:, ~after.observed].max(axis=1, initial=0).argmax())
+
+
+def _darken(axes: Axes, event: Event, visible: BoolArray) -> None:
+    """Darken the cells that are not in view."""
+    x0, _, _, y1 = event.scene.arena
+    side = round(len(visible) ** 0.5)
+    shade = np.zeros((side, side, 4))
+    shade[..., 3] = np.where(visible.reshape(side, side), 0.0, _DARK)
+    axes.imshow(shade, extent=(x0, x0 + side, y1 - side, y1), zorder=2, interpolation="nearest")
+
+
+# --- searching for what is not seen ---------------------------------------------------------------
+
+_SEARCH: Final = {
+    "walls": (10.0, 5.0, 0.0, 7.5),
+    "start": [[8.5, 19.5, 0.0], [20.0, 10.0, 2.8], [12.0, 20.0, 0.0], [24.0, 4.0, 0.0]],
+    "goals": ("Get red agent to blue lm", "Get blue item to red lm"),
+}
+"""Green does not see the blue item: most of what it has not seen, and the item, lie on the left; a
+room close to it lies above. Walls go up, left, down, right."""
+
+_SIZE: Final = 0.8
+_STEPS: Final = 100
+_STATIONS: Final = 6
+
+
+def search(
+    path: str | os.PathLike[str] | None = None,
+    *,
+    cost_weights: Sequence[float] = (0.0, 0.05),
+    planner: str = "fast",
+    seed: int = 0,
+) -> Figure:
+    """Draw how the green agent looks for an item, by what the way there counts.
+
+    Args:
+        path: where to write the figure as well.
+        cost_weights: lambda of each panel; the paper's 0 and 0.05.
+        planner: "fast" or "paper".
+        seed: of the simulations.
+
+    Raises:
+        InvalidSettingError, UnknownNameError: a cost weight or planner that cannot be used.
+    """
+    from phase_ppl.agents.config import PlannerConfig
+    from phase_ppl.simulator.joint import simulate
+
+    scene = Scene(np.array(_SEARCH["start"]), np.full(len(ENTITIES), _SIZE), _walls())
+    hypothesis = Hypothesis(*_SEARCH["goals"])  # type: ignore[arg-type]
+    figure = new_figure(3.6 * len(cost_weights), 3.9, "constrained")
+    green = AGENTS.index("green agent")
+    panels = figure.subplots(1, len(cost_weights), squeeze=False)[0]
+    for axes, weight, letter in zip(panels, cost_weights, "ABCDEFGH", strict=False):
+        config = dataclasses.replace(PlannerConfig.named(planner), cost_weight=weight)
+        event = simulate(scene, hypothesis, frames=_STEPS, seed=seed, planner=config)
+        frames = event.observation.trajectory
+        holds = items_held(frames, scene.radius)[:, green] != NOTHING
+        end = int(holds.argmax()) if holds.any() else len(frames) - 1
+        draw_arena(axes, scene)
+        for entity in range(len(ENTITIES)):
+            draw_entity(axes, entity, frames[0, entity], _SIZE)
+        axes.plot(*frames[: end + 1, green, :2].T, color="#00a000", lw=2, zorder=4)
+        for number, frame in enumerate(np.linspace(0, end, _STATIONS).round().astype(int), 1):
+            x, y, angle = frames[frame, green]
+            ahead = np.array([x, y]) + 2 * heading(angle)
+            axes.annotate("", ahead, (x, y), arrowprops={"arrowstyle": "->"}, zorder=4)
+            axes.plot(x, y, "o", ms=10, mfc="white", mec="#00a000", zorder=5)
+            axes.text(x, y, str(number), ha="center", va="center", fontsize=SMALL, zorder=6)
+        axes.set_title(f"{letter}  \N{GREEK SMALL LETTER LAMDA} = {weight:g}", fontsize=NORMAL)
+    figure.supxlabel(
+        "The green agent wants the blue item, which it does not see. Numbers: moments in order; "
+        "arrows: where it looks.",
+        fontsize=SMALL, color=GREY, wrap=True,
+    )  # fmt: skip
+    return written(figure, path)
+
+
+def _walls() -> FloatArray:
+    """Return the walls of the search, from the arena's centre outwards."""
+    centre = np.array(ARENA).reshape(2, 2).mean(axis=1)
+    pairs = zip(RAY_DIRECTIONS, _SEARCH["walls"], strict=True)
+    return np.array([[centre, centre + length * ray] for ray, length in pairs if length])

@@ -1,0 +1,200 @@
+"""The paper's numbers beside ours: verdicts, what is missing, the page, and going on."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import phase_ppl as ppl
+from phase_ppl.cli import main
+from phase_ppl.evaluation import reproduce as module
+from phase_ppl.evaluation.paper import NO_REPRODUCTION, PRINTED, SIMPLE, VERDICTS, Printed, verdict
+from phase_ppl.evaluation.reproduce import Asked, expected_seconds, models_of
+from phase_ppl.world.errors import InvalidSettingError, OutputError, UnknownNameError
+from tests.evaluation.judged import COLLABORATIVE, COMPETING, INDEPENDENT, OPPOSING, make_event
+from tests.models.walks import eight, make_set
+
+TAGS = "participant,video,label\np1,a,helping\np2,a,helping\np1,b,chasing\np2,b,\n"
+VOTES = {COLLABORATIVE: (9, 1, 0), INDEPENDENT: (1, 8, 1), COMPETING: (0, 2, 8),
+         OPPOSING: (1, 0, 9)}  # fmt: skip
+
+
+def ours(value: float, low: float | None = None, high: float | None = None) -> dict[str, Any]:
+    return {"value": value, "ci_low": low, "ci_high": high}
+
+
+@pytest.mark.parametrize(
+    ("printed", "found", "wanted"),
+    [
+        ((0.59, 0.41, 0.77), ours(0.8, 0.5, 1.0), "inside"),  # the paper's in ours
+        ((0.59, 0.41, 0.77), ours(0.7, 0.65, 0.75), "inside"),  # ours in the paper's
+        ((0.59, 0.41, 0.77), ours(0.9, 0.8, 1.0), "outside"),
+        ((0.78,), ours(0.84, 0.75, 0.92), "inside"),
+        ((0.78,), ours(0.84, 0.80, 0.92), "outside"),
+        ((18.0,), ours(18.0), "inside"),
+        ((18.0,), ours(17.0), "outside"),
+        ((0.6, None, None, True), ours(0.7, 0.55, 0.8), "inside"),
+        ((0.6, None, None, True), ours(0.7, 0.65, 0.8), "outside"),
+        ((0.6, None, None, True), ours(0.2), "inside"),
+    ],
+)
+def test_verdicts(printed: tuple[Any, ...], found: dict[str, Any], wanted: str) -> None:
+    assert verdict(Printed("here", "what", SIMPLE, "goal_accuracy", *printed), found) == wanted
+
+
+def test_every_printed_number_has_its_place_and_lies_in_its_interval() -> None:
+    for one in PRINTED:
+        assert one.place
+        if one.low is not None and one.high is not None:
+            assert one.low <= one.value <= one.high
+    known = {(one.whose, one.what): (one.value, one.low, one.high) for one in PRINTED}
+    assert len(known) == len(PRINTED)
+    assert known[SIMPLE, "goals right, competing"] == (0.59, 0.41, 0.77)
+    assert known[SIMPLE, "r with people, goals"] == (0.82, 0.78, 0.85)
+
+
+def test_profiles_ask_more_and_more() -> None:
+    quick, paper, full = (models_of(profile, "kept") for profile in ("quick", "paper", "full"))
+    assert set(quick) < set(paper) < set(full)
+    assert "vlm" in quick
+    assert "vlm" not in models_of("quick", None)
+    assert quick["simple_as_printed"].options["planner"] == "fast"
+    assert paper["simple_as_printed"].options == {"preset": "as_printed"}
+    with pytest.raises(UnknownNameError, match="'quick'"):
+        models_of("quik", None)
+    events = eight()
+    two, one = (expected_seconds(quick, events, workers) for workers in (2, 1))
+    assert one / 2 <= two < 0.6 * one  # SocialGNN has one process
+    assert expected_seconds(paper, events, 1) > 10 * expected_seconds(quick, events, 1)
+
+
+@pytest.fixture
+def cheap(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have two models that take no time, and one that is not installed."""
+    asked = {
+        "simple": Asked("last_frame", 1, whose=SIMPLE),
+        "majority": Asked("majority", 0),
+        "absent": Asked("absent", 1, whose="SocialGNN"),
+    }
+    monkeypatch.setattr(module, "models_of", lambda profile, store: dict(asked))
+    info = module.model_info
+    monkeypatch.setattr(
+        module, "model_info", lambda name: info("majority" if name == "absent" else name)
+    )
+    absent = {"absent": "torch is not installed"}
+    monkeypatch.setattr(module, "_not_installed", absent.get)
+
+
+@pytest.fixture(scope="module")
+def videos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    file = tmp_path_factory.mktemp("videos") / "videos.json"
+    events = [make_event(f"{n}-{i}", goals, votes)
+              for n, (goals, votes) in enumerate(VOTES.items()) for i in range(3)]  # fmt: skip
+    ppl.save_events(events, file)
+    return file
+
+
+def cells(made: ppl.Reproduction) -> dict[tuple[str, str], Any]:
+    return {(one.label, one.printed.what): one for one in made.cells}
+
+
+def test_real_videos_give_cells_figures_and_one_page(
+    cheap: None, videos: Path, tmp_path: Path
+) -> None:
+    tags = tmp_path / "tags.csv"
+    tags.write_text(TAGS)
+    out, said = tmp_path / "out", list[str]()
+    made = ppl.reproduce(out, videos, tags=tags, workers=1, progress=False, say=said.append)
+    assert made.real
+    assert "about 0 minutes with 1 idle core" in said[0], "an estimate comes before the work"
+    found = cells(made)
+    people = found["people", "relations right"]
+    assert people.ours["value"] == pytest.approx(0.85)
+    assert people.verdict == "inside"
+    assert found["people", "goals right"].missing == "people's judgments of goals (--judgments)"
+    assert found["simple", "goals right, competing"].verdict in ("inside", "outside")
+    assert found["absent", "relations right, competing"].missing == "torch is not installed"
+    assert "--vlm-store" in found["Gemini", "r with people, goals"].missing
+    assert found["labels", "labels that are a category"].ours["value"] == 2
+    assert found["PHASE", "share of friendly events"].ours["value"] == 0.25
+    kept = json.loads((out / module.RESULT).read_text())
+    assert [one["verdict"] for one in kept["cells"]] == [one.verdict for one in made.cells]
+    assert {one["verdict"] for one in kept["cells"]} <= set(VERDICTS)
+    page = (out / module.PAGE).read_text()
+    for words in ("The paper, cell by cell", "Fig. belief update", "Fig. value example",
+                  "Fig. video annotation", "paper has 100 test videos, these are 12",
+                  "Appendix A.2", "Accuracy by scenario"):  # fmt: skip
+        assert words in page
+    assert NO_REPRODUCTION not in page
+    assert page.count("data:image/png") > 8
+    assert "0.59 [0.41, 0.77]" in str(made)
+
+
+def test_it_goes_on_with_what_is_finished_and_refuses_another(
+    cheap: None, videos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+    evaluate = module.evaluate
+
+    def stops(events: Any, model: str, **given: Any) -> Any:
+        asked.append(model)
+        if model == "majority" and asked.count(model) == 1:
+            raise KeyboardInterrupt
+        return evaluate(events, model, **given)
+
+    monkeypatch.setattr(module, "evaluate", stops)
+    command = ["reproduce", "--videos", str(videos), "--out", str(tmp_path), "--workers", "1",
+               "--quiet"]  # fmt: skip
+    assert main(command) == 130
+    done = tmp_path / "models" / "simple"
+    before = {file: file.stat().st_mtime_ns for file in done.glob("events/*/*")}
+    assert before
+    assert main(command) == 2, "it is not gone on with unasked"
+    with pytest.raises(OutputError, match="resume it"):
+        ppl.reproduce(tmp_path, videos, progress=False)
+    with pytest.raises(InvalidSettingError, match=r"begun with others: seed is 1, was 0"):
+        ppl.reproduce(tmp_path, videos, seed=1, resume=True, progress=False)
+    assert main([*command, "--resume"]) == 0
+    after = {file: file.stat().st_mtime_ns for file in done.glob("events/*/*")}
+    assert after == before, "nothing is predicted twice"
+
+
+def test_what_cannot_be_read_loses_nothing(
+    cheap: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["reproduce", "--out", str(tmp_path / "out"), "--quiet", "--videos"]
+    assert main([*command, str(tmp_path / "no.json")]) == 2
+    assert "no.json" in capsys.readouterr().err
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_generated_events_are_no_reproduction_and_say_so_everywhere(
+    cheap: None, tmp_path: Path
+) -> None:
+    data = make_set(tmp_path / "set", eight(), ["train"] * 4 + ["test"] * 4)
+    made = ppl.reproduce(tmp_path / "out", data, workers=1, progress=False, say=lambda line: None)
+    assert not made.real
+    assert len(made.comparison.events) == 4, "of a generated set the test split"
+    page = (tmp_path / "out" / module.PAGE).read_text()
+    escaped = NO_REPRODUCTION.replace("'", "&#39;")
+    assert page.count(escaped) == 1 + 4, "above, and with every event"
+    assert str(made).startswith(NO_REPRODUCTION)
+    assert not json.loads((tmp_path / "out" / module.RESULT).read_text())["real"]
+
+
+def test_without_videos_events_are_generated_once(
+    cheap: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "_QUICK_SET", 1)
+    said: list[str] = []
+    made = ppl.reproduce(tmp_path, workers=1, progress=False, say=said.append)
+    assert said[0] == "no real videos: 1 events are generated"
+    assert not made.real
+    again = ppl.reproduce(tmp_path, workers=1, progress=False, resume=True, say=said.append)
+    assert said.count(said[0]) == 1
+    ids = [[event.id for event in one.comparison.events] for one in (made, again)]
+    assert ids[0] == ids[1]
+    assert len(ids[0]) == 1

@@ -1,0 +1,146 @@
+"""SIMPLE in one word: what a preset fixes, and what is given beside it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import phase_ppl as ppl
+from phase_ppl.cli import main
+from phase_ppl.evaluation.registry import ready
+from phase_ppl.inference.entries import entries
+from phase_ppl.inference.presets import PRESETS, completed
+from phase_ppl.models.predicate import INDEPENDENT, Thresholds
+from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
+from tests.inference.toy import walkers, walking_event
+
+PRINTED = ppl.SimpleSettings(proposal="paper", sign="printed")
+
+
+def test_as_printed_is_appendix_4_to_the_letter_and_the_default_is_what_infer_does() -> None:
+    printed, intended = ppl.preset("as_printed"), ppl.preset("as_intended")
+    assert printed == {
+        "kernel": "local_mh", "rule": "paper", "planner": "paper", "settings": PRINTED,
+        "weights": "count", "chains": 15, "iterations": 6,
+    }  # fmt: skip
+    apart = {name for name in printed if printed[name] != intended[name]}
+    assert apart == {"rule", "settings"}
+    assert (intended["rule"], intended["settings"].sign) == ("exact", "intended")
+    assert ppl.preset("default") == {}
+
+
+def test_a_preset_is_ones_own_to_change() -> None:
+    ppl.preset("as_printed")["chains"] = 3
+    assert ppl.preset("as_printed")["chains"] == 15
+    with pytest.raises(UnknownNameError, match="'as_printed'"):
+        ppl.preset("as_print")
+
+
+@pytest.mark.parametrize(
+    ("given", "changed", "gone"),
+    [
+        ({"chains": 4, "planner": None}, {"chains": 4}, set()),
+        ({"planner": "fast", "weights": "importance"},
+         {"planner": "fast", "weights": "importance"}, set()),
+        ({"budget": 30}, {"budget": 30}, {"iterations"}),
+        ({"kernel": "local_mh", "rule": "exact"}, {"rule": "exact"}, set()),
+        ({"kernel": "prior_mh"}, {"kernel": "prior_mh"}, {"rule", "weights", "iterations"}),
+        ({"beta": 0.1},
+         {"settings": ppl.SimpleSettings(proposal="paper", sign="printed", beta=0.1)}, set()),
+        ({"settings": ppl.SimpleSettings()}, {"settings": ppl.SimpleSettings()}, set()),
+    ],
+)  # fmt: skip
+def test_what_is_given_goes_before_a_preset(
+    given: dict[str, Any], changed: dict[str, Any], gone: set[str]
+) -> None:
+    wanted = {**ppl.preset("as_printed"), **changed}
+    assert completed("as_printed", given) == {k: v for k, v in wanted.items() if k not in gone}
+
+
+def test_settings_whole_and_one_by_one_are_refused() -> None:
+    with pytest.raises(InvalidSettingError, match="either settings or beta"):
+        completed("default", {"settings": PRINTED, "beta": 0.1})
+
+
+def test_evaluate_takes_the_same_word_and_records_it() -> None:
+    made = ready("simple", {"preset": "as_printed", "budget": ppl.simulations(30)})
+    predict: Any = made.predict
+    assert predict.options["settings"] == PRINTED
+    assert (predict.options["rule"], predict.weights) == ("paper", "count")
+    assert "iterations" not in predict.options
+    assert predict.model.planner_config().simulations == 1000
+    assert made.record["options"]["preset"] == "as_printed"
+    own: Any = ready("simple", {"preset": "as_printed", "simulator": walkers}).predict
+    assert own.model.planner is None
+
+
+def test_lesions_plan_as_the_preset_does() -> None:
+    lesion: Any = ready("no_cost_weight", {"preset": "as_printed"}).predict
+    config = lesion.model.planner_config()
+    assert (config.simulations, config.cost_weight) == (1000, 0.0)
+    assert lesion.options["rule"] == "paper"
+
+
+def test_predicates_as_printed_have_a_uniform_prior_and_the_planners_thresholds() -> None:
+    kept = ready("predicate", {"preset": "as_printed"}).record["model_settings"]
+    usual = Thresholds()
+    assert kept["prior"] == INDEPENDENT
+    for name in ("on_agent", "on_item", "touch_item"):
+        assert kept[name] == pytest.approx(getattr(usual, name) / 3)
+    changed = ready("predicate", {"preset": "as_intended", "prior": "uniform", "on_item": 2.0})
+    assert changed.record["model_settings"]["prior"] == "uniform"
+    assert changed.record["model_settings"]["on_item"] == 2.0
+    with pytest.raises(UnknownNameError, match="preset 'printed'"):
+        ready("predicate", {"preset": "printed"})
+
+
+def test_compare_takes_presets_for_kernels() -> None:
+    found = entries(list(PRESETS), 7, ppl.SimpleSettings())
+    assert [one.label for one in found] == list(PRESETS)
+    assert [one.info.name for one in found] == ["local_mh"] * 3
+    printed, _, default = found
+    assert (printed.options, printed.chains, printed.settings) == ({"rule": "paper"}, 15, PRINTED)
+    assert (default.options, default.chains) == ({}, 7)
+    assert not printed.length
+
+
+def test_a_run_that_goes_on_keeps_its_weights(tmp_path: Path) -> None:
+    file, model = tmp_path / "run.ckpt", ppl.Model(simulator=walkers)
+    post = ppl.infer(
+        walking_event(), model, checkpoint=file, progress=False, workers=1,
+        **completed("as_printed", {"planner": None, "chains": 4, "iterations": 1})
+        | {"planner": None},
+    )  # fmt: skip
+    assert isinstance(post, ppl.Posterior)
+    assert post.weights == "count"
+    again = ppl.resume(file, model=model, iterations=2, progress=False, workers=1)
+    assert again.weights == "count"
+    assert ppl.resume(file, model=model, weights="importance", progress=False).weights != "count"
+
+
+def test_infer_takes_single_settings_and_writes_the_word_down(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[dict[str, Any]] = []
+
+    def remembered(event: Any, model: Any, **given: Any) -> Any:
+        asked.append(given)
+        raise InvalidSettingError("enough")
+
+    monkeypatch.setattr(ppl, "infer", remembered)
+    command = ["infer", "collaborate", "--preset", "as_printed", "--option", "beta=0.1",
+               "--planner", "fast", "--quiet"]  # fmt: skip
+    assert main(command) == 2
+    assert asked[0]["settings"].beta == 0.1
+    assert asked[0]["settings"].sign == "printed"
+    assert (asked[0]["planner"], asked[0]["rule"]) == ("fast", "paper")
+    assert main(["infer", "collaborate", "--preset", "printed"]) == 2
+    assert "unknown preset 'printed'" in capsys.readouterr().err
+    monkeypatch.undo()
+    assert main(["infer", "collaborate", "--preset", "as_intended", "--planner", "fast",
+                 "--chains", "2", "--iterations", "1", "--kernel", "prior_mh", "--workers", "1",
+                 "--quiet", "--out", str(tmp_path)]) == 0  # fmt: skip
+    assert json.loads((tmp_path / "summary.json").read_text())["preset"] == "as_intended"
