@@ -5,7 +5,7 @@ given writes it there as well, as .png, .pdf or .svg; OutputError: it cannot be 
 the ending is another.
 """
 
-from phase_ppl.analysis.figures.curves import comparison, training_curves
+from phase_ppl.analysis.figures.curves import comparison, sensitivity, training_curves
 from phase_ppl.analysis.figures.data_card import data_card
 from phase_ppl.analysis.figures.diagnostics import chains, diagnostics, errors, goal_map
 from phase_ppl.analysis.figures.over_time import over_time, why
@@ -20,6 +20,7 @@ __all__ = [
     "goal_map",
     "over_time",
     "posterior",
+    "sensitivity",
     "training_curves",
     "why",
 ]
