@@ -64,6 +64,9 @@ def add_simulate(commands: Any) -> None:
         "--frames", metavar="T", type=whole(2), help="default: as long as the event"
     )
     parser.add_argument(
+        "--overlapping", action="store_true", help="though bodies overlap at the start"
+    )
+    parser.add_argument(
         "--out", metavar="FILE", type=Path, required=True, help=".json, .nc, .mp4 or .gif"
     )
 
@@ -86,6 +89,7 @@ def _simulate(options: argparse.Namespace) -> int:
         seed=options.seed,
         planner=options.planner,
         id=f"{event.id}-simulated",
+        overlapping=options.overlapping,
     )
     if suffix in EVENT_SUFFIXES:
         phase_ppl.save_event(simulated, options.out)

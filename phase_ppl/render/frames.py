@@ -7,7 +7,7 @@ wide, items discs, agents trapezoids with two eyes at the short side, their fron
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Final
 
 import numpy as np
@@ -163,7 +163,7 @@ class Painter:
 
     Args:
         scene: arena, walls, landmarks and sizes.
-        fields_of_view: whether to show what each agent can see.
+        fields_of_view: whether to show what each agent can see, or of which agents.
         fine: subpixels per pixel and axis in which shapes are drawn before they are averaged;
             fewer are faster, and enough for a picture that is made smaller.
         pale: how far the landmarks are mixed with white, so that more can be seen on them.
@@ -172,13 +172,14 @@ class Painter:
     def __init__(
         self,
         scene: Scene,
-        fields_of_view: bool = False,
+        fields_of_view: bool | Sequence[int] = False,
         *,
         fine: int = FINE,
         pale: float = 0.0,
     ) -> None:
         self._scene = scene
-        self._fields_of_view = fields_of_view
+        whose = range(len(AGENTS)) if fields_of_view is True else (fields_of_view or ())
+        self._looking: Sequence[int] = whose
         self._fine = fine
         self._pale = pale
         x0, x1, _, _ = scene.arena
@@ -199,9 +200,9 @@ class Painter:
         """
         pose = finite_array("poses", poses, (len(ENTITIES), 3))
         picture = self._floor.copy()
-        if self._fields_of_view:
-            for agent, colour in enumerate(SIGHT_COLOURS):
-                self._tint(picture, colour, self.pixel(field_of_view(self._scene, pose, agent)))
+        for agent in self._looking:
+            area = field_of_view(self._scene, pose, agent)
+            self._tint(picture, SIGHT_COLOURS[agent], self.pixel(area))
         if faint is not None:
             for entity in _DRAWING_ORDER:
                 self._draw_entity(picture, entity, faint[entity])

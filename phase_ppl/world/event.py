@@ -12,6 +12,7 @@ from phase_ppl.world.goals import GOALS, goal_index
 from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS, checked_strength, relation, scenario
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene, check_inside
+from phase_ppl.world.thoughts import Thoughts
 
 
 @dataclasses.dataclass(frozen=True)
@@ -63,6 +64,7 @@ class Event:
         truth: what generated it, if known.
         judgments: human judgments, as read from the file.
         predictions: stored predictions of other models, as read from the file.
+        thoughts: what the agents thought, of events that were simulated just now; not in files.
 
     Raises:
         InvalidEventError: the trajectory leaves the arena.
@@ -74,6 +76,7 @@ class Event:
     truth: Truth | None = None
     judgments: Mapping[str, Any] | None = None
     predictions: Mapping[str, Any] | None = None
+    thoughts: Thoughts | None = None
 
     def __post_init__(self) -> None:
         instance_of("scene", self.scene, Scene, "a phase_ppl.Scene")
