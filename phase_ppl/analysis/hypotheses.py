@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from phase_ppl.analysis import estimate
 from phase_ppl.analysis.estimate import Estimate, Jackknife, Mode, doubt, leaving_out, with_unseen
-from phase_ppl.analysis.prior_change import checked_program, sensitivity
 from phase_ppl.analysis.quantities import Quantity
 from phase_ppl.analysis.query import understood
 from phase_ppl.analysis.summary import LABEL, bars
@@ -142,54 +141,6 @@ class Hypotheses:
     def table(self) -> Rows:
         """Codes or numbers of every quantity, row by row, and the weights."""
         return self._rows
-
-    def with_prior(self, prior: Callable[..., object] | str) -> Self:
-        """Return the posterior under another prior; nothing is simulated or searched again.
-
-        Args:
-            prior: NumPyro program over the sites of a hypothesis, or the name of a ready-made one
-                (:func:`phase_ppl.priors.available`).
-
-        Read step by step, all hypotheses are there, so this is what a new run would say, but for
-        which pairs of goals all sets of searches were made for. A sampled one is reweighted by the
-        ratio of the priors over what was simulated; what that is worth is in its ``settings`` and
-        is printed.
-
-        Raises:
-            InvalidSettingError: it is no prior, or too little was simulated of what it makes
-                probable.
-            UnknownNameError: there is no such prior.
-        """
-        return self.under(checked_program(prior))
-
-    def under(self, prior: Callable[..., object]) -> Self:
-        """Return :meth:`with_prior` of a program that was checked."""
-        raise NotImplementedError
-
-    def sensitivity(
-        self, question: str, prior: Callable[..., object], values: Iterable[float]
-    ) -> xr.DataArray:
-        """Return the answer to a question as an argument of the prior varies.
-
-        Args:
-            question: after numbers, such as ``"P(relation)"``, ``"P(relation=friendly)"`` or
-                ``"E[strength_red]"``.
-            prior: NumPyro program of one argument, as ``ppl.priors.relation_first`` is of others.
-            values: of that argument.
-
-        Returns:
-            The answers along ``value``, with their ``error``. NaN where too little was simulated
-            for that prior, which the attribute ``refused`` says line by line.
-
-        Example:
-            ``post.sensitivity("P(relation)", related, [0.1, 0.5, 0.9])`` with
-            ``def related(p): ...`` that samples ``alpha`` and the rest.
-
-        Raises:
-            InvalidSettingError: no value can be answered for, or the answer is no number.
-            QueryError: as of :meth:`query`.
-        """
-        return sensitivity(self, question, prior, values)  # type: ignore[arg-type]
 
     def marginal(self, name: str, *, given: Mapping[str, Any] | None = None) -> xr.DataArray:
         """Return the probability of every label of a quantity with categories, sum 1."""

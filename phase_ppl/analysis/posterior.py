@@ -14,7 +14,8 @@ import xarray as xr
 
 from phase_ppl.analysis._arviz import arviz_data
 from phase_ppl.analysis.diagnostics import diagnostics
-from phase_ppl.analysis.hypotheses import Hypotheses, hypothesis_record
+from phase_ppl.analysis.event_posterior import EventPosterior
+from phase_ppl.analysis.hypotheses import hypothesis_record
 from phase_ppl.analysis.over_time import over_time
 from phase_ppl.analysis.prior_change import (
     changed_text,
@@ -52,7 +53,7 @@ from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
 from phase_ppl.world.scene import Scene
 
 
-class Posterior(Hypotheses):
+class Posterior(EventPosterior):
     """Posterior over two agents' goals, their relation and their strengths.
 
     What one can ask it is in :class:`phase_ppl.analysis.hypotheses.Hypotheses`: ``marginal``,

@@ -22,8 +22,8 @@ from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
 from phase_ppl.world.identity import qualified_name, source_hash
 
 if TYPE_CHECKING:
+    from phase_ppl.analysis.event_posterior import EventPosterior
     from phase_ppl.analysis.posterior import Posterior
-    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 
 FEWEST: Final = 10.0
 """Equal draws that a run under another prior must be worth, unless it was worth few before."""
@@ -159,14 +159,14 @@ def check_overlap(post: Posterior, before: Posterior) -> None:
 
 
 def sensitivity(
-    post: Posterior | StepwisePosterior,
+    post: EventPosterior,
     question: str,
     prior: Callable[..., object],
     values: Iterable[float],
 ) -> xr.DataArray:
     """Return the answer to a question under a prior with ever another value of its argument.
 
-    See :meth:`phase_ppl.analysis.hypotheses.Hypotheses.sensitivity`.
+    See :meth:`phase_ppl.analysis.event_posterior.EventPosterior.sensitivity`.
     """
     if not callable(prior):
         raise InvalidSettingError(

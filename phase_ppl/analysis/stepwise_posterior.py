@@ -20,7 +20,8 @@ from phase_ppl.analysis.diagnostics import (
     undecided,
 )
 from phase_ppl.analysis.estimate import Jackknife
-from phase_ppl.analysis.hypotheses import Hypotheses, hypothesis_record
+from phase_ppl.analysis.event_posterior import EventPosterior
+from phase_ppl.analysis.hypotheses import hypothesis_record
 from phase_ppl.analysis.over_time import by_label
 from phase_ppl.analysis.prior_change import changed_text, settings_under
 from phase_ppl.analysis.quantities import (
@@ -75,7 +76,7 @@ DISAGREE: Final = 0.1
 """Standard error of a leading probability from which on the sets of searches disagree."""
 
 
-class StepwisePosterior(Hypotheses):
+class StepwisePosterior(EventPosterior):
     """Posterior over all pairs of goals, alphas and strengths, read step by step.
 
     The sum over hypotheses leaves none out; what goes into it is approximate. Policies are

@@ -167,6 +167,7 @@ def video(
     frames_per_step: int = FRAMES_PER_STEP,
     fields_of_view: bool = False,
     compare: Drawable | None = None,
+    compare_scene: Scene | None = None,
     captions: tuple[str, str] = CAPTIONS,
     progress: bool = False,
 ) -> Film:
@@ -184,6 +185,7 @@ def video(
             rule of the simulator (:mod:`phase_ppl.render.frames`).
         compare: a second trajectory, drawn beside the first in the same scene, or an event, in
             its own. The shorter of the two stands still at its end.
+        compare_scene: where the second one is, if it is in another scene.
         captions: what is written above the two.
         progress: whether to show a progress bar.
 
@@ -203,7 +205,7 @@ def video(
     shown = [scene_and_trajectory(what, scene)]
     if compare is not None:
         beside = None if isinstance(compare, Event) else shown[0][0]
-        shown.append(scene_and_trajectory(compare, beside))
+        shown.append(scene_and_trajectory(compare, compare_scene or beside))
     painters = [Painter(of, fields_of_view) for of, _ in shown]
     poses = _equally_long([between_frames(track, frames_per_step) for _, track in shown])
     n_frames = len(poses[0])

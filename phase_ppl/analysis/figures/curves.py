@@ -148,9 +148,8 @@ def sensitivity(
 ) -> Figure:
     """Draw the answer to a question as an argument of the prior varies, 5.6 x 3.4 inches.
 
-    Arguments and errors are those of
-    :meth:`phase_ppl.analysis.hypotheses.Hypotheses.sensitivity`. Bands are 1.96 errors wide on
-    either side; where too little was simulated for a prior there is a gap.
+    Arguments and errors are those of ``post.sensitivity``. Bands are 1.96 errors wide on either
+    side; where too little was simulated for a prior there is a gap.
     """
     found = post.sensitivity(question, prior, values)
     lines = found if found.ndim > 1 else found.expand_dims(answer=[question])
@@ -159,16 +158,20 @@ def sensitivity(
     figure = new_figure(5.6, 3.4, "constrained")
     axes = figure.subplots()
     ends: list[tuple[float, str, str]] = []
+    shares = question.lstrip().startswith("P")
     for place, colour in zip(order, COLOURS, strict=False):
         line = lines.isel(line=int(place))
         y, within = line.values, 1.96 * line["error"].values
-        axes.fill_between(found["value"], y - within, y + within, color=colour, alpha=0.16, lw=0)
+        low, high = y - within, y + within
+        if shares:
+            low, high = np.clip([low, high], 0, 1)
+        axes.fill_between(found["value"], low, high, color=colour, alpha=0.16, lw=0)
         axes.plot(found["value"], y, "o-", ms=3, color=colour, lw=1.8)
         name = ", ".join(str(label) for label in line["line"].item())
         if np.isfinite(y).any() and found.ndim > 1:
             ends.append((float(y[np.isfinite(y)][-1]), name, colour))
     dressed(axes, post.event_id, question, x=f"argument of {getattr(prior, '__name__', 'prior')}")
-    if question.lstrip().startswith("P"):
+    if shares:
         in_shares(axes)
     direct_labels(axes, ends)
     return written(figure, path)

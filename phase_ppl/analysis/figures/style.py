@@ -45,13 +45,26 @@ P = ParamSpec("P")
 
 
 def new_figure(width: float, height: float, layout: Literal["constrained"] | None = None) -> Figure:
-    """Return an empty white figure, inches, that belongs to no global state."""
+    """Return an empty white figure, inches, that belongs to no global state.
+
+    A notebook that shows it draws it, whatever the backend.
+    """
+    figure = _figure_class()(figsize=(width, height), facecolor="white", layout=layout)
+    return figure
+
+
+@functools.cache
+def _figure_class() -> type[Figure]:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width, height), facecolor="white", layout=layout)
-    FigureCanvasAgg(figure)
-    return figure
+    class Figure_(Figure):  # matplotlib is loaded where something is drawn
+        def _repr_png_(self) -> bytes:
+            buffer = io.BytesIO()
+            FigureCanvasAgg(self).print_png(buffer)
+            return buffer.getvalue()
+
+    return Figure_
 
 
 def figure_of(*kinds: type) -> Callable[[Callable[P, Figure]], Callable[P, Figure]]:
