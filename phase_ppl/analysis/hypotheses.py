@@ -26,6 +26,7 @@ from phase_ppl.world.errors import InvalidSettingError, QueryError, shown, unkno
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.names import AGENTS
+from phase_ppl.world.picture import preformatted
 
 Definition = Callable[["Named"], bool | int | float | str]
 """(hypothesis in plain names) -> its value."""
@@ -97,6 +98,9 @@ class Hypotheses:
         self._halves = tuple(halves)
         self._jackknives: dict[float, Jackknife | None] = {}
         self._own: dict[str, Definition] = {}  # of quantities that the user defined
+
+    def _repr_html_(self) -> str:
+        return preformatted(self)
 
     @property
     def quantities(self) -> dict[str, tuple[str, ...] | None]:

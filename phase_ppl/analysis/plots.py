@@ -9,7 +9,7 @@ from phase_ppl.analysis.figures.curves import comparison, sensitivity, training_
 from phase_ppl.analysis.figures.data_card import data_card
 from phase_ppl.analysis.figures.diagnostics import chains, diagnostics, errors, goal_map
 from phase_ppl.analysis.figures.over_time import over_time, why
-from phase_ppl.analysis.figures.posterior import posterior
+from phase_ppl.analysis.figures.posterior import posterior, posteriors
 
 __all__ = [
     "chains",
@@ -20,6 +20,7 @@ __all__ = [
     "goal_map",
     "over_time",
     "posterior",
+    "posteriors",
     "sensitivity",
     "training_curves",
     "why",

@@ -48,6 +48,7 @@ from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.files import check_output, existing_file, write_bytes
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
+from phase_ppl.world.observation import FRAMES_PER_SECOND
 from phase_ppl.world.scene import Scene
 
 FILTERING: Final = (
@@ -402,7 +403,9 @@ class StepwisePosterior(EventPosterior):
         words = f"{cost['searches']} searches, {cost['searches'] / steps:.0f} a step"
         if isinstance(cost.get("seconds"), int | float):
             seconds, lasts = cost["seconds"], cost["video_seconds"]
-            words += f", in {seconds:.1f} s; the video lasts {lasts:.1f} s"
+            simulated = steps / FRAMES_PER_SECOND
+            words += f", in {seconds:.1f} s; the film of {simulated:.1f} simulated s "
+            words += f"lasts {lasts:.1f} s"
         return "\n".join([*lines, *wrapped("cost", words)])
 
     def __repr__(self) -> str:

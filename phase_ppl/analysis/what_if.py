@@ -27,6 +27,7 @@ from phase_ppl.world.goals import GOALS, goal_index, goal_literal, is_true
 from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
 from phase_ppl.world.names import AGENTS, ENTITIES
 from phase_ppl.world.observation import FRAMES_PER_SECOND
+from phase_ppl.world.picture import preformatted
 from phase_ppl.world.scene import Scene
 
 if TYPE_CHECKING:
@@ -180,6 +181,9 @@ class WhatIf:
         role = "in its way" if change > 0 else "of help"
         return f"{words}: {names} was {role} ({change})"
 
+    def _repr_html_(self) -> str:
+        return preformatted(self)
+
     def __repr__(self) -> str:
         return f"<what if of {self.event_id}: {self.change or 'nothing changed'}>"
 
@@ -302,6 +306,9 @@ def simulated(
         for h, one in zip(rows, seeds, strict=True)
     ]
     poses = np.array(list(_in_processes(_simulate, tasks, workers)))
+    if at:  # a frame is the mean over a step, a state its end: show what was seen
+        there = poses[:, 0, :, 0] > AWAY / 2
+        poses[:, 0][there] = np.broadcast_to(post.observed()[at], poses[:, 0].shape)[there]
     return WhatIf(
         post.event_id,
         "" if change is None else str(change),

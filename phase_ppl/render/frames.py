@@ -20,6 +20,7 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.geometry import UNIT_TRAPEZOID, centre_of_mass, is_agent, rotation
 from phase_ppl.world.names import AGENTS, ENTITIES, ITEMS
 from phase_ppl.world.observation import Observation
+from phase_ppl.world.picture import ENTITY_COLOURS, LANDMARK_COLOURS, TRAIL_COLOURS, Colour
 from phase_ppl.world.scene import Scene, finite_array
 
 _RAYS: Final = 361
@@ -100,7 +101,6 @@ def _cross(first: FloatArray, second: FloatArray) -> FloatArray:
 
 # --- one frame ---------------------------------------------------------------------------------
 
-Colour = tuple[int, int, int]
 Pixels = NDArray[np.uint8]
 Points = list[tuple[float, float]]
 
@@ -113,25 +113,6 @@ WALL_PIXELS: Final = 5
 BACKGROUND: Final[Colour] = (255, 255, 255)
 WALL_COLOUR: Final[Colour] = (0, 0, 0)
 EYE_COLOUR: Final[Colour] = (0, 0, 0)
-LANDMARK_COLOURS: Final[tuple[Colour, ...]] = (
-    (45, 45, 180),
-    (50, 150, 50),
-    (180, 45, 45),
-    (180, 180, 45),
-)
-ENTITY_COLOURS: Final[tuple[Colour, ...]] = (
-    (255, 0, 0),
-    (0, 255, 0),
-    (117, 216, 230),
-    (255, 153, 153),
-)
-
-TRAIL_COLOURS: Final[tuple[Colour, ...]] = (
-    (170, 0, 0),
-    (0, 140, 0),
-    (60, 150, 170),
-    (215, 100, 110),
-)
 TRAIL_PIXELS: Final = 3
 
 SIGHT_COLOURS: Final[tuple[Colour, ...]] = ((215, 0, 0), (0, 150, 0))

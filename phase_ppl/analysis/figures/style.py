@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import io
 import os
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Final, Literal, ParamSpec
@@ -23,6 +24,9 @@ FORMATS: Final = (".png", ".pdf", ".svg")
 INK: Final = "#222222"
 GREY: Final = "#666666"
 """Colours of text: of what is shown, of what explains it."""
+
+SIMULATED_TIME: Final = "simulated time [s], a third of that of the film"
+"""Label of every axis of time."""
 
 SMALL: Final = 7.5
 NORMAL: Final = 8.5
@@ -58,13 +62,13 @@ def _figure_class() -> type[Figure]:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    class Figure_(Figure):  # matplotlib is loaded where something is drawn
+    class ShownFigure(Figure):  # matplotlib is loaded where something is drawn
         def _repr_png_(self) -> bytes:
             buffer = io.BytesIO()
             FigureCanvasAgg(self).print_png(buffer)
             return buffer.getvalue()
 
-    return Figure_
+    return ShownFigure
 
 
 def figure_of(*kinds: type) -> Callable[[Callable[P, Figure]], Callable[P, Figure]]:
