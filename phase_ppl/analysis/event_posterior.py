@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Self
 
+import numpy as np
 import xarray as xr
 
+from phase_ppl.analysis.estimate import Estimate
 from phase_ppl.analysis.hypotheses import Hypotheses
-from phase_ppl.analysis.prior_change import checked_program, sensitivity
+from phase_ppl.analysis.prior_change import checked_program
 from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.errors import InvalidSettingError, shown
+from phase_ppl.world.identity import qualified_name
 from phase_ppl.world.scene import Scene
 
 if TYPE_CHECKING:
-    from phase_ppl.analysis.what_if import WhatIf
+    from phase_ppl.analysis.what_if import Source, WhatIf
     from phase_ppl.simulator.contract import Simulator
 
 
@@ -85,7 +90,49 @@ class EventPosterior(Hypotheses):
             InvalidSettingError: no value can be answered for, or the answer is no number.
             QueryError: as of :meth:`query`.
         """
-        return sensitivity(self, question, prior, values)
+        if not callable(prior):
+            raise InvalidSettingError(
+                f"prior={shown(prior)}: expected a NumPyro program of one argument, the number "
+                "that is varied"
+            )
+        at = [float(value) for value in values]
+        answers: list[xr.DataArray | None] = []
+        refusals: list[str] = []
+        for place, value in enumerate(at):
+            program = functools.partial(prior, value)
+            try:
+                # once is enough for a check that takes a while
+                changed = self.under(program) if place else self.with_prior(program)
+                answer = changed.query(question)
+            except InvalidSettingError as error:
+                refusals.append(f"{value:g}: {error}")
+                answers.append(None)
+                continue
+            if isinstance(answer, Estimate):
+                answer = xr.DataArray(float(answer), {"error": answer.error})
+            if not isinstance(answer, xr.DataArray):
+                raise InvalidSettingError(
+                    f"{question!r} is answered by {type(answer).__name__}, which makes no curve: "
+                    "expected a question after numbers, such as P(relation)"
+                )
+            answers.append(answer)
+        known = next((answer for answer in answers if answer is not None), None)
+        if known is None:
+            raise InvalidSettingError(
+                f"no value of the prior's argument can be answered for: {'; '.join(refusals[:1])}"
+                if refusals
+                else "values is empty: expected numbers"
+            )
+        nothing = (known * np.nan).assign_coords(error=known["error"] * np.nan)
+        table = xr.concat([nothing if a is None else a for a in answers], "value", join="override")
+        return table.assign_coords(value=at).assign_attrs(
+            question=question, prior=qualified_name(prior), refused="\n".join(refusals)
+        )
+
+    def _source(self) -> Source:
+        from phase_ppl.analysis.what_if import Source
+
+        return Source(self.event_id, self.settings, self.scene, self.observed(), self.table)
 
     def do(
         self,
@@ -143,9 +190,9 @@ class EventPosterior(Hypotheses):
             goal_red, goal_green, stated_goal_red, stated_goal_green,
             alpha, strength_red, strength_green, remove, walls,
         )  # fmt: skip
-        begin, frames = length(self, at, seconds)
+        begin, frames = length(self._source(), at, seconds)
         return simulated(
-            self, change, at=begin, frames=frames, n=n, seed=seed, workers=workers,
+            self._source(), change, at=begin, frames=frames, n=n, seed=seed, workers=workers,
             simulator=simulator,
         )  # fmt: skip
 
@@ -168,7 +215,14 @@ class EventPosterior(Hypotheses):
         """
         from phase_ppl.analysis.what_if import length, simulated
 
-        begin, frames = length(self, len(self.observed()) - 1, seconds)
+        begin, frames = length(self._source(), len(self.observed()) - 1, seconds)
         return simulated(
-            self, None, at=begin, frames=frames, n=n, seed=seed, workers=workers, simulator=None
+            self._source(),
+            None,
+            at=begin,
+            frames=frames,
+            n=n,
+            seed=seed,
+            workers=workers,
+            simulator=None,
         )

@@ -162,12 +162,13 @@ class Posterior(EventPosterior):
             raise InvalidSettingError("weights 'likelihood' know no prior: choose others")
         tree = reweighted(self._tree, prior)
         changed = Posterior(tree, self._weights, burn_in=self._burn_in, scenario=self._scenario)
-        check_overlap(changed, self)
+        sizes = worth(changed.table.weights), worth(self.table.weights)
+        check_overlap(sizes, (1 - changed.untried, 1 - self.untried))
         tree.attrs["settings"] = settings_under(
             tree.attrs["settings"],
             prior,
-            effective_size=worth(changed.table.weights),
-            effective_size_before=worth(self.table.weights),
+            effective_size=sizes[0],
+            effective_size_before=sizes[1],
         )
         return changed._defining(self._own)
 

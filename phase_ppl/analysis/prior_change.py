@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import functools
 import json
-from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Callable
+from typing import Any, Final
 
 import numpy as np
 import xarray as xr
 
-from phase_ppl.analysis.estimate import Estimate
 from phase_ppl.analysis.tree import (
     HYPOTHESIS,
     SITES,
@@ -18,12 +16,8 @@ from phase_ppl.analysis.tree import (
     simulation_of_draw,
 )
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.identity import qualified_name, source_hash
-
-if TYPE_CHECKING:
-    from phase_ppl.analysis.event_posterior import EventPosterior
-    from phase_ppl.analysis.posterior import Posterior
 
 FEWEST: Final = 10.0
 """Equal draws that a run under another prior must be worth, unless it was worth few before."""
@@ -138,71 +132,22 @@ def worth(weights: FloatArray) -> float:
     return float(1 / (weights**2).sum())
 
 
-def check_overlap(post: Posterior, before: Posterior) -> None:
+def check_overlap(worths: tuple[float, float], tried: tuple[float, float]) -> None:
     """Refuse what too little was simulated for.
 
+    Args:
+        worths: equal draws that the simulations are worth under the other prior, and before.
+        tried: shares of the other prior, and of the run's own, that were simulated.
+
     Raises:
-        InvalidSettingError: the simulations of ``before`` are worth much fewer, and too few, under
-            the prior of ``post``, or hold much less of it than of the run's own.
+        InvalidSettingError: the simulations are worth much fewer, and too few, or hold much less.
     """
-    size, old_size = worth(post.table.weights), worth(before.table.weights)
-    tried, old_tried = 1 - post.untried, 1 - before.untried
-    if size < FEWEST and size < _LEFT * old_size:
-        reason = f"are worth {size:.1f} equal draws under this prior, {old_size:.1f} before"
-    elif tried < _TRIED * old_tried:
-        reason = f"hold {tried:.1%} of this prior, {old_tried:.1%} of the run's own"
+    if worths[0] < FEWEST and worths[0] < _LEFT * worths[1]:
+        reason = f"are worth {worths[0]:.1f} equal draws under this prior, {worths[1]:.1f} before"
+    elif tried[0] < _TRIED * tried[1]:
+        reason = f"hold {tried[0]:.1%} of this prior, {tried[1]:.1%} of the run's own"
     else:
         return
     raise InvalidSettingError(
         f"the simulations of this run {reason}: too few to tell; infer anew with this prior"
-    )
-
-
-def sensitivity(
-    post: EventPosterior,
-    question: str,
-    prior: Callable[..., object],
-    values: Iterable[float],
-) -> xr.DataArray:
-    """Return the answer to a question under a prior with ever another value of its argument.
-
-    See :meth:`phase_ppl.analysis.event_posterior.EventPosterior.sensitivity`.
-    """
-    if not callable(prior):
-        raise InvalidSettingError(
-            f"prior={shown(prior)}: expected a NumPyro program of one argument, the number that "
-            "is varied"
-        )
-    at = [float(value) for value in values]
-    answers: list[xr.DataArray | None] = []
-    refusals: list[str] = []
-    for place, value in enumerate(at):
-        program = functools.partial(prior, value)
-        try:
-            # once is enough for a check that takes a while
-            changed = post.under(program) if place else post.with_prior(program)
-            answer = changed.query(question)
-        except InvalidSettingError as error:
-            refusals.append(f"{value:g}: {error}")
-            answers.append(None)
-            continue
-        if isinstance(answer, Estimate):
-            answer = xr.DataArray(float(answer), {"error": answer.error})
-        if not isinstance(answer, xr.DataArray):
-            raise InvalidSettingError(
-                f"{question!r} is answered by {type(answer).__name__}, which makes no curve: "
-                "expected a question after numbers, such as P(relation)"
-            )
-        answers.append(answer)
-    known = next((answer for answer in answers if answer is not None), None)
-    if known is None:
-        raise InvalidSettingError(
-            f"no value of the prior's argument can be answered for: {'; '.join(refusals[:1])}"
-            if refusals
-            else "values is empty: expected numbers"
-        )
-    nothing = (known * np.nan).assign_coords(error=known["error"] * np.nan)
-    table = xr.concat([nothing if a is None else a for a in answers], "value", join="override")
-    return table.assign_coords(value=at).assign_attrs(
-        question=question, prior=qualified_name(prior), refused="\n".join(refusals)
     )

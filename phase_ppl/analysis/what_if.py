@@ -8,13 +8,14 @@ import math
 import os
 import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import xarray as xr
 
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.analysis.estimate import Estimate
+from phase_ppl.analysis.weights import Rows
 from phase_ppl.closed_loop.hidden_state import reconstructed
 from phase_ppl.physics.pymunk_world import AWAY
 from phase_ppl.render.video import Film, video
@@ -29,9 +30,6 @@ from phase_ppl.world.names import AGENTS, ENTITIES
 from phase_ppl.world.observation import FRAMES_PER_SECOND
 from phase_ppl.world.picture import preformatted
 from phase_ppl.world.scene import Scene
-
-if TYPE_CHECKING:
-    from phase_ppl.analysis.event_posterior import EventPosterior
 
 SIMULATIONS: Final = 16
 """Hypotheses that are drawn, each simulated once in every world."""
@@ -262,8 +260,18 @@ def _given(values: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in values.items() if value is not None}
 
 
+class Source(NamedTuple):
+    """What is known of the event and the run of a posterior, and its table of hypotheses."""
+
+    event_id: str
+    settings: Mapping[str, Any]
+    scene: Scene
+    observed: FloatArray
+    table: Rows
+
+
 def simulated(
-    post: EventPosterior,
+    post: Source,
     change: Change | None,
     *,
     at: int,
@@ -298,7 +306,7 @@ def simulated(
     if change is not None:
         worlds.append((change.scene(scene), removed))
         hypotheses.append([change.hypothesis(h) for h in drawn])
-    past = reconstructed(scene, post.observed()[: at + 1]) if at else None
+    past = reconstructed(scene, post.observed[: at + 1]) if at else None
     seeds = np.random.SeedSequence([seed, n]).generate_state(n).tolist()
     tasks = [
         (run, where, h, int(one), frames, past, gone)
@@ -308,7 +316,7 @@ def simulated(
     poses = np.array(list(_in_processes(_simulate, tasks, workers)))
     if at:  # a frame is the mean over a step, a state its end: show what was seen
         there = poses[:, 0, :, 0] > AWAY / 2
-        poses[:, 0][there] = np.broadcast_to(post.observed()[at], poses[:, 0].shape)[there]
+        poses[:, 0][there] = np.broadcast_to(post.observed[at], poses[:, 0].shape)[there]
     return WhatIf(
         post.event_id,
         "" if change is None else str(change),
@@ -320,7 +328,7 @@ def simulated(
     )
 
 
-def _simulator(post: EventPosterior, simulator: Simulator | None) -> Simulator:
+def _simulator(post: Source, simulator: Simulator | None) -> Simulator:
     if simulator is not None:
         return simulator
     model = post.settings.get("model", {})
@@ -332,7 +340,7 @@ def _simulator(post: EventPosterior, simulator: Simulator | None) -> Simulator:
     return JointSimulator("fast" if stored is None else PlannerConfig.from_dict(stored))
 
 
-def _drawn(post: EventPosterior, n: int, seed: int) -> list[Hypothesis]:
+def _drawn(post: Source, n: int, seed: int) -> list[Hypothesis]:
     """Return hypotheses by their weights, each as often as that to within one (systematic)."""
     weights = np.cumsum(post.table.weights)
     places = (np.random.default_rng(seed).random() + np.arange(n)) / n
@@ -380,13 +388,13 @@ def _in_processes(
         yield from bar(pool.map(function, *zip(*tasks, strict=True)))
 
 
-def length(post: EventPosterior, at: int | None, seconds: float | None) -> tuple[int, int]:
+def length(post: Source, at: int | None, seconds: float | None) -> tuple[int, int]:
     """Return the frame to go on from, and how many frames to simulate from there, it included.
 
     Raises:
         InvalidSettingError: there is no such frame, or no time is left after it.
     """
-    last = len(post.observed()) - 1
+    last = len(post.observed) - 1
     begin = 0 if at is None else at
     if isinstance(begin, bool) or not isinstance(begin, int) or not 0 <= begin <= last:
         raise InvalidSettingError(f"at={shown(at)}, expected a frame in 0..{last}")

@@ -24,6 +24,7 @@ from phase_ppl.world.errors import PhasePPLError
 
 _COMMANDS: Final = (
     infer.add_to,
+    events.add_goals,
     events.add_simulate,
     events.add_render,
     compare.add_to,

@@ -41,6 +41,18 @@ def _alpha(text: str) -> int:
     return int(text)
 
 
+def add_goals(commands: Any) -> None:
+    """Add the command ``goals``."""
+    command(
+        commands, "goals", _goals, "list the 36 goals that an agent can have", "phase-ppl goals"
+    )
+
+
+def _goals(_: argparse.Namespace) -> int:
+    print("\n".join(phase_ppl.GOALS))
+    return 0
+
+
 def add_simulate(commands: Any) -> None:
     """Add the command ``simulate``."""
     parser = event_command(

@@ -29,6 +29,7 @@ from phase_ppl.cli.shared import (
     load,
     named_value,
     one_line,
+    prior_named,
     report_hint,
     results_folder,
     shows_progress,
@@ -74,7 +75,12 @@ def add_to(commands: Any) -> None:
         help="as_printed, as_intended or default: kernel, proposal, planner and weights in one "
         "word; what else is given goes before it",
     )
-    infer.add_argument("--prior", metavar="NAME", default="uniform", help="default uniform")
+    infer.add_argument(
+        "--prior",
+        metavar="NAME",
+        default="uniform",
+        help="default uniform; FILE.py:NAME takes one of your own, and runs that file",
+    )
     infer.add_argument(
         "--model",
         choices=("simple", "stepwise"),
@@ -201,10 +207,11 @@ def _completed(usual: dict[str, Any], planner: str | None, given: dict[str, Any]
 
 
 def _model_of(options: argparse.Namespace) -> phase_ppl.Model:
+    prior = prior_named(options.prior)
     if options.model == "simple":
-        return phase_ppl.Model(prior=options.prior, planner=options.planner)
+        return phase_ppl.Model(prior=prior, planner=options.planner)
     likelihood = phase_ppl.StepwiseLikelihood()
-    return phase_ppl.Model(prior=options.prior, planner=options.planner, likelihood=likelihood)
+    return phase_ppl.Model(prior=prior, planner=options.planner, likelihood=likelihood)
 
 
 def _resume(options: argparse.Namespace) -> int:

@@ -19,6 +19,7 @@ from phase_ppl.cli.shared import (
     check_suffix,
     command,
     posterior,
+    prior_named,
     shows_progress,
     writable_folder,
 )
@@ -84,11 +85,16 @@ def add_query(commands: Any) -> None:
     parser.set_defaults(run=_query)
     _add_posterior(parser)
     parser.add_argument("questions", metavar="QUESTION", nargs="+")
+    parser.add_argument(
+        "--prior", metavar="NAME", help="under another prior: a name, or FILE.py:NAME, which is run"
+    )
     parser.add_argument("--json", action="store_true", help="answers as JSON, a list")
 
 
 def _query(options: argparse.Namespace) -> int:
     post = posterior(options.file, options.weights)
+    if options.prior is not None:
+        post = post.with_prior(prior_named(options.prior))
     try:
         answers = [post.query(question) for question in options.questions]
     except QueryError as error:  # its lines show the place

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import html
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.geometry import agent_outline, is_agent
-
-if TYPE_CHECKING:
-    from phase_ppl.world.scene import Scene
 
 Colour = tuple[int, int, int]
 
@@ -42,11 +39,11 @@ def preformatted(what: Any) -> str:
     return f'<pre style="line-height:1.25">{html.escape(str(what))}</pre>'
 
 
-def drawn(scene: Scene, trajectory: FloatArray | None = None, caption: str = "") -> str:
+def drawn(scene: Any, trajectory: FloatArray | None = None, caption: str = "") -> str:
     """Return a scene as SVG with a caption, bodies at the start, and the way they go.
 
     Args:
-        scene: what to draw.
+        scene: the :class:`phase_ppl.Scene` to draw.
         trajectory: (time, entity, coord) of the way.
         caption: a line below it.
     """

@@ -45,7 +45,7 @@ def test_posteriors_are_tables_and_figures_show_themselves() -> None:
 def test_posteriors_side_by_side() -> None:
     posts = {"by steps": StepwisePosterior(reading()), "sampled": ppl.Posterior(random_tree(3))}
     figure = ppl.plot.posteriors(posts)
-    assert [text.get_text() for text in figure.axes[0].get_legend().get_texts()] == list(posts)
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == list(posts)
     bars = figure.axes[2].containers[0]
     labels = [label.get_text() for label in figure.axes[2].get_yticklabels()]
     shares = dict(zip(labels, (bar.get_width() for bar in bars), strict=True))

@@ -125,7 +125,9 @@ def posteriors(
         axes.set_xlim(0, 1)
         bare(axes)
         axes.set_title(title, fontsize=NORMAL + 1, loc="left", color=INK)
-    panels[0].legend(frameon=False, fontsize=SMALL + 0.5, loc="lower right")
+    handles, names = panels[0].get_legend_handles_labels()
+    style: dict[str, Any] = {"frameon": False, "fontsize": SMALL + 0.5, "ncols": 3}
+    figure.legend(handles, names, loc="outside upper right", **style)
     panels[-1].set_xlabel("posterior probability, and its error", fontsize=NORMAL, color=INK)
     return written(figure, path)
 
