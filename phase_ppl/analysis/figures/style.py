@@ -53,19 +53,21 @@ def new_figure(width: float, height: float, layout: Literal["constrained"] | Non
 
     A notebook that shows it draws it, whatever the backend.
     """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
     figure = _figure_class()(figsize=(width, height), facecolor="white", layout=layout)
+    FigureCanvasAgg(figure)
     return figure
 
 
 @functools.cache
 def _figure_class() -> type[Figure]:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     class ShownFigure(Figure):  # matplotlib is loaded where something is drawn
         def _repr_png_(self) -> bytes:
             buffer = io.BytesIO()
-            FigureCanvasAgg(self).print_png(buffer)
+            self.savefig(buffer, format="png")
             return buffer.getvalue()
 
     return ShownFigure
