@@ -252,6 +252,26 @@ class Hypotheses:
             _, codes = np.unique(codes * size + self._rows.values[name], return_inverse=True)
         return self._number(_entropy_of_codes, codes, given)
 
+    def mutual_information(
+        self, first: str, second: str, *, given: Mapping[str, Any] | None = None
+    ) -> Estimate:
+        """Return how much two quantities with categories tell of each other, in nats.
+
+        It is that of the weights; of few draws it comes out too high.
+        """
+        size = len(self._quantity(second).categories())
+        self._quantity(first).categories()
+        codes = self._rows.values[first] * size + self._rows.values[second]
+
+        def information(codes: NDArray[np.int64], weights: FloatArray) -> FloatArray:
+            parts = np.divmod(codes, size)
+            alone = sum(_entropy_of_codes(np.unique(part, return_inverse=True)[1], weights)
+                        for part in parts)  # fmt: skip
+            joint = _entropy_of_codes(np.unique(codes, return_inverse=True)[1], weights)
+            return np.asarray(alone - joint)
+
+        return self._number(information, codes, given)
+
     def mean(self, name: str, *, given: Mapping[str, Any] | None = None) -> Estimate:
         """Return the mean of a quantity with numbers, such as a strength in newtons."""
         return self._number(estimate.mean, self._numbers(name), given)
@@ -259,6 +279,10 @@ class Hypotheses:
     def sd(self, name: str, *, given: Mapping[str, Any] | None = None) -> Estimate:
         """Return the standard deviation of a quantity with numbers."""
         return self._number(estimate.sd, self._numbers(name), given)
+
+    def median(self, name: str, *, given: Mapping[str, Any] | None = None) -> Estimate:
+        """Return the median of a quantity with numbers, the lower one of two."""
+        return self._number(estimate.median, self._numbers(name), given)
 
     def hdi(
         self,
@@ -300,7 +324,8 @@ class Hypotheses:
         P(conditions)                :meth:`probability`, a number
         P(name), P(name, name)       :meth:`marginal`, :meth:`joint`
         E, sd, H                     :meth:`mean`, :meth:`sd`, :meth:`entropy`
-        mode, top, hdi               the method of this name
+        I(name; name)                :meth:`mutual_information`
+        median, mode, top, hdi       the method of this name
         ============================ =========================================
 
         Raises:
@@ -321,12 +346,19 @@ class Hypotheses:
                     return self.joint(*names, given=given)
                 case "H":
                     return self.entropy(*names, given=given)
+                case "I":
+                    return self.mutual_information(*names, given=given)
                 case "top":
                     return self.top(names[0], N_TOP if number is None else int(number), given=given)
                 case "hdi":
                     return self.hdi(names[0], number or HDI_PROBABILITY, given=given)
                 case _:
-                    ask = {"E": self.mean, "sd": self.sd, "mode": self.mode}[query.question]
+                    ask = {
+                        "E": self.mean,
+                        "sd": self.sd,
+                        "median": self.median,
+                        "mode": self.mode,
+                    }[query.question]
                     return ask(names[0], given=given)
         except InvalidSettingError as error:  # too large a table
             raise QueryError(str(error), question, query.names[0].at) from None

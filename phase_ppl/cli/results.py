@@ -58,8 +58,9 @@ spread between the particles.
   P(relation=friendly, strength_red > 400)   of several things at once
   P(goal_red), P(goal_red, relation)         of every value; of every combination
   E[strength_red]   sd(...)   hdi 90% ...    mean; standard deviation; shortest interval
+  median(strength_red)                       median
   mode(goal_red)    top 3 goal_red           the most probable value; the three
-  H(goal_red)                                entropy, nats
+  H(goal_red)       I(goal_red; goal_green)  entropy, mutual information, nats
 
 "|" adds what is given: P(relation=friendly | goal_red=Get blue item to red lm).
 Conditions: =, !=, in {a, b}; for numbers <, <=, >, >=, in [a, b]. Brackets after
