@@ -65,17 +65,23 @@ def explain(event: Event, path: str | os.PathLike[str] | None = None) -> str:
         InvalidEventError: it is not known what the agents thought.
         OutputError: the film cannot be written there.
     """
-    if event.thoughts is None:
+    thoughts = event.thoughts
+    if thoughts is None or event.truth is None:
         raise InvalidEventError(
             f"nothing is known of what the agents of event {event.id!r} thought: only events of "
             "ppl.simulate have that, until they are written to a file"
         )
+    if len(thoughts.subgoals) != event.observation.n_frames - 1:
+        raise InvalidEventError(
+            f"event {event.id!r} has {event.observation.n_frames} frames and thoughts at "
+            f"{len(thoughts.subgoals)} steps, expected one at each frame but the last"
+        )
     episodes = sorted(
-        (one for agent in range(len(AGENTS)) for one in _episodes(event, event.thoughts, agent)),
+        (one for agent in range(len(AGENTS)) for one in _episodes(event, thoughts, agent)),
         key=lambda one: (one.begin, one.agent),
     )
     if path is not None:
-        _film(event, event.thoughts, path)
+        _film(event, thoughts, path)
     return "\n".join(_line(event, one) for one in episodes)
 
 

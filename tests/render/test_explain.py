@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -78,9 +79,12 @@ def test_the_film_shows_both_minds(event: ppl.Event, tmp_path: Path) -> None:
     assert (tmp_path / "why.mp4").stat().st_size > 5000
 
 
-def test_thoughts_that_are_not_known_are_not_made_up() -> None:
+def test_thoughts_that_are_not_known_are_not_made_up(event: ppl.Event) -> None:
     with pytest.raises(InvalidEventError, match="thought"):
         ppl.explain(ppl.load_event("collaborate"))
+    shorter = ppl.Observation(event.observation.trajectory[:10])
+    with pytest.raises(InvalidEventError, match="29 steps"):
+        ppl.explain(dataclasses.replace(event, observation=shorter))
 
 
 @pytest.mark.parametrize(
