@@ -77,6 +77,7 @@ from phase_ppl.models import sites as sites
 from phase_ppl.models.likelihood import RadialLikelihood as RadialLikelihood
 from phase_ppl.models.model import Model as Model
 from phase_ppl.models.stepwise import StepwiseLikelihood as StepwiseLikelihood
+from phase_ppl.render.explain import explain as explain
 from phase_ppl.simulator.joint import JointSimulator as JointSimulator
 from phase_ppl.simulator.joint import simulate as simulate
 from phase_ppl.world.errors import PhasePPLError as PhasePPLError

@@ -17,10 +17,12 @@ import pytest
 from PIL import Image
 
 import phase_ppl
+from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.cli import main
 from phase_ppl.world.files import locked
 from phase_ppl.world.goals import GOALS
 from tests.analysis.factory import Simulation, hypothesis, make_tree
+from tests.analysis.readings import reading
 from tests.inference.toy import walkers, walking_event
 from tests.world.examples import make_event
 
@@ -207,7 +209,7 @@ def test_a_strip_of_a_short_event_has_all_its_frames(tmp_path: Path) -> None:
 
 COMMANDS = (
     *("infer", "resume", "simulate", "render", "compare", "diagnose", "evaluate", "report"),
-    *("query", "describe", "generate", "verify", "export", "train"),
+    *("query", "describe", "generate", "verify", "export", "train", "goals"),
 )
 
 
@@ -443,3 +445,29 @@ def test_a_reference_has_options_as_kernels_have() -> None:
     assert _reference(None) is None
     with pytest.raises(phase_ppl.PhasePPLError, match="--reference: 'per_pair'"):
         _reference("enumeration:per_pair")
+
+
+def test_goals_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["goals"]) == 0
+    assert capsys.readouterr().out.splitlines() == list(phase_ppl.GOALS)
+
+
+def test_a_prior_is_taken_out_of_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    kept = str(StepwisePosterior(reading()).save(tmp_path / "post.nc"))
+    source = tmp_path / "mine.py"
+    source.write_text(
+        "import jax.numpy as jnp, numpyro, numpyro.distributions as dist\n"
+        "import phase_ppl as ppl\n\n\n"
+        "def aloof():\n"
+        '    numpyro.sample("alpha", dist.Categorical(probs=jnp.eye(5)[0]))\n'
+        "    ppl.sites.goals()\n    ppl.sites.strengths()\n"
+    )
+    question = "P(alpha=(0, 0))"
+    assert main(["query", kept, question, "--prior", f"{source}:aloof"]) == 0
+    told = capsys.readouterr()
+    assert f"{question} = 1" in told.out
+    assert f"running {source} for its prior aloof" in told.err
+    assert main(["query", kept, question, "--prior", f"{source}:alof"]) == 2
+    assert "aloof" in capsys.readouterr().err
+    assert main(["query", kept, question, "--prior", f"{tmp_path}/none.py:aloof"]) == 2
+    assert main(["query", kept, question, "--prior", "sparse_social"]) == 0

@@ -82,6 +82,13 @@ def test_a_model_of_ones_own_is_evaluated(tmp_path: Path, run_script: Callable[.
     assert "collaborative" in run_script(saved(EXAMPLES[4], tmp_path))
 
 
+def test_a_scene_from_scratch_is_explained(tmp_path: Path, run_script: Callable[..., str]) -> None:
+    text = (README.parent / "docs" / "what_if.md").read_text(encoding="utf-8")
+    (example,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    assert "the green agent goes up to the red agent" in run_script(saved(example, tmp_path))
+    assert (tmp_path / "explained.mp4").stat().st_size > 1000
+
+
 @pytest.mark.slow
 def test_a_run_on_a_cluster_is_kept_and_extended(tmp_path: Path) -> None:
     printed = run(EXAMPLES[3] + "\n    print(post)\n", tmp_path)

@@ -351,11 +351,13 @@ class Decision(NamedTuple):
         intent: what it is about.
         root: what the planner made of that.
         held: item that it holds when it decides, or ``NOTHING``.
+        beliefs: its particles, as they are until it decides again.
     """
 
     intent: Intent
     root: RootStatistics
     held: int
+    beliefs: Beliefs
 
     @property
     def action(self) -> Action:
@@ -397,7 +399,12 @@ class Agent(Policies):
         self.observe(bodies, held, weld)
         root = self.root_statistics(self.intent)
         self.done(root.best)
-        return Decision(self.intent, root, int(held[self.agent]))
+        return Decision(self.intent, root, int(held[self.agent]), self.beliefs)
+
+    def look(self, bodies: FloatArray, held: IntArray, weld: FloatArray, action: Action) -> None:
+        """Observe a past state, and take note of what was done then, without deciding anything."""
+        self.observe(bodies, held, weld, np.zeros_like(self.of_pair, np.bool_))
+        self.done(action)
 
 
 def both_agents(

@@ -15,6 +15,7 @@ import pandas as pd
 from phase_ppl.analysis.summary import plain
 from phase_ppl.world.errors import InvalidEventError, unknown_name
 from phase_ppl.world.files import existing_file, write_json
+from phase_ppl.world.picture import preformatted
 
 SCHEMA: Final = "phase-ppl-comparison-1"
 
@@ -214,6 +215,9 @@ class Comparison:
             place = f"{best}" if best == worst else f"{best} to {worst}"
             parts.append(f"{place}: {', '.join(names)}")
         return "; ".join(parts)
+
+    def _repr_html_(self) -> str:
+        return preformatted(self)
 
     def __repr__(self) -> str:
         return f"<Comparison of {', '.join(self.kernels)}: {len(self.runs)} runs>"

@@ -52,6 +52,13 @@ def mean(values: FloatArray, weights: FloatArray) -> FloatArray:
     return (weights * values).sum(axis=-1)  # BLAS would start threads for it
 
 
+def median(values: FloatArray, weights: FloatArray) -> FloatArray:
+    """Return the lower medians of values (row,) under weights (..., row)."""
+    order = np.argsort(values, kind="stable")
+    reached = np.cumsum(weights[..., order], axis=-1) >= 0.5 * weights.sum(axis=-1)[..., None]
+    return np.asarray(values[order][reached.argmax(axis=-1)])
+
+
 def sd(values: FloatArray, weights: FloatArray) -> FloatArray:
     """Return (...) the standard deviation of values (row,) under weights (..., row) of sum 1."""
     # about any fixed centre, and one in their midst loses no digits

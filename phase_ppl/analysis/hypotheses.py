@@ -26,6 +26,7 @@ from phase_ppl.world.errors import InvalidSettingError, QueryError, shown, unkno
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.names import AGENTS
+from phase_ppl.world.picture import preformatted
 
 Definition = Callable[["Named"], bool | int | float | str]
 """(hypothesis in plain names) -> its value."""
@@ -96,7 +97,10 @@ class Hypotheses:
         self._groups = groups
         self._halves = tuple(halves)
         self._jackknives: dict[float, Jackknife | None] = {}
-        self._own: set[str] = set()  # quantities that the user defined
+        self._own: dict[str, Definition] = {}  # of quantities that the user defined
+
+    def _repr_html_(self) -> str:
+        return preformatted(self)
 
     @property
     def quantities(self) -> dict[str, tuple[str, ...] | None]:
@@ -123,13 +127,24 @@ class Hypotheses:
             InvalidSettingError: the name is taken or no name; or the function raises, or returns
                 NaN, something else or values of several kinds. The message names the hypothesis.
         """
-        _check_name(name, self._quantities.keys() - self._own)
+        _check_name(name, self._quantities.keys() - self._own.keys())
         others = {key: quantity for key, quantity in self._quantities.items() if key != name}
         quantity, column = _defined(name, function, others, self._rows.values)
         self._quantities = {**others, name: quantity}
         self._rows = dataclasses.replace(self._rows, values={**self._rows.values, name: column})
-        self._own.add(name)
+        self._own[name] = function
         return self
+
+    def _defining(self, others: Mapping[str, Definition]) -> Self:
+        """Define what another posterior of the same event has; return this one."""
+        for name, function in others.items():
+            self.define(name, function)
+        return self
+
+    @property
+    def table(self) -> Rows:
+        """Codes or numbers of every quantity, row by row, and the weights."""
+        return self._rows
 
     def marginal(self, name: str, *, given: Mapping[str, Any] | None = None) -> xr.DataArray:
         """Return the probability of every label of a quantity with categories, sum 1."""
@@ -237,6 +252,26 @@ class Hypotheses:
             _, codes = np.unique(codes * size + self._rows.values[name], return_inverse=True)
         return self._number(_entropy_of_codes, codes, given)
 
+    def mutual_information(
+        self, first: str, second: str, *, given: Mapping[str, Any] | None = None
+    ) -> Estimate:
+        """Return how much two quantities with categories tell of each other, in nats.
+
+        It is that of the weights; of few draws it comes out too high.
+        """
+        size = len(self._quantity(second).categories())
+        self._quantity(first).categories()
+        codes = self._rows.values[first] * size + self._rows.values[second]
+
+        def information(codes: NDArray[np.int64], weights: FloatArray) -> FloatArray:
+            parts = np.divmod(codes, size)
+            alone = sum(_entropy_of_codes(np.unique(part, return_inverse=True)[1], weights)
+                        for part in parts)  # fmt: skip
+            joint = _entropy_of_codes(np.unique(codes, return_inverse=True)[1], weights)
+            return np.asarray(alone - joint)
+
+        return self._number(information, codes, given)
+
     def mean(self, name: str, *, given: Mapping[str, Any] | None = None) -> Estimate:
         """Return the mean of a quantity with numbers, such as a strength in newtons."""
         return self._number(estimate.mean, self._numbers(name), given)
@@ -244,6 +279,10 @@ class Hypotheses:
     def sd(self, name: str, *, given: Mapping[str, Any] | None = None) -> Estimate:
         """Return the standard deviation of a quantity with numbers."""
         return self._number(estimate.sd, self._numbers(name), given)
+
+    def median(self, name: str, *, given: Mapping[str, Any] | None = None) -> Estimate:
+        """Return the median of a quantity with numbers, the lower one of two."""
+        return self._number(estimate.median, self._numbers(name), given)
 
     def hdi(
         self,
@@ -285,7 +324,8 @@ class Hypotheses:
         P(conditions)                :meth:`probability`, a number
         P(name), P(name, name)       :meth:`marginal`, :meth:`joint`
         E, sd, H                     :meth:`mean`, :meth:`sd`, :meth:`entropy`
-        mode, top, hdi               the method of this name
+        I(name; name)                :meth:`mutual_information`
+        median, mode, top, hdi       the method of this name
         ============================ =========================================
 
         Raises:
@@ -306,12 +346,19 @@ class Hypotheses:
                     return self.joint(*names, given=given)
                 case "H":
                     return self.entropy(*names, given=given)
+                case "I":
+                    return self.mutual_information(*names, given=given)
                 case "top":
                     return self.top(names[0], N_TOP if number is None else int(number), given=given)
                 case "hdi":
                     return self.hdi(names[0], number or HDI_PROBABILITY, given=given)
                 case _:
-                    ask = {"E": self.mean, "sd": self.sd, "mode": self.mode}[query.question]
+                    ask = {
+                        "E": self.mean,
+                        "sd": self.sd,
+                        "median": self.median,
+                        "mode": self.mode,
+                    }[query.question]
                     return ask(names[0], given=given)
         except InvalidSettingError as error:  # too large a table
             raise QueryError(str(error), question, query.names[0].at) from None

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +14,16 @@ import xarray as xr
 
 from phase_ppl.analysis._arviz import arviz_data
 from phase_ppl.analysis.diagnostics import diagnostics
-from phase_ppl.analysis.hypotheses import Hypotheses, hypothesis_record
+from phase_ppl.analysis.event_posterior import EventPosterior
+from phase_ppl.analysis.hypotheses import hypothesis_record
 from phase_ppl.analysis.over_time import over_time
+from phase_ppl.analysis.prior_change import (
+    changed_text,
+    check_overlap,
+    reweighted,
+    settings_under,
+    worth,
+)
 from phase_ppl.analysis.quantities import (
     ScenarioFunction,
     derived_codes,
@@ -45,7 +53,7 @@ from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
 from phase_ppl.world.scene import Scene
 
 
-class Posterior(Hypotheses):
+class Posterior(EventPosterior):
     """Posterior over two agents' goals, their relation and their strengths.
 
     What one can ask it is in :class:`phase_ppl.analysis.hypotheses.Hypotheses`: ``marginal``,
@@ -148,6 +156,21 @@ class Posterior(Hypotheses):
     def cost(self) -> dict[str, Any]:
         """What the run cost: simulations, seconds, workers."""
         return dict(json.loads(self._tree.attrs["cost"]))
+
+    def under(self, prior: Callable[..., object]) -> Posterior:
+        if self._weights == "likelihood":
+            raise InvalidSettingError("weights 'likelihood' know no prior: choose others")
+        tree = reweighted(self._tree, prior)
+        changed = Posterior(tree, self._weights, burn_in=self._burn_in, scenario=self._scenario)
+        sizes = worth(changed.table.weights), worth(self.table.weights)
+        check_overlap(sizes, (1 - changed.untried, 1 - self.untried))
+        tree.attrs["settings"] = settings_under(
+            tree.attrs["settings"],
+            prior,
+            effective_size=sizes[0],
+            effective_size_before=sizes[1],
+        )
+        return changed._defining(self._own)
 
     def map(self) -> Hypothesis:
         """Return the hypothesis of the completed simulation with the highest log joint.
@@ -300,6 +323,8 @@ class Posterior(Hypotheses):
         )
         lines = [*wrapped("posterior", head), *wrapped("verdict", found["verdict"]), ""]
         lines += [*self._answer_lines(), ""]
+        if changed := changed_text(self.settings):
+            lines += wrapped("prior", changed)
         return "\n".join([*lines, *wrapped("fit", fit), *wrapped("cost", _cost(self.cost, found))])
 
     def __repr__(self) -> str:

@@ -6,10 +6,12 @@
     asked      = "P" conditions               probability
                | "P" names                    probabilities of all values, of all combinations
                | "E" name | "sd" name         mean, standard deviation of numbers
+               | "median" name                of numbers
                | "hdi" [ share ] name         shortest interval with this share, 0.9 or 90%
                | "mode" name                  most probable value
                | "top" [ number ] name        the most probable values
                | "H" names                    entropy, nats
+               | "I" name ";" name            mutual information, nats
     names      = name { "," name }
     conditions = condition { "," condition }  all of them hold
     condition  = name "=" value
@@ -39,7 +41,7 @@ from phase_ppl.world.errors import QueryError, UnknownNameError, shown, unknown_
 
 T = TypeVar("T")
 
-QUESTIONS: Final = ("P", "E", "sd", "H", "mode", "top", "hdi")
+QUESTIONS: Final = ("P", "E", "sd", "median", "H", "I", "mode", "top", "hdi")
 """What can be asked; ``top`` and ``hdi`` may be followed by a number."""
 
 LONGEST: Final = 10_000
@@ -140,6 +142,10 @@ class _Parser:
             names, event = self._names_or_event()
         elif question == "H":
             names = self._listed(self._name)
+        elif question == "I":
+            first = self._name()
+            self._expect(";", "';' and another quantity, as in I(goal_red; goal_green)")
+            names = (first, self._name())
         else:
             names = (self._name(),)
         bar = self._take("|")
@@ -324,13 +330,13 @@ class _Meaning:
     def check_asked(self, question: str, name: Word, before: Sequence[Word]) -> None:
         """Raise QueryError if ``name`` cannot be asked for in this way."""
         quantity = self._quantity(name)
-        if quantity.labels is None and question in ("P", "H", "mode", "top"):
+        if quantity.labels is None and question in ("P", "H", "I", "mode", "top"):
             self._fail(
                 f"{name.text} is a real number without categories; ask for E, sd or hdi, or for "
                 f"the probability of an interval: P({name.text} in [low, high])",
                 name.at,
             )
-        if not quantity.numeric and question in ("E", "sd", "hdi"):
+        if not quantity.numeric and question in ("E", "sd", "median", "hdi"):
             self._fail(f"{name.text} has categories, not numbers; ask for P, mode or top", name.at)
         if name.text in [word.text for word in before]:
             self._fail(f"{name.text} is named twice: expected different quantities", name.at)

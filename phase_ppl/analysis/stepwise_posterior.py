@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -20,8 +20,10 @@ from phase_ppl.analysis.diagnostics import (
     undecided,
 )
 from phase_ppl.analysis.estimate import Jackknife
-from phase_ppl.analysis.hypotheses import Hypotheses, hypothesis_record
+from phase_ppl.analysis.event_posterior import EventPosterior
+from phase_ppl.analysis.hypotheses import hypothesis_record
 from phase_ppl.analysis.over_time import by_label
+from phase_ppl.analysis.prior_change import changed_text, settings_under
 from phase_ppl.analysis.quantities import (
     ScenarioFunction,
     derived_codes,
@@ -29,7 +31,14 @@ from phase_ppl.analysis.quantities import (
     relation_codes,
 )
 from phase_ppl.analysis.query import conditions
-from phase_ppl.analysis.stepwise_table import SCHEMAS, STRENGTHS, Table, brought_up, check
+from phase_ppl.analysis.stepwise_table import (
+    DIMENSIONS,
+    SCHEMAS,
+    STRENGTHS,
+    Table,
+    brought_up,
+    check,
+)
 from phase_ppl.analysis.summary import plain, wrapped
 from phase_ppl.analysis.tree import kept_scene
 from phase_ppl.analysis.weights import log_sum_exp
@@ -39,6 +48,7 @@ from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.files import check_output, existing_file, write_bytes
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
+from phase_ppl.world.observation import FRAMES_PER_SECOND
 from phase_ppl.world.scene import Scene
 
 FILTERING: Final = (
@@ -67,7 +77,7 @@ DISAGREE: Final = 0.1
 """Standard error of a leading probability from which on the sets of searches disagree."""
 
 
-class StepwisePosterior(Hypotheses):
+class StepwisePosterior(EventPosterior):
     """Posterior over all pairs of goals, alphas and strengths, read step by step.
 
     The sum over hypotheses leaves none out; what goes into it is approximate. Policies are
@@ -156,7 +166,17 @@ class StepwisePosterior(Hypotheses):
         Raises:
             InvalidSettingError: there is no such frame.
         """
-        return StepwisePosterior(self._found, frame, scenario=self._scenario)
+        at = StepwisePosterior(self._found, frame, scenario=self._scenario)
+        return at._defining(self._own)
+
+    def under(self, prior: Callable[..., object]) -> StepwisePosterior:
+        from phase_ppl.models.stepwise import prior_table
+
+        table = prior_table(prior, tuple(self._found[STRENGTHS[0]].values.tolist()))
+        found = self._found.assign(log_prior=(DIMENSIONS["log_prior"], table))
+        found.attrs["settings"] = settings_under(found.attrs["settings"], prior)
+        changed = StepwisePosterior(found, self._frame, scenario=self._scenario)
+        return changed._defining(self._own)
 
     @property
     def log_evidence(self) -> float:
@@ -372,6 +392,8 @@ class StepwisePosterior(Hypotheses):
         )
         lines = [*wrapped("posterior", head), *wrapped("verdict", found["verdict"]), ""]
         lines += [*self._answer_lines(), ""]
+        if changed := changed_text(self.settings):
+            lines += wrapped("prior", changed)
         evidence = f"log p(video) = {self.log_evidence:.1f} nats, every frame counted in full"
         lines += wrapped("evidence", evidence)
         if found["weight"] != 1:
@@ -381,7 +403,9 @@ class StepwisePosterior(Hypotheses):
         words = f"{cost['searches']} searches, {cost['searches'] / steps:.0f} a step"
         if isinstance(cost.get("seconds"), int | float):
             seconds, lasts = cost["seconds"], cost["video_seconds"]
-            words += f", in {seconds:.1f} s; the video lasts {lasts:.1f} s"
+            simulated = steps / FRAMES_PER_SECOND
+            words += f", in {seconds:.1f} s; the film of {simulated:.1f} simulated s "
+            words += f"lasts {lasts:.1f} s"
         return "\n".join([*lines, *wrapped("cost", words)])
 
     def __repr__(self) -> str:

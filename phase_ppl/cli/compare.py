@@ -19,6 +19,7 @@ from phase_ppl.cli.shared import (
     event_command,
     load,
     option_value,
+    prior_named,
     results_folder,
     shows_progress,
     whole,
@@ -56,7 +57,9 @@ def add_to(commands: Any) -> None:
     )
     parser.add_argument("--repeats", metavar="R", type=whole(1), default=8, help="default 8")
     parser.add_argument("--chains", metavar="M", type=whole(1), default=15, help="default 15")
-    parser.add_argument("--prior", metavar="NAME", default="uniform", help="default uniform")
+    parser.add_argument(
+        "--prior", metavar="NAME", default="uniform", help="default uniform; or FILE.py:NAME"
+    )
     add_planner(parser)
     parser.add_argument(
         "--reference",
@@ -89,7 +92,7 @@ def _compared(event: Event, out: Path | None, options: argparse.Namespace) -> in
     try:
         found = phase_ppl.compare(
             event,
-            phase_ppl.Model(prior=options.prior, planner=options.planner),
+            phase_ppl.Model(prior=prior_named(options.prior), planner=options.planner),
             kernels=_kernels(options.kernels),
             budget=options.budget,
             repeats=options.repeats,

@@ -43,10 +43,22 @@ def _alpha(text: str) -> int:
 
 def add_to(commands: Any) -> None:
     """Add the commands."""
+    _add_goals(commands)
     _add_simulate(commands)
     _add_render(commands)
     _add_describe(commands)
     _add_export(commands)
+
+
+def _add_goals(commands: Any) -> None:
+    command(
+        commands, "goals", _goals, "list the 36 goals that an agent can have", "phase-ppl goals"
+    )
+
+
+def _goals(_: argparse.Namespace) -> int:
+    print("\n".join(phase_ppl.GOALS))
+    return 0
 
 
 def _add_simulate(commands: Any) -> None:
@@ -71,6 +83,9 @@ def _add_simulate(commands: Any) -> None:
         "--frames", metavar="T", type=whole(2), help="default: as long as the event"
     )
     parser.add_argument(
+        "--overlapping", action="store_true", help="though bodies overlap at the start"
+    )
+    parser.add_argument(
         "--out", metavar="FILE", type=Path, required=True, help=".json, .nc, .mp4 or .gif"
     )
 
@@ -93,6 +108,7 @@ def _simulate(options: argparse.Namespace) -> int:
         seed=options.seed,
         planner=options.planner,
         id=f"{event.id}-simulated",
+        overlapping=options.overlapping,
     )
     if suffix in EVENT_SUFFIXES:
         phase_ppl.save_event(simulated, options.out)

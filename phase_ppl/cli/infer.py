@@ -30,6 +30,7 @@ from phase_ppl.cli.shared import (
     load,
     named_value,
     one_line,
+    prior_named,
     report_hint,
     results_folder,
     shows_progress,
@@ -75,7 +76,12 @@ def add_to(commands: Any) -> None:
         default="default",
         help=PRESET,
     )
-    infer.add_argument("--prior", metavar="NAME", default="uniform", help="default uniform")
+    infer.add_argument(
+        "--prior",
+        metavar="NAME",
+        default="uniform",
+        help="default uniform; FILE.py:NAME takes one of your own, and runs that file",
+    )
     infer.add_argument(
         "--model",
         choices=("simple", "stepwise"),
@@ -187,10 +193,11 @@ def _infer(options: argparse.Namespace) -> int:
 
 
 def _model_of(options: argparse.Namespace) -> phase_ppl.Model:
+    prior = prior_named(options.prior)
     if options.model == "simple":
-        return phase_ppl.Model(prior=options.prior)
+        return phase_ppl.Model(prior=prior)
     likelihood = phase_ppl.StepwiseLikelihood()
-    return phase_ppl.Model(prior=options.prior, planner=options.planner, likelihood=likelihood)
+    return phase_ppl.Model(prior=prior, planner=options.planner, likelihood=likelihood)
 
 
 def _resume(options: argparse.Namespace) -> int:

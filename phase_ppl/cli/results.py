@@ -19,6 +19,7 @@ from phase_ppl.cli.shared import (
     check_suffix,
     command,
     posterior,
+    prior_named,
     shows_progress,
     writable_folder,
 )
@@ -57,8 +58,9 @@ spread between the particles.
   P(relation=friendly, strength_red > 400)   of several things at once
   P(goal_red), P(goal_red, relation)         of every value; of every combination
   E[strength_red]   sd(...)   hdi 90% ...    mean; standard deviation; shortest interval
+  median(strength_red)                       median
   mode(goal_red)    top 3 goal_red           the most probable value; the three
-  H(goal_red)                                entropy, nats
+  H(goal_red)       I(goal_red; goal_green)  entropy, mutual information, nats
 
 "|" adds what is given: P(relation=friendly | goal_red=Get blue item to red lm).
 Conditions: =, !=, in {a, b}; for numbers <, <=, >, >=, in [a, b]. Brackets after
@@ -89,11 +91,16 @@ def _add_query(commands: Any) -> None:
     parser.set_defaults(run=_query)
     _add_posterior(parser)
     parser.add_argument("questions", metavar="QUESTION", nargs="+")
+    parser.add_argument(
+        "--prior", metavar="NAME", help="under another prior: a name, or FILE.py:NAME, which is run"
+    )
     parser.add_argument("--json", action="store_true", help="answers as JSON, a list")
 
 
 def _query(options: argparse.Namespace) -> int:
     post = posterior(options.file, options.weights)
+    if options.prior is not None:
+        post = post.with_prior(prior_named(options.prior))
     try:
         answers = [post.query(question) for question in options.questions]
     except QueryError as error:  # its lines show the place

@@ -22,6 +22,8 @@ import numpy as np
 from phase_ppl.physics import compiled, inverse
 from phase_ppl.physics.actions import N_ACTIONS, Action, executed
 from phase_ppl.physics.constants import WORLD_INNER_STEPS
+from phase_ppl.physics.flat import to_state
+from phase_ppl.simulator.joint import Past
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.checks import nonnegative_number, positive_number
 from phase_ppl.world.errors import InvalidSettingError
@@ -405,6 +407,17 @@ def _quantile(masses: FloatArray, share: float) -> int:
 def _stride(n: int) -> int:
     """Return a number without a common factor with ``n``, at about its golden section."""
     return next(k for k in range(max(1, round(0.618 * n)), 2 * n + 2) if math.gcd(k, n) == 1)
+
+
+def reconstructed(scene: Scene, trajectory: FloatArray, tracking: Tracking | None = None) -> Past:
+    """Return the most probable states and actions behind a trajectory, (time, 4, 3)."""
+    hidden = HiddenState(scene, tracking or Tracking())
+    states, actions = [State.at_start(scene)], []
+    for frame in trajectory[1:]:
+        actions.append(most_probable_actions(hidden.advance(frame)))
+        best = hidden.best()
+        states.append(to_state(best.bodies, best.held, best.weld, scene.radius))
+    return Past(states, actions)
 
 
 def most_probable_actions(density: FloatArray) -> tuple[Action, Action]:

@@ -17,6 +17,7 @@ missing, or whose part was damaged since; the finished set is the same.
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final, Self
@@ -26,6 +27,7 @@ from phase_ppl.dataset.events_netcdf import StoredEvents, checksum
 from phase_ppl.world.errors import InvalidEventError, PhasePPLError, shown
 from phase_ppl.world.event import Event
 from phase_ppl.world.identity import differences
+from phase_ppl.world.picture import preformatted
 from phase_ppl.world.scene import Turning
 
 MANIFEST_SCHEMA: Final = "phase-ppl-manifest-1"
@@ -64,6 +66,14 @@ class GeneratedEvents(StoredEvents):
             raise InvalidEventError(
                 f"{self.path}: {EVENTS} and {MANIFEST} are not of the same events"
             )
+
+    def __repr__(self) -> str:
+        splits = Counter(entry["split"] for entry in self._entries)
+        told = ", ".join(f"{n} {name}" for name, n in splits.items())
+        return f"<{len(self)} generated events of {self.path}: {told}>"
+
+    def _repr_html_(self) -> str:
+        return preformatted(self)
 
     @property
     def entries(self) -> list[dict[str, Any]]:

@@ -50,6 +50,7 @@ from phase_ppl.world.errors import (
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import writable_folder, write_json
 from phase_ppl.world.hypothesis import SCENARIOS
+from phase_ppl.world.picture import preformatted
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -219,6 +220,9 @@ class ModelComparison:
 
     def __str__(self) -> str:
         return _text(self)
+
+    def _repr_html_(self) -> str:
+        return preformatted(self)
 
     def __repr__(self) -> str:
         return f"<ModelComparison of {', '.join(self.models)} on {len(self.events)} events>"

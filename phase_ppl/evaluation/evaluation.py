@@ -20,6 +20,7 @@ from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import SCENARIOS
 from phase_ppl.world.identity import event_digest
+from phase_ppl.world.picture import preformatted
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -110,6 +111,9 @@ class Evaluation:
 
     def __str__(self) -> str:
         return table(self)
+
+    def _repr_html_(self) -> str:
+        return preformatted(self)
 
     def __repr__(self) -> str:
         return (

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 import pandas as pd
-from tqdm import tqdm
+from tqdm.auto import tqdm
 
 from phase_ppl.analysis.comparison import CURVE_COLUMNS, RUN_COLUMNS, Comparison
 from phase_ppl.analysis.measures import accuracy, curve, efficiency, of_truth

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from types import TracebackType
 from typing import Any, ClassVar, Final, Self, TypeVar
 
-from tqdm import tqdm
+from tqdm.auto import tqdm
 
 WARMING_UP: Final = "warming up (compiles the first time)"
 

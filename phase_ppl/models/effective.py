@@ -18,9 +18,15 @@ import numpy as np
 from jax.scipy.special import logsumexp
 from numpy.typing import NDArray
 from numpyro import handlers
+from numpyro.infer.inspect import get_dependencies
 
-from phase_ppl.models.density import remembered, site_shapes, trace_log_density
-from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES
+from phase_ppl.models.density import (
+    compiled_quickly,
+    remembered,
+    site_shapes,
+    trace_log_density,
+)
+from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, STRENGTH_SITES
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import effective_table
@@ -58,6 +64,22 @@ def log_prior_of_hypotheses(prior: Prior, sites: Mapping[str, NDArray[Any]]) -> 
 
 
 @remembered(_PRIORS_KEPT)
+def upstream(prior: Prior) -> dict[str, set[str]]:
+    """Return latent site -> the sites on whose values its distribution depends."""
+    found = get_dependencies(prior)["prior_dependencies"]
+    return {name: set(others) - {name} for name, others in found.items()}
+
+
+def strengths_apart(prior: Prior) -> bool:
+    """Whether a prior's strengths depend on no other sites, and no others on them."""
+    apart = set(STRENGTH_SITES)
+    return all(
+        others <= apart if name in apart else not others & apart
+        for name, others in upstream(prior).items()
+    )
+
+
+@remembered(_PRIORS_KEPT)
 def _density(prior: Prior, names: tuple[str, ...]) -> Callable[[dict[str, jax.Array]], jax.Array]:
     has_own = not site_shapes(prior).keys() <= set(names)
     keys = jax.random.split(jax.random.key(0), _OWN_DRAWS if has_own else 1)
@@ -71,7 +93,7 @@ def _density(prior: Prior, names: tuple[str, ...]) -> Callable[[dict[str, jax.Ar
     def marginal(z: dict[str, jax.Array]) -> jax.Array:
         return logsumexp(jax.vmap(given, in_axes=(0, None))(keys, z)) - math.log(len(keys))
 
-    density: Callable[[dict[str, jax.Array]], jax.Array] = jax.jit(jax.vmap(marginal))
+    density: Callable[[dict[str, jax.Array]], jax.Array] = compiled_quickly(jax.vmap(marginal))
     return density
 
 
@@ -105,6 +127,28 @@ def log_prior_of_effective(
     total = np.full(len(goals), -np.inf)
     np.logaddexp.at(total, row, log_densities)
     return total
+
+
+def drawn_stated(
+    prior: Prior, goals: NDArray[np.int64], strengths: NDArray[np.floating[Any]]
+) -> NDArray[np.int64]:
+    """Return (n, 3) stated goals and alpha for effective goals, drawn by the prior given these.
+
+    Args:
+        prior: NumPyro program over the hypothesis sites.
+        goals: (n, 2) effective goals of red and green.
+        strengths: (n, 2) newtons.
+    """
+    options = [stated_hypotheses()[int(red), int(green)] for red, green in goals]
+    lengths = np.array([len(rows) for rows in options], np.int64)
+    stated, row = np.concatenate(options), np.repeat(np.arange(len(goals)), lengths)
+    columns: dict[str, NDArray[Any]] = dict(zip(_STATED_SITES, stated.T, strict=True))
+    columns |= dict(zip(STRENGTH_SITES, strengths[row].T.astype(np.float64), strict=True))
+    # the largest of Gumbel-perturbed log weights is a draw in proportion to the weights
+    log_weight = log_prior_of_hypotheses(prior, columns)
+    log_weight += np.random.default_rng(0).gumbel(size=len(log_weight))
+    order = np.lexsort((log_weight, row))
+    return np.asarray(stated[order[np.cumsum(lengths) - 1]])
 
 
 @remembered(_PRIORS_KEPT)

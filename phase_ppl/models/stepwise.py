@@ -9,18 +9,20 @@ no noise of simulations in it but the planner's own, and all pairs of goals are 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any, Final
 
 import jax
 import numpy as np
+from numpy.typing import NDArray
 from numpyro import handlers
 
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.closed_loop.goal_filter import Conduct, GoalFilter
 from phase_ppl.closed_loop.hidden_state import Tracking
 from phase_ppl.models.density import NO_DENSITY, remembered
-from phase_ppl.models.effective import log_prior_of_hypotheses
-from phase_ppl.models.sites import HYPOTHESIS_SITES, STRENGTH_SITES
+from phase_ppl.models.effective import log_prior_of_hypotheses, strengths_apart
+from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, STRENGTH_SITES
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import nonnegative_number, positive_number, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown
@@ -133,11 +135,14 @@ def prior_table(prior: Any, levels: tuple[float, ...]) -> FloatArray:
     """
     strengths = np.array(levels)
     nodes = [_nodes(prior, name, strengths) for name in STRENGTH_SITES]
-    shape = (N_GOALS, N_GOALS, len(ALPHAS), *(len(values) for values, _ in nodes))
-    *stated, red, green = np.unravel_index(np.arange(np.prod(shape)), shape)
-    columns = (*stated, nodes[0][0][red], nodes[1][0][green])
-    sites = dict(zip(HYPOTHESIS_SITES, columns, strict=True))
-    densities = log_prior_of_hypotheses(prior, sites).reshape(shape)
+    stated = {name: np.arange(N_GOALS) for name in GOAL_SITES} | {
+        ALPHA_SITE: np.arange(len(ALPHAS))
+    }
+    forces = {name: values for name, (values, _) in zip(STRENGTH_SITES, nodes, strict=True)}
+    if strengths_apart(prior):  # a thousand times fewer densities
+        densities = _densities(prior, stated)[..., None, None] + _densities(prior, forces)
+    else:
+        densities = _densities(prior, stated | forces)
     densities[densities <= NO_DENSITY] = -np.inf
     densities += np.log(nodes[0][1])[:, None] + np.log(nodes[1][1])
     highest = densities.max()
@@ -152,6 +157,13 @@ def prior_table(prior: Any, levels: tuple[float, ...]) -> FloatArray:
         table = np.log(masses / masses.sum())
     table.setflags(write=False)
     return table
+
+
+def _densities(prior: Any, values: Mapping[str, NDArray[Any]]) -> FloatArray:
+    """Return the log density at all combinations of values of some sites, an axis for each."""
+    columns = dict(zip(values, np.meshgrid(*values.values(), indexing="ij"), strict=True))
+    flat = {name: column.ravel() for name, column in columns.items()}
+    return log_prior_of_hypotheses(prior, flat).reshape([len(one) for one in values.values()])
 
 
 def _nodes(prior: Any, name: str, levels: FloatArray) -> tuple[FloatArray, FloatArray]:

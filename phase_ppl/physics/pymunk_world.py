@@ -63,6 +63,10 @@ def mean_pose(poses: Sequence[FloatArray]) -> FloatArray:
     return frame / len(poses)
 
 
+AWAY: Final = -1000.0
+"""x and y of what was removed, units."""
+
+
 class PymunkWorld:
     """A running world.
 
@@ -307,6 +311,14 @@ class PymunkWorld:
         """Take a body's velocity away; it stays where the move that is due takes it."""
         body.position += body.velocity * self._dt
         body.velocity = 0.0, 0.0
+
+    def remove(self, entity: int) -> None:
+        """Take a body out of the arena, to ``AWAY``, and out of the hands that hold it."""
+        for agent in range(_N_AGENTS):
+            if self._held[agent] != NOTHING and entity in (agent, self._held[agent]):
+                self._detach(agent)
+        body = self._bodies[entity]
+        body.position, body.velocity, body.angular_velocity = (AWAY, AWAY), (0.0, 0.0), 0.0
 
     def deflect(self, factors: FloatArray, angles: FloatArray) -> None:
         """Change the velocities of all bodies at once; poses stay.

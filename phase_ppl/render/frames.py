@@ -7,7 +7,7 @@ wide, items discs, agents trapezoids with two eyes at the short side, their fron
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Final
 
 import numpy as np
@@ -20,6 +20,7 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.geometry import UNIT_TRAPEZOID, centre_of_mass, is_agent, rotation
 from phase_ppl.world.names import AGENTS, ENTITIES, ITEMS
 from phase_ppl.world.observation import Observation
+from phase_ppl.world.picture import ENTITY_COLOURS, LANDMARK_COLOURS, TRAIL_COLOURS, Colour
 from phase_ppl.world.scene import Scene, finite_array
 
 _RAYS: Final = 361
@@ -100,7 +101,6 @@ def _cross(first: FloatArray, second: FloatArray) -> FloatArray:
 
 # --- one frame ---------------------------------------------------------------------------------
 
-Colour = tuple[int, int, int]
 Pixels = NDArray[np.uint8]
 Points = list[tuple[float, float]]
 
@@ -113,25 +113,6 @@ WALL_PIXELS: Final = 5
 BACKGROUND: Final[Colour] = (255, 255, 255)
 WALL_COLOUR: Final[Colour] = (0, 0, 0)
 EYE_COLOUR: Final[Colour] = (0, 0, 0)
-LANDMARK_COLOURS: Final[tuple[Colour, ...]] = (
-    (45, 45, 180),
-    (50, 150, 50),
-    (180, 45, 45),
-    (180, 180, 45),
-)
-ENTITY_COLOURS: Final[tuple[Colour, ...]] = (
-    (255, 0, 0),
-    (0, 255, 0),
-    (117, 216, 230),
-    (255, 153, 153),
-)
-
-TRAIL_COLOURS: Final[tuple[Colour, ...]] = (
-    (170, 0, 0),
-    (0, 140, 0),
-    (60, 150, 170),
-    (215, 100, 110),
-)
 TRAIL_PIXELS: Final = 3
 
 SIGHT_COLOURS: Final[tuple[Colour, ...]] = ((215, 0, 0), (0, 150, 0))
@@ -163,7 +144,7 @@ class Painter:
 
     Args:
         scene: arena, walls, landmarks and sizes.
-        fields_of_view: whether to show what each agent can see.
+        fields_of_view: whether to show what each agent can see, or of which agents.
         fine: subpixels per pixel and axis in which shapes are drawn before they are averaged;
             fewer are faster, and enough for a picture that is made smaller.
         pale: how far the landmarks are mixed with white, so that more can be seen on them.
@@ -172,13 +153,14 @@ class Painter:
     def __init__(
         self,
         scene: Scene,
-        fields_of_view: bool = False,
+        fields_of_view: bool | Sequence[int] = False,
         *,
         fine: int = FINE,
         pale: float = 0.0,
     ) -> None:
         self._scene = scene
-        self._fields_of_view = fields_of_view
+        whose = range(len(AGENTS)) if fields_of_view is True else (fields_of_view or ())
+        self._looking: Sequence[int] = whose
         self._fine = fine
         self._pale = pale
         x0, x1, _, _ = scene.arena
@@ -199,9 +181,9 @@ class Painter:
         """
         pose = finite_array("poses", poses, (len(ENTITIES), 3))
         picture = self._floor.copy()
-        if self._fields_of_view:
-            for agent, colour in enumerate(SIGHT_COLOURS):
-                self._tint(picture, colour, self.pixel(field_of_view(self._scene, pose, agent)))
+        for agent in self._looking:
+            area = field_of_view(self._scene, pose, agent)
+            self._tint(picture, SIGHT_COLOURS[agent], self.pixel(area))
         if faint is not None:
             for entity in _DRAWING_ORDER:
                 self._draw_entity(picture, entity, faint[entity])

@@ -179,7 +179,7 @@ def contact_sheet(
         target if len(pages) == 1 else target.with_name(f"{target.stem}-{n}{target.suffix}")
         for n in range(1, len(pages) + 1)
     ]
-    from tqdm import tqdm
+    from tqdm.auto import tqdm
 
     disable = None if progress is None else not progress
     with tqdm(total=len(events), disable=disable, unit="event", desc="contact sheet") as bar:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import hashlib
 import os
 import re
@@ -39,6 +40,29 @@ _FREQUENT_COLOURS: Final = 128
 
 MAX_GIF_FPS: Final = 50
 """Frames of a GIF last whole hundredths of a second, and viewers slow down those that last one."""
+
+
+class Film(os.PathLike[str]):
+    """A film that was written; a notebook that shows it plays it.
+
+    Attributes:
+        path: where it is.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+
+    def __fspath__(self) -> str:
+        return os.fspath(self.path)
+
+    def __repr__(self) -> str:
+        return f"<film {self.path}>"
+
+    def _repr_html_(self) -> str:
+        data = base64.b64encode(self.path.read_bytes()).decode("ascii")
+        if self.path.suffix.lower() == ".gif":
+            return f'<img src="data:image/gif;base64,{data}" alt="an animation">'
+        return f'<video controls loop src="data:video/mp4;base64,{data}"></video>'
 
 
 def encode_mp4(frames: Iterable[Image.Image], path: Path, fps: float) -> None:
@@ -143,9 +167,10 @@ def video(
     frames_per_step: int = FRAMES_PER_STEP,
     fields_of_view: bool = False,
     compare: Drawable | None = None,
+    compare_scene: Scene | None = None,
     captions: tuple[str, str] = CAPTIONS,
     progress: bool = False,
-) -> None:
+) -> Film:
     """Write an animation in the look of the PHASE videos as MP4 (H.264) or GIF.
 
     Frames of a trajectory are means over a step; between them, bodies are drawn on straight lines.
@@ -160,8 +185,12 @@ def video(
             rule of the simulator (:mod:`phase_ppl.render.frames`).
         compare: a second trajectory, drawn beside the first in the same scene, or an event, in
             its own. The shorter of the two stands still at its end.
+        compare_scene: where the second one is, if it is in another scene.
         captions: what is written above the two.
         progress: whether to show a progress bar.
+
+    Returns:
+        The film, which a notebook plays.
 
     Raises:
         OutputError: another file ending, or the file cannot be written.
@@ -176,7 +205,7 @@ def video(
     shown = [scene_and_trajectory(what, scene)]
     if compare is not None:
         beside = None if isinstance(compare, Event) else shown[0][0]
-        shown.append(scene_and_trajectory(compare, beside))
+        shown.append(scene_and_trajectory(compare, compare_scene or beside))
     painters = [Painter(of, fields_of_view) for of, _ in shown]
     poses = _equally_long([between_frames(track, frames_per_step) for _, track in shown])
     n_frames = len(poses[0])
@@ -188,7 +217,7 @@ def video(
     with atomic_output(path, SUFFIXES) as part:
         frames: Iterable[Image.Image] = map(draw, range(n_frames))
         if progress:
-            from tqdm import tqdm
+            from tqdm.auto import tqdm
 
             frames = tqdm(frames, total=n_frames, unit="frame")
         if as_gif:
@@ -196,6 +225,7 @@ def video(
             encode_gif(frames, part, fps, samples=map(draw, chosen))
         else:
             encode_mp4(frames, part, fps)
+    return Film(path)
 
 
 def _equally_long(tracks: list[FloatArray]) -> list[FloatArray]:
@@ -243,7 +273,7 @@ def videos(
         OutputError: a file cannot be written.
     """
     import loky
-    from tqdm import tqdm
+    from tqdm.auto import tqdm
 
     n_workers = number_of_workers(workers)
     target = writable_folder(folder)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
-from typing import Any, Final
+from collections.abc import Collection, Iterator, Sequence
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,16 +13,19 @@ from phase_ppl.agents.agent import Decision, both_agents
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.world_model import WorldModel
 from phase_ppl.physics import compiled
-from phase_ppl.physics.actions import executed
+from phase_ppl.physics.actions import NO_ACTION, Action, executed
 from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.simulator.contract import Simulator, simulate_trajectory
 from phase_ppl.world.checks import check_memory, instance_of, nonnegative_number, whole_number
+from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.event import Event, Truth
+from phase_ppl.world.geometry import CENTRE_OF_MASS_Y, deepest_overlap
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import Hypothesis
-from phase_ppl.world.names import ENTITIES
-from phase_ppl.world.observation import MIN_FRAMES, Observation
+from phase_ppl.world.names import AGENTS, ENTITIES, ITEMS
+from phase_ppl.world.observation import MIN_FRAMES, Observation, State
 from phase_ppl.world.scene import Scene
+from phase_ppl.world.thoughts import Thoughts
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,6 +54,18 @@ class DynamicsNoise:
         n = len(ENTITIES)
         factors = np.exp(self.speed * rng.standard_normal(n))
         world.deflect(factors, self.direction * rng.standard_normal(n))
+
+
+class Past(NamedTuple):
+    """What happened before a simulation goes on.
+
+    Attributes:
+        states: of the world at every frame, from the start to the one it goes on from.
+        actions: of (red, green) between these, as intended.
+    """
+
+    states: Sequence[State]
+    actions: Sequence[tuple[Action, Action]]
 
 
 class JointSimulator:
@@ -92,20 +107,44 @@ class JointSimulator:
             yield frame
 
     def steps(
-        self, scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator
+        self,
+        scene: Scene,
+        hypothesis: Hypothesis,
+        rng: np.random.Generator,
+        past: Past | None = None,
+        removed: Collection[int] = (),
     ) -> Iterator[tuple[NDArray[np.float64], tuple[Decision, ...]]]:
-        """Yield each frame with the decisions of (red, green) behind it; the start has none."""
+        """Yield each frame with the decisions of (red, green) behind it; the first has none.
+
+        Args:
+            scene, hypothesis, rng: as of any simulator.
+            past: what happened before, if it does not begin at the scene's start.
+            removed: entities that are there no more; agents among them decide nothing. The others
+                know of it only what they see.
+        """
         strengths = hypothesis.strengths
         model = WorldModel.of(scene, strengths, self.planner)
         agents = both_agents(hypothesis.effective_goals, model, self.planner, rng)
         disturbing = rng.spawn(1)[0]
-        world = PymunkWorld(scene, strengths, self.inner_steps)
-        yield scene.start.copy(), ()
+        now = None if past is None else past.states[-1]
+        world = PymunkWorld(scene, strengths, self.inner_steps, now)
+        if past is not None:
+            for state, actions in zip(past.states, past.actions, strict=False):
+                seen = compiled.from_state(state, scene.radius)
+                for agent, action in zip(agents, actions, strict=True):
+                    agent.look(*seen, action)
+        for entity in removed:
+            world.remove(entity)
+        first = world.state.pose if now is not None or removed else scene.start.copy()
+        yield first, ()
+        there = [agent for agent in agents if agent.agent not in removed]
         while True:
             bodies, held, weld = compiled.from_state(world.state, scene.radius)
-            decisions = tuple(agent.decide(bodies, held, weld) for agent in agents)
-            red, green = (executed(decision.action, scene.turning) for decision in decisions)
-            yield world.step((red, green)), decisions
+            decisions = tuple(agent.decide(bodies, held, weld) for agent in there)
+            doing = [NO_ACTION] * len(agents)
+            for agent, decision in zip(there, decisions, strict=True):
+                doing[agent.agent] = executed(decision.action, scene.turning)
+            yield world.step((doing[0], doing[1])), decisions
             if self.noise is not None:
                 self.noise.disturb(world, disturbing)
 
@@ -120,8 +159,45 @@ def run_briefly(simulator: Simulator) -> None:
         next(frames)
 
 
-_FRAME_BYTES: Final = 300
-"""Of memory, until the event is written."""
+_FRAME_BYTES: Final = 10_000
+"""Of memory, with what the agents thought."""
+
+_OVERLAP: Final = 0.25
+"""Units by which bodies may overlap at the start; the world moves them apart."""
+
+
+class _Thinking:
+    """The joint simulator, with a note of what the agents think."""
+
+    def __init__(self, simulator: JointSimulator) -> None:
+        self._simulator = simulator
+        self._notes: list[tuple[Any, ...]] = []
+
+    def __call__(
+        self, scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator
+    ) -> Iterator[NDArray[np.float64]]:
+        offsets = np.array([CENTRE_OF_MASS_Y] * len(AGENTS) + [0.0] * len(ITEMS)) * scene.radius
+        for frame, pair in self._simulator.steps(scene, hypothesis, rng):
+            if pair:  # beliefs change in place
+                poses = np.stack([one.beliefs.bodies[..., :3] for one in pair])
+                poses[..., 0] += np.sin(poses[..., 2]) * offsets
+                poses[..., 1] -= np.cos(poses[..., 2]) * offsets
+                self._notes.append(
+                    (
+                        tuple(one.intent.subgoal for one in pair),
+                        [int(one.action) for one in pair],
+                        [len(one.intent.agreeing) / poses.shape[1] for one in pair],
+                        np.stack([one.beliefs.observed for one in pair]),
+                        [one.held for one in pair],
+                        poses.astype(np.float32),
+                    )
+                )
+            yield frame
+
+    def thoughts(self) -> Thoughts:
+        """Return what was noted."""
+        subgoals, *others = zip(*self._notes, strict=True)
+        return Thoughts(subgoals, *map(np.array, others))
 
 
 def simulate(
@@ -133,8 +209,13 @@ def simulate(
     planner: str | PlannerConfig = "fast",
     simulator: Simulator | None = None,
     id: str = "simulated",
+    overlapping: bool = False,
 ) -> Event:
-    """Simulate an event under a hypothesis; it carries its truth.
+    """Simulate an event under a hypothesis; it carries its truth and what the agents thought.
+
+    Example:
+        ``ppl.simulate(ppl.Scene(start, radius), ppl.Hypothesis("Get blue item to red lm",
+        "get to red agent"))``, and :func:`phase_ppl.explain` says why they do what they do.
 
     Args:
         scene: where it starts.
@@ -142,11 +223,16 @@ def simulate(
         frames: length of the trajectory, 12 per simulated second; frame 0 is the start.
         seed: the same seed gives the same event.
         planner: "fast", "paper" or a ``PlannerConfig``; only for the joint simulator.
-        simulator: another simulator than the joint one.
+        simulator: another simulator than the joint one; of one that is no ``JointSimulator`` the
+            event has no ``thoughts``.
         id: name of the event.
+        overlapping: whether bodies may overlap at the start, as they do in some real videos; they
+            then fly apart.
 
     Raises:
         InvalidSettingError: fewer than 2 frames.
+        InvalidEventError: bodies overlap at the start, or stick in a wall; the message says which
+            and how far.
         SimulationError: the simulator failed.
     """
     instance_of("scene", scene, Scene, "a phase_ppl.Scene")
@@ -154,8 +240,15 @@ def simulate(
     seed = whole_number("seed", seed, 0)
     frames = whole_number("frames", frames, MIN_FRAMES)
     check_memory(f"frames={frames}", _FRAME_BYTES * frames)
+    what, depth = deepest_overlap(scene.start, scene.radius, scene.walls, scene.arena)
+    if depth > _OVERLAP and not overlapping:
+        raise InvalidEventError(
+            f"{what} overlap by {depth:.2f} units at the start, {_OVERLAP:g} at most: they would "
+            "fly apart; overlapping=True simulates it all the same"
+        )
     run = JointSimulator(planner) if simulator is None else simulator
-    trajectory = simulate_trajectory(run, scene, hypothesis, seed, frames)
+    thinking = _Thinking(run) if type(run) is JointSimulator else None
+    trajectory = simulate_trajectory(thinking or run, scene, hypothesis, seed, frames)
     red, green = hypothesis.effective_goals
     truth = Truth(
         GOALS[red],
@@ -163,4 +256,5 @@ def simulate(
         strength_red=hypothesis.strength_red,
         strength_green=hypothesis.strength_green,
     )
-    return Event(scene, Observation(trajectory), id=id, truth=truth)
+    thoughts = None if thinking is None else thinking.thoughts()
+    return Event(scene, Observation(trajectory), id=id, truth=truth, thoughts=thoughts)

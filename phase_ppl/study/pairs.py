@@ -86,4 +86,5 @@ def _simulated(event: Event, seed: int) -> Event:
         frames=event.observation.n_frames,
         seed=seed,
         id=f"{event.id}-generated",
+        overlapping=True,
     )

@@ -110,7 +110,7 @@ def simulate(
     study.check()
     beliefs = _beliefs(study, model, predictions, dict(options or {}), progress)
     with copied(study) as copy, serving(copy) as address:
-        from tqdm import tqdm
+        from tqdm.auto import tqdm
 
         events = copy.events_by_digest()
         disable = None if progress is None else not progress

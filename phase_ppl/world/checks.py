@@ -60,8 +60,8 @@ def check_memory(what: str, n_bytes: float) -> None:
         )
 
 
-def instance_of(name: str, value: object, kind: type, expected: str) -> None:
-    """Raise InvalidSettingError unless ``value`` is of a kind."""
+def instance_of(name: str, value: object, kind: type | tuple[type, ...], expected: str) -> None:
+    """Raise InvalidSettingError unless ``value`` is of a kind, or of one of some."""
     if not isinstance(value, kind):
         raise InvalidSettingError(f"{name}={shown(value)}, expected {expected}")
 

@@ -10,8 +10,10 @@ from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import unknown_name
 from phase_ppl.world.goals import GOALS, goal_index
 from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS, checked_strength, relation, scenario
-from phase_ppl.world.observation import Observation
+from phase_ppl.world.observation import FRAMES_PER_SECOND, Observation
+from phase_ppl.world.picture import drawn
 from phase_ppl.world.scene import Scene, check_inside
+from phase_ppl.world.thoughts import Thoughts
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,7 +54,7 @@ class Truth:
                 object.__setattr__(self, name, checked_strength(f"truth.{name}", value))
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Event:
     """One social event. Inference reads ``scene`` and ``observation`` only.
 
@@ -63,6 +65,7 @@ class Event:
         truth: what generated it, if known.
         judgments: human judgments, as read from the file.
         predictions: stored predictions of other models, as read from the file.
+        thoughts: what the agents thought, of events that were simulated just now; not in files.
 
     Raises:
         InvalidEventError: the trajectory leaves the arena.
@@ -74,8 +77,20 @@ class Event:
     truth: Truth | None = None
     judgments: Mapping[str, Any] | None = None
     predictions: Mapping[str, Any] | None = None
+    thoughts: Thoughts | None = None
 
     def __post_init__(self) -> None:
         instance_of("scene", self.scene, Scene, "a phase_ppl.Scene")
         instance_of("observation", self.observation, Observation, "a phase_ppl.Observation")
         check_inside(self.observation.trajectory, self.scene, "trajectory")
+
+    def __repr__(self) -> str:
+        seconds = (self.observation.n_frames - 1) / FRAMES_PER_SECOND
+        words = f"{self.id}: {self.observation.n_frames} frames, {seconds:.1f} s simulated"
+        if self.truth is not None:
+            words += f"; red: {self.truth.goal_red}, green: {self.truth.goal_green}"
+            words += f", {self.truth.relation}"
+        return f"<event {words}>"
+
+    def _repr_html_(self) -> str:
+        return drawn(self.scene, self.observation.trajectory, repr(self)[7:-1])

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.names import AGENTS
+from phase_ppl.world.names import AGENTS, ENTITIES
 
 UNIT_TRAPEZOID: Final = np.array([[-1.5, -1.0], [-0.5, 1.0], [0.5, 1.0], [1.5, -1.0]])
 """Corners of an agent of size 1 in its body frame, clockwise from the back left."""
@@ -123,3 +123,56 @@ def touches(entity: int, other: int, poses: FloatArray, radii: FloatArray) -> bo
 def is_on(position: FloatArray, landmark_centre: FloatArray, half_width: float) -> bool:
     """ON(entity, landmark): the entity's centre is inside the landmark's square."""
     return bool(np.all(np.abs(np.asarray(position) - landmark_centre) <= half_width))
+
+
+def penetration(first: FloatArray, second: FloatArray, rounding: float = 0.0) -> float:
+    """Return how far two convex shapes must be moved to be apart, units; 0 where they are.
+
+    Args:
+        first, second: (n, 2) corners in order; two are a segment, one is a disc's centre.
+        rounding: radii of the discs in all.
+    """
+    axes = [first[i] - second[j] for i in range(len(first)) for j in range(len(second))]
+    for shape in (first, second):
+        edges = np.roll(shape, -1, axis=0) - shape
+        axes += [*np.column_stack([-edges[:, 1], edges[:, 0]]), *edges[: len(shape) == 2]]
+    depth = np.inf
+    for axis in axes:
+        length = float(np.hypot(*axis))
+        if length > 0:
+            a, b = first @ axis / length, second @ axis / length
+            depth = min(depth, a.max() - b.min() + rounding, b.max() - a.min() + rounding)
+    return max(0.0, rounding if np.isinf(depth) else float(depth))
+
+
+def deepest_overlap(
+    poses: FloatArray, radii: FloatArray, walls: FloatArray, arena: tuple[float, ...]
+) -> tuple[str, float]:
+    """Return what overlaps most, in words, and by how much, units; "" and 0 where nothing does.
+
+    Args:
+        poses: (4, 3) x, y, angle of all entities.
+        radii: (4,) sizes R.
+        walls: (n, 2, 2) inner walls.
+        arena: x_min, x_max, y_min, y_max.
+    """
+    shapes = [
+        agent_outline(pose, r) if is_agent(e) else pose[None, :2]
+        for e, (pose, r) in enumerate(zip(poses, radii, strict=True))
+    ]
+    rounding = [0.0 if is_agent(e) else float(r) for e, r in enumerate(radii)]
+    found = {"": 0.0}
+    for e, shape in enumerate(shapes):
+        name = f"the {ENTITIES[e]}"
+        beyond = [arena[0] - shape[:, 0], shape[:, 0] - arena[1]]
+        beyond += [arena[2] - shape[:, 1], shape[:, 1] - arena[3]]
+        found[f"{name} and the arena's border"] = float(np.max(beyond)) + rounding[e]
+        for wall in walls:
+            inside = penetration(shape, wall, rounding[e])
+            found[f"{name} and an inner wall"] = max(
+                inside, found.get(f"{name} and an inner wall", 0.0)
+            )
+        for other in range(e):
+            depth = penetration(shape, shapes[other], rounding[e] + rounding[other])
+            found[f"the {ENTITIES[other]} and {name}"] = depth
+    return max(found.items(), key=lambda item: item[1])

@@ -21,6 +21,7 @@ from phase_ppl.world.goals import (
     opposed_goal,
 )
 from phase_ppl.world.names import AGENTS, GREEN, RED, Predicate
+from phase_ppl.world.picture import preformatted
 
 SCENARIOS: Final = ("collaborative", "independent", "competing", "opposing")
 RELATIONS: Final = ("friendly", "neutral", "adversarial")
@@ -75,6 +76,16 @@ ALPHAS: Final = ((0, 0), (1, 0), (0, 1), (-1, 0), (0, -1))
 """Values of site ``alpha``: signs of (alpha red -> green, alpha green -> red)."""
 
 
+ALPHA_WORDS: Final = (
+    "neither helps or hinders",
+    "red helps green",
+    "green helps red",
+    "red hinders green",
+    "green hinders red",
+)
+"""The same in words."""
+
+
 @functools.cache
 def effective_table() -> NDArray[np.int32]:
     """Return (goal_red, goal_green, alpha, agent) the effective goals of stated ones."""
@@ -120,7 +131,7 @@ def checked_strength(name: str, value: object) -> float:
     return force
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, repr=False)
 class Hypothesis:
     """What the two agents want, how they stand to each other, and how strong they are.
 
@@ -205,6 +216,13 @@ class Hypothesis:
             if name not in record:
                 raise InvalidSettingError(f"a hypothesis needs {name}")
         return cls(**{**record, "alpha": tuple(record.get("alpha", (0, 0)))})
+
+    def __repr__(self) -> str:
+        values = ", ".join(f"{name}={value!r}" for name, value in self.to_dict().items())
+        return f"Hypothesis({values})"
+
+    def _repr_html_(self) -> str:
+        return preformatted(self)
 
     def __str__(self) -> str:
         red, green = self.effective_goals

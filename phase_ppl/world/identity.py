@@ -53,6 +53,7 @@ def physics_rules(scene: Scene) -> bytes:
 
 def source_hash(thing: Callable[..., Any] | None) -> str | None:
     """Return a hash of the source of a function or of an object's class; None without source."""
+    thing = thing.func if isinstance(thing, functools.partial) else thing
     try:
         source = inspect.getsource(thing if hasattr(thing, "__qualname__") else type(thing))  # type: ignore[arg-type]
     except (OSError, TypeError):
@@ -62,6 +63,9 @@ def source_hash(thing: Callable[..., Any] | None) -> str | None:
 
 def qualified_name(thing: Any) -> str:
     """Return module and name of a function, or of an object's class."""
+    if isinstance(thing, functools.partial):
+        given = [*map(repr, thing.args), *(f"{k}={v!r}" for k, v in thing.keywords.items())]
+        return f"{qualified_name(thing.func)}({', '.join(given)})"
     named = thing if hasattr(thing, "__qualname__") else type(thing)
     return f"{named.__module__}.{named.__qualname__}"
 

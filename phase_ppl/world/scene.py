@@ -13,6 +13,7 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import number_or_nan
 from phase_ppl.world.errors import InvalidEventError, shown, unknown_name
 from phase_ppl.world.names import ENTITIES, LANDMARKS
+from phase_ppl.world.picture import drawn
 from phase_ppl.world.rooms import Rooms
 
 Turning = Literal["both", "ccw", "cw"]
@@ -130,6 +131,9 @@ class Scene:
                 f"scene.landmark_half_width is {half_width:g}, expected one in (0, {width / 4:g}]"
             )
         set_field("landmark_half_width", half_width)
+
+    def _repr_html_(self) -> str:
+        return drawn(self)
 
     @property
     def centre(self) -> FloatArray:

@@ -244,3 +244,24 @@ def test_figures_and_film(tmp_path: Path) -> None:
     ppl.watch_film(post, tmp_path / "watch.mp4")
     assert all(file.stat().st_size > 1000 for file in tmp_path.iterdir())
     assert len(list(tmp_path.iterdir())) == 4
+
+
+def test_medians_and_mutual_information() -> None:
+    post, masses = StepwisePosterior(FOUND), by_hand(3)
+    joint = np.zeros((N_GOALS, N_GOALS))
+    for (red, green, alpha, _, _), mass in masses.items():
+        joint[effective_goals(red, green, ALPHAS[alpha])] += mass
+    apart = joint.sum(axis=1, keepdims=True) * joint.sum(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        expected = np.nansum(joint * np.log(joint / apart))
+    found = post.query("I(goal_red; goal_green)")
+    assert found == pytest.approx(expected, abs=1e-6)
+    assert found == post.mutual_information("goal_green", "goal_red")
+    assert found.error > 0
+    assert post.query("I(goal_red; relation | goal_red=get to green agent)") == pytest.approx(0)
+    strong = sum(mass for (*_, fr, _), mass in masses.items() if fr == 1)
+    assert post.query("median strength_red") == LEVELS[int(strong > 0.5)]
+    with pytest.raises(QueryError, match="';' and another"):
+        post.query("I(goal_red)")
+    with pytest.raises(QueryError, match="categories, not numbers"):
+        post.query("median(goal_red)")

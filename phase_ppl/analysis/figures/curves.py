@@ -1,9 +1,9 @@
-"""Curves: how good kernels are after ever more simulations, and how a network was trained."""
+"""Curves: kernels over simulations, posteriors over priors, and how a network was trained."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -20,9 +20,12 @@ from phase_ppl.analysis.figures.style import (
     dressed,
     faint_lines,
     figure_of,
+    in_shares,
     new_figure,
     written,
 )
+from phase_ppl.analysis.posterior import Posterior
+from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import unknown_name
 
@@ -127,6 +130,51 @@ def _mean_curve(
     values = np.array([y[np.searchsorted(x, at, side="right") - 1] for x, y in runs])
     spread = values.std(axis=0, ddof=1) / np.sqrt(len(runs)) if len(runs) > 1 else 0.0 * at
     return at, values.mean(axis=0), spread
+
+
+# --- a posterior under other priors -------------------------------------------------------------
+
+_LINES: Final = 5
+"""Labels that are drawn, those that are ever the most probable first."""
+
+
+@figure_of(Posterior, StepwisePosterior)
+def sensitivity(
+    post: Posterior | StepwisePosterior,
+    question: str,
+    prior: Callable[..., object],
+    values: Iterable[float],
+    path: str | os.PathLike[str] | None = None,
+) -> Figure:
+    """Draw the answer to a question as an argument of the prior varies, 5.6 x 3.4 inches.
+
+    Arguments and errors are those of ``post.sensitivity``. Bands are 1.96 errors wide on either
+    side; where too little was simulated for a prior there is a gap.
+    """
+    found = post.sensitivity(question, prior, values)
+    lines = found if found.ndim > 1 else found.expand_dims(answer=[question])
+    lines = lines.stack(line=[dim for dim in lines.dims if dim != "value"])
+    order = np.argsort(-np.nan_to_num(lines.max("value").values), kind="stable")[:_LINES]
+    figure = new_figure(5.6, 3.4, "constrained")
+    axes = figure.subplots()
+    ends: list[tuple[float, str, str]] = []
+    shares = question.lstrip().startswith("P")
+    for place, colour in zip(order, COLOURS, strict=False):
+        line = lines.isel(line=int(place))
+        y, within = line.values, 1.96 * line["error"].values
+        low, high = y - within, y + within
+        if shares:
+            low, high = np.clip([low, high], 0, 1)
+        axes.fill_between(found["value"], low, high, color=colour, alpha=0.16, lw=0)
+        axes.plot(found["value"], y, "o-", ms=3, color=colour, lw=1.8)
+        name = ", ".join(str(label) for label in line["line"].item())
+        if np.isfinite(y).any() and found.ndim > 1:
+            ends.append((float(y[np.isfinite(y)][-1]), name, colour))
+    dressed(axes, post.event_id, question, x=f"argument of {getattr(prior, '__name__', 'prior')}")
+    if shares:
+        in_shares(axes)
+    direct_labels(axes, ends)
+    return written(figure, path)
 
 
 # --- a training --------------------------------------------------------------------------------

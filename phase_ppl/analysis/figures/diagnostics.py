@@ -17,6 +17,7 @@ from phase_ppl.analysis.figures.style import (
     MANY_COLOURS,
     NORMAL,
     OTHER,
+    SIMULATED_TIME,
     SMALL,
     bare,
     dressed,
@@ -233,7 +234,7 @@ def _step_errors(axes: Axes, post: Posterior, found: dict[str, Any]) -> None:
         )  # fmt: skip
     axes.set_ylim(0, top)
     axes.set_xlim(time[0], time[-1])
-    dressed(axes, "Error per frame [units]", note, x="time [s]")
+    dressed(axes, "Error per frame [units]", note, x=SIMULATED_TIME)
 
 
 def _coverage(windows: dict[str, Any], n_frames: int) -> FloatArray:

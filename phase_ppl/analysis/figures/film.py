@@ -11,7 +11,7 @@ import xarray as xr
 from PIL import Image, ImageDraw, ImageFont
 
 from phase_ppl.render.frames import BACKGROUND, PANEL, Painter, between_frames, panel, side_by_side
-from phase_ppl.render.video import FRAMES_PER_SECOND, FRAMES_PER_STEP, encode_mp4
+from phase_ppl.render.video import FRAMES_PER_SECOND, FRAMES_PER_STEP, Film, encode_mp4
 from phase_ppl.world.files import atomic_output
 from phase_ppl.world.hypothesis import RELATIONS
 
@@ -36,11 +36,11 @@ _INK: Final = (34, 34, 34)
 _SOFT: Final = (225, 225, 225)
 
 
-def watch_film(post: StepwisePosterior, path: str | os.PathLike[str]) -> None:
+def watch_film(post: StepwisePosterior, path: str | os.PathLike[str]) -> Film:
     """Write the video with the posterior at each frame beside it, as MP4.
 
     The goals shown are those that are the most probable at any time; thin lines reach one standard
-    error to either side.
+    error to either side. The film is returned, for a notebook to play.
 
     Args:
         post: what was read.
@@ -73,6 +73,7 @@ def watch_film(post: StepwisePosterior, path: str | os.PathLike[str]) -> None:
 
     with atomic_output(path, (".mp4",)) as part:
         encode_mp4(map(draw, range(len(poses))), part, FRAMES_PER_SECOND)
+    return Film(path)
 
 
 def _bars(groups: dict[str, list[tuple[str, float, float]]]) -> Image.Image:

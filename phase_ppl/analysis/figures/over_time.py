@@ -16,6 +16,7 @@ from phase_ppl.analysis.figures.style import (
     MANY_COLOURS,
     NORMAL,
     OTHER,
+    SIMULATED_TIME,
     SMALL,
     direct_labels,
     dressed,
@@ -86,7 +87,7 @@ def over_time(
     shown["relation"] = list(_RELATION_COLOURS)
     panels = figure.subplots(3, 1, sharex=True, height_ratios=(5, 5, 4))
     for axes, (name, title) in zip(panels, PANELS.items(), strict=True):
-        dressed(axes, title, x="time [s]" if axes is panels[-1] else "")
+        dressed(axes, title, x=SIMULATED_TIME if axes is panels[-1] else "")
         _panel(axes, found[name], found.get(f"{name}_error"), shown[name], colours)
     return written(figure, path)
 
@@ -153,7 +154,7 @@ def why(
     colours = [COLOURS[2] if step > 0 else COLOURS[1] for step in change]
     steps.bar(time, change, width=width, color=colours)
     steps.set_xlim(time[0] - width, time[-1] + width)
-    dressed(steps, "", x="time [s]", y="change by\neach frame")
+    dressed(steps, "", x=SIMULATED_TIME, y="change by\neach frame")
     for axes in (odds, steps):
         axes.axhline(0, color="#999999", lw=0.8)
     painter, poses = Painter(post.scene), post.observed()

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from phase_ppl.analysis.estimate import Estimate
 from phase_ppl.analysis.figures.style import (
+    COLOURS,
     INK,
     NORMAL,
     SMALL,
@@ -25,6 +26,8 @@ from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.render.frames import ENTITY_COLOURS, LANDMARK_COLOURS
 from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.checks import instance_of
+from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.geometry import agent_outline, is_agent
 from phase_ppl.world.hypothesis import STRENGTH_RANGE
 from phase_ppl.world.names import ENTITIES, LANDMARKS
@@ -43,6 +46,7 @@ _SHADE: Final = (0.82, 0.68, 0.72, 0.86)
 
 _DASHED: Final = (0, (3.2, 1.8))
 _N_GOALS_SHOWN: Final = 6
+_SIDE_BY_SIDE: Final = 3
 _MOVED: Final = 0.05
 """Extent of a track, units, from which on it is drawn."""
 
@@ -80,6 +84,51 @@ def posterior(
             letter, (0, 1), (-14, 5), xycoords="axes fraction", textcoords="offset points",
             fontsize=11, fontweight="bold", color=INK, annotation_clip=False,
         )  # fmt: skip
+    return written(figure, path)
+
+
+def posteriors(
+    posts: Mapping[str, Posterior | StepwisePosterior], path: str | os.PathLike[str] | None = None
+) -> Figure:
+    """Draw goals and relation of several posteriors side by side, 7.5 inches wide.
+
+    Args:
+        posts: what each is called -> the posterior, such as of several priors or likelihoods.
+        path: where to write the figure as well.
+
+    Raises:
+        InvalidSettingError: there is none, or something else among them.
+    """
+    if not isinstance(posts, Mapping) or not posts:
+        raise InvalidSettingError(f"posteriors of {shown(posts)}, expected names -> posteriors")
+    for name, post in posts.items():
+        instance_of(f"posteriors[{name!r}]", post, (Posterior, StepwisePosterior), "a posterior")
+    tops = {q: [label for p in posts.values() for label, share in p.top(q, _SIDE_BY_SIDE) if share]
+            for q in (*GOALS_OF.values(), "relation")}  # fmt: skip
+    labels = {quantity: list(dict.fromkeys(found)) for quantity, found in tops.items()}
+    rows = [len(found) for found in labels.values()]
+    figure = new_figure(7.5, 1.2 + sum(rows) * (0.12 + 0.11 * len(posts)), "constrained")
+    titles = (*(f"Goal of the {agent}" for agent in GOALS_OF), "Relation")
+    panels = figure.subplots(3, 1, height_ratios=[n + 1 for n in rows])
+    for axes, (quantity, found), title in zip(panels, labels.items(), titles, strict=True):
+        height = 0.8 / len(posts)
+        for number, (name, post) in enumerate(posts.items()):
+            table = post.marginal(quantity).sel({quantity: found})
+            at = np.arange(len(found)) + (number - (len(posts) - 1) / 2) * height
+            colour = COLOURS[number % len(COLOURS)]
+            error = np.nan_to_num(table["error"].values)
+            reach = [np.minimum(error, table.values), np.minimum(error, 1 - table.values)]
+            axes.barh(at, table.values, height, color=colour, label=name)
+            axes.errorbar(table.values, at, xerr=reach, fmt="none", ecolor=INK, lw=0.8, alpha=0.7)
+        axes.set_yticks(np.arange(len(found)), found)
+        axes.set_ylim(len(found) - 0.4, -0.6)
+        axes.set_xlim(0, 1)
+        bare(axes)
+        axes.set_title(title, fontsize=NORMAL + 1, loc="left", color=INK)
+    handles, names = panels[0].get_legend_handles_labels()
+    style: dict[str, Any] = {"frameon": False, "fontsize": SMALL + 0.5, "ncols": 3}
+    figure.legend(handles, names, loc="outside upper right", **style)
+    panels[-1].set_xlabel("posterior probability, and its error", fontsize=NORMAL, color=INK)
     return written(figure, path)
 
 

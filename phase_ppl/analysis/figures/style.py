@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import io
 import os
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Final, Literal, ParamSpec
@@ -23,6 +24,9 @@ FORMATS: Final = (".png", ".pdf", ".svg")
 INK: Final = "#222222"
 GREY: Final = "#666666"
 """Colours of text: of what is shown, of what explains it."""
+
+SIMULATED_TIME: Final = "simulated time [s], a third of that of the film"
+"""Label of every axis of time."""
 
 SMALL: Final = 7.5
 NORMAL: Final = 8.5
@@ -45,13 +49,28 @@ P = ParamSpec("P")
 
 
 def new_figure(width: float, height: float, layout: Literal["constrained"] | None = None) -> Figure:
-    """Return an empty white figure, inches, that belongs to no global state."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    """Return an empty white figure, inches, that belongs to no global state.
 
-    figure = Figure(figsize=(width, height), facecolor="white", layout=layout)
+    A notebook that shows it draws it, whatever the backend.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    figure = _figure_class()(figsize=(width, height), facecolor="white", layout=layout)
     FigureCanvasAgg(figure)
     return figure
+
+
+@functools.cache
+def _figure_class() -> type[Figure]:
+    from matplotlib.figure import Figure
+
+    class ShownFigure(Figure):  # matplotlib is loaded where something is drawn
+        def _repr_png_(self) -> bytes:
+            buffer = io.BytesIO()
+            self.savefig(buffer, format="png")
+            return buffer.getvalue()
+
+    return ShownFigure
 
 
 def figure_of(*kinds: type) -> Callable[[Callable[P, Figure]], Callable[P, Figure]]:

@@ -335,7 +335,7 @@ def generate(
 
 def _run(builder: DatasetBuilder, n_workers: int, progress: bool | None) -> GeneratedEvents:
     """Make what is missing, and put everything together."""
-    from tqdm import tqdm
+    from tqdm.auto import tqdm
 
     clock = time.perf_counter()
     missing, total = builder.missing(), len(builder.plan.slots())

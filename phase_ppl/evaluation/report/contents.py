@@ -40,7 +40,7 @@ from phase_ppl.render.video import video
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, unknown_name
 from phase_ppl.world.event import Event
-from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS
+from phase_ppl.world.hypothesis import ALPHA_WORDS, ALPHAS, RELATIONS, SCENARIOS
 from phase_ppl.world.names import AGENTS
 from phase_ppl.world.scene import Scene
 
@@ -278,9 +278,11 @@ def run_page(folder: Path) -> str:
         caption = "Best hypothesis, simulated"
         strips.append(_strip(caption, post.replay(), post.scene, post.event_id))
         found = post.diagnostics()
-        few = {words: found.get(name) for name, words in _DIAGNOSTICS.items()}
-        shown["diagnostics"] = found
-        shown["few"] = [(words, in_words(v)) for words, v in few.items() if v is not None]
+        shown["few"] = [
+            (words, f"{found[name]:.0%}" if name.endswith(("_rate", "_share")) else in_words(v))
+            for name, words in _DIAGNOSTICS.items()
+            if (v := found.get(name)) is not None
+        ]
         shown["rest"] = {name: value for name, value in found.items() if name != "verdict"}
     alt = "Goals, relation, scenario, tracks and strengths, as listed above."
     return page(
@@ -291,7 +293,8 @@ def run_page(folder: Path) -> str:
         strips=strips,
         bars=_bars(post),
         strengths=[_strength(post, agent) for agent in AGENTS],
-        best=post.map_record(),
+        best={**post.map_record(), "alpha": ALPHA_WORDS[ALPHAS.index(post.map().alpha)]},
+        verdict=post.diagnostics()["verdict"],
         posterior=figure_of(plots.posterior(post), alt),
         cost=post.cost,
         settings=post.settings,

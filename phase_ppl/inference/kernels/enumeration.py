@@ -17,8 +17,8 @@ from phase_ppl.inference.kernels.particle import ParticleKernel, WeightedState
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.models.density import NO_DENSITY, log_density
 from phase_ppl.models.effective import (
+    drawn_stated,
     log_prior_of_effective,
-    log_prior_of_hypotheses,
     stated_hypotheses,
 )
 from phase_ppl.models.model import Model
@@ -83,7 +83,7 @@ def _grid(prior: Any, strengths: tuple[float, ...]) -> Grid:
     force = np.repeat(forces, len(pairs), axis=0)
     columns = dict(zip(STRENGTH_SITES, force.T.astype(np.float64), strict=True))
     log_prior = log_prior_of_effective(prior, pairs[which], columns)
-    stated = _stated(prior, pairs[which], force)
+    stated = drawn_stated(prior, pairs[which], force)
     sites = dict(zip((*GOAL_SITES, ALPHA_SITE), stated.T.astype(np.int32), strict=True))
     sites |= dict(zip(STRENGTH_SITES, force.T, strict=True))
     density = jax.jit(jax.vmap(functools.partial(log_density, prior)))(sites)
@@ -96,23 +96,6 @@ def _grid(prior: Any, strengths: tuple[float, ...]) -> Grid:
     log_prior = log_prior[keep] - np.logaddexp.reduce(log_prior[keep])
     kept = {name: values[keep] for name, values in sites.items()}
     return Grid(kept, log_prior.astype(np.float32))
-
-
-def _stated(prior: Any, pairs: NDArray[np.int64], force: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Return (row, 3) stated goals and alpha for effective ones, drawn by their prior."""
-    options = [stated_hypotheses()[int(red), int(green)] for red, green in pairs]
-    lengths = np.array([len(rows) for rows in options])
-    stated, row = np.concatenate(options), np.repeat(np.arange(len(pairs)), lengths)
-    columns: dict[str, NDArray[Any]] = {
-        name: stated[:, i] for i, name in enumerate((*GOAL_SITES, ALPHA_SITE))
-    }
-    columns |= dict(zip(STRENGTH_SITES, force[row].T.astype(np.float64), strict=True))
-    # the largest of Gumbel-perturbed log weights is a draw in proportion to the weights
-    log_weight = log_prior_of_hypotheses(prior, columns)
-    log_weight += np.random.default_rng(0).gumbel(size=len(log_weight))
-    order = np.lexsort((log_weight, row))
-    last_of_row = np.cumsum(lengths) - 1
-    return stated[order[last_of_row]]
 
 
 STRENGTHS: Final = (150.0, 300.0, 450.0, 600.0)

@@ -24,7 +24,7 @@ import numpy as np
 import scipy.optimize
 from jax.scipy.special import logsumexp
 from numpy.typing import NDArray
-from tqdm import tqdm
+from tqdm.auto import tqdm
 
 from phase_ppl.dataset.generation.situation import agent_to, approach, item_to
 from phase_ppl.inference.proposals.goal_features import FEATURES, GOAL_PARTS, KINDS, goal_features

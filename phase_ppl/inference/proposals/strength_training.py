@@ -24,7 +24,7 @@ from typing import Any, Final, NamedTuple, TypeVar
 import loky
 import numpy as np
 from numpy.typing import NDArray
-from tqdm import tqdm
+from tqdm.auto import tqdm
 
 from phase_ppl.dataset.generation.situation import LAYOUTS, SIZES, SPOTS, walls_of
 from phase_ppl.inference.proposals.strength import (

@@ -1,0 +1,228 @@
+"""A posterior of an event gone back to: under another prior, in another world, and what is next."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterable, Sequence
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+import xarray as xr
+
+from phase_ppl.analysis.estimate import Estimate
+from phase_ppl.analysis.hypotheses import Hypotheses
+from phase_ppl.analysis.prior_change import checked_program
+from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.errors import InvalidSettingError, shown
+from phase_ppl.world.identity import qualified_name
+from phase_ppl.world.scene import Scene
+
+if TYPE_CHECKING:
+    from phase_ppl.analysis.what_if import Source, WhatIf
+    from phase_ppl.simulator.contract import Simulator
+
+
+class EventPosterior(Hypotheses):
+    """What posteriors that were sampled and those read step by step have in common."""
+
+    @property
+    def event_id(self) -> str:
+        """Name of the event that was explained."""
+        raise NotImplementedError
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What determined the result."""
+        raise NotImplementedError
+
+    @property
+    def scene(self) -> Scene:
+        """Where the event takes place, and how it starts."""
+        raise NotImplementedError
+
+    def observed(self) -> FloatArray:
+        """Return the trajectory (time, entity, [x, y, angle]) that was explained."""
+        raise NotImplementedError
+
+    def with_prior(self, prior: Callable[..., object] | str) -> Self:
+        """Return the posterior under another prior; nothing is simulated or searched again.
+
+        Args:
+            prior: NumPyro program over the sites of a hypothesis, or the name of a ready-made one
+                (:func:`phase_ppl.priors.available`).
+
+        Read step by step, all hypotheses are there, so this is what a new run would say, but for
+        which pairs of goals all sets of searches were made for. A sampled one is reweighted by the
+        ratio of the priors over what was simulated; what that is worth is in its ``settings`` and
+        is printed.
+
+        Raises:
+            InvalidSettingError: it is no prior, or too little was simulated of what it makes
+                probable.
+            UnknownNameError: there is no such prior.
+        """
+        return self.under(checked_program(prior))
+
+    def under(self, prior: Callable[..., object]) -> Self:
+        """Return :meth:`with_prior` of a program that was checked."""
+        raise NotImplementedError
+
+    def sensitivity(
+        self, question: str, prior: Callable[..., object], values: Iterable[float]
+    ) -> xr.DataArray:
+        """Return the answer to a question as an argument of the prior varies.
+
+        Args:
+            question: after numbers, such as ``"P(relation)"``, ``"P(relation=friendly)"`` or
+                ``"E[strength_red]"``.
+            prior: NumPyro program of one argument, as ``ppl.priors.relation_first`` is of others.
+            values: of that argument.
+
+        Returns:
+            The answers along ``value``, with their ``error``. NaN where too little was simulated
+            for that prior, which the attribute ``refused`` says line by line.
+
+        Example:
+            ``post.sensitivity("P(relation)", related, [0.1, 0.5, 0.9])`` with
+            ``def related(p): ...`` that samples ``alpha`` and the rest.
+
+        Raises:
+            InvalidSettingError: no value can be answered for, or the answer is no number.
+            QueryError: as of :meth:`query`.
+        """
+        if not callable(prior):
+            raise InvalidSettingError(
+                f"prior={shown(prior)}: expected a NumPyro program of one argument, the number "
+                "that is varied"
+            )
+        at = [float(value) for value in values]
+        answers: list[xr.DataArray | None] = []
+        refusals: list[str] = []
+        for place, value in enumerate(at):
+            program = functools.partial(prior, value)
+            try:
+                # once is enough for a check that takes a while
+                changed = self.under(program) if place else self.with_prior(program)
+                answer = changed.query(question)
+            except InvalidSettingError as error:
+                refusals.append(f"{value:g}: {error}")
+                answers.append(None)
+                continue
+            if isinstance(answer, Estimate):
+                answer = xr.DataArray(float(answer), {"error": answer.error})
+            if not isinstance(answer, xr.DataArray):
+                raise InvalidSettingError(
+                    f"{question!r} is answered by {type(answer).__name__}, which makes no curve: "
+                    "expected a question after numbers, such as P(relation)"
+                )
+            answers.append(answer)
+        known = next((answer for answer in answers if answer is not None), None)
+        if known is None:
+            raise InvalidSettingError(
+                f"no value of the prior's argument can be answered for: {'; '.join(refusals[:1])}"
+                if refusals
+                else "values is empty: expected numbers"
+            )
+        nothing = (known * np.nan).assign_coords(error=known["error"] * np.nan)
+        table = xr.concat([nothing if a is None else a for a in answers], "value", join="override")
+        return table.assign_coords(value=at).assign_attrs(
+            question=question, prior=qualified_name(prior), refused="\n".join(refusals)
+        )
+
+    def _source(self) -> Source:
+        from phase_ppl.analysis.what_if import Source
+
+        return Source(self.event_id, self.settings, self.scene, self.observed(), self.table)
+
+    def do(
+        self,
+        *,
+        goal_red: str | None = None,
+        goal_green: str | None = None,
+        stated_goal_red: str | None = None,
+        stated_goal_green: str | None = None,
+        alpha: tuple[int, int] | None = None,
+        strength_red: float | None = None,
+        strength_green: float | None = None,
+        remove: str | Sequence[str] = (),
+        walls: Any = None,
+        at: int | None = None,
+        seconds: float | None = None,
+        n: int = 16,
+        seed: int = 0,
+        workers: int | None = None,
+        simulator: Simulator | None = None,
+    ) -> WhatIf:
+        """Return what would have happened with something changed, beside what does happen.
+
+        Hypotheses are drawn from the posterior, and each is simulated twice with the same seed: as
+        it is, and with the change. Printed, the result says how often and when each agent reaches
+        its goal in either world, and whether that differs by more than chance;
+        ``film(path)`` shows both side by side. See :class:`phase_ppl.analysis.what_if.WhatIf`.
+
+        Args:
+            goal_red, goal_green: what an agent acts for; the other one knows it, and goes on with
+                its own goal.
+            stated_goal_red, stated_goal_green: likewise, but who helps or hinders the agent
+                follows.
+            alpha: who helps or hinders whom, one of ``ppl.ALPHAS``.
+            strength_red, strength_green: newtons.
+            remove: an entity or several, such as ``"green agent"``.
+            walls: (n, 2, 2) ends of the inner walls, units; an empty list: there are none.
+            at: frame from which on it is changed; what was seen until then has happened, and
+                agents believe what they saw. By default the start.
+            seconds: simulated time from there; by default to the end of the video.
+            n: hypotheses.
+            seed: the same seed gives the same result.
+            workers: processes; by default one per usable core.
+            simulator: of a run that had one of its own.
+
+        Example:
+            ``print(post.do(remove="green agent"))``
+
+        Raises:
+            InvalidSettingError: a value that cannot be used, or a run with a simulator of its own.
+            UnknownNameError: there is no such entity or goal.
+        """
+        from phase_ppl.analysis.what_if import Change, length, simulated
+
+        change = Change(
+            goal_red, goal_green, stated_goal_red, stated_goal_green,
+            alpha, strength_red, strength_green, remove, walls,
+        )  # fmt: skip
+        begin, frames = length(self._source(), at, seconds)
+        return simulated(
+            self._source(), change, at=begin, frames=frames, n=n, seed=seed, workers=workers,
+            simulator=simulator,
+        )  # fmt: skip
+
+    def predict(
+        self,
+        seconds: float = 2.0,
+        *,
+        n: int = 16,
+        seed: int = 0,
+        workers: int | None = None,
+    ) -> WhatIf:
+        """Return what comes after the last frame: the posterior predictive, simulated.
+
+        Args:
+            seconds: of simulated time.
+            n, seed, workers: as of :meth:`do`.
+
+        Example:
+            ``post.at(40).predict(2).tracks.mean("simulation")``, for a posterior read step by step
+        """
+        from phase_ppl.analysis.what_if import length, simulated
+
+        begin, frames = length(self._source(), len(self.observed()) - 1, seconds)
+        return simulated(
+            self._source(),
+            None,
+            at=begin,
+            frames=frames,
+            n=n,
+            seed=seed,
+            workers=workers,
+            simulator=None,
+        )

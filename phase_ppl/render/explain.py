@@ -1,0 +1,222 @@
+"""Why simulated agents do what they do: in sentences, and as a film of both minds."""
+
+from __future__ import annotations
+
+import os
+import textwrap
+from typing import Final, NamedTuple
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from phase_ppl.render.frames import (
+    ENTITY_COLOURS,
+    PANEL,
+    Painter,
+    between_frames,
+    panel,
+    side_by_side,
+)
+from phase_ppl.render.video import FRAMES_PER_SECOND, FRAMES_PER_STEP, encode_mp4
+from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.errors import InvalidEventError
+from phase_ppl.world.event import Event
+from phase_ppl.world.files import atomic_output
+from phase_ppl.world.goals import goal_literal, is_true
+from phase_ppl.world.names import AGENTS, DOORS, ENTITIES, LANDMARKS, STOP, Literal, Predicate
+from phase_ppl.world.observation import FRAMES_PER_SECOND as SIMULATED_PER_SECOND
+from phase_ppl.world.thoughts import Thoughts
+
+ROOMS: Final = ("top left room", "top right room", "bottom right room", "bottom left room")
+
+_BRIEF: Final = 4
+"""Steps below which a change of mind is not told."""
+
+_BELOW: Final = 74
+_MARGIN: Final = 14
+_TEXT_SIZE: Final = 15
+_DOT: Final = 3.0
+_INK: Final = (34, 34, 34)
+
+
+class Episode(NamedTuple):
+    """Some steps of one agent with one subgoal, and what it knows: from ``begin`` up to ``end``."""
+
+    agent: int
+    begin: int
+    end: int
+    subgoal: Literal
+    knows: str
+
+
+def explain(event: Event, path: str | os.PathLike[str] | None = None) -> str:
+    """Return in sentences what the agents of a simulated event did, and why.
+
+    A line for each stretch of time in which an agent is about one thing: when, in simulated
+    seconds; who; what; and what it believes of that which its goal is about, where it cannot see it
+    or holds it. The shares are of its belief particles.
+
+    Args:
+        event: of :func:`phase_ppl.simulate`.
+        path: where to write a film as well, ending in .mp4: what each agent sees, where it believes
+            what it does not see (dots in the colour of the entity), and what it is about.
+
+    Raises:
+        InvalidEventError: it is not known what the agents thought.
+        OutputError: the film cannot be written there.
+    """
+    thoughts = event.thoughts
+    if thoughts is None or event.truth is None:
+        raise InvalidEventError(
+            f"nothing is known of what the agents of event {event.id!r} thought: only events of "
+            "ppl.simulate have that, until they are written to a file"
+        )
+    if len(thoughts.subgoals) != event.observation.n_frames - 1:
+        raise InvalidEventError(
+            f"event {event.id!r} has {event.observation.n_frames} frames and thoughts at "
+            f"{len(thoughts.subgoals)} steps, expected one at each frame but the last"
+        )
+    episodes = sorted(
+        (one for agent in range(len(AGENTS)) for one in _episodes(event, thoughts, agent)),
+        key=lambda one: (one.begin, one.agent),
+    )
+    if path is not None:
+        _film(event, thoughts, path)
+    return "\n".join(_line(event, one) for one in episodes)
+
+
+def _episodes(event: Event, thoughts: Thoughts, agent: int) -> list[Episode]:
+    """Return the stretches of an agent's subgoals; brief ones are part of what was before."""
+    found: list[Episode] = []
+    steps = [
+        (pair[agent], _knows(event, thoughts, agent, step))
+        for step, pair in enumerate(thoughts.subgoals)
+    ]
+    begin = 0
+    for step in range(1, len(steps) + 1):
+        if step < len(steps) and steps[step] == steps[begin]:
+            continue
+        if found and (step - begin < _BRIEF or found[-1][3:] == steps[begin]):
+            found[-1] = found[-1]._replace(end=step)
+        else:
+            found.append(Episode(agent, begin, step, *steps[begin]))
+        begin = step
+    return found
+
+
+def _line(event: Event, one: Episode) -> str:
+    assert event.thoughts is not None
+    begin, end = (step / SIMULATED_PER_SECOND for step in (one.begin, one.end))
+    words = _sentence(event, event.thoughts, one.subgoal, one.agent, one.begin)
+    return textwrap.fill(f"{begin:4.1f} to {end:4.1f} s  {words}", 88, subsequent_indent=" " * 16)
+
+
+def _sentence(event: Event, thoughts: Thoughts, subgoal: Literal, agent: int, step: int) -> str:
+    """Return what an agent does at a step and why."""
+    words = f"the {AGENTS[agent]} {doing(subgoal, agent)}"
+    knows, about = _knows(event, thoughts, agent, step), _about(event, agent)
+    if subgoal.predicate is Predicate.STOP:
+        goal = _goal(event, agent)
+        reached = is_true(goal, event.observation.trajectory[step], event.scene)
+        reason = "it has what it wants" if reached else "it sees nothing to do"
+        return f"{words}, as {reason}"
+    if subgoal.predicate is Predicate.ATTACH or not knows:
+        return words
+    if knows != "believes":
+        return f"{words}, as it {knows} the {ENTITIES[about]}"
+    rooms = event.scene.rooms.room_of(thoughts.particles[step, agent, :, about, :2])
+    shares = np.bincount(rooms, minlength=len(ROOMS)) / len(rooms)
+    room = int(shares.argmax())
+    there = subgoal[:3] == (Predicate.CLOSE, agent, room)
+    where = "there" if there else f"in the {ROOMS[room]}"
+    return (
+        f"{words}, as it does not see the {ENTITIES[about]} and believes it {where} "
+        f"({shares[room]:.0%})"
+    )
+
+
+def _goal(event: Event, agent: int) -> Literal:
+    assert event.truth is not None
+    return goal_literal((event.truth.goal_red, event.truth.goal_green)[agent], agent)
+
+
+def _about(event: Event, agent: int) -> int:
+    """Return the entity that an agent's goal is about: what it has to get hold of, or get to."""
+    goal = _goal(event, agent)
+    return goal.target if goal.predicate is Predicate.TOUCH else goal.subject
+
+
+def _knows(event: Event, thoughts: Thoughts, agent: int, step: int) -> str:
+    """Return how an agent knows where that entity is: "holds", "sees", "believes"; "" of itself."""
+    about = _about(event, agent)
+    if about == agent or thoughts.subgoals[step][agent] == STOP:
+        return ""
+    if thoughts.held[step, agent] == about:
+        return "holds"
+    return "sees" if thoughts.seen[step, agent, about] else "believes"
+
+
+def doing(subgoal: Literal, agent: int) -> str:
+    """Return in words what an agent with a subgoal does, such as "goes to the top right room"."""
+    predicate, subject, target, positive = subgoal
+    own = subject == agent
+    if predicate is Predicate.STOP:
+        return "does nothing"
+    if predicate is Predicate.ATTACH:
+        return f"{'takes hold of' if positive else 'lets go of'} the {ENTITIES[target]}"
+    if predicate is Predicate.TOUCH:
+        return f"{'goes up to' if positive else 'gets away from'} the {ENTITIES[target]}"
+    if predicate is Predicate.ON:
+        place = f"the {LANDMARKS[target].replace('lm', 'landmark')}"
+    else:
+        place = f"the {(ROOMS + DOORS)[target]}"
+    if own:
+        return f"{'goes to' if positive else 'leaves'} {place}"
+    return f"{'brings' if positive else 'keeps'} the {ENTITIES[subject]} " + (
+        f"to {place}" if positive else f"away from {place}"
+    )
+
+
+# --- the film ------------------------------------------------------------------------------------
+
+
+def _film(event: Event, thoughts: Thoughts, path: str | os.PathLike[str]) -> None:
+    painters = [Painter(event.scene, (agent,), pale=0.45) for agent in range(len(AGENTS))]
+    poses = between_frames(event.observation.trajectory, FRAMES_PER_STEP)
+
+    def draw(index: int) -> Image.Image:
+        step = min(index // FRAMES_PER_STEP, len(thoughts.subgoals) - 1)
+        panels = [
+            _mind(painter, thoughts, step, agent, poses[index])
+            for agent, painter in enumerate(painters)
+        ]
+        picture = side_by_side(panels, _BELOW)
+        for agent in range(len(AGENTS)):
+            _write(picture, event, thoughts, step, agent)
+        return picture
+
+    with atomic_output(path, (".mp4",)) as part:
+        encode_mp4(map(draw, range(len(poses))), part, FRAMES_PER_SECOND)
+
+
+def _mind(
+    painter: Painter, thoughts: Thoughts, step: int, agent: int, poses: FloatArray
+) -> Image.Image:
+    """Return the world with an agent's field of view, and dots where it believes the unseen."""
+    picture = painter.draw(poses)
+    draw = ImageDraw.Draw(picture)
+    for entity in np.flatnonzero(~thoughts.seen[step, agent]):
+        if entity == agent:
+            continue
+        for x, y in painter.pixel(thoughts.particles[step, agent, :, entity, :2]):
+            box = (x - _DOT, y - _DOT, x + _DOT, y + _DOT)
+            draw.ellipse(box, fill=ENTITY_COLOURS[entity], outline=_INK)
+    return panel(picture)
+
+
+def _write(picture: Image.Image, event: Event, thoughts: Thoughts, step: int, agent: int) -> None:
+    draw, font = ImageDraw.Draw(picture), ImageFont.load_default(_TEXT_SIZE)
+    words = _sentence(event, thoughts, thoughts.subgoals[step][agent], agent, step)
+    for row, line in enumerate(textwrap.wrap(f"{words[0].upper()}{words[1:]}.", 58)):
+        at = (agent * PANEL + _MARGIN, PANEL + 4 + row * (_TEXT_SIZE + 6))
+        draw.text(at, line, fill=_INK, font=font)

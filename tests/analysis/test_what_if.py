@@ -1,0 +1,140 @@
+"""Hypotheses of a posterior simulated anew, with something changed; causes are known here."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import phase_ppl as ppl
+from phase_ppl.analysis.what_if import Change
+from phase_ppl.closed_loop.hidden_state import reconstructed
+from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
+from phase_ppl.world.geometry import is_on
+from phase_ppl.world.names import NOTHING
+from tests.agents.scenes import scene
+from tests.analysis.factory import Simulation, make_tree
+
+PULL = ppl.Hypothesis("Get blue item to red lm", "Get blue item away from red lm", (0, 0), 300, 600)
+
+
+def known(where: ppl.Scene, h: ppl.Hypothesis, frames: int) -> ppl.Posterior:
+    """Return a posterior that is sure of the hypothesis an event was made with."""
+    track = ppl.simulate(where, h, frames=frames).observation.trajectory
+    tree = make_tree([Simulation(h)], [[0]], scene=where, observed=track, predicted=track[None])
+    return ppl.Posterior(tree)
+
+
+@pytest.fixture(scope="module")
+def contested() -> ppl.Posterior:
+    """Green, the stronger one, keeps an item away from where red wants it."""
+    where = scene((13.0, 7.0, -1.5), (18.5, 8.0, 1.5), (16.0, 7.0), (8.0, 20.0))
+    return known(where, PULL, 42)
+
+
+@pytest.fixture(scope="module")
+def alone(contested: ppl.Posterior) -> Any:
+    return contested.do(remove="green agent", n=6, workers=1)
+
+
+def test_without_who_is_in_its_way_an_agent_reaches_its_goal(alone: Any) -> None:
+    before, after = alone.probability("red")
+    assert after == 1
+    assert before < after
+    assert alone.difference("red") == after - before
+    assert "the green agent was in its way" in " ".join(str(alone).split())
+    assert "the green agent reaches" not in str(alone)
+    arrival = alone.reached("red").sel(world="changed").values
+    for row, seconds in enumerate(arrival):
+        pose = alone.poses[1, row, round(seconds * 12), 2, :2]
+        assert is_on(pose, alone.scenes[0].landmark_centres[2], 2.5)
+    assert alone.tracks.sel(world="changed", entity="green agent").isnull().all()
+    assert not alone.tracks.sel(entity="red agent").isnull().any()
+
+
+def test_the_same_seeds_give_the_same_worlds(contested: ppl.Posterior, alone: Any) -> None:
+    nothing = contested.do(strength_red=300.0, n=2, workers=1, seconds=1)
+    np.testing.assert_array_equal(nothing.poses[0], nothing.poses[1])
+    assert nothing.difference("red") == 0
+    assert "no difference" in " ".join(str(nothing).split())
+
+
+def test_from_a_frame_on_what_was_seen_has_happened(contested: ppl.Posterior) -> None:
+    later = contested.do(goal_green="Get green agent to green lm", at=20, n=2, workers=1)
+    observed = contested.observed()
+    assert (later.poses[:, :, 0] == observed[20]).all()
+    assert np.linalg.norm(np.diff(later.poses[:, :, :3, :, :2], axis=2), axis=-1).max() < 2
+    assert float(later.tracks["time"][0]) == pytest.approx(20 / 12)
+    assert later.poses.shape[2] == 22
+    gap = np.linalg.norm(later.poses[:, :, -1, 1, :2] - [23.5, 19.5], axis=-1)
+    assert (gap[1] < gap[0]).all()
+
+
+def test_the_past_of_a_video_is_found_again(contested: ppl.Posterior) -> None:
+    past = reconstructed(contested.scene, contested.observed())
+    assert len(past.states) == len(past.actions) + 1 == 42
+    poses = np.array([state.pose[:, :2] for state in past.states])
+    assert np.abs(poses - contested.observed()[..., :2]).max() < 0.6
+    assert (past.states[-1].held != NOTHING).any()
+
+
+def test_what_comes_next_goes_on_from_the_last_frame(contested: ppl.Posterior) -> None:
+    following = contested.predict(0.5, n=2, workers=1)
+    assert following.tracks.sizes["time"] == 7
+    assert float(following.tracks["time"][0]) == pytest.approx(41 / 12)
+    assert following.tracks.sizes["world"] == 1
+    with pytest.raises(InvalidSettingError, match="nothing was changed"):
+        following.difference("red")
+
+
+def test_a_film_shows_both_worlds(alone: Any, tmp_path: Path) -> None:
+    brief = dataclasses.replace(alone, poses=alone.poses[:, :, :3])
+    film = brief.film(tmp_path / "both.gif")
+    assert film.path.stat().st_size > 1000
+    assert film._repr_html_().startswith("<img src")
+
+
+def test_helpers_follow_a_stated_goal_and_not_an_effective_one() -> None:
+    helped = ppl.Hypothesis("Get pink item to red lm", "Get blue item to red lm", (1, 0))
+    goals = ppl.GOALS.index("Get blue item to red lm"), ppl.GOALS.index("Get pink item to blue lm")
+    effective = Change(goal_green="Get pink item to blue lm").hypothesis(helped)
+    stated = Change(stated_goal_green="Get pink item to blue lm").hypothesis(helped)
+    assert effective.effective_goals == goals
+    assert stated.effective_goals == (goals[1], goals[1])
+    left = Change(alpha=(0, 0)).hypothesis(helped)
+    assert left.effective_goals[0] == ppl.GOALS.index("Get pink item to red lm")
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"at": 42}, "0..41"),
+        ({"at": 41}, "last frame"),
+        ({"n": 1}, "n=1"),
+        ({"seconds": -1.0}, "seconds"),
+    ],
+)
+def test_what_cannot_be_is_refused(
+    contested: ppl.Posterior, options: dict[str, Any], words: str
+) -> None:
+    with pytest.raises(InvalidSettingError, match=words):
+        contested.do(remove="green agent", workers=1, **options)
+
+
+def test_unknown_names_are_refused(contested: ppl.Posterior) -> None:
+    with pytest.raises(UnknownNameError, match="green agent"):
+        contested.do(remove="grene agent", workers=1)
+    with pytest.raises(UnknownNameError):
+        contested.do(goal_green="Get lost", workers=1)
+
+
+def test_walls_are_moved(contested: ppl.Posterior) -> None:
+    closed = [[[16.0, 12.0], [16.0, 2.0]], [[16.0, 12.0], [16.0, 22.0]]]
+    shut = contested.do(walls=closed, seconds=1, n=2, workers=1)
+    assert (shut.poses[1, :, :, 0, 0] < 16).all()
+    assert math.isclose(shut.scenes[1].rooms.door_width[2], 0.0)
+    assert str(shut).count("other walls") == 2

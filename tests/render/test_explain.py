@@ -1,0 +1,111 @@
+"""Simulated agents are asked why: in sentences, and in a film of both minds."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import phase_ppl as ppl
+from phase_ppl.render.explain import doing
+from phase_ppl.world.errors import InvalidEventError
+from phase_ppl.world.geometry import penetration
+from phase_ppl.world.names import STOP, Literal, Predicate
+from tests.agents.scenes import FULL_WALL_UP, scene
+
+QUICK = ppl.PlannerConfig(simulations=60, particles=20)
+CARRY = ppl.Hypothesis("Get blue item to red lm", "Get green agent to green lm")
+
+
+@pytest.fixture(scope="module")
+def event() -> ppl.Event:
+    """Red, who looks away from it, wants an item that lies in the other room."""
+    where = scene(
+        (18.0, 8.0, 0.0), (23.5, 19.0, 0.0), (18.0, 5.0), walls=[[[16.0, 12.0], [16.0, 6.0]]]
+    )
+    return ppl.simulate(where, CARRY, frames=30, seed=0, planner=QUICK)
+
+
+def test_an_event_knows_what_its_agents_thought(event: ppl.Event) -> None:
+    thoughts = event.thoughts
+    assert thoughts is not None
+    assert len(thoughts.subgoals) == len(thoughts.actions) == 29
+    assert thoughts.particles.shape == (29, 2, 20, 4, 3)
+    assert thoughts.seen[:, [0, 1], [0, 1]].all()  # itself
+    own = thoughts.particles[:, 0, :, 0]
+    frames = event.observation.trajectory[:-1, 0]
+    assert np.abs(own[0] - event.scene.start[0]).max() < 1e-5
+    assert np.linalg.norm(own.mean(axis=1)[:, :2] - frames[:, :2], axis=1).max() < 1.5
+    seen = thoughts.seen[:, 0, 2]
+    assert not seen[0]
+    assert seen.any()
+    spread = thoughts.particles[:, 0, :, 2, :2].std(axis=1).max(axis=1)
+    assert spread[seen].max() < 1e-5 < 1 < spread[0]
+
+
+def test_it_is_said_in_sentences(event: ppl.Event) -> None:
+    words = " ".join(ppl.explain(event).split())
+    assert "the red agent goes" in words
+    assert "does not see the blue item and believes it" in words
+    assert "as it holds the blue item" in words
+    assert "the green agent does nothing, as it has what it wants" in words
+
+
+def test_every_kind_of_subgoal_has_words() -> None:
+    said = {
+        doing(Literal(predicate, subject, target, positive), 0)
+        for predicate, subject, target in [
+            *[(Predicate.ON, subject, 2) for subject in range(4)],
+            *[(Predicate.CLOSE, subject, 5) for subject in range(4)],
+            *[
+                (kind, 0, target)
+                for kind in (Predicate.TOUCH, Predicate.ATTACH)
+                for target in (2, 3)
+            ],
+        ]
+        for positive in (True, False)
+    }
+    assert len(said) == 24
+    assert doing(STOP, 0) == "does nothing"
+    assert "keeps the green agent away from the red landmark" in said
+    assert "brings the blue item to the left door" in said
+
+
+def test_the_film_shows_both_minds(event: ppl.Event, tmp_path: Path) -> None:
+    brief = ppl.simulate(event.scene, CARRY, frames=3, planner=QUICK)
+    ppl.explain(brief, tmp_path / "why.mp4")
+    assert (tmp_path / "why.mp4").stat().st_size > 5000
+
+
+def test_thoughts_that_are_not_known_are_not_made_up(event: ppl.Event) -> None:
+    with pytest.raises(InvalidEventError, match="thought"):
+        ppl.explain(ppl.load_event("collaborate"))
+    shorter = ppl.Observation(event.observation.trajectory[:10])
+    with pytest.raises(InvalidEventError, match="29 steps"):
+        ppl.explain(dataclasses.replace(event, observation=shorter))
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"red": (8, 20, 0), "green": (8.5, 20, 0)}, "the red agent and the green agent .* 1.60"),
+        ({"red": (16, 17, 0), "walls": [FULL_WALL_UP]}, "the red agent and an inner wall .* 1.20"),
+        ({"blue": (25.6, 4)}, "the blue item and the arena's border overlap by 0.40"),
+    ],
+)
+def test_bodies_that_overlap_are_refused_with_how_far(changes: dict, words: str) -> None:  # type: ignore[type-arg]
+    with pytest.raises(InvalidEventError, match=words):
+        ppl.simulate(scene(**changes), CARRY, frames=2, planner=QUICK)
+    ppl.simulate(scene(**changes), CARRY, frames=2, planner=QUICK, overlapping=True)
+
+
+def test_penetration_is_the_way_out() -> None:
+    square = np.array([[0.0, 0.0], [0.0, 2.0], [2.0, 2.0], [2.0, 0.0]])
+    assert penetration(square, square + 1.5) == pytest.approx(0.5)
+    assert penetration(square, square + 2.5) == 0
+    assert penetration(square, np.array([[2.5, 1.0]]), 1.0) == pytest.approx(0.5)
+    corner = np.array([[2.5, 2.5]])
+    assert penetration(square, corner, 1.0) == pytest.approx(1 - np.sqrt(0.5))
+    assert penetration(corner, corner, 2.0) == pytest.approx(2.0)
