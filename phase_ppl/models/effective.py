@@ -23,7 +23,6 @@ from numpyro.infer.inspect import get_dependencies
 from phase_ppl.models.density import (
     compiled_quickly,
     remembered,
-    site_shapes,
     trace_log_density,
 )
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, STRENGTH_SITES
@@ -81,7 +80,7 @@ def strengths_apart(prior: Prior) -> bool:
 
 @remembered(_PRIORS_KEPT)
 def _density(prior: Prior, names: tuple[str, ...]) -> Callable[[dict[str, jax.Array]], jax.Array]:
-    has_own = not site_shapes(prior).keys() <= set(names)
+    has_own = any(not upstream(prior)[name] <= set(names) for name in names)
     keys = jax.random.split(jax.random.key(0), _OWN_DRAWS if has_own else 1)
 
     def given(key: jax.Array, z: dict[str, jax.Array]) -> jax.Array:
