@@ -16,9 +16,10 @@ from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 from phase_ppl.analysis.figures.style import written
 from phase_ppl.evaluation.comparison import ModelComparison
+from phase_ppl.evaluation.figures import doubt as _doubt
 from phase_ppl.evaluation.figures import grids as _grids
-from phase_ppl.evaluation.figures import people as _people
 from phase_ppl.evaluation.figures import rows as _rows
+from phase_ppl.evaluation.figures import studies as _studies
 from phase_ppl.evaluation.figures.layout import NothingToDrawError, Results, Source
 from phase_ppl.evaluation.likeness import MARGIN, Likeness, as_likeness
 from phase_ppl.evaluation.tags import MAJORITY, Tags, as_tags
@@ -73,6 +74,12 @@ DRAWINGS: Final = {
         "Relations: models against people",
         "Points: probability of a relation for a model against that for people.",
         _grids.scatter_relations,
+    ),
+    "people": Drawing(
+        "Doubt: models against people",
+        "Points: probabilities of relations against people's shares, as they are and given the "
+        "truth; bars: both correlations, beside what people reach among themselves.",
+        _doubt.people,
     ),
     "film_strips": Drawing(
         "An event of every scenario",
@@ -159,6 +166,7 @@ confusion = _public("confusion")
 correlation = _public("correlation")
 scatter_goals = _public("scatter_goals")
 scatter_relations = _public("scatter_relations")
+people = _public("people")
 film_strips = _public("film_strips")
 costs = _public("costs")
 differences = _public("differences")
@@ -178,7 +186,7 @@ def tags(
         path: where to write it as well.
         majority: share of the viewers of a video from which on it has a category.
     """
-    return written(_people.tags(as_tags(source), majority), path)
+    return written(_studies.tags(as_tags(source), majority), path)
 
 
 def likeness(
@@ -194,4 +202,4 @@ def likeness(
         path: where to write it as well.
         margin: difference of mean ratings below which the groups count as equivalent.
     """
-    return written(_people.likeness(as_likeness(source), margin), path)
+    return written(_studies.likeness(as_likeness(source), margin), path)

@@ -65,7 +65,7 @@ def evidence_of(
     sizes = {(len(of), of[0][1].size) for of in tables}
     if len(sizes) > 1:
         raise InvalidSettingError(
-            "some events have a posterior and others a prediction only, or other numbers of readings"
+            "some events have a posterior, others a prediction only, or other numbers of readings"
         )
     likelihood = np.array([[one[0] for one in of] for of in tables])  # event, percept, leak, h
     pairs = sizes == {(len(tables[0]), N_GOALS**2)}

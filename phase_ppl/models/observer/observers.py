@@ -268,9 +268,14 @@ OBSERVERS: Final[Mapping[str, Observer]] = {
     "company": Observer(*_RESPONSE, cues(distance="neutral", contact="neutral"), lapse),
     "attentive": Observer(
         *_RESPONSE,
+        cues(distance="neutral", contact="neutral", working="friendly", impact="adversarial"),
+        lapse,
+    ),
+    "vigilant": Observer(
+        *_RESPONSE,
         cues(
-            distance="neutral", contact="neutral", synchrony="neutral",
-            holding="friendly", unsettled="adversarial", impact="adversarial",
+            distance="neutral", contact="neutral", synchrony="neutral", working="friendly",
+            holding="friendly", impact="adversarial", unsettled="adversarial",
         ),
         lapse,
     ),
