@@ -5,9 +5,10 @@ python benchmarks/people.py store --source NAME=DIR ... --observer NAME [--json 
 python benchmarks/people.py recover [--populations N] [--figure FILE] [--json FILE]
 
 `fit` needs evaluations of the real videos (phase-ppl evaluate dev.json --model NAME --out DIR), in
-whose folders the evidence lies. Each video is predicted by fits without it; "chosen" picks, for each
-video, the observer that predicts the others best. `store` writes the parameters that come with the
-package. `recover` draws populations of raters from known observers.
+whose folders the evidence lies; "cues" is none, and a model whose answers the videos carry goes by
+its name. Each video is predicted by fits without it; "chosen" picks, for each video, the observer
+that predicts the others best. `store` writes the parameters that come with the package. `recover`
+draws populations of raters from known observers.
 """
 
 from __future__ import annotations
