@@ -14,6 +14,7 @@ draws populations of raters from known observers.
 from __future__ import annotations
 
 import argparse
+import functools
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -23,12 +24,13 @@ import common
 import numpy as np
 
 import phase_ppl as ppl
+from phase_ppl.analysis._arviz import pareto_smoothed
 from phase_ppl.analysis.summary import plain
 from phase_ppl.evaluation.doubt import doubt_of
 from phase_ppl.evaluation.evaluation import Evaluation
 from phase_ppl.evaluation.metrics import evaluate_predictions
-from phase_ppl.evaluation.observers.answers import Answers
-from phase_ppl.evaluation.observers.fit import PeopleFit, chosen_inside, sampled
+from phase_ppl.evaluation.observers.answers import Answers, people
+from phase_ppl.evaluation.observers.fit import PeopleFit, chosen_inside
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.references import reference_predictions
 from phase_ppl.models.observer.observers import OBSERVERS, Evidence, observer_named
@@ -145,6 +147,8 @@ def store(options: argparse.Namespace) -> dict[str, Any]:
 
 
 RIVALS = ("saturating", "company", "attentive")
+NOBODY: Any = np.zeros((0, 4), np.int64), (), np.zeros((0, 2), np.int64), np.zeros(0)
+"""Of answers without names."""
 
 
 def videos_like(rng: np.random.Generator, n: int) -> Evidence:
@@ -182,8 +186,40 @@ def population(
     logs = np.asarray(said["relation"]) + true["spread"] * rng.standard_normal((videos, 3))
     p = np.asarray(jax.nn.softmax(logs, axis=-1), np.float64)
     counts = rng.multinomial(raters, p / p.sum(axis=1, keepdims=True))
-    nobody = np.zeros((0, 4), np.int64), (), np.zeros((0, 2), np.int64), np.zeros(0)
-    return evidence, Answers({"relation": counts}, *nobody), true
+    return evidence, Answers({"relation": counts}, *NOBODY), true
+
+
+@functools.cache
+def sampler(name: str, draws: int) -> Any:
+    """Return a sampler for one observer, compiled once for all populations."""
+    from numpyro.infer import MCMC, NUTS
+
+    def program(logs: Any, cues: Any, counts: Any) -> None:
+        n = len(counts)
+        prior, codes = np.full(counts.shape, -np.log(len(RELATIONS))), np.arange(len(RELATIONS))
+        evidence = Evidence(("",) * n, logs, prior, {"relation": codes}, cues)
+        people(observer_named(name), evidence, Answers({"relation": counts}, *NOBODY), np.ones(n))
+
+    return MCMC(
+        NUTS(program, target_accept_prob=0.9), num_warmup=draws, num_samples=draws,
+        progress_bar=False, jit_model_args=True,
+    )  # fmt: skip
+
+
+def drawn(
+    name: str, evidence: Evidence, answers: Answers, options: argparse.Namespace, seed: int
+) -> dict[str, Any]:
+    import jax
+
+    mcmc = sampler(name, options.draws)
+    data = evidence.log_likelihood, dict(evidence.cues), answers.counts["relation"]
+    mcmc.run(jax.random.key(seed), *data)
+    return {k: np.asarray(v, np.float64) for k, v in mcmc.get_samples().items()}
+
+
+def left_out_score(log_likelihood: Any) -> float:
+    weights, _ = pareto_smoothed(-log_likelihood.T)
+    return float(np.logaddexp.reduce(np.log(weights) + log_likelihood.T, axis=1).sum())
 
 
 def recover(options: argparse.Namespace) -> dict[str, Any]:
@@ -192,17 +228,12 @@ def recover(options: argparse.Namespace) -> dict[str, Any]:
         rng = np.random.default_rng([options.seed, i])
         name = RIVALS[i % len(RIVALS)]
         evidence, answers, true = population(name, rng, options.videos, options.raters)
-        fits = {
-            rival: sampled(
-                observer_named(rival), rival, evidence, answers,
-                draws=options.draws, warmup=options.draws, chains=1, seed=i,
-            )
-            for rival in RIVALS
-        }  # fmt: skip
-        elpd = {rival: float(one.elpd.sum()) for rival, one in fits.items()}
+        fits = {rival: drawn(rival, evidence, answers, options, i) for rival in RIVALS}
+        elpd = {rival: left_out_score(one["log_likelihood"]) for rival, one in fits.items()}
         best = max(elpd, key=lambda rival: elpd[rival])
         parameters = {}
-        for site, draws in fits[name].draws.items():
+        for site in true:
+            draws = fits[name][site]
             low, high = np.quantile(draws, [0.05, 0.95])
             rank = float((draws < true[site]).mean())
             parameters[site] = {

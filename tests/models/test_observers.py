@@ -149,3 +149,22 @@ def test_what_is_no_observer_is_refused() -> None:
         Observer("lapse")  # type: ignore[arg-type]
     with pytest.raises(InvalidSettingError, match="missed=1"):
         Perception(missed=1.0)
+
+
+def test_few_hypotheses_answer_as_all_pairs_of_goals_do() -> None:
+    from phase_ppl.evaluation.observers.evidence import PAIRS
+
+    rng = np.random.default_rng(0)
+    n = PAIRS["relation"].size
+    logs = -rng.gamma(2.0, 3.0, (3, 1, 5, n))
+    given = Evidence(
+        tuple("abcde"), logs, np.full((5, n), -np.log(n)), PAIRS,
+        {name: np.zeros(5) for name in CUES},
+    )  # fmt: skip
+    few = given.condensed()
+    assert few.log_prior.shape[1] < 100
+    assert np.logaddexp.reduce(few.log_prior, axis=1) == pytest.approx(np.zeros(5))
+    for weight in (0.3, 1.0, 3.0):
+        one, other = (answers(Observer(observers.weight), e, weight=weight) for e in (given, few))
+        assert other == pytest.approx(one, abs=0.02)
+    assert few.condensed() is few

@@ -29,7 +29,7 @@ it does not know that it is impossible."""
 _LOWEST: Final = -1e4
 """Nats in place of minus infinity, of which single precision has no differences."""
 
-_PAIRS: Final = {
+PAIRS: Final = {
     "relation": RELATION_TABLE.ravel().astype(np.int64),
     "goal_red": np.repeat(np.arange(N_GOALS), N_GOALS),
     "goal_green": np.tile(np.arange(N_GOALS), N_GOALS),
@@ -74,7 +74,7 @@ def evidence_of(
         tuple(event.id for event in events),
         np.maximum(np.moveaxis(likelihood, (2, 1), (0, 1)), _LOWEST),
         np.maximum(np.array([of[0][1] for of in tables]), _LOWEST),
-        _PAIRS if pairs else _RELATIONS_ONLY,
+        PAIRS if pairs else _RELATIONS_ONLY,
         {name: np.array([one[name] for one in cues]) for name in CUES},
     )
 

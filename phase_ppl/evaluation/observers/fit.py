@@ -251,11 +251,11 @@ def sampled(
 ) -> PeopleFit:
     """Draw the parameters of an observer from their posterior given people's answers."""
     counted = answers.judged if left_out is None else answers.judged * (1 - left_out)
-    mcmc = _sampler(observer, evidence, answers, draws, warmup, chains)
+    questions = tuple(q for q in evidence.answers if q in answers.counts)
+    mcmc = _sampler(observer, evidence, answers, questions, draws, warmup, chains)
     mcmc.run(jax.random.key(seed), jnp.asarray(counted))
     found = {k: np.asarray(v, np.float64) for k, v in mcmc.get_samples().items()}
     parameters = {k: v for k, v in found.items() if k not in _NOT_PARAMETERS and v.ndim == 1}
-    questions = tuple(q for q in evidence.answers if q in answers.counts)
     logs = found["log_likelihood"]
     return PeopleFit(
         *(observer, name, parameters, questions, None),
@@ -265,12 +265,19 @@ def sampled(
 
 @functools.lru_cache(maxsize=1)
 def _sampler(
-    observer: Program, evidence: Evidence, answers: Answers, draws: int, warmup: int, chains: int
+    observer: Program,
+    evidence: Evidence,
+    answers: Answers,
+    questions: tuple[str, ...],
+    draws: int,
+    warmup: int,
+    chains: int,
 ) -> MCMC:
     """Return a sampler, the same for the same data, so that fits without a video compile once."""
+    given = evidence.condensed() if questions == ("relation",) else evidence
 
     def program(counted: Array) -> None:
-        people(observer, evidence, answers, counted)
+        people(observer, given, answers, counted)
 
     return MCMC(
         NUTS(program, target_accept_prob=0.9), num_warmup=warmup, num_samples=draws,
