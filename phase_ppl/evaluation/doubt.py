@@ -174,7 +174,7 @@ def _two_way(
     value = pearson(weights[:1], p[None], people[None], truth)
     among_raters = pearson(np.ones_like(weights[1:]), p[None], drawn, truth)
     both = pearson(weights[1:], p[None], drawn, truth)
-    moved = both + value - np.nanmean(among_raters) if np.isfinite(among_raters).any() else both
+    moved = both + value - _mean(among_raters)
     return figure(np.concatenate([value, np.clip(moved, -1, 1)]), len(p))
 
 
@@ -215,18 +215,19 @@ def ceiling(
     by_row = of_several[left_out]
     found: dict[str, float | None] = {}
     for suffix, groups in (("", None), ("_given_truth", of_several)):
-        halves = float(np.nanmean(_or_nan(pearson(np.ones(half.shape[:2]), one, other, groups))))
+        halves = _mean(pearson(np.ones(half.shape[:2]), one, other, groups))
         rows = None if groups is None else by_row
         found[f"split_half_r{suffix}"] = halves
-        found[f"spearman_brown{suffix}"] = 2 * halves / (1 + halves)
+        found[f"spearman_brown{suffix}"] = 2 * halves / (1 + halves) if halves > -1 else np.nan
         found[f"one_out_r{suffix}"] = float(pearson(times[None], rest[None], answer[None], rows)[0])
     scores = np.average(log_score(rest, answer), weights=times)
     found["one_out_log_score"] = float(scores)
     return {name: None if np.isnan(value) else value for name, value in found.items()}
 
 
-def _or_nan(values: FloatArray) -> FloatArray:
-    return values if np.isfinite(values).any() else np.full(1, np.nan)
+def _mean(values: FloatArray) -> float:
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if known.size else np.nan
 
 
 def agreement(

@@ -64,13 +64,16 @@ class FittedObserver:
     def shares(self, evidence: Evidence) -> dict[str, FloatArray]:
         """Return question -> (draw, event, answer) shares of people that are expected."""
 
-        def one(draw: dict[str, Array]) -> dict[str, Array]:
-            program = handlers.seed(handlers.substitute(self.observer, draw), jax.random.key(0))
-            with handlers.block():
-                return expected(program(evidence), draw["spread"])
+        def of_all(draws: dict[str, Array], numbers: Any) -> dict[str, Array]:
+            def of_one(draw: dict[str, Array]) -> dict[str, Array]:
+                program = handlers.substitute(self.observer, draw)
+                with handlers.block(), handlers.seed(rng_seed=0):
+                    return expected(program(evidence.of_numbers(*numbers)), draw["spread"])
+
+            return jax.lax.map(of_one, draws, batch_size=_AT_A_TIME)
 
         draws = {name: jnp.asarray(values) for name, values in self.draws.items()}
-        found = jax.jit(lambda given: jax.lax.map(one, given, batch_size=_AT_A_TIME))(draws)
+        found = jax.jit(of_all)(draws, evidence.numbers)
         return {question: np.asarray(values, np.float64) for question, values in found.items()}
 
     def predict(self, evidence: Evidence) -> dict[str, Prediction]:
@@ -252,8 +255,9 @@ def sampled(
     """Draw the parameters of an observer from their posterior given people's answers."""
     counted = answers.judged if left_out is None else answers.judged * (1 - left_out)
     questions = tuple(q for q in evidence.answers if q in answers.counts)
-    mcmc = _sampler(observer, evidence, answers, questions, draws, warmup, chains)
-    mcmc.run(jax.random.key(seed), jnp.asarray(counted))
+    given = _given(evidence, questions)
+    mcmc = _sampler(observer, given, answers, draws, warmup, chains)
+    mcmc.run(jax.random.key(seed), jnp.asarray(counted), given.numbers)
     found = {k: np.asarray(v, np.float64) for k, v in mcmc.get_samples().items()}
     parameters = {k: v for k, v in found.items() if k not in _NOT_PARAMETERS and v.ndim == 1}
     logs = found["log_likelihood"]
@@ -264,20 +268,18 @@ def sampled(
 
 
 @functools.lru_cache(maxsize=1)
+def _given(evidence: Evidence, questions: tuple[str, ...]) -> Evidence:
+    return evidence.condensed() if questions == ("relation",) else evidence
+
+
+@functools.lru_cache(maxsize=1)
 def _sampler(
-    observer: Program,
-    evidence: Evidence,
-    answers: Answers,
-    questions: tuple[str, ...],
-    draws: int,
-    warmup: int,
-    chains: int,
+    observer: Program, given: Evidence, answers: Answers, draws: int, warmup: int, chains: int
 ) -> MCMC:
     """Return a sampler, the same for the same data, so that fits without a video compile once."""
-    given = evidence.condensed() if questions == ("relation",) else evidence
 
-    def program(counted: Array) -> None:
-        people(observer, given, answers, counted)
+    def program(counted: Array, numbers: Any) -> None:
+        people(observer, given.of_numbers(*numbers), answers, counted)
 
     return MCMC(
         NUTS(program, target_accept_prob=0.9), num_warmup=warmup, num_samples=draws,

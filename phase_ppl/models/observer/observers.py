@@ -75,6 +75,15 @@ class Evidence:
             {name: values[which] for name, values in self.cues.items()},
         )
 
+    @property
+    def numbers(self) -> tuple[Any, Any, dict[str, Any]]:
+        """All that differs from one set of as many videos to another, to be handed to XLA."""
+        return self.log_likelihood, self.log_prior, dict(self.cues)
+
+    def of_numbers(self, logs: Any, prior: Any, cues: Any) -> Evidence:
+        """Return it with other :attr:`numbers`."""
+        return dataclasses.replace(self, log_likelihood=logs, log_prior=prior, cues=cues)
+
     def condensed(self, single: int = 8, groups: int = 16) -> Evidence:
         """Return evidence on relations alone, with few hypotheses of each.
 
