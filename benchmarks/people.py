@@ -136,7 +136,10 @@ def store(options: argparse.Namespace) -> dict[str, Any]:
     events = [e for e in common.dev_events() if e.judgments]
     report = {}
     for name, (evidence, _) in sources(events, options.source).items():
-        fitted = ppl.fit_people(events, None, options.observer[0], source=evidence)
+        fitted = ppl.fit_people(
+            events, None, options.observer[0], source=evidence, draws=options.draws,
+            warmup=options.draws, chains=options.chains,
+        )  # fmt: skip
         report["chance" if name == "cues" else name] = fitted.to_dict()
         print(name, {k: f"{v.mean():.2f} ± {v.std():.2f}" for k, v in fitted.draws.items()})
     keep(options, report)

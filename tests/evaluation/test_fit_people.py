@@ -130,7 +130,7 @@ def test_answers_of_a_study_with_names_and_times_go_through_the_same_call(tmp_pa
         for i, e in enumerate(events)
     }
     fit = ppl.fit_people(
-        events, tmp_path / "study.csv", "saturating", source=model, draws=100, warmup=150, chains=1
+        events, tmp_path / "study.csv", "saturating", source=model, draws=60, warmup=100, chains=1
     )
     assert {"diversity", "slowing", "pace", "time_noise"} <= set(fit.draws)
     assert np.quantile(fit.draws["slowing"], 0.05) > 0
