@@ -213,7 +213,7 @@ def ceiling(
     rest = rest / np.maximum(rest.sum(axis=1, keepdims=True), 1)
     times = several.ravel().astype(float)
     by_row = of_several[left_out]
-    found: dict[str, float | None] = {}
+    found: dict[str, float] = {}
     for suffix, groups in (("", None), ("_given_truth", of_several)):
         halves = _mean(pearson(np.ones(half.shape[:2]), one, other, groups))
         rows = None if groups is None else by_row
