@@ -282,8 +282,8 @@ def _sampler(
         people(observer, given.of_numbers(*numbers), answers, counted)
 
     return MCMC(
-        NUTS(program, target_accept_prob=0.9, max_tree_depth=7), num_warmup=warmup, num_samples=draws,
-        num_chains=chains, chain_method="sequential", progress_bar=False,
+        NUTS(program, target_accept_prob=0.9, max_tree_depth=7), num_warmup=warmup,
+        num_samples=draws, num_chains=chains, chain_method="sequential", progress_bar=False,
         jit_model_args=True,
     )  # fmt: skip
 
