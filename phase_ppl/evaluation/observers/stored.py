@@ -64,7 +64,8 @@ class Observed:
             readings = perception.readings(scene, observation, seed)
         answers = [self._asked(scene, one, seed) for one in readings]
         made: list[Made] = [answer.posterior or as_prediction(answer.given) for answer in answers]
-        evidence = evidence_of([Event(scene, observation)], {"": made})
+        event = Event(scene, observation)
+        evidence = evidence_of([event], {event.id: made})
         (expected,) = self.observer.predict(evidence).values()
         own = as_prediction(answers[0].given)
         given = {q: p for q, p in expected.probabilities.items() if q in self.observer.questions}
