@@ -93,12 +93,17 @@ def doubt(
         "relation_r_given_truth": _two_way(weights, p, people, drawn, truth),
         "log_score_gap": figure(weighted_mean(weights, gap), len(p)),
         "brier": figure(weighted_mean(weights, brier), len(p)),
-        "ece": sum(b["n"] * abs(b["probability"] - b["share"]) for b in bins) / p.size,
+        "ece": float(sum(b["n"] * abs(b["probability"] - b["share"]) for b in bins) / p.size),
         "calibration": bins,
         "ceiling": ceiling(counts, truth, rng, resamples),
         "agreement": agreement(p, counts, rng, resamples),
         "misfit": [
-            {"event": names[i], "log_score_gap": gap[i], "people": people[i], "model": p[i]}
+            {
+                "event": names[i],
+                "log_score_gap": float(gap[i]),
+                "people": people[i].tolist(),
+                "model": p[i].tolist(),
+            }
             for i in np.argsort(-gap, kind="stable")
         ],
     }

@@ -103,7 +103,8 @@ def _scatter(
     style: dict[str, Any] = {"s": 13, "alpha": 0.65, "linewidths": 0, "clip_on": False}
     for answer, mark in enumerate(_MARKS.values()):
         axes.scatter(x[:, answer], y[:, answer], c=colours, marker=mark, **style)
-    axes.set(xlim=ends, ylim=ends, xticks=[*ends, 0], yticks=[*ends, 0])
+    ticks = sorted({*ends, 0.0})
+    axes.set(xlim=ends, ylim=ends, xticks=ticks, yticks=ticks)
     axes.set_aspect("equal", adjustable="box")
 
 
