@@ -66,7 +66,7 @@ def people(results: Results) -> Figure:
             _given_truth(p[known], truth[known]),
             _given_truth(shares[known], truth[known]),
             [colour for colour, is_known in zip(colours, known, strict=True) if is_known],
-            (-0.75, 0.75),
+            (-1.0, 1.0),
         )
         middle.set_title("given the truth", loc="left", fontsize=NORMAL, color=GREY)
         _bars(right, answers.metrics["doubt"], answers.colour)
@@ -125,7 +125,7 @@ def _bars(axes: Axes, doubt: dict[str, Any], colour: str) -> None:
                 ends = [place - 0.38, place + 0.38]
                 axes.plot(ends, [value, value], line, color=GREY, lw=1.3)
         axes.annotate(
-            f"{found['value']:.2f}", (place, 0), xytext=(0, 3), textcoords="offset points",
+            f"{found['value']:.2f}", (place, 0), xytext=(9, 3), textcoords="offset points",
             ha="center", fontsize=SMALL, color="white" if found["value"] > 0.2 else INK,
         )  # fmt: skip
     axes.axhline(0, color=INK, lw=0.6)
