@@ -13,7 +13,7 @@ PROMISED: dict[str, tuple[list[str], list[str]]] = {
     "alternative_prior": (["sparse_social", "mostly_related", "friendliness 0."], []),
     "own_simulator": (["15 particles", "verdict"], ["own_simulator.png"]),
     "own_kernel": (["local_mh", "whole_video"], []),
-    "own_observer": (["timid: r = ", "saturating: r = ", "elpd_loo"], []),
+    "own_observer": (["timid: r = ", "saturating: r = ", "nats more than"], []),
     "compare_kernels": (
         ["SIMPLE", "prior", "TV goals"],
         ["compare_kernels.json", "compare_kernels.png"],
