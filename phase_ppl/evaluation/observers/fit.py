@@ -262,8 +262,7 @@ def sampled(
     parameters = {k: v for k, v in found.items() if k not in _NOT_PARAMETERS and v.ndim == 1}
     logs = found["log_likelihood"]
     return PeopleFit(
-        *(observer, name, parameters, questions, None),
-        *(evidence, answers, chains, logs, seed, warmup),
+        observer, name, parameters, questions, None, evidence, answers, chains, logs, seed, warmup
     )
 
 
