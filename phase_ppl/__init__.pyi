@@ -34,6 +34,8 @@ from phase_ppl.evaluation.evaluate import EvaluationInterrupted as EvaluationInt
 from phase_ppl.evaluation.evaluate import evaluate as evaluate
 from phase_ppl.evaluation.evaluation import Evaluation as Evaluation
 from phase_ppl.evaluation.evaluation import reference_evaluation as reference_evaluation
+from phase_ppl.evaluation.fit_people import evidence_from as evidence_from
+from phase_ppl.evaluation.fit_people import fit_people as fit_people
 from phase_ppl.evaluation.judgments import Study as Study
 from phase_ppl.evaluation.judgments import load_judgments as load_judgments
 from phase_ppl.evaluation.judgments import with_judgments as with_judgments
@@ -42,6 +44,8 @@ from phase_ppl.evaluation.likeness import load_likeness as load_likeness
 from phase_ppl.evaluation.metrics import evaluate_predictions as evaluate_predictions
 from phase_ppl.evaluation.metrics import paired_difference as paired_difference
 from phase_ppl.evaluation.metrics import reference_models as reference_models
+from phase_ppl.evaluation.observers.fit import FittedObserver as FittedObserver
+from phase_ppl.evaluation.observers.fit import PeopleFit as PeopleFit
 from phase_ppl.evaluation.paper import Reproduction as Reproduction
 from phase_ppl.evaluation.people import human_accuracy as human_accuracy
 from phase_ppl.evaluation.prediction import Prediction as Prediction
@@ -76,6 +80,9 @@ from phase_ppl.models import priors as priors
 from phase_ppl.models import sites as sites
 from phase_ppl.models.likelihood import RadialLikelihood as RadialLikelihood
 from phase_ppl.models.model import Model as Model
+from phase_ppl.models.observer import observers as observers
+from phase_ppl.models.observer.observers import Observer as Observer
+from phase_ppl.models.observer.perception import Perception as Perception
 from phase_ppl.models.stepwise import StepwiseLikelihood as StepwiseLikelihood
 from phase_ppl.render.explain import explain as explain
 from phase_ppl.simulator.joint import JointSimulator as JointSimulator

@@ -19,6 +19,7 @@ from PIL import Image
 import phase_ppl
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.cli import main
+from phase_ppl.cli.commands import COMMANDS
 from phase_ppl.world.files import locked
 from phase_ppl.world.goals import GOALS
 from tests.analysis.factory import Simulation, hypothesis, make_tree
@@ -471,3 +472,24 @@ def test_a_prior_is_taken_out_of_a_file(tmp_path: Path, capsys: pytest.CaptureFi
     assert "aloof" in capsys.readouterr().err
     assert main(["query", kept, question, "--prior", f"{tmp_path}/none.py:aloof"]) == 2
     assert main(["query", kept, question, "--prior", "sparse_social"]) == 0
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_that_is_listed_is_there(
+    command: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main([command, "--help"])
+    assert ended.value.code == 0
+    assert f"phase-ppl {command}" in capsys.readouterr().out
+
+
+def test_help_lists_all_commands_and_imports_none_of_them() -> None:
+    code = (
+        "import sys\nfrom phase_ppl.cli import main\ntry: main(['--help'])\nexcept SystemExit: pass\n"
+        "print({'jax', 'numba', 'xarray', 'pandas', 'matplotlib'} & set(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    *listed, imported = done.stdout.splitlines()
+    assert imported == "set()"
+    assert all(any(line.split()[:1] == [name] for line in listed) for name in COMMANDS)

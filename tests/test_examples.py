@@ -13,6 +13,7 @@ PROMISED: dict[str, tuple[list[str], list[str]]] = {
     "alternative_prior": (["sparse_social", "mostly_related", "friendliness 0."], []),
     "own_simulator": (["15 particles", "verdict"], ["own_simulator.png"]),
     "own_kernel": (["local_mh", "whole_video"], []),
+    "own_observer": (["timid: r = ", "saturating: r = ", "nats more than"], []),
     "compare_kernels": (
         ["SIMPLE", "prior", "TV goals"],
         ["compare_kernels.json", "compare_kernels.png"],
@@ -52,3 +53,8 @@ def test_kernel_and_prior_are_as_short_as_they_say() -> None:
     assert kernel[kernel.index("class State") : kernel.index("@ppl.register")].count("\n") <= 42
     prior = (EXAMPLES / "alternative_prior.py").read_text(encoding="utf-8")
     assert prior[prior.index("def mostly") : prior.index("def main")].count("\n") <= 13
+
+
+def test_an_observer_is_as_short_as_it_says() -> None:
+    text = (EXAMPLES / "own_observer.py").read_text(encoding="utf-8")
+    assert text[text.index("def timid") : text.index("def judged_events")].count("\n") <= 10

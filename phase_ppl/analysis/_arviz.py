@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import json
+from collections.abc import Hashable, Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -19,6 +20,7 @@ from phase_ppl.analysis.diagnostics import (
 )
 from phase_ppl.analysis.quantities import ScenarioFunction, quantities
 from phase_ppl.analysis.tree import SIMULATED, log_weight_of_draws
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError
 
 _PAIR: Final = ("chain", "draw")
@@ -72,11 +74,30 @@ def arviz_data(tree: xr.DataTree, scenario: ScenarioFunction | None = None) -> A
         groups["posterior_predictive"] = replicated
     for name in ("sample_stats", "observed_data", "constant_data"):
         groups[name] = tree[name].to_dataset()
+    return arviz_groups(groups, tree.attrs)
+
+
+def arviz_groups(
+    groups: Mapping[str, xr.Dataset], attrs: Mapping[Hashable, Any] | None = None
+) -> Any:
+    """Return groups of draws in ArviZ's form."""
     if int(importlib.metadata.version("arviz").split(".")[0]) >= 1:
-        data = xr.DataTree.from_dict(groups)
-        data.attrs = dict(tree.attrs)
+        data = xr.DataTree.from_dict(dict(groups))
+        data.attrs = dict(attrs or {})
         return data
-    return arviz_module().InferenceData(attrs=dict(tree.attrs), **groups)
+    return arviz_module().InferenceData(attrs=dict(attrs or {}), **groups)
+
+
+def pareto_smoothed(log_ratios: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return weights (row, draw) that sum to 1, and Pareto's k (row,), of log importance ratios."""
+    if int(importlib.metadata.version("arviz").split(".")[0]) >= 1:
+        from arviz_stats.base import array_stats
+
+        logs, k = array_stats.psislw(log_ratios, axis=-1)
+    else:
+        logs, k = arviz_module().psislw(log_ratios)
+    weights = np.exp(logs - np.logaddexp.reduce(logs, axis=-1, keepdims=True))
+    return np.asarray(weights, np.float64), np.atleast_1d(np.asarray(k, np.float64))
 
 
 def _replicated(tree: xr.DataTree) -> xr.Dataset | None:

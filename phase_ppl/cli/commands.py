@@ -34,6 +34,7 @@ COMMANDS: Final = {
         "compare_models",
         "compare evaluations of several models, and people, on the same events",
     ),
+    "fit-people": ("fit_people", "fit an observer to people's judgments"),
     "reproduce": ("reproduce", "the paper's tables and figures, cell by cell"),
     "report": (
         "results",

@@ -40,7 +40,7 @@ _SHORT_FOR: Final = ("preset", "planner", "kernel", "budget", "weights", "prior"
 """Options of models that have options of the command of their own."""
 
 _OF_WORK: Final = (
-    *("model", "resume", "split", "limit", "seed", "judgments", "option", "stored"),
+    *("model", "observer", "resume", "split", "limit", "seed", "judgments", "option", "stored"),
     *_SHORT_FOR,
 )
 """Options that say nothing where an evaluation is only shown again."""
@@ -81,6 +81,12 @@ def add_to(commands: Any) -> None:
         action="store_true",
         default=None,
         help="go on with what is in --out; events may have been added at the end",
+    )
+    parser.add_argument(
+        "--observer",
+        metavar="NAME",
+        help="through whom the model is seen: people, who come with the package, or a file of "
+        "fit-people",
     )
     parser.add_argument("--split", metavar="NAME", help="of a generated set, such as test")
     parser.add_argument("--limit", metavar="N", type=whole(1), help="the first N events only")
@@ -263,6 +269,7 @@ def _evaluation(
             seed=options.seed or 0,
             judgments=options.judgments,
             progress=shows_progress(options),
+            observer=options.observer,
             **of_model,
         )
     except phase_ppl.EvaluationInterrupted as stopped:

@@ -70,7 +70,8 @@ _TABLE: Final = (
     *("goal_accuracy", "goal_top3_accuracy", "relation_accuracy"),
     *("goal_log_score_truth", "relation_log_score_truth", "human.goal_r", "human.goal_log_score"),
     *("human.goal_js", "human.relation_r", "human.relation_r_given_truth", "human.log_score"),
-    *("human.js", *_COSTS),
+    *("human.js", "doubt.relation_r", "doubt.relation_r_given_truth", "doubt.log_score_gap"),
+    *("doubt.brier", *_COSTS),
 )
 
 
@@ -432,6 +433,24 @@ def _tables(c: ModelComparison) -> Iterator[tuple[str, dict[str, str], list[_Row
             },
             [*models, among],
         )
+    yield (
+        "doubt about relations (intervals over events and raters; people: r of one with the rest)",
+        {
+            "r": "doubt.relation_r",
+            "r given truth": "doubt.relation_r_given_truth",
+            "log score gap": "doubt.log_score_gap",
+            "Brier": "doubt.brier",
+            "ECE": "doubt.ece",
+        },
+        [*models, (PEOPLE, _one_out(models))],
+    )
+
+
+def _one_out(models: Sequence[_Row]) -> dict[str, Any]:
+    """Return how well raters predict one of them, in the places of models with people."""
+    known = [m["doubt"]["ceiling"] for _, m in models if m["doubt"] and m["doubt"]["ceiling"]]
+    names = ("r", "r_given_truth") if known else ()
+    return {"doubt": {f"relation_{name}": known[0][f"one_out_{name}"] for name in names}}
 
 
 def _among_people(models: Sequence[_Row]) -> dict[str, Any]:
@@ -484,6 +503,8 @@ def _cell(metrics: Mapping[str, Any], place: str) -> str:
     if place == "cpu_seconds" and found is not None:
         value = found["value"]
         return f"{value:.3f}" if value < 1 else f"{value:.1f}" if value < 100 else f"{value:.0f}"
+    if isinstance(found, float):
+        return f"{found:.2f}"
     return str(found) if isinstance(found, int) else figure_text(found)
 
 

@@ -34,6 +34,7 @@ from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 
 if TYPE_CHECKING:
+    from phase_ppl.evaluation.observers.fit import FittedObserver
     from phase_ppl.models.model import Model
 
 COMPILED_OF: Final = 8
@@ -75,6 +76,7 @@ def evaluate(
     seed: int = 0,
     judgments: str | os.PathLike[str] | Study | None = None,
     progress: bool | None = None,
+    observer: str | os.PathLike[str] | FittedObserver | None = None,
     **options: Any,
 ) -> Evaluation:
     """Ask a model of social perception about many events, and score its answers.
@@ -108,6 +110,8 @@ def evaluate(
         judgments: people's judgments, a file (:func:`phase_ppl.load_judgments`) or a study, in
             place of those in the events.
         progress: whether to show a bar on stderr; by default where that is a terminal.
+        observer: through whom the model is seen: "people", who come with the package, the file
+            of a fitted observer, or what :func:`phase_ppl.fit_people` gives; by default nobody.
         **options: of a model given by name.
 
     Raises:
@@ -125,6 +129,10 @@ def evaluate(
     if limit is not None:
         chosen = chosen[: whole_number("limit", limit)]
     asked = ready(model, options)
+    if observer is not None:
+        from phase_ppl.evaluation.observers.stored import observed  # needs JAX
+
+        asked = observed(asked, observer)
     settings = settings_of(asked, seed, chosen)
     with locked(None if out is None else writable_folder(out)):
         folder: ResultsFolder | None = None

@@ -22,6 +22,8 @@ per question.
 ``by_scenario``                true scenario -> ``goal_accuracy``, ``relation_accuracy``, ``n``
 ``confusion``                  true scenario -> scenario of the two goals answered -> events
 ``human``                      see below
+``doubt``                      whether the model doubts where people do:
+                               :mod:`phase_ppl.evaluation.doubt`
 ``ties``                       question -> events in which several answers are the most probable;
                                None where there are no probabilities
 =============================  ===================================================================
@@ -73,6 +75,7 @@ from phase_ppl.evaluation.bootstrap import (
     resampled,
     weighted_mean,
 )
+from phase_ppl.evaluation.doubt import doubt
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
 from phase_ppl.evaluation.ratings import Judgments
 from phase_ppl.evaluation.references import reference_predictions
@@ -90,7 +93,7 @@ PREFIX: Final[Mapping[str, str]] = {"goal": "goal_", "relation": ""}
 _ORDER: Final = (
     *("n_events", "n", "goal_accuracy", "goal_top3_accuracy", "relation_accuracy"),
     *("goal_log_score_truth", "relation_log_score_truth", "by_scenario", "confusion", "human"),
-    "ties",
+    *("doubt", "ties"),
 )
 _HUMAN_ORDER: Final = (
     *("relation_r", "relation_r_given_truth", "goal_r", "log_score", "log_score_people"),
@@ -168,6 +171,7 @@ def metrics_of_each(
         put(result, among_people)
         count_scenarios(result, known.scenario)
         result["confusion"] = confusion(zip(known.scenario, model.scenario, strict=True))
+        result["doubt"] = doubt(known, model, ids, seed, resamples)
         result["ties"] = count_ties([predictions[event.id] for event in chosen])
         found[name] = _ordered(result)
     return found

@@ -29,6 +29,7 @@ from phase_ppl.world.registry import Registry
 from phase_ppl.world.scene import Scene
 
 if TYPE_CHECKING:
+    from phase_ppl.analysis.hypotheses import Hypotheses
     from phase_ppl.models.model import Model
 
 Given: TypeAlias = Prediction | Mapping[str, Any]
@@ -43,10 +44,12 @@ class Answer(NamedTuple):
     Attributes:
         given: the answer.
         artefacts: name of a file -> a function that writes it to the path it is given.
+        posterior: of the model, where it has one: what an observer goes by.
     """
 
     given: Given
     artefacts: Mapping[str, Callable[[Path], object]] = {}
+    posterior: Hypotheses | None = None
 
 
 Predict: TypeAlias = Callable[[Scene, Observation, int], Given | Answer]

@@ -1,4 +1,4 @@
-"""Baselines: one looks at the last frame only, one does not look at all."""
+"""Baselines: one looks at the last frame only, two do not look at all."""
 
 from __future__ import annotations
 
@@ -60,6 +60,14 @@ def majority() -> Predict:
     prediction = Prediction(
         "", {"goal_red": goals[0], "goal_green": goals[1], "relation": relations}
     )
+    return lambda scene, observation, seed: prediction
+
+
+# a prediction takes less than a process does to start
+@register_model("chance", parallel=False)
+def chance() -> Predict:
+    """All relations alike: with an observer, what surface cues alone can tell."""
+    prediction = Prediction("", {"relation": np.full(len(RELATIONS), 1 / len(RELATIONS))})
     return lambda scene, observation, seed: prediction
 
 

@@ -61,7 +61,7 @@ class Simple:
             cost={name: post.cost[name] for name in counted},
             errors={question: found["error"].values for question, found in marginals.items()},
         )
-        return Answer(prediction, {POSTERIOR: post.save})
+        return Answer(prediction, {POSTERIOR: post.save}, post)
 
     def warm_up(self) -> None:
         """Compile what the model needs, for all processes."""

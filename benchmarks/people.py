@@ -1,0 +1,319 @@
+"""Observers against people's answers about the real videos, and whether parameters come back.
+
+python benchmarks/people.py fit --source NAME=DIR ... [--observer NAME ...] [--json FILE]
+python benchmarks/people.py store --source NAME=DIR ... --observer NAME [--json FILE]
+python benchmarks/people.py recover [--populations N] [--figure FILE] [--json FILE]
+
+`fit` needs evaluations of the real videos (phase-ppl evaluate dev.json --model NAME --out DIR), in
+whose folders the evidence lies; "cues" is none, and a model whose answers the videos carry goes by
+its name. Each video is predicted by fits without it; "chosen" picks, for each video, the observer
+that predicts the others best. `store` writes the parameters that come with the package. `recover`
+draws populations of raters from known observers.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import common
+import numpy as np
+
+import phase_ppl as ppl
+from phase_ppl.analysis._arviz import pareto_smoothed
+from phase_ppl.analysis.summary import plain
+from phase_ppl.evaluation.doubt import doubt_of
+from phase_ppl.evaluation.evaluation import Evaluation
+from phase_ppl.evaluation.metrics import evaluate_predictions
+from phase_ppl.evaluation.observers.answers import Answers, people
+from phase_ppl.evaluation.observers.fit import PeopleFit, chosen_inside
+from phase_ppl.evaluation.prediction import Prediction
+from phase_ppl.evaluation.references import reference_predictions
+from phase_ppl.models.observer.observers import OBSERVERS, Evidence, observer_named
+from phase_ppl.world.event import Event
+from phase_ppl.world.hypothesis import RELATIONS
+
+LABELLED = 0.9
+"""Probability of the answer of a model that gives labels only."""
+
+
+def sources(events: list[Event], given: list[str]) -> dict[str, tuple[Evidence, dict[str, Any]]]:
+    """Return name -> evidence and the model's own predictions."""
+    found: dict[str, tuple[Evidence, dict[str, Any]]] = {}
+    for text in given:
+        name, _, folder = text.partition("=")
+        if folder:
+            evaluation = Evaluation.load(folder)
+            found[name] = ppl.evidence_from(events, evaluation), dict(evaluation.predictions)
+        elif name == "cues":
+            even = {e.id: ppl.Prediction(e.id, {"relation": [1 / 3] * 3}) for e in events}
+            found[name] = ppl.evidence_from(events, None), even
+        else:
+            own = {k: with_shares(v) for k, v in reference_predictions(events)[name].items()}
+            found[name] = ppl.evidence_from(events, own), own
+    return found
+
+
+def with_shares(given: Prediction) -> Prediction:
+    if "relation" in given.probabilities:
+        return given
+    rest = (1 - LABELLED) / (len(RELATIONS) - 1)
+    shares = [LABELLED if one == given.answers["relation"] else rest for one in RELATIONS]
+    return ppl.Prediction(given.event_id, {"relation": shares}, given.answers)
+
+
+def scores(events: list[Event], predictions: Mapping[str, Prediction]) -> dict[str, Any]:
+    doubt = doubt_of(events, predictions) or {}
+    metrics = evaluate_predictions(events, predictions)
+    return {
+        "r": doubt["relation_r"],
+        "r_given_truth": doubt["relation_r_given_truth"],
+        "log_score": metrics["human"]["log_score"],
+        "relation_accuracy": metrics["relation_accuracy"],
+        **{name: doubt[name] for name in ("brier", "ece", "calibration", "agreement", "misfit")},
+    }
+
+
+def fit(options: argparse.Namespace) -> dict[str, Any]:
+    events = [e for e in common.dev_events() if e.judgments]
+    report: dict[str, Any] = {}
+    if options.json and Path(options.json).is_file():
+        report = json.loads(Path(options.json).read_text())
+    for name, (evidence, own) in sources(events, options.source).items():
+        done = report.setdefault(name, {"as it is": plain(scores(events, own))})
+        show(name, "as it is", done["as it is"])
+        fits: dict[str, PeopleFit] = {}
+        for observer in options.observer:
+            one = ppl.fit_people(
+                events, None, observer, source=evidence, draws=options.draws, warmup=options.draws,
+                chains=options.chains,
+            )  # fmt: skip
+            fits[observer] = one
+            done[observer] = plain(
+                {
+                    **scores(events, one.left_out),
+                    "elpd": one.elpd.sum(),
+                    "elpd_by_event": one.elpd,
+                    "refitted": int((one.pareto_k > 0.7).sum()),
+                    "parameters": {
+                        k: {"mean": v.mean(), "sd": v.std()} for k, v in one.draws.items()
+                    },
+                }
+            )
+            show(name, observer, done[observer])
+            keep(options, report)
+        if len(fits) > 1:
+            predictions, chosen = chosen_inside(list(fits.values()))
+            names = list(fits)
+            done["chosen"] = plain(scores(events, predictions))
+            done["chosen"]["observers"] = {e: names[place] for e, place in chosen.items()}
+            show(name, "chosen", done["chosen"])
+        keep(options, report)
+    return report
+
+
+def show(name: str, observer: str, found: Mapping[str, Any]) -> None:
+    cells = [
+        f"{part} {one['value']:6.3f} [{one['ci_low']:.2f}, {one['ci_high']:.2f}]"
+        for part in ("r", "r_given_truth", "log_score", "relation_accuracy")
+        if (one := found[part])
+    ]
+    elpd = f"  elpd {found['elpd']:.1f}" if "elpd" in found else ""
+    print(f"{name:16s}{observer:12s}" + "  ".join(cells) + elpd, flush=True)
+
+
+def keep(options: argparse.Namespace, report: Mapping[str, Any]) -> None:
+    if options.json:
+        Path(options.json).write_text(json.dumps(report))
+
+
+def store(options: argparse.Namespace) -> dict[str, Any]:
+    """Fit to all videos, and return what ``people.json`` holds."""
+    events = [e for e in common.dev_events() if e.judgments]
+    report = {}
+    for name, (evidence, _) in sources(events, options.source).items():
+        fitted = ppl.fit_people(
+            events, None, options.observer[0], source=evidence, draws=options.draws,
+            warmup=options.draws, chains=options.chains,
+        )  # fmt: skip
+        report["chance" if name == "cues" else name] = fitted.to_dict()
+        print(name, {k: f"{v.mean():.2f} ± {v.std():.2f}" for k, v in fitted.draws.items()})
+    keep(options, report)
+    return report
+
+
+# --- do parameters and observers come back? -------------------------------------------------------
+
+
+RIVALS = ("saturating", "company", "attentive")
+NOBODY: Any = np.zeros((0, 4), np.int64), (), np.zeros((0, 2), np.int64), np.zeros(0)
+"""Of answers without names."""
+
+
+def videos_like(rng: np.random.Generator, n: int) -> Evidence:
+    """Return evidence and cues of ``n`` videos, spread about as those of the real ones are."""
+    true = rng.integers(len(RELATIONS), size=n)
+    logs = rng.normal(0.0, 1.5, (n, len(RELATIONS)))
+    logs[np.arange(n), true] += rng.gamma(2.0, 2.0, n)
+    logs -= logs.max(axis=1, keepdims=True)
+    return Evidence(
+        tuple(f"video{i}" for i in range(n)),
+        np.tile(logs, (3, 1, 1, 1)),
+        np.full((n, len(RELATIONS)), -np.log(len(RELATIONS))),
+        {"relation": np.arange(len(RELATIONS))},
+        {
+            "distance": rng.normal(0.2, 0.5, n),
+            "contact": np.clip(rng.gamma(0.7, 0.35, n), 0, 1),
+            "working": rng.uniform(0, 0.6, n),
+            "impact": rng.gamma(1.5, 0.4, n),
+        },
+    )
+
+
+def population(
+    name: str, rng: np.random.Generator, videos: int, raters: int
+) -> tuple[Evidence, Answers, dict[str, float]]:
+    """Return evidence, answers of raters who follow an observer, and its parameters."""
+    import jax
+    from numpyro import handlers
+
+    evidence = videos_like(rng, videos)
+    with handlers.seed(rng_seed=int(rng.integers(2**31))), handlers.trace() as trace:
+        said = observer_named(name)(evidence)
+    true = {k: float(site["value"]) for k, site in trace.items()}
+    true["spread"] = float(abs(rng.normal(0.0, 0.7)))
+    logs = np.asarray(said["relation"]) + true["spread"] * rng.standard_normal((videos, 3))
+    p = np.asarray(jax.nn.softmax(logs, axis=-1), np.float64)
+    counts = rng.multinomial(raters, p / p.sum(axis=1, keepdims=True))
+    return evidence, Answers({"relation": counts}, *NOBODY), true
+
+
+@functools.cache
+def sampler(name: str, draws: int) -> Any:
+    """Return a sampler for one observer, compiled once for all populations."""
+    from numpyro.infer import MCMC, NUTS
+
+    def program(logs: Any, cues: Any, counts: Any) -> None:
+        n = len(counts)
+        prior, codes = np.full(counts.shape, -np.log(len(RELATIONS))), np.arange(len(RELATIONS))
+        evidence = Evidence(("",) * n, logs, prior, {"relation": codes}, cues)
+        people(observer_named(name), evidence, Answers({"relation": counts}, *NOBODY), np.ones(n))
+
+    return MCMC(
+        NUTS(program, target_accept_prob=0.9), num_warmup=draws, num_samples=draws,
+        progress_bar=False, jit_model_args=True,
+    )  # fmt: skip
+
+
+def drawn(
+    name: str, evidence: Evidence, answers: Answers, options: argparse.Namespace, seed: int
+) -> dict[str, Any]:
+    import jax
+
+    mcmc = sampler(name, options.draws)
+    data = evidence.log_likelihood, dict(evidence.cues), answers.counts["relation"]
+    mcmc.run(jax.random.key(seed), *data)
+    return {k: np.asarray(v, np.float64) for k, v in mcmc.get_samples().items()}
+
+
+def left_out_score(log_likelihood: Any) -> float:
+    weights, _ = pareto_smoothed(-log_likelihood.T)
+    return float(np.logaddexp.reduce(np.log(weights) + log_likelihood.T, axis=1).sum())
+
+
+def recover(options: argparse.Namespace) -> dict[str, Any]:
+    rows: list[dict[str, Any]] = []
+    for i in range(options.populations):
+        rng = np.random.default_rng([options.seed, i])
+        name = RIVALS[i % len(RIVALS)]
+        evidence, answers, true = population(name, rng, options.videos, options.raters)
+        fits = {rival: drawn(rival, evidence, answers, options, i) for rival in RIVALS}
+        elpd = {rival: left_out_score(one["log_likelihood"]) for rival, one in fits.items()}
+        best = max(elpd, key=lambda rival: elpd[rival])
+        parameters = {}
+        for site in true:
+            draws = fits[name][site]
+            low, high = np.quantile(draws, [0.05, 0.95])
+            rank = float((draws < true[site]).mean())
+            parameters[site] = {
+                "true": true[site], "mean": float(draws.mean()), "low": float(low),
+                "high": float(high), "rank": rank,
+            }  # fmt: skip
+        rows.append({"observer": name, "best": best, "elpd": elpd, "parameters": parameters})
+        inside = [p["low"] <= p["true"] <= p["high"] for p in parameters.values()]
+        print(
+            f"{i:3d} {name:12s} best {best:12s} inside 90 %: {sum(inside)} of {len(inside)}",
+            flush=True,
+        )
+        keep(options, {"populations": rows})
+    report = {"populations": rows, **summary(rows)}
+    print({k: v for k, v in report.items() if k != "populations"})
+    if options.figure:
+        draw(rows, options.figure)
+    keep(options, report)
+    return report
+
+
+def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    inside = [
+        p["low"] <= p["true"] <= p["high"] for row in rows for p in row["parameters"].values()
+    ]
+    return {
+        "right_observer": sum(row["observer"] == row["best"] for row in rows),
+        "of": len(rows),
+        "coverage_of_90": float(np.mean(inside)),
+        "intervals": len(inside),
+    }
+
+
+def draw(rows: list[dict[str, Any]], path: str) -> None:
+    """Draw true against inferred parameters, one panel each."""
+    from phase_ppl.analysis.figures.style import COLOURS, NORMAL, bare, new_figure, written
+
+    names = sorted({site for row in rows for site in row["parameters"] if "raw" not in site})
+    n_rows = -(-len(names) // 5)
+    figure = new_figure(9.0, 1.9 * n_rows, "constrained")
+    for axes, name in zip(figure.subplots(n_rows, 5, squeeze=False).flat, names, strict=False):
+        of = [row["parameters"][name] for row in rows if name in row["parameters"]]
+        for p in of:
+            inside = p["low"] <= p["true"] <= p["high"]
+            colour = COLOURS[0] if inside else COLOURS[1]
+            axes.plot([p["true"]] * 2, [p["low"], p["high"]], color=colour, lw=1)
+            axes.plot(p["true"], p["mean"], "o", ms=3, color=colour)
+        ends = [min(p["true"] for p in of), max(p["true"] for p in of)]
+        axes.plot(ends, ends, color="#999999", lw=0.7)
+        bare(axes)
+        axes.set_title(name, fontsize=NORMAL, loc="left")
+    for axes in figure.axes[len(names) :]:
+        axes.set_visible(False)
+    figure.supxlabel("true", fontsize=NORMAL)
+    figure.supylabel("inferred, with 90 % interval", fontsize=NORMAL)
+    written(figure, path)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("what", choices=("fit", "store", "recover"))
+    parser.add_argument("--source", action="append", default=[], metavar="NAME[=DIR]")
+    parser.add_argument("--observer", action="append", choices=sorted(OBSERVERS))
+    parser.add_argument("--populations", type=int, default=20)
+    parser.add_argument("--videos", type=int, default=50)
+    parser.add_argument("--raters", type=int, default=14)
+    parser.add_argument("--draws", type=int, default=500)
+    parser.add_argument("--chains", type=int, default=2)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--figure", metavar="FILE")
+    parser.add_argument("--json", metavar="FILE")
+    options = parser.parse_args()
+    options.observer = options.observer or list(RIVALS)
+    {"fit": fit, "store": store, "recover": recover}[options.what](options)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,74 @@
+"""The command ``fit-people``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import phase_ppl
+from phase_ppl.cli.shared import add_progress, check_suffix, command, shows_progress, whole
+
+
+def add_to(commands: Any) -> None:
+    """Add the command."""
+    parser = command(
+        commands,
+        "fit-people",
+        _fit,
+        "Fit an observer to people's judgments: what stands between a model's evidence and the "
+        "answers of people, and where they hesitate.",
+        "phase-ppl fit-people videos.json --source out --observer company --out people.json",
+    )
+    parser.add_argument("events", metavar="EVENTS", help="an event file or a folder of event files")
+    parser.add_argument(
+        "--judgments", metavar="FILE", type=Path, help="a .csv file; default: those in the events"
+    )
+    parser.add_argument(
+        "--observer", metavar="NAME", action="append", help="default company; of several, the best"
+    )
+    parser.add_argument(
+        "--source",
+        metavar="MODEL|DIR",
+        default="stepwise",
+        help="the model whose evidence observers go by, or the folder of its evaluation, which is "
+        "not computed again; cues: surface cues alone",
+    )
+    parser.add_argument("--out", metavar="FILE", type=Path, required=True, help="a .json file")
+    parser.add_argument("--workers", metavar="N", type=whole(1))
+    parser.add_argument("--seed", metavar="N", type=whole(0), default=0)
+    add_progress(parser)
+
+
+def _fit(options: argparse.Namespace) -> int:
+    from phase_ppl.evaluation.doubt import doubt_of
+    from phase_ppl.evaluation.judgments import all_events, judged
+
+    check_suffix(options.out, (".json",))
+    events = judged(all_events(options.events), options.judgments)
+    source = None
+    if options.source != "cues":
+        source = phase_ppl.evidence_from(
+            events,
+            options.source,
+            **({} if Path(options.source).is_dir() else {"workers": options.workers}),
+            progress=shows_progress(options),
+            seed=options.seed,
+        )
+    fits = []
+    for name in options.observer or ["company"]:
+        fit = phase_ppl.fit_people(
+            events, options.judgments, name, source=source, seed=options.seed
+        )
+        fits.append(fit)
+        found = doubt_of(events, fit.left_out)
+        print(f"{name}: ELPD {fit.elpd.sum():.1f} nats, each video left out in turn")
+        for label in ("relation_r", "relation_r_given_truth", "log_score_gap") if found else ():
+            if found is not None and found[label] is not None:
+                print(f"  {label.replace('_', ' ')} {found[label]['value']:.2f}")
+    best = max(fits, key=lambda fit: float(fit.elpd.sum()))
+    best.save(options.out)
+    print(
+        f"\nKept in {options.out}: {best.name}; phase-ppl evaluate --observer {options.out} asks it"
+    )
+    return 0

@@ -1,0 +1,262 @@
+"""Whether a model doubts where people do: what a referee asks of a fit to people's answers.
+
+About relations, of the events that people judged and for which the model has probabilities. A
+*figure* is as in :mod:`phase_ppl.evaluation.metrics`. ``doubt`` of metrics.json is None where there
+is no such event, else:
+
+==========================  ======================================================================
+``relation_r``,             r of model and people, as under ``human``, with intervals over events
+``relation_r_given_truth``  AND raters (two-way bootstrap, Owen 2007, Annals of Applied Statistics
+                            1): where it is known who answered what, people are resampled,
+                            elsewhere the ratings of each event. Resampling raters adds their
+                            noise a second time, by which the intervals are moved back
+``log_score_gap``           people's own log score minus the model's [nats], 0 at best
+``brier``                   mean over people of the squared distance of the model's probabilities
+                            from their answer, 0 to 2
+``ece``                     expected calibration error: mean distance of the model's probabilities
+                            from the share of people, over ten bins of probability
+``calibration``             of each bin that has any: ``probability``, ``share``, ``n``
+``ceiling``                 ``split_half_r`` of random halves of the raters,
+                            ``split_half_r_given_truth``; both by Spearman and Brown's formula for
+                            all raters (``spearman_brown``, ``..._given_truth``); and the answer
+                            of one rater by the shares of the others: ``one_out_r``,
+                            ``one_out_r_given_truth``, ``one_out_log_score``
+``agreement``               probability that two raters of an event agree: ``people``, what is
+                            ``expected`` of independent raters with the model's probabilities,
+                            ``low`` and ``high`` of 95 % of such sets, and ``p``, two-sided
+``misfit``                  events by their ``log_score_gap``, largest first, with ``people`` and
+                            ``model``
+==========================  ======================================================================
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from phase_ppl.evaluation.agreement import log_score, negative_entropy
+from phase_ppl.evaluation.bootstrap import Figure, figure, resampled, weighted_mean
+from phase_ppl.evaluation.prediction import Prediction
+from phase_ppl.evaluation.tables import Facts, Said, facts, predicted, said
+from phase_ppl.world.arrays import FloatArray, IntArray
+from phase_ppl.world.event import Event
+from phase_ppl.world.hypothesis import RELATIONS
+
+BINS: Final = 10
+_STREAM: Final = 0xD0B7
+
+
+def doubt_of(
+    events: Sequence[Event],
+    predictions: Mapping[str, Prediction],
+    *,
+    seed: int = 0,
+    resamples: int = 1000,
+) -> dict[str, Any] | None:
+    """Return what the module describes.
+
+    Args:
+        events: with judgments and truth, where they have them.
+        predictions: event id -> prediction; events without one do not count.
+        seed, resamples: of events and raters.
+
+    Raises:
+        As :func:`~phase_ppl.evaluation.metrics.evaluate_predictions`.
+    """
+    chosen = predicted(events, predictions)
+    found = [event.id for event in chosen]
+    return doubt(facts(chosen), said(chosen, predictions), found, seed, resamples)
+
+
+def doubt(
+    known: Facts, model: Said, ids: Sequence[str], seed: int, resamples: int
+) -> dict[str, Any] | None:
+    """Return what the module describes, of events as arrays."""
+    p, people = model.probabilities["relation"][:, 0], known.people["relation"][:, 0]
+    there = ~np.isnan(p[:, 0]) & ~np.isnan(people[:, 0])
+    if not there.any():
+        return None
+    p, people, truth = p[there], people[there], known.truth["relation"][there, 0]
+    judged = [one for one, is_there in zip(known.judgments, there, strict=True) if is_there and one]
+    counts = np.array([one.counts["relation"] for one in judged])
+    names = [name for name, is_there in zip(ids, there, strict=True) if is_there]
+    rng = np.random.default_rng([seed, _STREAM])
+    drawn = people_drawn(judged, counts, known.by_participant, rng, resamples)
+    weights = resampled(len(p), seed, resamples)
+    gap = negative_entropy(people) - log_score(p, people)
+    brier = (p**2).sum(axis=1) - 2 * (p * people).sum(axis=1) + 1
+    bins = calibration(p, people)
+    return {
+        "relation_r": _two_way(weights, p, people, drawn, None),
+        "relation_r_given_truth": _two_way(weights, p, people, drawn, truth),
+        "log_score_gap": figure(weighted_mean(weights, gap), len(p)),
+        "brier": figure(weighted_mean(weights, brier), len(p)),
+        "ece": float(sum(b["n"] * abs(b["probability"] - b["share"]) for b in bins) / p.size),
+        "calibration": bins,
+        "ceiling": ceiling(counts, truth, rng, resamples),
+        "agreement": agreement(p, counts, rng, resamples),
+        "misfit": [
+            {
+                "event": names[i],
+                "log_score_gap": float(gap[i]),
+                "people": people[i].tolist(),
+                "model": p[i].tolist(),
+            }
+            for i in np.argsort(-gap, kind="stable")
+        ],
+    }
+
+
+def pearson(
+    weights: FloatArray, x: FloatArray, y: FloatArray, truth: IntArray | None = None
+) -> FloatArray:
+    """Return (row,) Pearson's r over events and answers, NaN where one is constant.
+
+    Args:
+        weights: (row, event).
+        x, y: (row or 1, event, answer).
+        truth: (event,) true answers; then r is of what is left when the mean over the events of
+            the same truth is taken off each answer, and events of unknown truth (-1) do not count.
+    """
+    groups = np.zeros(weights.shape[1], np.int64) if truth is None else truth
+    weights = np.where(groups < 0, 0.0, weights)[..., None]
+    total = np.zeros((3, len(weights)))
+    for group in np.unique(groups[groups >= 0]):
+        w = weights[:, groups == group]
+        left, right = (values[:, groups == group] for values in (x, y))
+        axes = (1,) if truth is not None else (1, 2)
+        n = (w * np.ones_like(left)).sum(axis=axes, keepdims=True)
+        n = np.where(n > 0, n, 1.0)
+        left = left - (w * left).sum(axis=axes, keepdims=True) / n
+        right = right - (w * right).sum(axis=axes, keepdims=True) / n
+        products = (left * right, left * left, right * right)
+        total += np.stack([(w * one).sum(axis=(1, 2)) for one in products])
+    both, of_left, of_right = total
+    varied = np.minimum(of_left, of_right) > 1e-12
+    return np.where(varied, both / np.sqrt(np.where(varied, of_left * of_right, 1)), np.nan)
+
+
+def people_drawn(
+    judged: Sequence[Any],
+    counts: IntArray,
+    by_participant: bool,
+    rng: np.random.Generator,
+    n: int,
+) -> FloatArray:
+    """Return (resample, event, answer) shares of resampled raters.
+
+    People with names are resampled as wholes, so that whoever is generous is so everywhere; an
+    event that loses all of its raters keeps its shares.
+    """
+    if by_participant:
+        rows = [
+            (event, who, RELATIONS.index(given["relation"]))
+            for event, one in enumerate(judged)
+            for who, given in one.responses.items()
+            if "relation" in given
+        ]
+        place = {who: i for i, who in enumerate(dict.fromkeys(who for _, who, _ in rows))}
+        times = rng.multinomial(len(place), np.full(len(place), 1 / len(place)), size=n)
+        found = np.zeros((n, *counts.shape))
+        for event, who, answer in rows:
+            found[:, event, answer] += times[:, place[who]]
+    else:
+        total = counts.sum(axis=1)
+        found = rng.multinomial(total, counts / total[:, None], size=(n, len(counts))).astype(float)
+    found = np.where(found.sum(axis=-1, keepdims=True) > 0, found, counts)
+    return np.asarray(found / found.sum(axis=-1, keepdims=True))
+
+
+def _two_way(
+    weights: FloatArray,
+    p: FloatArray,
+    people: FloatArray,
+    drawn: FloatArray,
+    truth: IntArray | None,
+) -> Figure | None:
+    value = pearson(weights[:1], p[None], people[None], truth)
+    among_raters = pearson(np.ones_like(weights[1:]), p[None], drawn, truth)
+    both = pearson(weights[1:], p[None], drawn, truth)
+    moved = both + value - _mean(among_raters)
+    return figure(np.concatenate([value, np.clip(moved, -1, 1)]), len(p))
+
+
+def calibration(p: FloatArray, people: FloatArray) -> list[dict[str, Any]]:
+    """Return the mean probability and the share of people in bins of probability."""
+    place = np.minimum((p * BINS).astype(np.int64), BINS - 1)
+    return [
+        {
+            "probability": float(p[place == i].mean()),
+            "share": float(people[place == i].mean()),
+            "n": int((place == i).sum()),
+        }
+        for i in np.unique(place)
+    ]
+
+
+def ceiling(
+    counts: IntArray, truth: IntArray, rng: np.random.Generator, splits: int
+) -> dict[str, float | None]:
+    """Return how well raters predict each other (``ceiling`` of the module)."""
+    several = counts[counts.sum(axis=1) > 1]
+    of_several = truth[counts.sum(axis=1) > 1]
+    if not len(several):
+        return {}
+    half = np.stack(
+        [
+            rng.multivariate_hypergeometric(row, row.sum() // 2, size=splits, method="marginals")
+            for row in several
+        ],
+        axis=1,
+    )
+    one, other = (part / part.sum(axis=-1, keepdims=True) for part in (half, several - half))
+    left_out = np.repeat(np.arange(len(several)), len(RELATIONS))
+    answer = np.tile(np.eye(len(RELATIONS)), (len(several), 1))
+    rest = np.maximum(several[left_out] - answer, 0)
+    rest = rest / np.maximum(rest.sum(axis=1, keepdims=True), 1)
+    times = several.ravel().astype(float)
+    by_row = of_several[left_out]
+    found: dict[str, float] = {}
+    for suffix, groups in (("", None), ("_given_truth", of_several)):
+        halves = _mean(pearson(np.ones(half.shape[:2]), one, other, groups))
+        rows = None if groups is None else by_row
+        found[f"split_half_r{suffix}"] = halves
+        found[f"spearman_brown{suffix}"] = 2 * halves / (1 + halves) if halves > -1 else np.nan
+        found[f"one_out_r{suffix}"] = float(pearson(times[None], rest[None], answer[None], rows)[0])
+    scores = np.average(log_score(rest, answer), weights=times)
+    found["one_out_log_score"] = float(scores)
+    return {name: None if np.isnan(value) else value for name, value in found.items()}
+
+
+def _mean(values: FloatArray) -> float:
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if known.size else np.nan
+
+
+def agreement(
+    p: FloatArray, counts: IntArray, rng: np.random.Generator, n: int
+) -> dict[str, float] | None:
+    """Return whether raters agree as often as the model would have them (``agreement``)."""
+    several = counts.sum(axis=1) > 1
+    if not several.any():
+        return None
+
+    def agreeing(given: IntArray) -> FloatArray:
+        total = given.sum(axis=-1)
+        pairs = (given * (given - 1)).sum(axis=-1) / (total * (total - 1))
+        return np.asarray(pairs.mean(axis=-1))
+
+    people = float(agreeing(counts[several]))
+    size = (n, int(several.sum()))
+    drawn = agreeing(rng.multinomial(counts[several].sum(axis=1), p[several], size=size))
+    low, high = np.quantile(drawn, [0.025, 0.975])
+    tail = min((drawn <= people).sum(), (drawn >= people).sum()) + 1
+    return {
+        "people": people,
+        "expected": float((p[several] ** 2).sum(axis=1).mean()),
+        "low": float(low),
+        "high": float(high),
+        "p": min(1.0, float(2 * tail / (n + 1))),
+    }

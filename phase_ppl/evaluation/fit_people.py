@@ -1,0 +1,132 @@
+"""One call that fits an observer to people's judgments."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from phase_ppl.analysis.posterior import load_posterior
+from phase_ppl.evaluation.evaluate import evaluate
+from phase_ppl.evaluation.evaluation import Evaluation
+from phase_ppl.evaluation.folder import POSTERIOR
+from phase_ppl.evaluation.judgments import Study, all_events, judged, load_judgments
+from phase_ppl.evaluation.observers.answers import Answers
+from phase_ppl.evaluation.observers.evidence import Made, evidence_of
+from phase_ppl.evaluation.observers.fit import PeopleFit, as_observer, sampled
+from phase_ppl.models.observer.observers import Evidence, Program
+from phase_ppl.models.observer.perception import Perception
+from phase_ppl.world.checks import whole_number
+from phase_ppl.world.errors import InvalidEventError
+from phase_ppl.world.event import Event
+
+if TYPE_CHECKING:
+    from phase_ppl.models.model import Model
+
+Source: TypeAlias = (
+    "str | os.PathLike[str] | Model | Evaluation | Evidence | Mapping[str, Any] | None"
+)
+
+
+def fit_people(
+    events: str | os.PathLike[str] | Sequence[Event],
+    judgments: str | os.PathLike[str] | Study | None = None,
+    observer: str | Program = "company",
+    *,
+    source: Source = "stepwise",
+    perception: Perception | None = None,
+    draws: int = 500,
+    warmup: int = 500,
+    chains: int = 2,
+    seed: int = 0,
+    workers: int | None = None,
+    progress: bool | None = None,
+    **options: Any,
+) -> PeopleFit:
+    """Fit an observer to people's answers by NUTS.
+
+    Where it is known who gave which answer, raters are modelled as such; response times of a study
+    are part of the likelihood (:func:`~phase_ppl.evaluation.observers.answers.people`).
+
+    Args:
+        events: a file or folder of events, or events.
+        judgments: a file of :func:`phase_ppl.load_judgments` or a study; by default those that the
+            events carry.
+        observer: name of a ready-made one (:data:`~phase_ppl.models.observer.observers.OBSERVERS`),
+            or a program of evidence (:mod:`phase_ppl.models.observer.observers`).
+        source: of the evidence: a model by name or a :class:`phase_ppl.Model`, which is asked
+            about every event; an evaluation or its folder, whose posteriors are read, so that
+            nothing is computed twice; event id -> posterior or prediction; evidence; or None,
+            surface cues alone.
+        perception: noisy readings of the videos, of each of which a model is asked.
+        draws, warmup, chains: of NUTS, per chain.
+        seed: of NUTS, of the readings and of the model.
+        workers, progress, **options: for :func:`phase_ppl.evaluate`, where a model is asked.
+
+    Raises:
+        InvalidEventError: nobody judged any event; or something cannot be read.
+        InvalidSettingError, UnknownNameError: a setting that cannot be used.
+    """
+    for name, number in (("draws", draws), ("warmup", warmup), ("chains", chains)):
+        whole_number(name, number)
+    program, name = as_observer(observer)
+    everything = all_events(events)
+    study = judgments
+    if study is not None and not isinstance(study, Study):
+        study = load_judgments(study, everything)
+    chosen = judged(everything, study)
+    answers = Answers.of(chosen, study)
+    asking = {"workers": workers, "progress": progress, "seed": seed, **options}
+    evidence = evidence_from(chosen, source, perception, **asking)
+    found = sampled(
+        program, name, evidence, answers, draws=draws, warmup=warmup, chains=chains, seed=seed
+    )
+    return dataclasses.replace(found, perception=perception)
+
+
+def evidence_from(
+    events: Sequence[Event],
+    source: Source = "stepwise",
+    perception: Perception | None = None,
+    **options: Any,
+) -> Evidence:
+    """Return what observers have to go by; arguments and errors as of :func:`fit_people`."""
+    if isinstance(source, Evidence):
+        return source
+    if source is None or isinstance(source, Mapping):
+        return evidence_of(events, source)
+    if isinstance(source, os.PathLike) or (isinstance(source, str) and Path(source).is_dir()):
+        source = Evaluation.load(source)
+    if isinstance(source, Evaluation):
+        return evidence_of(events, _made(source))
+    with tempfile.TemporaryDirectory() as folder:
+        if perception is None:
+            asked = evaluate(events, source, out=folder, **options)
+            return evidence_of(events, _made(asked))
+        seed = options.get("seed", 0)
+        readings = [perception.readings(e.scene, e.observation, seed) for e in events]
+        made: dict[str, list[Made]] = {event.id: [] for event in events}
+        for i in range(perception.percepts):
+            seen = [
+                dataclasses.replace(event, observation=of[i])
+                for event, of in zip(events, readings, strict=True)
+            ]
+            asked = evaluate(seen, source, out=Path(folder) / str(i), **options)
+            for event, one in _made(asked).items():
+                made[event].append(one)
+        return evidence_of(events, made)
+
+
+def _made(evaluation: Evaluation) -> dict[str, Made]:
+    """Return event id -> posterior, or prediction of a model that keeps none."""
+    if evaluation.failures:
+        event, why = next(iter(evaluation.failures.items()))
+        raise InvalidEventError(f"the model failed at the event {event}: {why}")
+    found: dict[str, Made] = {}
+    for event, prediction in evaluation.predictions.items():
+        file = None if evaluation.folder is None else evaluation.folder.folder_of(event) / POSTERIOR
+        found[event] = load_posterior(file) if file is not None and file.is_file() else prediction
+    return found

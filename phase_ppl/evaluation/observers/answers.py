@@ -1,0 +1,180 @@
+"""People's answers as arrays, and how probable they are under an observer."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import numpyro
+import numpyro.distributions as dist
+from jax import Array
+from scipy import special, stats
+
+from phase_ppl.evaluation.judgments import Study
+from phase_ppl.evaluation.prediction import QUESTIONS
+from phase_ppl.evaluation.ratings import event_judgments
+from phase_ppl.models.observer.observers import Evidence, Program, Responses
+from phase_ppl.world.arrays import FloatArray, IntArray
+from phase_ppl.world.errors import InvalidEventError
+from phase_ppl.world.event import Event
+
+_NODES: Final = 64
+"""Points at which what people share about a video is summed out."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Answers:
+    """People's answers about some videos.
+
+    Attributes:
+        counts: question -> (event, answer) numbers of people.
+        rows: (answer, [question, event, rater, answer]) single answers, of people with names;
+            none where only counts are known.
+        raters: names of the people.
+        times: (time, [event, rater]) of the answers about a video that took ``seconds``.
+        seconds: (time,).
+    """
+
+    counts: Mapping[str, IntArray]
+    rows: IntArray
+    raters: tuple[str, ...]
+    times: IntArray
+    seconds: FloatArray
+
+    @classmethod
+    def of(cls, events: Sequence[Event], study: Study | None = None) -> Answers:
+        """Collect the judgments that events carry, and the response times of a study.
+
+        Raises:
+            InvalidEventError: nobody judged any of the events, or judgments cannot be read.
+        """
+        judged = [event_judgments(event) for event in events]
+        counts = {
+            question: np.array(
+                [
+                    np.zeros(len(labels), np.int64)
+                    if one is None
+                    else one.counts.get(question, np.zeros(len(labels), np.int64))
+                    for one in judged
+                ]
+            )
+            for question, labels in QUESTIONS.items()
+        }
+        counts = {question: n for question, n in counts.items() if n.any()}
+        if not counts:
+            raise InvalidEventError("nobody judged any of the events")
+        named = all(one is None or one.responses for one in judged)
+        names = sorted({who for one in judged if one is not None for who in one.responses})
+        place = {who: i for i, who in enumerate(names)}
+        rows = [
+            (q, event, place[who], labels.index(given[question]))
+            for event, one in enumerate(judged)
+            if one is not None and named
+            for who, given in one.responses.items()
+            for q, (question, labels) in enumerate(QUESTIONS.items())
+            if question in given
+        ]
+        ids = {event.id: i for i, event in enumerate(events)}
+        timed = [] if study is None or not named else study.table.dropna(subset="response_time")
+        times = [
+            (ids[row.video], place[row.participant], row.response_time)
+            for row in ([] if isinstance(timed, list) else timed.itertuples())
+            if row.video in ids and row.participant in place and row.response_time > 0
+        ]
+        return cls(
+            counts,
+            np.array(rows, np.int64).reshape(-1, 4),
+            tuple(names) if named else (),
+            np.array([row[:2] for row in times], np.int64).reshape(-1, 2),
+            np.array([row[2] for row in times], np.float64),
+        )
+
+    @property
+    def judged(self) -> FloatArray:
+        """(event,) 1 where anybody answered anything, else 0."""
+        return np.any([n.any(axis=1) for n in self.counts.values()], axis=0).astype(float)
+
+
+def _normals(n: int) -> FloatArray:
+    """Return (node, n) points that stand for independent standard normals."""
+    points = special.ndtri(stats.qmc.Sobol(n, seed=0).random(_NODES))
+    return np.asarray((points - points.mean(axis=0)) / points.std(axis=0))
+
+
+NORMALS: Final = {question: _normals(len(labels)) for question, labels in QUESTIONS.items()}
+
+
+def shared(logs: Array, spread: Array | float, question: str) -> Array:
+    """Return (node, event, answer) log probabilities in what people may share about a video.
+
+    Args:
+        logs: (event, answer) of the observer.
+        spread: standard deviation of the log odds that people share about one video beyond what
+            the observer says of it, so that they agree more than independent raters would.
+        question: says how many answers there are.
+    """
+    moved = logs + spread * jnp.asarray(NORMALS[question])[:, None]
+    return jax.nn.log_softmax(moved, axis=-1)
+
+
+def expected(said: Responses, spread: Array | float) -> Responses:
+    """Return question -> (event, answer) shares of people that are to be expected."""
+    return {q: jnp.exp(shared(logs, spread, q)).mean(axis=0) for q, logs in said.items()}
+
+
+def people(observer: Program, evidence: Evidence, answers: Answers, counted: Array) -> None:
+    """People answer as an observer does: the program that is fitted.
+
+    What raters share about a video (``spread``) is summed out, so that the log likelihood of a
+    video (``log_likelihood``) is that of all its answers. Raters with names differ in how sharply
+    they answer (``diversity``). A response time is log-normal, about a pace of the rater's own
+    (``pace``, ``pace_sd``), and longer by ``slowing`` for each nat of doubt about the relation.
+
+    Args:
+        observer: samples its parameters and says the probabilities of answers.
+        evidence: of all videos.
+        answers: about all videos.
+        counted: (event,) 1 for videos whose answers count, 0 for those left out.
+    """
+    said = observer(evidence)
+    n_raters = len(answers.raters)
+    spread = numpyro.sample("spread", dist.HalfNormal(1.0))
+    total = jnp.zeros(len(evidence.events))
+    if n_raters:
+        diversity = numpyro.sample("diversity", dist.HalfNormal(0.5))
+        with numpyro.plate("raters", n_raters):
+            sharp = jnp.exp(diversity * numpyro.sample("rater", dist.Normal(0.0, 1.0)))
+    for place, question in enumerate(QUESTIONS):
+        if question not in said or question not in answers.counts:
+            continue
+        logs = shared(said[question], spread, question)
+        if n_raters:
+            of = answers.rows[answers.rows[:, 0] == place]
+            own = jax.nn.log_softmax(logs[:, of[:, 1]] * sharp[of[:, 2], None], axis=-1)
+            chosen = own[:, np.arange(len(of)), of[:, 3]]
+            by_node = jnp.zeros(logs.shape[:2]).at[:, of[:, 1]].add(chosen)
+        else:
+            by_node = (answers.counts[question] * logs).sum(axis=-1)
+        total += jax.nn.logsumexp(by_node, axis=0) - jnp.log(len(logs))
+    if len(answers.seconds):
+        total += _of_times(said, answers, n_raters, len(evidence.events))
+    numpyro.deterministic("log_likelihood", total)
+    numpyro.factor("answers", (counted * total).sum())
+
+
+def _of_times(said: Responses, answers: Answers, n_raters: int, n_events: int) -> Array:
+    logs = said["relation"]
+    doubt = -(jnp.exp(logs) * logs).sum(axis=-1)
+    pace = numpyro.sample("pace", dist.Normal(2.0, 2.0))
+    spread = numpyro.sample("pace_sd", dist.HalfNormal(1.0))
+    with numpyro.plate("paces", n_raters):
+        own = spread * numpyro.sample("own_pace", dist.Normal(0.0, 1.0))
+    slowing = numpyro.sample("slowing", dist.Normal(0.0, 1.0))
+    noise = numpyro.sample("time_noise", dist.HalfNormal(1.0))
+    event, rater = answers.times.T
+    law = dist.LogNormal(pace + own[rater] + slowing * doubt[event], noise)
+    return jnp.zeros(n_events).at[event].add(law.log_prob(jnp.asarray(answers.seconds)))

@@ -1,0 +1,336 @@
+"""An observer fitted to people: its parameters, what it predicts, and how well out of sample."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import os
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+from jax import Array
+from numpyro import handlers
+from numpyro.infer import MCMC, NUTS
+
+from phase_ppl.analysis._arviz import arviz_groups, pareto_smoothed
+from phase_ppl.dataset.documents import read_json
+from phase_ppl.evaluation.observers.answers import Answers, expected, people
+from phase_ppl.evaluation.prediction import Prediction
+from phase_ppl.models.observer.observers import (
+    OBSERVERS,
+    Evidence,
+    Program,
+    observer_named,
+)
+from phase_ppl.models.observer.perception import Perception
+from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
+from phase_ppl.world.files import write_json
+
+SCHEMA: Final = "phase-ppl-observer-1"
+
+KEPT: Final = 200
+"""Draws of the parameters that a file keeps: a mean over them is off by little."""
+
+UNRELIABLE: Final = 0.7
+"""Pareto k from which on what is left out is left out by fitting again."""
+
+_NOT_PARAMETERS: Final = ("log_likelihood", "rater", "own_pace")
+_AT_A_TIME: Final = 50
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FittedObserver:
+    """An observer with draws of its parameters, which answers as people are expected to.
+
+    Attributes:
+        observer: the program.
+        name: of a ready-made observer; "" of another one.
+        draws: parameter -> (draw,).
+        questions: to whose answers it was fitted.
+        perception: how it sees videos; None: as they are.
+    """
+
+    observer: Program
+    name: str
+    draws: Mapping[str, FloatArray]
+    questions: tuple[str, ...]
+    perception: Perception | None
+
+    def shares(self, evidence: Evidence) -> dict[str, FloatArray]:
+        """Return question -> (draw, event, answer) shares of people that are expected."""
+
+        def of_all(draws: dict[str, Array], numbers: Any) -> dict[str, Array]:
+            def of_one(draw: dict[str, Array]) -> dict[str, Array]:
+                program = handlers.substitute(self.observer, draw)
+                with handlers.block(), handlers.seed(rng_seed=0):
+                    return expected(program(evidence.of_numbers(*numbers)), draw["spread"])
+
+            return jax.lax.map(of_one, draws, batch_size=_AT_A_TIME)
+
+        draws = {name: jnp.asarray(values) for name, values in self.draws.items()}
+        found = jax.jit(of_all)(draws, evidence.numbers)
+        return {question: np.asarray(values, np.float64) for question, values in found.items()}
+
+    def predict(self, evidence: Evidence) -> dict[str, Prediction]:
+        """Return event id -> what people are expected to say, as a mean over the draws."""
+        return _predictions(evidence, {q: p.mean(axis=0) for q, p in self.shares(evidence).items()})
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the parameters, :data:`KEPT` draws of each, as JSON.
+
+        Raises:
+            OutputError: it cannot be written.
+        """
+        write_json(path, self.to_dict())
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return name and draws as plain data; :meth:`from_dict` gives them back."""
+        n = len(self.draws["spread"])
+        kept = np.linspace(0, n - 1, min(n, KEPT)).round().astype(int)
+        draws = {
+            name: [float(f"{value:.5g}") for value in values[kept]]
+            for name, values in self.draws.items()
+        }
+        return {
+            "schema": SCHEMA,
+            "observer": self.name,
+            "questions": list(self.questions),
+            "perception": None if self.perception is None else dataclasses.asdict(self.perception),
+            "draws": draws,
+        }
+
+    @classmethod
+    def from_dict(
+        cls, record: Mapping[str, Any], observer: Program | None = None
+    ) -> FittedObserver:
+        """Read what :meth:`to_dict` gave.
+
+        Args:
+            record: of an observer.
+            observer: the program, where it is not a ready-made one.
+
+        Raises:
+            InvalidEventError: it is no such record, or lacks the program.
+            UnknownNameError: there is no such ready-made observer.
+        """
+        if record.get("schema") != SCHEMA:
+            schema = shown(record.get("schema"))
+            raise InvalidEventError(f"this is no fitted observer: its schema is {schema}")
+        name = str(record.get("observer", ""))
+        if observer is None and not name:
+            raise InvalidSettingError("the observer is one of somebody's own: hand in its program")
+        try:
+            draws = {k: np.array(values, np.float64) for k, values in record["draws"].items()}
+            seen, questions = record["perception"], tuple(map(str, record["questions"]))
+            perception = None if seen is None else Perception(**seen)
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            raise InvalidEventError(f"a fitted observer is damaged: {error}") from None
+        if "spread" not in draws or {d.shape for d in draws.values()} != {draws["spread"].shape}:
+            raise InvalidEventError("a fitted observer is damaged: draws of unequal numbers")
+        return FittedObserver(observer or observer_named(name), name, draws, questions, perception)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], observer: Program | None = None) -> FittedObserver:
+        """Read a file of :meth:`save`; arguments and errors as of :meth:`from_dict`."""
+        return cls.from_dict(read_json(path), observer)
+
+
+def _predictions(evidence: Evidence, shares: Mapping[str, FloatArray]) -> dict[str, Prediction]:
+    return {
+        event: Prediction(event, {q: p[i] / p[i].sum() for q, p in shares.items()})
+        for i, event in enumerate(evidence.events)
+    }
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PeopleFit(FittedObserver):
+    """An observer fitted to people's answers by NUTS.
+
+    Attributes:
+        evidence, answers: to which it was fitted.
+        chains: of the draws, which follow each other.
+        log_likelihood: (draw, event) of all answers about a video.
+        seed, warmup: of the fit.
+    """
+
+    evidence: Evidence
+    answers: Answers
+    chains: int
+    log_likelihood: FloatArray
+    seed: int
+    warmup: int
+
+    @functools.cached_property
+    def arviz(self) -> Any:
+        """The draws for ArviZ: ``az.summary``, ``az.loo``, and ``az.compare`` of several fits."""
+        shape = (self.chains, -1)
+        dims = ("chain", "draw")
+        posterior = {n: (dims, v.reshape(shape)) for n, v in self.draws.items()}
+        judged = np.flatnonzero(self.answers.judged)
+        logs = self.log_likelihood[:, judged].reshape(*shape, len(judged))
+        events = {"event": [self.evidence.events[i] for i in judged]}
+        return arviz_groups(
+            {
+                "posterior": xr.Dataset(posterior),
+                "log_likelihood": xr.Dataset({"answers": ((*dims, "event"), logs)}, events),
+            }
+        )
+
+    @functools.cached_property
+    def _left_out_weights(self) -> tuple[FloatArray, FloatArray]:
+        """Weights (event, draw) of the draws without each event, and Pareto's k."""
+        return pareto_smoothed(-self.log_likelihood.T)
+
+    @property
+    def pareto_k(self) -> FloatArray:
+        """(event,) how far each video's answers move the draws; above 0.7 it is fitted without."""
+        return self._left_out_weights[1]
+
+    @functools.cached_property
+    def _refits(self) -> dict[int, PeopleFit]:
+        doubtful = np.flatnonzero((self.pareto_k > UNRELIABLE) & (self.answers.judged > 0))
+        return {int(i): self.without([int(i)]) for i in doubtful}
+
+    def without(self, places: Sequence[int]) -> PeopleFit:
+        """Return the fit to all but the events at some places."""
+        left_out = np.zeros(len(self.evidence.events))
+        left_out[list(places)] = 1
+        return sampled(
+            self.observer, self.name, self.evidence, self.answers, left_out=left_out,
+            draws=len(self.draws["spread"]) // self.chains, warmup=self.warmup,
+            chains=self.chains, seed=self.seed,
+        )  # fmt: skip
+
+    @functools.cached_property
+    def elpd(self) -> FloatArray:
+        """(event,) log predictive density of a video's answers, fitted without them, in nats."""
+        weights = self._left_out_weights[0]
+        found = np.logaddexp.reduce(np.log(weights) + self.log_likelihood.T, axis=1)
+        for i, fit in self._refits.items():
+            logs = fit.log_likelihood[:, i]
+            found[i] = np.logaddexp.reduce(logs) - np.log(len(logs))
+        return np.asarray(found)
+
+    @functools.cached_property
+    def left_out(self) -> dict[str, Prediction]:
+        """Event id -> what is predicted of a video by the fit to all others.
+
+        Draws are weighted by Pareto-smoothed importance sampling (Vehtari, Gelman and Gabry 2017,
+        Statistics and Computing 27), and where that is unreliable the observer is fitted again.
+        """
+        weights = self._left_out_weights[0]
+        shares = {
+            question: np.einsum("es,sek->ek", weights, values)
+            for question, values in self.shares(self.evidence).items()
+        }
+        for i, fit in self._refits.items():
+            for question, values in fit.shares(self.evidence.at([i])).items():
+                shares[question][i] = values[:, 0].mean(axis=0)
+        return _predictions(self.evidence, shares)
+
+    def __repr__(self) -> str:
+        return (
+            f"<PeopleFit of {self.name or self.observer!r}: {int(self.answers.judged.sum())} "
+            f"videos, ELPD {self.elpd.sum():.1f}>"
+        )
+
+
+def sampled(
+    observer: Program,
+    name: str,
+    evidence: Evidence,
+    answers: Answers,
+    *,
+    left_out: FloatArray | None = None,
+    draws: int = 500,
+    warmup: int = 500,
+    chains: int = 2,
+    seed: int = 0,
+) -> PeopleFit:
+    """Draw the parameters of an observer from their posterior given people's answers."""
+    counted = answers.judged if left_out is None else answers.judged * (1 - left_out)
+    questions = tuple(q for q in evidence.answers if q in answers.counts)
+    given = _given(evidence, questions)
+    mcmc = _sampler(observer, given, answers, draws, warmup, chains)
+    mcmc.run(jax.random.key(seed), jnp.asarray(counted), given.numbers)
+    found = {k: np.asarray(v, np.float64) for k, v in mcmc.get_samples().items()}
+    parameters = {k: v for k, v in found.items() if k not in _NOT_PARAMETERS and v.ndim == 1}
+    logs = found["log_likelihood"]
+    return PeopleFit(
+        observer, name, parameters, questions, None, evidence, answers, chains, logs, seed, warmup
+    )
+
+
+@functools.lru_cache(maxsize=1)
+def _given(evidence: Evidence, questions: tuple[str, ...]) -> Evidence:
+    return evidence.condensed() if questions == ("relation",) else evidence
+
+
+@functools.lru_cache(maxsize=1)
+def _sampler(
+    observer: Program, given: Evidence, answers: Answers, draws: int, warmup: int, chains: int
+) -> MCMC:
+    """Return a sampler, the same for the same data, so that fits without a video compile once."""
+
+    def program(counted: Array, numbers: Any) -> None:
+        people(observer, given.of_numbers(*numbers), answers, counted)
+
+    return MCMC(
+        NUTS(program, target_accept_prob=0.9, max_tree_depth=7), num_warmup=warmup,
+        num_samples=draws, num_chains=chains, chain_method="sequential", progress_bar=False,
+        jit_model_args=True,
+    )  # fmt: skip
+
+
+def chosen_inside(fits: Sequence[PeopleFit]) -> tuple[dict[str, Prediction], dict[str, int]]:
+    """Predict each video by the fit that predicts the OTHER videos best without this one.
+
+    So the choice of an observer sees nothing of the video it is judged by: for each video, draws
+    are reweighted to leave it out, and of these each other video in turn.
+
+    Args:
+        fits: of the same people and videos.
+
+    Returns:
+        Event id -> prediction, and event id -> place of the fit that was chosen.
+    """
+    n = len(fits[0].evidence.events)
+    without = np.array([_elpd_without(fit) for fit in fits])  # fit, left out, event
+    judged = fits[0].answers.judged > 0
+    best = np.array([without[:, i, judged & (np.arange(n) != i)].sum(axis=1) for i in range(n)])
+    chosen = best.argmax(axis=1)
+    names = fits[0].evidence.events
+    return (
+        {name: fits[k].left_out[name] for name, k in zip(names, chosen, strict=True)},
+        dict(zip(names, chosen.tolist(), strict=True)),
+    )
+
+
+def _elpd_without(fit: PeopleFit) -> FloatArray:
+    """Return (left out, event) log predictive densities of events, both left out."""
+    logs = fit.log_likelihood.T
+    found = np.empty((len(logs), len(logs)))
+    for i, one in enumerate(logs):
+        weights, _ = pareto_smoothed(-logs - one)
+        found[i] = np.logaddexp.reduce(np.log(weights) + logs, axis=1)
+    return found
+
+
+def as_observer(given: str | Program) -> tuple[Program, str]:
+    """Return an observer given by name or as a program, and its name, "" of one's own.
+
+    Raises:
+        UnknownNameError: there is no ready-made observer of that name.
+        InvalidSettingError: it is no program.
+    """
+    if isinstance(given, str):
+        return observer_named(given), given
+    if not callable(given):
+        raise InvalidSettingError(f"observer={shown(given)} is no name and no program of evidence")
+    named = (name for name, one in OBSERVERS.items() if one == given)
+    return given, next(named, "")

@@ -1,0 +1,333 @@
+"""Observers as NumPyro programs over evidence, built of parts or written by hand.
+
+An observer is any callable ``observer(evidence)`` that samples its own parameters by
+``numpyro.sample`` and returns log probabilities of answers: question -> (event, answer). So::
+
+    def timid(evidence):
+        weight = numpyro.sample("weight", dist.LogNormal(0.0, 1.0))
+        fear = numpyro.sample("fear", dist.Normal(0.0, 1.0))
+        belief = weight * evidence.log_likelihood[0].mean(0) + evidence.log_prior
+        belief += fear * tilt(evidence, evidence.cues["contact"], adversarial=1)
+        return {"relation": log_shares(belief, evidence, "relation")}
+
+:class:`Observer` makes one of ready-made parts, each of which changes a :class:`Belief`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, Final, NamedTuple, TypeAlias
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import numpyro
+import numpyro.distributions as dist
+from jax import Array
+from numpy.typing import ArrayLike
+
+from phase_ppl.models.observer.cues import CUES
+from phase_ppl.world.arrays import FloatArray, IntArray
+from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
+from phase_ppl.world.goals import N_GOALS
+from phase_ppl.world.hypothesis import RELATIONS
+
+HALF_LIVES: Final = (math.inf, 40.0, 10.0)
+"""Frames after which what was seen counts half, for each table of ``log_likelihood``."""
+
+_LEAST: Final = 1e-30
+"""Keeps logarithms of shares finite in single precision."""
+
+ANSWERS: Final = {"relation": len(RELATIONS), "goal_red": N_GOALS, "goal_green": N_GOALS}
+"""Question -> number of its answers."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Evidence:
+    """What observers of some videos have to go by.
+
+    Attributes:
+        events: ids of the videos.
+        log_likelihood: (half-life, percept, event, hypothesis) log p(video | hypothesis), in nats
+            as the model counts them, up to a constant per event. Half-lives are
+            :data:`HALF_LIVES`; percepts are readings of the video, one where nothing was noisy.
+        log_prior: (event, hypothesis) log prior masses.
+        answers: question -> (hypothesis,) index of the answer that a hypothesis stands for.
+        cues: name -> (event,) surface cues (:mod:`phase_ppl.models.observer.cues`).
+    """
+
+    events: tuple[str, ...]
+    log_likelihood: FloatArray
+    log_prior: FloatArray
+    answers: Mapping[str, IntArray]
+    cues: Mapping[str, FloatArray]
+
+    def at(self, places: ArrayLike) -> Evidence:
+        """Return the evidence on the events at some places only."""
+        which = np.asarray(places, np.int64)
+        return Evidence(
+            tuple(self.events[i] for i in which),
+            self.log_likelihood[:, :, which],
+            self.log_prior[which],
+            self.answers,
+            {name: values[which] for name, values in self.cues.items()},
+        )
+
+    @property
+    def numbers(self) -> tuple[Any, Any, dict[str, Any]]:
+        """All that differs from one set of as many videos to another, to be handed to XLA."""
+        return self.log_likelihood, self.log_prior, dict(self.cues)
+
+    def of_numbers(self, logs: Any, prior: Any, cues: Any) -> Evidence:
+        """Return it with other :attr:`numbers`."""
+        return dataclasses.replace(self, log_likelihood=logs, log_prior=prior, cues=cues)
+
+    def condensed(self, single: int = 8, groups: int = 16) -> Evidence:
+        """Return evidence on relations alone, with few hypotheses of each.
+
+        Of each relation and event the most probable hypotheses stay, ``single`` of them; the others
+        come in ``groups`` of equal size and similar likelihood, each with the sum of their priors
+        and the mean of their likelihoods. It takes a twentieth of the time to fit.
+        """
+        relations = self.answers["relation"]
+        if relations.size <= len(RELATIONS) * (single + groups):
+            return self
+        likelihoods, priors = [], []
+        for relation in range(len(RELATIONS)):
+            of = np.flatnonzero(relations == relation)
+            joint = self.log_likelihood[0].mean(axis=0)[:, of] + self.log_prior[:, of]
+            order = of[np.argsort(-joint, axis=1)]  # event, hypothesis
+            parts = [order[:, i : i + 1] for i in range(single)]
+            for part in (*parts, *np.array_split(order[:, single:], groups, axis=1)):
+                prior = np.take_along_axis(self.log_prior, part, axis=1)
+                logs = np.take_along_axis(self.log_likelihood, part[None, None], axis=-1)
+                mass = np.logaddexp.reduce(prior, axis=-1)
+                priors.append(mass)
+                likelihoods.append(np.logaddexp.reduce(logs + prior, axis=-1) - mass)
+        codes = np.repeat(np.arange(len(RELATIONS)), single + groups)
+        return dataclasses.replace(
+            self,
+            log_likelihood=np.stack(likelihoods, axis=-1),
+            log_prior=np.stack(priors, axis=-1),
+            answers={"relation": codes},
+        )
+
+
+class Belief(NamedTuple):
+    """What an observer believes, and how it answers.
+
+    Attributes:
+        likelihood: (percept, event, hypothesis) log, unnormalised.
+        prior: (event, hypothesis) log, unnormalised.
+        sharpness: exponent of the probabilities of answers.
+        samples: hypotheses drawn from the belief before answering, each answer counted once more
+            than it was drawn; infinitely many give the belief itself.
+        lapse: probability of an answer at random.
+    """
+
+    likelihood: Array
+    prior: Array
+    sharpness: Array | float = 1.0
+    samples: Array | float = math.inf
+    lapse: Array | float = 0.0
+
+
+Responses: TypeAlias = dict[str, Array]
+"""Question -> (event, answer) log probabilities."""
+
+Program: TypeAlias = Callable[[Evidence], Responses]
+Part: TypeAlias = Callable[[Belief, Evidence], Belief]
+
+
+def log_shares(log_mass: Array, evidence: Evidence, question: str) -> Array:
+    """Return (..., event, answer) log probabilities of the answers to a question.
+
+    Args:
+        log_mass: (..., event, hypothesis) unnormalised.
+        evidence: says which answer each hypothesis stands for.
+        question: "relation", "goal_red" or "goal_green".
+    """
+    stands_for = jax.nn.one_hot(evidence.answers[question], ANSWERS[question])
+    return jnp.log(jax.nn.softmax(log_mass, axis=-1) @ stands_for + _LEAST)
+
+
+def tilt(evidence: Evidence, values: Any, **toward: float) -> Array:
+    """Return (event, hypothesis) nats for hypotheses by their relation.
+
+    Args:
+        evidence: says which relation each hypothesis has.
+        values: (event,) or a number.
+        **toward: relation -> nats per unit of ``values``; others get 0.
+    """
+    nats = jnp.array([toward.pop(relation, 0.0) for relation in RELATIONS])
+    if toward:
+        raise unknown_name("relation", next(iter(toward)), RELATIONS)
+    return jnp.asarray(values)[..., None] * nats[evidence.answers["relation"]]
+
+
+# --- parts ----------------------------------------------------------------------------------------
+
+
+def leak(belief: Belief, evidence: Evidence) -> Belief:
+    """What was seen fades: between tables of :data:`HALF_LIVES`, by ``leak`` from 0 to 2."""
+    most = len(HALF_LIVES) - 1
+    place = numpyro.sample("leak", dist.Uniform(0, most))
+    shares = jnp.maximum(0.0, 1 - jnp.abs(place - jnp.arange(most + 1)))
+    return belief._replace(likelihood=jnp.tensordot(shares, evidence.log_likelihood, 1))
+
+
+def weight(belief: Belief, evidence: Evidence) -> Belief:
+    """Evidence counts ``weight`` times what it does for the model."""
+    times = numpyro.sample("weight", dist.LogNormal(0.0, 1.0))
+    return belief._replace(likelihood=times * belief.likelihood)
+
+
+def saturation(belief: Belief, evidence: Evidence) -> Belief:
+    """Evidence between relations saturates: none is more than ``most_evidence`` nats behind."""
+    most = numpyro.sample("most_evidence", dist.LogNormal(math.log(3.0), 0.7))
+    prior = log_shares(belief.prior, evidence, "relation")
+    found = log_shares(belief.likelihood + belief.prior, evidence, "relation") - prior
+    behind = found.max(axis=-1, keepdims=True) - found
+    less = behind - most * -jnp.expm1(-behind / most)
+    return belief._replace(
+        likelihood=belief.likelihood + less[..., jnp.asarray(evidence.answers["relation"])]
+    )
+
+
+def prior(belief: Belief, evidence: Evidence) -> Belief:
+    """A prior of people's own over relations, in nats beyond the model's."""
+    friendly = numpyro.sample("prior_friendly", dist.Normal(0.0, 1.0))
+    neutral = numpyro.sample("prior_neutral", dist.Normal(0.0, 1.0))
+    own = tilt(evidence, friendly, friendly=1.0) + tilt(evidence, neutral, neutral=1.0)
+    return belief._replace(prior=belief.prior + own)
+
+
+def cues(**toward: str) -> Part:
+    """Return a part by which cues speak for a relation, such as ``cues(distance="neutral")``.
+
+    A cue's likelihood is exponential in it: that agents who want nothing of each other do not
+    touch is ``cues(contact="neutral")`` with a negative ``cue_contact`` [nats per unit]. The cues'
+    common scale ``cue_scale`` is inferred, so that useless ones shrink together.
+
+    Raises:
+        UnknownNameError: there is no such cue or relation.
+    """
+    for name, relation in toward.items():
+        if name not in CUES:
+            raise unknown_name("cue", name, CUES)
+        if relation not in RELATIONS:
+            raise unknown_name("relation", relation, RELATIONS)
+
+    def part(belief: Belief, evidence: Evidence) -> Belief:
+        scale = numpyro.sample("cue_scale", dist.HalfNormal(2.0))
+        likelihood = belief.likelihood
+        for name, relation in toward.items():
+            raw = numpyro.sample(f"raw_{name}", dist.Normal(0.0, 1.0))
+            nats = numpyro.deterministic(f"cue_{name}", scale * raw)
+            likelihood += tilt(evidence, nats * evidence.cues[name], **{relation: 1.0})
+        return belief._replace(likelihood=likelihood)
+
+    part.__name__ = f"cues({', '.join(f'{name}={relation}' for name, relation in toward.items())})"
+    return part
+
+
+def sharpness(belief: Belief, evidence: Evidence) -> Belief:
+    """Answers by the belief to the power ``sharpness``: the inverse temperature of responses."""
+    return belief._replace(sharpness=numpyro.sample("sharpness", dist.LogNormal(0.0, 0.5)))
+
+
+def samples(belief: Belief, evidence: Evidence) -> Belief:
+    """Answers by a few samples of the belief, ``samples`` of them."""
+    return belief._replace(samples=numpyro.sample("samples", dist.LogNormal(math.log(10), 1.0)))
+
+
+def lapse(belief: Belief, evidence: Evidence) -> Belief:
+    """Answers at random with probability ``lapse``."""
+    return belief._replace(lapse=numpyro.sample("lapse", dist.Beta(1.0, 20.0)))
+
+
+# --- observers ------------------------------------------------------------------------------------
+
+
+def respond(belief: Belief, evidence: Evidence) -> Responses:
+    """Return the answers to all questions that hypotheses say something of."""
+    log_mass = belief.likelihood + belief.prior
+    found = {}
+    for question in evidence.answers:
+        logs = log_shares(log_mass, evidence, question)
+        of_one = jax.nn.softmax(belief.sharpness * logs, axis=-1)
+        shares, n = of_one.mean(axis=0), ANSWERS[question]
+        shares = (shares + 1 / belief.samples) / (1 + n / belief.samples)
+        found[question] = jnp.log((1 - belief.lapse) * shares + belief.lapse / n + _LEAST)
+    return found
+
+
+@dataclasses.dataclass(frozen=True, init=False)
+class Observer:
+    """An observer made of parts, in the order in which they are given.
+
+    ``Observer(weight, prior, cues(distance="neutral"), lapse)``. Without any it answers as the
+    model does. A part is a function ``(belief, evidence) -> belief`` that may sample parameters.
+
+    Raises:
+        InvalidSettingError: a part is no function.
+    """
+
+    parts: tuple[Part, ...]
+
+    def __init__(self, *parts: Part) -> None:
+        for part in parts:
+            if not callable(part):
+                raise InvalidSettingError(f"part {shown(part)} is no function (belief, evidence)")
+        object.__setattr__(self, "parts", parts)
+
+    def __call__(self, evidence: Evidence) -> Responses:
+        """Sample the parameters, and return the answers."""
+        belief = Belief(jnp.asarray(evidence.log_likelihood[0]), jnp.asarray(evidence.log_prior))
+        for part in self.parts:
+            belief = part(belief, evidence)
+        return respond(belief, evidence)
+
+    def __repr__(self) -> str:
+        return f"Observer({', '.join(part.__name__ for part in self.parts)})"
+
+
+_RESPONSE: Final = (weight, saturation, prior)
+
+OBSERVERS: Final[Mapping[str, Observer]] = {
+    "model": Observer(),
+    "lapsing": Observer(weight, prior, lapse),
+    "saturating": Observer(*_RESPONSE, lapse),
+    "leaky": Observer(leak, *_RESPONSE, lapse),
+    "sampling": Observer(*_RESPONSE, samples),
+    "contact": Observer(*_RESPONSE, cues(contact="neutral"), lapse),
+    "distance": Observer(*_RESPONSE, cues(distance="neutral"), lapse),
+    "company": Observer(*_RESPONSE, cues(distance="neutral", contact="neutral"), lapse),
+    "attentive": Observer(
+        *_RESPONSE,
+        cues(distance="neutral", contact="neutral", working="friendly", impact="adversarial"),
+        lapse,
+    ),
+    "vigilant": Observer(
+        *_RESPONSE,
+        cues(
+            distance="neutral", contact="neutral", synchrony="neutral", working="friendly",
+            holding="friendly", impact="adversarial", unsettled="adversarial",
+        ),
+        lapse,
+    ),
+}  # fmt: skip
+"""Name -> ready-made observer."""
+
+
+def observer_named(name: str) -> Observer:
+    """Return a ready-made observer.
+
+    Raises:
+        UnknownNameError: there is none of that name.
+    """
+    if name not in OBSERVERS:
+        raise unknown_name("observer", name, OBSERVERS)
+    return OBSERVERS[name]

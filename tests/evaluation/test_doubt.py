@@ -1,0 +1,126 @@
+"""Measures of a referee: by hand where that can be done, else by what they must tell apart."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import phase_ppl as ppl
+from phase_ppl.evaluation.doubt import agreement, calibration, ceiling, doubt_of, pearson
+from phase_ppl.evaluation.metrics import evaluate_predictions
+from phase_ppl.evaluation.prediction import Prediction
+from phase_ppl.world.event import Event
+from tests.evaluation.judged import COLLABORATIVE, INDEPENDENT, make_event
+
+VOTES = [[9, 1, 0], [6, 3, 1], [8, 2, 0], [1, 8, 1], [0, 9, 1], [3, 6, 1]]
+
+
+def events() -> list[Event]:
+    goals = [COLLABORATIVE] * 3 + [INDEPENDENT] * 3
+    return [make_event(f"e{i}", g, v) for i, (g, v) in enumerate(zip(goals, VOTES, strict=True))]
+
+
+def predictions(shares: Any) -> dict[str, Prediction]:
+    return {f"e{i}": Prediction(f"e{i}", {"relation": p}) for i, p in enumerate(shares)}
+
+
+SHARES = np.array(VOTES) / 10
+
+
+def test_r_is_that_of_the_metrics_and_given_truth_only_what_is_left() -> None:
+    p = (SHARES + np.roll(SHARES, 1, axis=0)) / 2
+    found, known = (
+        doubt_of(events(), predictions(p)),
+        evaluate_predictions(events(), predictions(p)),
+    )
+    assert found is not None
+    for name in ("relation_r", "relation_r_given_truth"):
+        assert found[name]["value"] == pytest.approx(known["human"][name]["value"])
+        assert found[name]["ci_low"] < found[name]["value"] < found[name]["ci_high"] <= 1
+    right = np.eye(3)[[0, 0, 0, 1, 1, 1]]
+    of_truth = doubt_of(events(), predictions(right))
+    assert of_truth is not None
+    assert of_truth["relation_r_given_truth"] is None
+    weights = np.ones((1, 6))
+    flat = np.corrcoef(p.ravel(), SHARES.ravel())[0, 1]
+    assert pearson(weights, p[None], SHARES[None])[0] == pytest.approx(flat)
+
+
+def test_brier_and_calibration_by_hand() -> None:
+    event = make_event("e0", COLLABORATIVE, [2, 1, 1])
+    found = doubt_of([event], predictions([[0.5, 0.5, 0.0]]))
+    assert found is not None
+    friendly, neutral, adversarial = 0.5, 0.5, 1.5
+    assert found["brier"]["value"] == pytest.approx((2 * friendly + neutral + adversarial) / 4)
+    assert found["ece"] == pytest.approx(2 / 3 * abs(0.5 - 0.375) + 1 / 3 * 0.25)
+    bins = calibration(np.array([[0.5, 0.5, 0.0]]), np.array([[0.5, 0.25, 0.25]]))
+    assert [b["n"] for b in bins] == [1, 2]
+
+
+def test_items_are_ranked_by_misfit() -> None:
+    p = SHARES.copy()
+    p[3] = [0.8, 0.1, 0.1]
+    found = doubt_of(events(), predictions(0.98 * p + 0.02 / 3))
+    assert found is not None
+    assert found["misfit"][0]["event"] == "e3"
+    gaps = [one["log_score_gap"] for one in found["misfit"]]
+    assert gaps == sorted(gaps, reverse=True)
+
+
+def test_raters_of_one_law_reach_the_ceiling_of_their_number() -> None:
+    rng = np.random.default_rng(0)
+    p = rng.dirichlet([1.0, 1.0, 1.0], size=400)
+    counts = rng.multinomial(16, p)
+    truth = p.argmax(axis=1)
+    found = ceiling(counts, truth, rng, 50)
+    again = rng.multinomial(16, p) / 16
+    r = np.corrcoef(again.ravel(), (counts / 16).ravel())[0, 1]
+    assert found["spearman_brown"] == pytest.approx(r, abs=0.02)
+    assert found["split_half_r"] < found["spearman_brown"]
+    assert found["one_out_r"] < found["split_half_r"]
+    assert found["split_half_r_given_truth"] < found["split_half_r"]
+
+
+def test_raters_who_agree_more_than_by_chance_are_found() -> None:
+    rng = np.random.default_rng(0)
+    p = np.full((60, 3), 1 / 3)
+    apart = agreement(p, rng.multinomial(12, p), rng, 400)
+    together = agreement(p, np.eye(3, dtype=int)[rng.integers(3, size=60)] * 12, rng, 400)
+    assert apart is not None
+    assert together is not None
+    assert apart["p"] > 0.01
+    assert together["people"] == 1.0
+    assert together["p"] < 0.01
+    assert apart["low"] < 1 / 3 < apart["high"]
+
+
+def test_people_with_names_are_resampled_as_wholes() -> None:
+    rows = [
+        {"participant": f"p{i}", "relation": "friendly" if i < 6 else "neutral"} for i in range(12)
+    ]
+    named = [make_event(f"e{i}", COLLABORATIVE, judgments={"responses": rows}) for i in range(6)]
+    split = [make_event(f"e{i}", COLLABORATIVE, [6, 6, 0]) for i in range(6)]
+    p = [[0.2 + 0.1 * i, 0.8 - 0.1 * i, 0.0] for i in range(6)]
+    found = [doubt_of(given, predictions(p)) for given in (named, split)]
+    width = [one["relation_r"]["ci_high"] - one["relation_r"]["ci_low"] for one in found if one]
+    assert width[0] > width[1]
+
+
+def test_without_judgments_there_is_nothing_to_say() -> None:
+    assert doubt_of([make_event("e0")], predictions([[1, 0, 0]])) is None
+    assert ppl.evaluate_predictions([make_event("e0")], predictions([[1, 0, 0]]))["doubt"] is None
+
+
+def test_models_are_shown_and_drawn_by_their_doubt(tmp_path: Any) -> None:
+    model = lambda scene, observation, seed: {"relation": [0.5, 0.3, 0.2]}  # noqa: E731
+    other = lambda scene, observation, seed: {"relation": [0.2, 0.6, 0.2]}  # noqa: E731
+    given = events()
+    both = ppl.compare_models(
+        {n: ppl.evaluate(given, m, progress=False) for n, m in (("a", model), ("b", other))}
+    )
+    assert "doubt about relations" in str(both)
+    figure = ppl.figures.people(both, tmp_path / "people.png")
+    assert len(figure.axes) == 6
+    assert (tmp_path / "people.png").stat().st_size > 10_000

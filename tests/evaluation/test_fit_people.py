@@ -1,0 +1,182 @@
+"""Observers are fitted to people: parameters come back, and held-out videos are predicted."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import arviz as az
+import numpy as np
+import pytest
+
+import phase_ppl as ppl
+from phase_ppl.evaluation.observers.answers import Answers, expected
+from phase_ppl.evaluation.observers.fit import PeopleFit, chosen_inside, sampled
+from phase_ppl.evaluation.observers.stored import observer_of
+from phase_ppl.models.observer.cues import CUES
+from phase_ppl.models.observer.observers import Evidence, observer_named
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
+from phase_ppl.world.event import Event
+from phase_ppl.world.hypothesis import RELATIONS
+
+N = 40
+TRUE = {"weight": 1.0, "prior_friendly": 0.0, "prior_neutral": 0.0, "most_evidence": 3.0}
+DISTANCE = 3.0
+
+
+def world(seed: int = 0, n: int = N, raters: int = 30) -> tuple[Evidence, Answers]:
+    """Return evidence on videos, and raters who take distance for independence."""
+    rng = np.random.default_rng(seed)
+    logs = rng.normal(0.0, 2.0, (n, 3))
+    logs -= logs.max(axis=1, keepdims=True)
+    cues = {name: rng.normal(0.0, 0.7, n) for name in CUES}
+    masses = 3.0 * np.expm1(logs / 3.0)
+    masses[:, 1] += DISTANCE * cues["distance"]
+    p = np.exp(masses) / np.exp(masses).sum(axis=1, keepdims=True)
+    counts = rng.multinomial(raters, p)
+    evidence = Evidence(
+        tuple(f"v{i}" for i in range(n)), np.tile(logs, (3, 1, 1, 1)), np.full((n, 3), -np.log(3)),
+        {"relation": np.arange(3)}, cues,
+    )  # fmt: skip
+    return evidence, Answers(
+        {"relation": counts}, np.zeros((0, 4), int), (), np.zeros((0, 2), int), np.zeros(0)
+    )
+
+
+def fitted(name: str, evidence: Evidence, answers: Answers) -> PeopleFit:
+    return sampled(observer_named(name), name, evidence, answers, draws=150, warmup=150, chains=1)
+
+
+@pytest.fixture(scope="module")
+def fits() -> dict[str, PeopleFit]:
+    return {name: fitted(name, *world()) for name in ("distance", "saturating")}
+
+
+def test_parameters_come_back_and_the_observer_that_made_the_answers_wins(
+    fits: dict[str, PeopleFit],
+) -> None:
+    draws = fits["distance"].draws["cue_distance"]
+    low, high = np.quantile(draws, [0.005, 0.995])
+    assert low < DISTANCE < high
+    assert draws.std() < 1.0
+    assert fits["distance"].elpd.sum() > fits["saturating"].elpd.sum() + 10
+    _, chosen = chosen_inside([fits["saturating"], fits["distance"]])
+    assert set(chosen.values()) == {1}
+
+
+def test_left_out_videos_are_predicted_as_by_a_fit_without_them(
+    fits: dict[str, PeopleFit],
+) -> None:
+    fit = fits["distance"]
+    again = fit.without([3]).predict(fit.evidence)["v3"].probabilities["relation"]
+    assert fit.left_out["v3"].probabilities["relation"] == pytest.approx(again, abs=0.05)
+    assert az.loo(fit.arviz).elpd_loo == pytest.approx(fit.elpd.sum(), abs=2.0)
+    assert "distance" in str(fit)
+
+
+def test_a_stored_observer_answers_as_the_fit(fits: dict[str, PeopleFit], tmp_path: Path) -> None:
+    file = tmp_path / "people.json"
+    fits["distance"].save(file)
+    read = observer_of(file, "anything")
+    one, other = (fit.predict(world()[0])["v1"].probabilities for fit in (read, fits["distance"]))
+    assert one["relation"] == pytest.approx(other["relation"], abs=0.03)
+    record = json.loads(file.read_text())
+    for broken, message in (
+        ({**record, "schema": "other"}, "schema is 'other'"),
+        ({**record, "draws": {"spread": [1.0], "lapse": [0.1, 0.2]}}, "unequal"),
+        ({**record, "draws": None}, "damaged"),
+    ):
+        file.write_text(json.dumps(broken))
+        with pytest.raises(InvalidEventError, match=message):
+            observer_of(file, "anything")
+
+
+def test_raters_of_one_mind_are_told_from_independent_ones() -> None:
+    evidence, answers = world()
+    agreed = dataclasses.replace(
+        answers,
+        counts={"relation": np.eye(3, dtype=int)[answers.counts["relation"].argmax(1)] * 15},
+    )
+    spread = fitted("distance", evidence, agreed).draws["spread"].mean()
+    assert spread > 3 * fitted("distance", evidence, answers).draws["spread"].mean()
+    logs = np.log(np.array([[0.8, 0.1, 0.1]]))
+    moved = np.asarray(expected({"relation": logs}, 1.0)["relation"])[0]
+    assert moved[0] < 0.8
+    assert moved.argmax() == 0
+    assert moved.sum() == pytest.approx(1.0, abs=1e-4)
+
+
+def study(path: Path, events: list[Event]) -> None:
+    """Write single answers of people with names, who take longer where they doubt."""
+    rng = np.random.default_rng(0)
+    rows = ["participant,video,relation,goal_red,response_time"]
+    for event in events:
+        unsure = float(int(event.id[1:]) % 2)
+        for rater in range(6):
+            p = [0.34, 0.33, 0.33] if unsure else [0.94, 0.03, 0.03]
+            answer = RELATIONS[int(rng.choice(3, p=p))]
+            time = np.exp(1.0 + 1.5 * unsure + rng.normal(0, 0.2))
+            rows.append(f"p{rater},{event.id},{answer},get to green agent,{time:.2f}")
+    path.write_text("\n".join(rows) + "\n")
+
+
+def test_answers_of_a_study_with_names_and_times_go_through_the_same_call(tmp_path: Path) -> None:
+    event = ppl.load_event("collaborate")
+    events = [dataclasses.replace(event, id=f"v{i}", judgments=None) for i in range(16)]
+    study(tmp_path / "study.csv", events)
+    model = {
+        e.id: ppl.Prediction(e.id, {"relation": [1 / 3] * 3 if i % 2 else [0.96, 0.02, 0.02]})
+        for i, e in enumerate(events)
+    }
+    fit = ppl.fit_people(
+        events, tmp_path / "study.csv", "saturating", source=model, draws=60, warmup=100, chains=1
+    )
+    assert {"diversity", "slowing", "pace", "time_noise"} <= set(fit.draws)
+    assert np.quantile(fit.draws["slowing"], 0.05) > 0
+    assert fit.answers.raters == tuple(f"p{i}" for i in range(6))
+    assert fit.questions == ("relation",)
+    with pytest.raises(InvalidEventError, match="nobody judged"):
+        ppl.fit_people(events, None, "saturating", source=model)
+    with pytest.raises(UnknownNameError, match="observer 'nobody'"):
+        ppl.fit_people(events, tmp_path / "study.csv", "nobody", source=model)
+
+
+def test_people_who_come_with_the_package_see_what_a_model_makes_of_a_video(tmp_path: Path) -> None:
+    event = ppl.load_event("independent")
+    alone = ppl.evaluate([event], "chance", progress=False)
+    seen = ppl.evaluate([event], "chance", observer="people", progress=False)
+    shares = seen.predictions[event.id].probabilities["relation"]
+    assert shares.sum() == pytest.approx(1)
+    assert shares[1] > 1 / 3  # they keep apart
+    assert alone.predictions[event.id].probabilities["relation"] == pytest.approx([1 / 3] * 3)
+    assert seen.settings["observer"]
+    assert "observer" not in alone.settings
+    with pytest.raises(InvalidSettingError, match="comes for the models"):
+        ppl.evaluate([event], "majority", observer="people")
+
+
+def test_commands_fit_and_ask_an_observer(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from phase_ppl.cli import main
+
+    event = ppl.load_event("independent")
+    counts = {"friendly": 1, "neutral": 12, "adversarial": 2}
+    events = [
+        dataclasses.replace(event, id=f"v{i}", judgments={"relation_counts": counts})
+        for i in range(4)
+    ]
+    ppl.save_events(events, tmp_path / "videos.json")
+    out = tmp_path / "observer.json"
+    videos = str(tmp_path / "videos.json")
+    assert (
+        main(["fit-people", videos, "--source", "cues", "--observer", "lapsing", "--out", str(out)])
+        == 0
+    )
+    assert "ELPD" in capsys.readouterr().out
+    command = ["evaluate", videos, "--model", "chance", "--observer", str(out), "--no-figures"]
+    assert main([*command, "--out", str(tmp_path / "results")]) == 0
+    metrics = json.loads((tmp_path / "results" / "metrics.json").read_text())
+    assert metrics["doubt"]["ceiling"]["spearman_brown"] is not None
+    assert metrics["doubt"]["log_score_gap"]["value"] < 0.2

@@ -1,0 +1,170 @@
+"""Observers: what their parts do to answers, and what they have to go by."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from numpyro import handlers
+
+import phase_ppl as ppl
+from phase_ppl.models.observer import observers
+from phase_ppl.models.observer.cues import CUES, surface_cues
+from phase_ppl.models.observer.observers import Evidence, Observer, observer_named
+from phase_ppl.models.observer.perception import Perception
+from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
+from phase_ppl.world.hypothesis import RELATIONS
+from phase_ppl.world.observation import Observation
+
+
+def evidence(log_likelihood: list[list[float]], **cues: float) -> Evidence:
+    """Return evidence on relations alone, all prior masses alike."""
+    logs = np.array(log_likelihood)
+    return Evidence(
+        tuple(map(str, range(len(logs)))),
+        np.stack([logs, logs / 2, 0 * logs])[:, None],
+        np.full(logs.shape, -np.log(3)),
+        {"relation": np.arange(3)},
+        {name: np.full(len(logs), cues.get(name, 0.0)) for name in CUES},
+    )
+
+
+def answers(observer: observers.Program, given: Evidence, **parameters: float) -> np.ndarray:
+    """Return the shares of relations under fixed parameters."""
+    fixed = handlers.substitute(observer, {k: jnp.array(v) for k, v in parameters.items()})
+    said = handlers.seed(fixed, jax.random.key(0))(given)
+    return np.exp(np.asarray(said["relation"], np.float64))
+
+
+SURE = evidence([[0.0, -50.0, -60.0]])
+
+
+def test_an_observer_without_parts_answers_as_the_model_does() -> None:
+    given = evidence([[0.0, -1.0, -2.0], [-3.0, 0.0, -1.0]])
+    logs = given.log_likelihood[0, 0]
+    expected = np.exp(logs) / np.exp(logs).sum(axis=1, keepdims=True)
+    assert answers(Observer(), given) == pytest.approx(expected, abs=1e-5)
+
+
+def test_evidence_of_any_size_leaves_an_observer_that_saturates_in_doubt() -> None:
+    found = answers(Observer(observers.saturation), SURE, most_evidence=2.0)
+    assert found[0] == pytest.approx(
+        np.array([1, np.exp(-2), np.exp(-2)]) / (1 + 2 * np.exp(-2)), abs=1e-4
+    )
+    small = evidence([[0.0, -0.01, -0.02]])
+    assert answers(Observer(observers.saturation), small, most_evidence=20.0) == pytest.approx(
+        answers(Observer(), small), abs=1e-4
+    )
+
+
+def test_lapses_few_samples_and_a_flat_response_make_answers_alike() -> None:
+    assert answers(Observer(observers.lapse), SURE, lapse=0.3)[0] == pytest.approx([0.8, 0.1, 0.1])
+    assert answers(Observer(observers.samples), SURE, samples=3.0)[0] == pytest.approx(
+        [4 / 6, 1 / 6, 1 / 6]
+    )
+    given = evidence([[0.0, -2.0, -4.0]])
+    flat = answers(Observer(observers.sharpness), given, sharpness=0.5)
+    half = answers(Observer(observers.weight), given, weight=0.5)
+    assert flat == pytest.approx(half, abs=1e-5)
+
+
+def test_what_is_forgotten_counts_less() -> None:
+    given = evidence([[0.0, -4.0, -4.0]])
+    shares = [answers(Observer(observers.leak), given, leak=at)[0, 0] for at in (0.0, 1.0, 2.0)]
+    assert shares[0] > shares[1] > shares[2] == pytest.approx(1 / 3, abs=1e-5)
+    between = answers(Observer(observers.leak), given, leak=0.5)
+    assert between == pytest.approx(answers(Observer(), evidence([[0.0, -3.0, -3.0]])), abs=1e-5)
+
+
+def test_contact_speaks_against_agents_who_want_nothing_of_each_other() -> None:
+    part = observers.cues(contact="neutral")
+    apart, touching = (evidence([[0.0, 0.0, 0.0]], contact=c) for c in (0.0, 0.5))
+    found = {"cue_scale": 1.0, "raw_contact": -4.0}
+    assert answers(Observer(part), apart, **found)[0] == pytest.approx([1 / 3] * 3)
+    share = answers(Observer(part), touching, **found)[0]
+    assert share[1] == pytest.approx(np.exp(-2) / (2 + np.exp(-2)), abs=1e-5)
+
+
+def test_readings_of_a_video_are_averaged_as_answers() -> None:
+    one, other = [0.0, -30.0, -30.0], [-30.0, 0.0, -30.0]
+    both = np.array([one, other])[None, :, None]
+    given = evidence([one])
+    given = Evidence(
+        given.events, np.repeat(both, 3, 0), given.log_prior, given.answers, given.cues
+    )
+    assert answers(Observer(), given)[0] == pytest.approx([0.5, 0.5, 0.0], abs=1e-5)
+
+
+def test_relations_and_goals_follow_from_one_belief_about_pairs() -> None:
+    from phase_ppl.evaluation.observers.evidence import evidence_of
+
+    event = ppl.load_event("collaborate")
+    empty = evidence_of(
+        [event], {event.id: ppl.Prediction(event.id, {"relation": [0.2, 0.3, 0.5]})}
+    )
+    assert answers(Observer(), empty)[0] == pytest.approx([0.2, 0.3, 0.5], abs=0.01)
+    assert set(empty.answers) == {"relation"}
+    assert evidence_of([event]).log_likelihood.shape == (3, 1, 1, len(RELATIONS))
+    with pytest.raises(InvalidSettingError, match="made nothing of the event 'collaborate'"):
+        evidence_of([event], {})
+
+
+def test_cues_tell_agents_who_work_together_from_those_who_do_not() -> None:
+    found = {name: surface_cues(e.scene, e.observation) for name in ppl.bundled_events()
+             for e in [ppl.load_event(name)]}  # fmt: skip
+    assert all(tuple(sorted(one)) == tuple(sorted(CUES)) for one in found.values())
+    assert found["collaborate"]["working"] > found["independent"]["working"]
+    event = ppl.load_event("independent")
+    far = event.observation.trajectory.copy()
+    near = far.copy()
+    near[:, 1, :2] = near[:, 0, :2] + 0.1
+    close = surface_cues(event.scene, Observation(near))
+    assert close["contact"] == 1.0
+    assert close["distance"] < surface_cues(event.scene, Observation(far))["distance"]
+
+
+def test_a_reading_misses_frames_and_misjudges_positions() -> None:
+    event = ppl.load_event("independent")
+    seen = Perception(noise=0.2, missed=0.5, percepts=3)
+    one, other, _ = seen.readings(event.scene, event.observation, 1)
+    off = one.trajectory - event.observation.trajectory
+    assert (off[0] == 0).all()
+    assert 0.05 < off[1:, :, :2].std() < 0.5
+    assert (one.trajectory != other.trajectory).any()
+    again = seen.readings(event.scene, event.observation, 1)[0]
+    assert (again.trajectory == one.trajectory).all()
+    exact = Perception(noise=0.0, percepts=1).readings(event.scene, event.observation, 1)[0]
+    assert exact.trajectory == pytest.approx(event.observation.trajectory)
+
+
+def test_what_is_no_observer_is_refused() -> None:
+    with pytest.raises(UnknownNameError, match="observer 'companie'"):
+        observer_named("companie")
+    with pytest.raises(UnknownNameError, match="cue 'distanze'"):
+        observers.cues(distanze="neutral")
+    with pytest.raises(UnknownNameError, match="relation 'hostile'"):
+        observers.cues(distance="hostile")
+    with pytest.raises(InvalidSettingError, match="no function"):
+        Observer("lapse")  # type: ignore[arg-type]
+    with pytest.raises(InvalidSettingError, match="missed=1"):
+        Perception(missed=1.0)
+
+
+def test_few_hypotheses_answer_as_all_pairs_of_goals_do() -> None:
+    from phase_ppl.evaluation.observers.evidence import PAIRS
+
+    rng = np.random.default_rng(0)
+    n = PAIRS["relation"].size
+    logs = -rng.gamma(2.0, 3.0, (3, 1, 5, n))
+    given = Evidence(
+        tuple("abcde"), logs, np.full((5, n), -np.log(n)), PAIRS,
+        {name: np.zeros(5) for name in CUES},
+    )  # fmt: skip
+    few = given.condensed()
+    assert few.log_prior.shape[1] < 100
+    assert np.logaddexp.reduce(few.log_prior, axis=1) == pytest.approx(np.zeros(5))
+    for weight in (0.3, 1.0, 3.0):
+        one, other = (answers(Observer(observers.weight), e, weight=weight) for e in (given, few))
+        assert other == pytest.approx(one, abs=0.02)
+    assert few.condensed() is few
