@@ -208,12 +208,6 @@ def test_a_strip_of_a_short_event_has_all_its_frames(tmp_path: Path) -> None:
         assert picture.size == (900, 336)
 
 
-COMMANDS = (
-    *("infer", "resume", "simulate", "render", "compare", "diagnose", "evaluate", "report"),
-    *("query", "describe", "generate", "verify", "export", "train", "goals"),
-)
-
-
 @pytest.mark.parametrize("command", [[], *([name] for name in COMMANDS)], ids=str)
 def test_help_gives_an_example(command: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stop:
@@ -474,19 +468,10 @@ def test_a_prior_is_taken_out_of_a_file(tmp_path: Path, capsys: pytest.CaptureFi
     assert main(["query", kept, question, "--prior", "sparse_social"]) == 0
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_that_is_listed_is_there(
-    command: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main([command, "--help"])
-    assert ended.value.code == 0
-    assert f"phase-ppl {command}" in capsys.readouterr().out
-
-
 def test_help_lists_all_commands_and_imports_none_of_them() -> None:
     code = (
-        "import sys\nfrom phase_ppl.cli import main\ntry: main(['--help'])\nexcept SystemExit: pass\n"
+        "import sys\nfrom phase_ppl.cli import main\n"
+        "try: main(['--help'])\nexcept SystemExit: pass\n"
         "print({'jax', 'numba', 'xarray', 'pandas', 'matplotlib'} & set(sys.modules))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
