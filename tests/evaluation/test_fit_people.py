@@ -92,6 +92,7 @@ def test_a_stored_observer_answers_as_the_fit(fits: dict[str, PeopleFit], tmp_pa
             observer_of(file, "anything")
 
 
+@pytest.mark.slow
 def test_raters_of_one_mind_are_told_from_independent_ones() -> None:
     evidence, answers = world()
     agreed = dataclasses.replace(
@@ -121,6 +122,7 @@ def study(path: Path, events: list[Event]) -> None:
     path.write_text("\n".join(rows) + "\n")
 
 
+@pytest.mark.slow
 def test_answers_of_a_study_with_names_and_times_go_through_the_same_call(tmp_path: Path) -> None:
     event = ppl.load_event("collaborate")
     events = [dataclasses.replace(event, id=f"v{i}", judgments=None) for i in range(16)]
@@ -136,10 +138,16 @@ def test_answers_of_a_study_with_names_and_times_go_through_the_same_call(tmp_pa
     assert np.quantile(fit.draws["slowing"], 0.05) > 0
     assert fit.answers.raters == tuple(f"p{i}" for i in range(6))
     assert fit.questions == ("relation",)
+
+
+def test_fits_without_people_or_by_nobody_are_refused() -> None:
+    event = ppl.load_event("collaborate")
+    model = {event.id: ppl.Prediction(event.id, {"relation": [1 / 3] * 3})}
+    nobody = [dataclasses.replace(event, judgments=None)]
     with pytest.raises(InvalidEventError, match="nobody judged"):
-        ppl.fit_people(events, None, "saturating", source=model)
+        ppl.fit_people(nobody, None, "saturating", source=model)
     with pytest.raises(UnknownNameError, match="observer 'nobody'"):
-        ppl.fit_people(events, tmp_path / "study.csv", "nobody", source=model)
+        ppl.fit_people([event], None, "nobody", source=model)
 
 
 def test_people_who_come_with_the_package_see_what_a_model_makes_of_a_video(tmp_path: Path) -> None:

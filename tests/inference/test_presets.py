@@ -140,7 +140,9 @@ def test_infer_takes_single_settings_and_writes_the_word_down(
     assert main(["infer", "collaborate", "--preset", "printed"]) == 2
     assert "unknown preset 'printed'" in capsys.readouterr().err
     monkeypatch.undo()
-    assert main(["infer", "collaborate", "--preset", "as_intended", "--planner", "fast",
-                 "--chains", "2", "--iterations", "1", "--kernel", "prior_mh", "--workers", "1",
-                 "--quiet", "--out", str(tmp_path)]) == 0  # fmt: skip
-    assert json.loads((tmp_path / "summary.json").read_text())["preset"] == "as_intended"
+    walk = tmp_path / "walk.json"
+    ppl.save_event(walking_event(), walk)
+    assert main(["infer", str(walk), "--preset", "as_intended", "--planner", "fast", "--chains",
+                 "2", "--iterations", "1", "--kernel", "prior_mh", "--workers", "1",
+                 "--quiet", "--out", str(tmp_path / "out")]) == 0  # fmt: skip
+    assert json.loads((tmp_path / "out" / "summary.json").read_text())["preset"] == "as_intended"
