@@ -18,7 +18,7 @@ VENV = .venv
 BIN = $(VENV)/bin
 INSTALL = $(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt
 
-.PHONY: help demo test test-all check lint types imports format clean
+.PHONY: help demo docs test test-all check lint types imports format clean
 
 help:
 	@echo "make demo     infer who wants what in a bundled event; results in $(OUT)/"
@@ -28,6 +28,7 @@ help:
 	@echo "make types      type hints (mypy)"
 	@echo "make imports    which folder imports which (import-linter)"
 	@echo "make format   put the code into the project's format"
+	@echo "make docs     build the documentation site in site/"
 	@echo "make clean    remove the virtual environment, caches and demo-out/"
 
 demo: $(VENV)/.installed
@@ -51,12 +52,15 @@ types: $(VENV)/.installed-dev
 imports: $(VENV)/.installed-dev
 	$(BIN)/lint-imports
 
+docs: $(VENV)/.installed-docs
+	$(BIN)/mkdocs build
+
 format: $(VENV)/.installed-dev
 	$(BIN)/ruff check --fix-only
 	$(BIN)/ruff format
 
 clean:
-	rm -rf $(VENV) demo-out build dist .mypy_cache .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) demo-out site build dist .mypy_cache .pytest_cache .ruff_cache .hypothesis
 	rm -rf .import_linter_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
@@ -75,6 +79,10 @@ $(VENV)/.installed-dev: $(BIN)/python pyproject.toml constraints.txt
 	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(BIN)/python -m ensurepip
 	$(INSTALL) -e '.[dev,oracle]'
 	@touch $(VENV)/.installed $@
+
+$(VENV)/.installed-docs: $(VENV)/.installed
+	$(INSTALL) -e '.[docs]'
+	@touch $@
 
 $(BIN)/python:
 	@set -e; found=; no_venv=; \

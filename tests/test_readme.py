@@ -1,4 +1,4 @@
-"""The README's examples run as they stand, as plain scripts."""
+"""The examples of the README and of docs/ run as they stand, as plain scripts."""
 
 from __future__ import annotations
 
@@ -14,7 +14,14 @@ import pytest
 import phase_ppl as ppl
 
 README = Path(__file__).parent.parent / "README.md"
-EXAMPLES = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
+DOCS = README.parent / "docs"
+
+
+def examples(page: Path) -> list[str]:
+    return re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+
+
+EXAMPLES = {page.stem: examples(page)[0] for page in sorted(DOCS.glob("*.md")) if examples(page)}
 
 
 def saved(example: str, folder: Path) -> Path:
@@ -35,9 +42,23 @@ def run(example: str, folder: Path) -> str:
     return done.stdout
 
 
-def test_there_are_five_examples() -> None:
-    told_by = ("ppl.render.video", "ppl.watch", "def helpers", "ppl.resume", "ppl.evaluate")
-    assert [name in e for name, e in zip(told_by, EXAMPLES, strict=True)] == [True] * 5
+def test_each_page_with_an_example_has_one_and_all_are_known() -> None:
+    assert sum(len(examples(page)) for page in DOCS.glob("*.md")) == len(EXAMPLES)
+    pages = "closed_loop first_posterior long_runs many_events priors_and_simulators what_if"
+    assert sorted(EXAMPLES) == pages.split()
+
+
+def test_the_readme_shows_lines_of_the_first_example_in_their_order() -> None:
+    (shown,) = examples(README)
+    lines = iter(EXAMPLES["first_posterior"].splitlines())
+    assert all(line in lines for line in shown.splitlines())
+
+
+@pytest.mark.parametrize("page", [README, *sorted(DOCS.glob("*.md"))], ids=lambda page: page.stem)
+def test_links_lead_to_files_that_are_there(page: Path) -> None:
+    links = re.findall(r"\]\(([^)#\s]+)", page.read_text(encoding="utf-8"))
+    for link in links:
+        assert link.startswith("http") or (page.parent / link).exists(), link
 
 
 def shorten(monkeypatch: pytest.MonkeyPatch, frames: int) -> None:
@@ -57,7 +78,7 @@ def test_the_main_example_prints_a_posterior_and_writes_its_files(
     tmp_path: Path, run_script: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shorten(monkeypatch, 30)
-    printed = run_script(saved(EXAMPLES[0], tmp_path))
+    printed = run_script(saved(EXAMPLES["first_posterior"], tmp_path))
     assert "Get pink item to red lm" in printed
     for name in ("run.nc", "run.png", "why.mp4"):
         assert (tmp_path / name).stat().st_size > 1000
@@ -67,31 +88,31 @@ def test_an_event_is_watched(
     tmp_path: Path, run_script: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shorten(monkeypatch, 13)
-    printed = run_script(saved(EXAMPLES[1], tmp_path))
+    printed = run_script(saved(EXAMPLES["closed_loop"], tmp_path))
     assert printed.count("±") == 9
     for name in ("why.png", "watch.mp4"):
         assert (tmp_path / name).stat().st_size > 1000
 
 
 def test_a_prior_and_a_simulator_defined_in_a_script_work(tmp_path: Path) -> None:
-    printed = run(EXAMPLES[2] + "\nprint(post)\n", tmp_path)
+    printed = run(EXAMPLES["priors_and_simulators"] + "\nprint(post)\n", tmp_path)
     assert "15 particles x 6 iterations" in printed
 
 
 def test_a_model_of_ones_own_is_evaluated(tmp_path: Path, run_script: Callable[..., str]) -> None:
-    assert "collaborative" in run_script(saved(EXAMPLES[4], tmp_path))
+    assert "collaborative" in run_script(saved(EXAMPLES["many_events"], tmp_path))
 
 
 def test_a_scene_from_scratch_is_explained(tmp_path: Path, run_script: Callable[..., str]) -> None:
-    text = (README.parent / "docs" / "what_if.md").read_text(encoding="utf-8")
-    (example,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
-    assert "the green agent goes up to the red agent" in run_script(saved(example, tmp_path))
+    assert "the green agent goes up to the red agent" in run_script(
+        saved(EXAMPLES["what_if"], tmp_path)
+    )
     assert (tmp_path / "explained.mp4").stat().st_size > 1000
 
 
 @pytest.mark.slow
 def test_a_run_on_a_cluster_is_kept_and_extended(tmp_path: Path) -> None:
-    printed = run(EXAMPLES[3] + "\n    print(post)\n", tmp_path)
+    printed = run(EXAMPLES["long_runs"] + "\n    print(post)\n", tmp_path)
     assert "4 particles x 2 iterations" in printed
     assert (tmp_path / "run.ckpt").stat().st_size > 1000
 
