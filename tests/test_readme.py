@@ -54,6 +54,17 @@ def test_the_readme_shows_lines_of_the_first_example_in_their_order() -> None:
     assert all(line in lines for line in shown.splitlines())
 
 
+def test_every_public_name_is_in_the_reference() -> None:
+    shown = set(re.findall(r"^::: (.+)$", (DOCS / "reference.md").read_text("utf-8"), re.MULTILINE))
+    missing = [
+        name
+        for name in set(ppl.__all__) - {"__version__"}
+        for module, original in [ppl._PLACES[name]]
+        if not {module, f"{module}.{original}"} & shown
+    ]
+    assert not missing
+
+
 @pytest.mark.parametrize("page", [README, *sorted(DOCS.glob("*.md"))], ids=lambda page: page.stem)
 def test_links_lead_to_files_that_are_there(page: Path) -> None:
     links = re.findall(r"\]\(([^)#\s]+)", page.read_text(encoding="utf-8"))
