@@ -243,7 +243,7 @@ def test_examples_of_the_page_run_as_they_stand(
     write(tmp_path, example("csv"))
     ppl.save_events([ppl.load_event("collaborate"), ppl.load_event("oppose")], "videos.json")
     names: dict[str, Any] = {}
-    exec(compile(example("python"), str(PAGE), "exec"), names)
+    exec(compile(example("py"), str(PAGE), "exec"), names)
     accuracy = names["study"].accuracy(names["events"])
     assert accuracy["goal_accuracy"]["value"] == 1
     assert names["events"][0].judgments["n_raters"] == 2
