@@ -344,9 +344,10 @@ def _by_prior(leaders: Mapping[str, Mapping[str, Any]]) -> list[str]:
 def _untried_rivals(n: int) -> list[str]:
     if not n:
         return []
+    rivals, were = ("rival", "was") if n == 1 else ("rivals", "were")
     return [
-        f"Not ruled out: {n} rivals of the leading goals, with which one agent wants the same "
-        "thing at another landmark, were never simulated."
+        f"Not ruled out: {n} {rivals} of the leading goals, with which one agent wants the same "
+        f"thing at another landmark, {were} never simulated."
     ]
 
 

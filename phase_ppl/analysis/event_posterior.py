@@ -98,12 +98,11 @@ class EventPosterior(Hypotheses):
         at = [float(value) for value in values]
         answers: list[xr.DataArray | None] = []
         refusals: list[str] = []
-        for place, value in enumerate(at):
-            program = functools.partial(prior, value)
+        if at:  # once is enough for a check that takes a while
+            checked_program(functools.partial(prior, at[0]))
+        for value in at:
             try:
-                # once is enough for a check that takes a while
-                changed = self.under(program) if place else self.with_prior(program)
-                answer = changed.query(question)
+                answer = self.under(functools.partial(prior, value)).query(question)
             except InvalidSettingError as error:
                 refusals.append(f"{value:g}: {error}")
                 answers.append(None)

@@ -31,11 +31,8 @@ from phase_ppl.world.observation import FRAMES_PER_SECOND
 from phase_ppl.world.picture import preformatted
 from phase_ppl.world.scene import Scene
 
-SIMULATIONS: Final = 16
-"""Hypotheses that are drawn, each simulated once in every world."""
-
 WORLDS: Final = ("as it is", "changed")
-SURE: Final = 1.96
+_SURE: Final = 1.96
 """Errors from which on a difference is put down to the change."""
 
 _FEWEST: Final = 2
@@ -171,7 +168,7 @@ class WhatIf:
             return f"{shares[0]}{median[0]}"
         words = f"{shares[0]}{median[0]} as it is, {shares[1]}{median[1]} with {self.change}"
         change = self.difference(agent)
-        if abs(change) < SURE * change.error:
+        if abs(change) < _SURE * change.error:
             return f"{words}; no difference that so few simulations would show ({change})"
         if not self.removed:
             return f"{words}: {'more' if change > 0 else 'less'} often ({change})"
@@ -235,7 +232,9 @@ class Change:
             "strength_green": self.strength_green,
         }
         h = dataclasses.replace(h, **_given(stated)).effective()
-        return dataclasses.replace(h, **_given({n: getattr(self, n) for n in GOAL_NAMES}))
+        return dataclasses.replace(
+            h, **_given({"goal_red": self.goal_red, "goal_green": self.goal_green})
+        )
 
     def scene(self, scene: Scene) -> Scene:
         return scene if self.walls is None else dataclasses.replace(scene, walls=self.walls)
@@ -251,9 +250,6 @@ class Change:
                 goal = "goal" in name
                 words.append(f"{name} = {GOALS[goal_index(value)] if goal else value}")
         return ", ".join(words)
-
-
-GOAL_NAMES: Final = ("goal_red", "goal_green")
 
 
 def _given(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -291,14 +287,15 @@ def simulated(
         n, seed, workers, simulator: as of ``do``.
     """
     whole_number("n", n, _FEWEST)
-    run = _simulator(post, simulator)
-    joint = isinstance(run, JointSimulator)
     removed = () if change is None else change.removed
+    of_run = post.settings.get("model", {}).get("simulator", "joint")
+    joint = of_run == "joint" if simulator is None else isinstance(simulator, JointSimulator)
     if not joint and (at or removed):
         raise InvalidSettingError(
-            "at= and remove= need the joint simulator: another one always begins at the start, "
-            "with all entities"
+            f"a frame to go on from and entities to remove need the joint simulator, not {of_run}: "
+            "another one always begins at the start, with all entities"
         )
+    run = _simulator(post, simulator)
     scene = post.scene
     worlds: list[tuple[Scene, tuple[int, ...]]] = [(scene, ())]
     drawn = _drawn(post, n, seed)

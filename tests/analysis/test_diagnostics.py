@@ -305,7 +305,7 @@ def test_an_answer_is_decided_only_where_all_its_rivals_were_simulated() -> None
     found = diagnose(lead + lost[1:])
     assert found["untried_rivals"] == 1
     assert not found["decided"]
-    assert "1 rivals of the leading goals" in found["verdict"]
+    assert "1 rival of the leading goals" in found["verdict"]
     failed = dataclasses.replace(lost[0], failed=True, completed=False)
     assert diagnose([*lead, failed, *lost[1:]])["untried_rivals"] == 1
     untold = Posterior(make_tree(lead + lost[1:], draws), "count").diagnostics()

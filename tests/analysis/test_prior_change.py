@@ -140,3 +140,5 @@ def test_a_curve_against_an_argument_of_the_prior() -> None:
         post.sensitivity("top goal_red", related, [0.5])
     with pytest.raises(InvalidSettingError, match="empty"):
         post.sensitivity("P(relation)", related, [])
+    with pytest.raises(InvalidSettingError, match="does not sample"):
+        post.sensitivity("P(relation)", lambda p: None, [0.1, 0.2])

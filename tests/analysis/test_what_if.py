@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 from pathlib import Path
 from typing import Any
@@ -138,3 +139,14 @@ def test_walls_are_moved(contested: ppl.Posterior) -> None:
     assert (shut.poses[1, :, :, 0, 0] < 16).all()
     assert math.isclose(shut.scenes[1].rooms.door_width[2], 0.0)
     assert str(shut).count("other walls") == 2
+
+
+def test_a_run_with_a_simulator_of_its_own_does_not_go_on_from_a_frame() -> None:
+    where = scene((13.0, 7.0, -1.5), (18.5, 8.0, 1.5), (16.0, 7.0), (8.0, 20.0))
+    tree = make_tree([Simulation(PULL)], [[0]], scene=where)
+    tree.attrs["settings"] = json.dumps({"model": {"simulator": "mine.walks"}})
+    post = ppl.Posterior(tree)
+    with pytest.raises(InvalidSettingError, match=r"need the joint simulator, not mine\.walks"):
+        post.predict(1)
+    with pytest.raises(InvalidSettingError, match="give it, simulator="):
+        post.do(strength_red=300.0)
