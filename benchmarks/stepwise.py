@@ -272,7 +272,9 @@ def of_truth(task: tuple[Event, int]) -> dict[str, float]:
         found = watch.posterior().dataset["log_likelihood"].values.sum(axis=0)
     stepwise = float(found[goals])
     hypothesis = ppl.Hypothesis(*goals, (0, 0), truth.strength_red, truth.strength_green)
-    simulated = ppl.simulate(event.scene, hypothesis, seed=seed, frames=event.observation.n_frames)
+    simulated = ppl.simulate(
+        event.scene, hypothesis, seed=seed, frames=event.observation.n_frames, overlapping=True
+    )
     seen = event.observation.positions
     errors = np.linalg.norm(
         (simulated.observation.positions - seen).reshape(len(seen), -1),

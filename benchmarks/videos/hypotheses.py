@@ -117,6 +117,7 @@ def simulated(event: Event, planner: PlannerConfig) -> Event:
         frames=event.observation.n_frames,
         seed=SEED_OF_SIMULATED,
         planner=planner,
+        overlapping=True,
     )
     return dataclasses.replace(event, observation=other.observation)
 

@@ -7,7 +7,7 @@ import functools
 import math
 import os
 import textwrap
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -21,6 +21,7 @@ from phase_ppl.physics.pymunk_world import AWAY
 from phase_ppl.render.video import Film, video
 from phase_ppl.simulator.contract import Simulator, random_generator, simulate_trajectory
 from phase_ppl.simulator.joint import JointSimulator, Past
+from phase_ppl.simulator.processes import mapped
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import number_of_workers, positive_number, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
@@ -310,7 +311,7 @@ def simulated(
         for (where, gone), rows in zip(worlds, hypotheses, strict=True)
         for h, one in zip(rows, seeds, strict=True)
     ]
-    poses = np.array(list(_in_processes(_simulate, tasks, workers)))
+    poses = np.array(list(mapped(_simulate, tasks, number_of_workers(workers), "simulation")))
     if at:  # a frame is the mean over a step, a state its end: show what was seen
         there = poses[:, 0, :, 0] > AWAY / 2
         poses[:, 0][there] = np.broadcast_to(post.observed[at], poses[:, 0].shape)[there]
@@ -368,21 +369,6 @@ def _simulate(
         return simulate_trajectory(run, scene, hypothesis, seed, frames)
     steps = run.steps(scene, hypothesis.effective(), random_generator(seed), past, removed)
     return np.array([frame for frame, _ in (next(steps) for _ in range(frames))])
-
-
-def _in_processes(
-    function: Callable[..., FloatArray], tasks: Sequence[tuple[Any, ...]], workers: int | None
-) -> Iterator[FloatArray]:
-    import loky
-    from tqdm.auto import tqdm
-
-    bar = functools.partial(tqdm, total=len(tasks), unit="simulation", disable=None, leave=False)
-    n = min(number_of_workers(workers), len(tasks))
-    if n == 1:
-        yield from bar(function(*task) for task in tasks)
-        return
-    with loky.ProcessPoolExecutor(n) as pool:
-        yield from bar(pool.map(function, *zip(*tasks, strict=True)))
 
 
 def length(post: Source, at: int | None, seconds: float | None) -> tuple[int, int]:

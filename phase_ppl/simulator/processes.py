@@ -14,15 +14,17 @@ import pickle
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, Future
 from multiprocessing import resource_tracker
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import loky
 
 from phase_ppl.simulator.contract import Cancelled, described
 from phase_ppl.world.errors import SimulationError
+
+Result = TypeVar("Result")
 
 GROWTH_BYTES: Final = 2_000_000_000
 """How much a worker may grow before a fresh one takes its place; compiled programs take room."""
@@ -270,3 +272,21 @@ class BorrowedExecutor:
 
     def close(self) -> None:
         """Do nothing: the executor is not ours."""
+
+
+def mapped(
+    function: Callable[..., Result], tasks: Sequence[tuple[Any, ...]], workers: int, unit: str
+) -> Iterator[Result]:
+    """Yield what a function gives for the arguments of each task, in their order, with a bar.
+
+    A single worker is this process. For tasks that cannot fail; the rest of the module is for those
+    that can.
+    """
+    from tqdm.auto import tqdm
+
+    with contextlib.ExitStack() as stack:
+        run: Callable[..., Iterable[Result]] = map
+        if workers > 1 and len(tasks) > 1:
+            run = stack.enter_context(loky.ProcessPoolExecutor(min(workers, len(tasks)))).map
+        columns = zip(*tasks, strict=True)
+        yield from tqdm(run(function, *columns), total=len(tasks), unit=unit, disable=None)

@@ -134,3 +134,10 @@ def test_command_writes_weights_that_load_and_a_report(tmp_path: Path) -> None:
     report = json.loads((tmp_path / "out" / "strength_weights.json").read_text())
     assert report["settings"]["events"] == 20
     assert set(SHAPES)
+
+
+def test_drawn_events_are_the_same_with_one_and_two_workers() -> None:
+    # among them is one whose bodies overlap at the start
+    one, two = (simulate_events(3, 6, 0, workers) for workers in (1, 2))
+    for alone, shared in zip(one, two, strict=True):
+        np.testing.assert_array_equal(alone, shared)

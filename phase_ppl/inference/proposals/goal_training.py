@@ -119,8 +119,9 @@ def draw_event(seed: int, index: int) -> Drawn | None:
     if scenario != "opposing" and _achieved(scene, goals, scene.start[None]).any():
         return None
     event = simulate(
-        scene, Hypothesis(*goals, (0, 0), *strengths), frames=FRAMES, seed=int(rng.integers(2**31))
-    )
+        scene, Hypothesis(*goals, (0, 0), *strengths), frames=FRAMES,
+        seed=int(rng.integers(2**31)), overlapping=True,
+    )  # fmt: skip
     track = event.observation.trajectory
     if scenario in ("collaborative", "independent") and not _achieved(scene, goals, track).all():
         return None

@@ -13,7 +13,6 @@ that the agents mostly have something to do; PHASE's own families of events are 
 from __future__ import annotations
 
 import argparse
-import contextlib
 import dataclasses
 import functools
 import json
@@ -21,7 +20,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, NamedTuple, TypeVar
 
-import loky
 import numpy as np
 from numpy.typing import NDArray
 from tqdm.auto import tqdm
@@ -38,6 +36,7 @@ from phase_ppl.inference.proposals.strength import (
 from phase_ppl.inference.proposals.strength_features import window_features
 from phase_ppl.models.neural import needs_torch, threads
 from phase_ppl.simulator.joint import JointSimulator, simulate
+from phase_ppl.simulator.processes import mapped
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, PhasePPLError
 from phase_ppl.world.goals import goal_literal, literal_goal
@@ -129,16 +128,15 @@ def _own_goal(rng: np.random.Generator, holder: int) -> int:
 def in_processes(draw: Callable[[int], Result], n: int, workers: int) -> list[Result]:
     """Return ``draw(0)``, ..., ``draw(n - 1)``, each of which simulates an event."""
     JointSimulator().warm_up()
-    with contextlib.ExitStack() as stack:
-        run = map if workers == 1 else stack.enter_context(loky.ProcessPoolExecutor(workers)).map
-        return list(tqdm(run(draw, range(n)), total=n, desc="events", disable=None))
+    return list(mapped(draw, [(index,) for index in range(n)], workers, "event"))
 
 
 def _simulated(seed: int, frames: int, index: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return trajectory, sizes and strengths of one drawn event."""
     rng = np.random.default_rng([seed, index])
     scene, hypothesis = draw_scene(rng), draw_hypothesis(rng)
-    event = simulate(scene, hypothesis, frames=frames, seed=int(rng.integers(2**31)))
+    of_event = int(rng.integers(2**31))
+    event = simulate(scene, hypothesis, frames=frames, seed=of_event, overlapping=True)
     return event.observation.trajectory, scene.radius, np.array(hypothesis.strengths)
 
 
