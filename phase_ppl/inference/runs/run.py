@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, Final, TypeAlias
 
 import jax
@@ -18,7 +18,8 @@ from phase_ppl.inference.registry import Factory, KernelInfo, described
 from phase_ppl.inference.runs.length import run_length
 from phase_ppl.inference.settings import Budget, SimpleSettings
 from phase_ppl.models import priors
-from phase_ppl.models.density import compiled_quickly, remembered
+from phase_ppl.models.density import remembered
+from phase_ppl.models.hosted import Hosted
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import EventProgram, event_salt
@@ -198,7 +199,7 @@ def make_kernel(recipe: Recipe, data: Data) -> MCMCKernel:
 
 
 @remembered(_KEPT_PROGRAMS)
-def compiled(recipe: Recipe) -> tuple[Callable[..., Any], Callable[..., Any]]:
+def compiled(recipe: Recipe) -> tuple[Hosted, Hosted]:
     """Return the two compiled functions of a recipe: (keys, data) and (state, data) -> state."""
 
     def init(keys: jax.Array, data: Data) -> Any:
@@ -211,4 +212,4 @@ def compiled(recipe: Recipe) -> tuple[Callable[..., Any], Callable[..., Any]]:
             jax.eval_shape(lambda keys: kernel.init(keys, 0, None, (), {}), state.rng_key)
         return kernel.sample(state, (), {})
 
-    return compiled_quickly(init), compiled_quickly(step)
+    return Hosted(init), Hosted(step)

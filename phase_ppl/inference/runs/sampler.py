@@ -247,7 +247,7 @@ class Sampler:
                 f"iterations={wanted}, but {saved.path} has {saved.done} already"
             )
         with on_cpu():
-            blank = jax.eval_shape(self._init, self._keys(), self._data)
+            blank = self._init.shapes(self._keys(), self._data)
         self._state, self._particles = saved.state(blank), list(saved.particles)
         before = tally_of(saved.records, saved.done - 1)
         if saved.done and self._length.is_spent(before):
