@@ -136,11 +136,18 @@ class EventKernel(MCMCKernel, Generic[State]):
         floor = log_floor - _SLACK - _RELATIVE_SLACK * jnp.abs(log_floor)
         # without a floor, as before a first completed simulation, there is no ceiling either
         floor = jnp.where(jnp.isfinite(floor), floor, -jnp.inf)
-        return self.model.likelihood.max_total_error(floor, self.model.n_frames)
+        return self.model.likelihood.max_total_error(floor, self.model.observed)
 
     @property
-    def n_windows(self) -> int:
-        """How many windows the observation has."""
+    def n_windows(self) -> Any:
+        """How many windows the observation has: a number, or an array of one if it is padded."""
+        if not self.model.is_padded:
+            return window_count(self.model.n_frames, self.settings.window)
+        return jnp.maximum(self.model.observed - self.settings.window, 1)
+
+    @property
+    def most_windows(self) -> int:
+        """How many windows the arrays have room for."""
         return window_count(self.model.n_frames, self.settings.window)
 
     def draw_guide(self, key: jax.Array, window: jax.Array | int) -> dict[str, jax.Array]:
