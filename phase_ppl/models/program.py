@@ -87,18 +87,21 @@ class EventProgram:
 
     def log_likelihood(self, step_error: jax.Array) -> jax.Array:
         """Return (time,) the log density of each observed frame."""
-        found = self.likelihood.log_prob(step_error)
-        if not self.is_padded:
-            return found
-        return jnp.where(jnp.arange(self.n_frames) < self.observed, found, 0.0)
+        return self._within(self.likelihood.log_prob(step_error))
 
     def relative_log_likelihood(self, step_error: jax.Array) -> jax.Array:
         """Return the log density of the observation less that of no error at all.
 
         Frame by frame, so that the large constant of the likelihood cancels without rounding.
         """
-        none = self.log_likelihood(jnp.zeros_like(step_error))
-        return (self.log_likelihood(step_error) - none).sum()
+        none = self.likelihood.log_prob(jnp.zeros_like(step_error))
+        return self._within(self.likelihood.log_prob(step_error) - none).sum()
+
+    def _within(self, by_frame: jax.Array) -> jax.Array:
+        """Return what there is by frame (time,), 0 beyond the observation."""
+        if not self.is_padded:
+            return by_frame
+        return jnp.where(jnp.arange(self.n_frames) < self.observed, by_frame, 0.0)
 
     def simulate(
         self,
