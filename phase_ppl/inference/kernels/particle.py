@@ -14,6 +14,7 @@ from jax import lax, random
 from numpyro.infer.mcmc import MCMCKernel
 from numpyro.util import is_prng_key
 
+from phase_ppl.inference.proposals.guide import Mixture
 from phase_ppl.inference.proposals.tables import window_count
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.density import NO_DENSITY, Program, draw
@@ -152,7 +153,10 @@ class EventKernel(MCMCKernel, Generic[State]):
 
     def draw_guide(self, key: jax.Array, window: jax.Array | int) -> dict[str, jax.Array]:
         """Return a hypothesis from the guide."""
-        return draw(self.guide, key, jnp.asarray(window))
+        guide = self.guide
+        if isinstance(guide, Mixture):
+            return guide.draw(key, jnp.asarray(window))
+        return draw(guide, key, jnp.asarray(window))
 
 
 class ParticleKernel(EventKernel[State]):
