@@ -63,6 +63,9 @@ class KernelInfo:
         weighted: whether draws carry a weight, the state's ``log_weight``.
         weights: name of the weighting that makes a posterior of a run, where its draws, counted,
             are none; None: they are.
+        any_length: whether arrays of frames may be longer than the observation, so that one
+            compiled program serves events of all lengths: how many frames count is then
+            ``program.observed`` instead of ``program.n_frames``, and known only when it runs.
     """
 
     name: str
@@ -75,6 +78,7 @@ class KernelInfo:
     keeps: Keeps = "all"
     weighted: bool = False
     weights: str | None = None
+    any_length: bool = False
 
     def make(self, program: EventProgram, **options: Any) -> MCMCKernel:
         """Return the kernel for the model of an event.
@@ -123,6 +127,7 @@ def register_kernel(
     keeps: Keeps = "all",
     weighted: bool = False,
     weights: str | None = None,
+    any_length: bool = False,
 ) -> Callable[[AnyFactory], AnyFactory]:
     """Return a decorator that makes a kernel class, or a factory, known under ``name``.
 
@@ -152,6 +157,7 @@ def register_kernel(
             keeps,
             weighted,
             weights,
+            any_length,
         ),
     )
 

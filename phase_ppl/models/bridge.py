@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 import math
 import weakref
@@ -12,6 +13,8 @@ from typing import Any, Final, Protocol
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend import core
+from jax.interpreters import batching, mlir
 from numpy.typing import NDArray
 
 from phase_ppl.models.density import NO_DENSITY, Sites
@@ -211,18 +214,54 @@ def request_errors(
         The errors; inf from where the simulation was stopped. All inf for a failed simulation
         and for hypotheses outside the prior's support, which are not simulated.
     """
-    shape = jax.ShapeDtypeStruct((n_frames,), jnp.float32)
+    names = tuple(sorted(sites))
     limits = (jnp.float32(limit) for limit in (error_ceiling, log_proposal, log_bound))
-    arguments = (jnp.asarray(handle), dict(sites), log_prior, seed, *limits)
-    errors: jax.Array = jax.pure_callback(_host, shape, *arguments, vmap_method="broadcast_all")
+    arguments = (handle, log_prior, seed, *limits, *(sites[name] for name in names))
+    errors: jax.Array = request_p.bind(*map(jnp.asarray, arguments), names=names, n_frames=n_frames)
     return errors
 
 
-def _host(handle: Any, sites: dict[str, Any], *rest: Any) -> NDArray[np.float32]:
+request_p: Final = core.Primitive("phase_ppl_request")
+"""Stands for a simulation in a traced program: (handle, log_prior, seed, three limits, sites) ->
+errors. All particles of a vectorised program are one request."""
+
+
+def answered(*arguments: Any, names: tuple[str, ...], n_frames: int) -> NDArray[np.float32]:
+    """Return what a request asks for, on the host; errors beyond the observation's end are 0."""
     # NumPy from the first line on: calling JAX in here can deadlock
-    bridge = _open[int(np.asarray(handle).flat[0])]
-    columns = {name: np.asarray(value) for name, value in sites.items()}
-    return bridge.answer(columns, *(np.asarray(value) for value in rest))
+    handle, log_prior, seed, *rest = map(np.asarray, arguments)
+    limits, values = rest[:3], rest[3:]
+    bridge = _open[int(handle.flat[0])]
+    found = bridge.answer(dict(zip(names, values, strict=True)), log_prior, seed, *limits)
+    padding = [(0, 0)] * (found.ndim - 1) + [(0, n_frames - found.shape[-1])]
+    return np.pad(found, padding)
+
+
+def _from_within(*arguments: Any, names: tuple[str, ...], n_frames: int) -> jax.Array:
+    shape = jax.ShapeDtypeStruct((*jnp.shape(arguments[2]), n_frames), jnp.float32)
+    host = functools.partial(answered, names=names, n_frames=n_frames)
+    errors: jax.Array = jax.pure_callback(host, shape, *arguments)
+    return errors
+
+
+def _as_one(
+    arguments: Sequence[jax.Array], axes: Sequence[int | None], **params: Any
+) -> tuple[jax.Array, int]:
+    """Return the errors of a batch of requests, the batch first."""
+    n = next(a.shape[i] for a, i in zip(arguments, axes, strict=True) if i is not None)
+    whole = (
+        jnp.broadcast_to(a, (n, *a.shape)) if i is None else jnp.moveaxis(a, i, 0)
+        for a, i in zip(arguments, axes, strict=True)
+    )
+    return request_p.bind(*whole, **params), 0
+
+
+request_p.def_impl(_from_within)
+request_p.def_abstract_eval(
+    lambda *kinds, names, n_frames: jax.core.ShapedArray((*kinds[2].shape, n_frames), np.float32)
+)
+batching.primitive_batchers[request_p] = _as_one
+mlir.register_lowering(request_p, mlir.lower_fun(_from_within, multiple_results=False))
 
 
 def _in_support(flat: _Columns, log_prior: NDArray[np.float32]) -> NDArray[np.bool_]:

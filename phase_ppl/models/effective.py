@@ -21,10 +21,10 @@ from numpyro import handlers
 from numpyro.infer.inspect import get_dependencies
 
 from phase_ppl.models.density import (
-    compiled_quickly,
     remembered,
     trace_log_density,
 )
+from phase_ppl.models.hosted import Hosted
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, STRENGTH_SITES
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.goals import N_GOALS
@@ -92,7 +92,7 @@ def _density(prior: Prior, names: tuple[str, ...]) -> Callable[[dict[str, jax.Ar
     def marginal(z: dict[str, jax.Array]) -> jax.Array:
         return logsumexp(jax.vmap(given, in_axes=(0, None))(keys, z)) - math.log(len(keys))
 
-    density: Callable[[dict[str, jax.Array]], jax.Array] = compiled_quickly(jax.vmap(marginal))
+    density: Callable[[dict[str, jax.Array]], jax.Array] = Hosted(jax.vmap(marginal))
     return density
 
 

@@ -41,8 +41,11 @@ class EventProgram:
     Args:
         model: prior, likelihood, noise.
         bridge: handle of the :class:`~phase_ppl.models.bridge.SimulatorBridge` that simulates.
-        n_frames: length T of the observation.
+        n_frames: length of the arrays (time,).
         salt: stands for the event where ``noise="fixed"``; see :func:`event_salt`.
+        observed: length T of the observation, where the arrays are longer, so that one compiled
+            program serves all lengths; perhaps known only inside compiled code. Errors and log
+            likelihoods of frames beyond it are 0.
     """
 
     def __init__(
@@ -51,12 +54,15 @@ class EventProgram:
         bridge: jax.Array | int,
         n_frames: int,
         salt: jax.Array | int = 0,
+        observed: jax.Array | int | None = None,
     ) -> None:
         self.model = model
         self.likelihood = model.error_likelihood
         self.bridge = bridge
         self.n_frames = n_frames
         self.salt = salt
+        self.is_padded = observed is not None
+        self.observed = n_frames if observed is None else observed
 
     def __call__(self, seed: jax.Array, error_ceiling: jax.Array | float = np.inf) -> None:
         with handlers.trace() as trace:
@@ -64,7 +70,12 @@ class EventProgram:
         sites = {name: site["value"] for name, site in latent_sites(trace).items()}
         errors = self.simulate(sites, trace_log_density(trace), seed, error_ceiling)
         numpyro.deterministic("step_error", errors)
-        numpyro.factor("trajectory", self.likelihood.log_prob(errors).sum())
+        numpyro.factor("trajectory", self.log_likelihood(errors).sum())
+
+    def with_model(self, model: Model) -> EventProgram:
+        """Return the same of another model."""
+        observed = self.observed if self.is_padded else None
+        return EventProgram(model, self.bridge, self.n_frames, self.salt, observed)
 
     def draw_prior(self, key: jax.Array) -> dict[str, jax.Array]:
         """Return a hypothesis, with any further sites, from the prior."""
@@ -76,15 +87,21 @@ class EventProgram:
 
     def log_likelihood(self, step_error: jax.Array) -> jax.Array:
         """Return (time,) the log density of each observed frame."""
-        return self.likelihood.log_prob(step_error)
+        return self._within(self.likelihood.log_prob(step_error))
 
     def relative_log_likelihood(self, step_error: jax.Array) -> jax.Array:
         """Return the log density of the observation less that of no error at all.
 
         Frame by frame, so that the large constant of the likelihood cancels without rounding.
         """
-        none = self.log_likelihood(jnp.zeros_like(step_error))
-        return (self.log_likelihood(step_error) - none).sum()
+        none = self.likelihood.log_prob(jnp.zeros_like(step_error))
+        return self._within(self.likelihood.log_prob(step_error) - none).sum()
+
+    def _within(self, by_frame: jax.Array) -> jax.Array:
+        """Return what there is by frame (time,), 0 beyond the observation."""
+        if not self.is_padded:
+            return by_frame
+        return jnp.where(jnp.arange(self.n_frames) < self.observed, by_frame, 0.0)
 
     def simulate(
         self,

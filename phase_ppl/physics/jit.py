@@ -37,6 +37,18 @@ def package_stamp() -> str:
     return source_stamp(file for name in _FOLDERS for file in (_PACKAGE / name).glob("*.py"))
 
 
+def cache_folder() -> Path | None:
+    """Return where compiled code is kept, by numba's rules; None: in no place that is writable.
+
+    Beside this file, or in the folder that the environment variable NUMBA_CACHE_DIR names, or in
+    the user's folder of caches.
+    """
+    try:
+        return Path(FunctionCache(cache_folder).cache_path)
+    except RuntimeError:
+        return None
+
+
 class _CheckedFile(IndexDataCacheFile):
     """numba's files of one function, each with a checksum behind what numba reads of it."""
 

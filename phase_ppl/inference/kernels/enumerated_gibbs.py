@@ -42,7 +42,7 @@ _LOG_CHOICE: Final = np.where(np.array(ALPHAS) == 0, 0.0, -np.inf)
 """(alpha, agent) 0 where the agent acts on its own goal."""
 
 
-@register_kernel("enumerated_gibbs", validity="exact", sims_per_step=SIMS_PER_STEP)
+@register_kernel("enumerated_gibbs", validity="exact", sims_per_step=SIMS_PER_STEP, any_length=True)
 class EnumeratedGibbs(MetropolisKernel):
     """Gibbs sampling of goals by simulating all, with Metropolis-Hastings for the rest.
 

@@ -109,6 +109,7 @@ MAX_SIMULATIONS: Final = 50_000
     validity="consistent",
     keeps="start",
     weighted=True,
+    any_length=True,
 )
 class Enumeration(ParticleKernel[WeightedState]):
     """Enumeration of all pairs of effective goals on a grid of strengths.

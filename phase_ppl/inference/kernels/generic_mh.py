@@ -26,7 +26,7 @@ from phase_ppl.world.goals import N_GOALS, neighbouring_goals
 from phase_ppl.world.hypothesis import ALPHAS
 
 
-@register_kernel("prior_mh", validity="exact")
+@register_kernel("prior_mh", validity="exact", any_length=True)
 class PriorMH(ProposalKernel):
     """Metropolis-Hastings with proposals from the prior.
 
@@ -41,7 +41,7 @@ class PriorMH(ProposalKernel):
         return sites, state.log_prior - self.model.log_prior(sites)
 
 
-@register_kernel("single_site_mh", validity="exact")
+@register_kernel("single_site_mh", validity="exact", any_length=True)
 class SingleSiteMH(ProposalKernel):
     """Metropolis-Hastings that proposes one site at a time from the prior.
 
@@ -61,7 +61,7 @@ SCALE: Final = 60.0
 """Standard deviation of a step of a strength, newtons."""
 
 
-@register_kernel("random_walk_mh", validity="exact")
+@register_kernel("random_walk_mh", validity="exact", any_length=True)
 class RandomWalkMH(ProposalKernel):
     """Metropolis-Hastings with small steps: to a similar goal, another relation, a strength.
 
@@ -159,7 +159,7 @@ def _reflected_step(
 LOCAL_SHARE: Final = 0.5
 
 
-@register_kernel("mixture", validity="exact", needs=("guide", "settings"))
+@register_kernel("mixture", validity="exact", needs=("guide", "settings"), any_length=True)
 class MixtureMH(LocalMH):
     """Metropolis-Hastings that mixes SIMPLE's local moves with moves of single sites.
 

@@ -96,7 +96,7 @@ class RandomWalk(MCMCKernel):
         return jnp.where(jnp.isnan(total), -jnp.inf, total)
 
 
-@register_kernel("gibbs", validity="exact", sims_per_step=4)
+@register_kernel("gibbs", validity="exact", sims_per_step=4, any_length=True)
 class GibbsKernel(ParticleKernel[WrappedState]):
     """Gibbs sampling: random walks site by site.
 

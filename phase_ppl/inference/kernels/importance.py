@@ -19,6 +19,7 @@ from phase_ppl.models.density import Sites, log_density
     needs=("guide", "settings"),
     keeps="start",
     weighted=True,
+    any_length=True,
 )
 class Importance(ParticleKernel[WeightedState]):
     """Importance sampling from the guide's mixture over windows.
@@ -59,9 +60,11 @@ class Importance(ParticleKernel[WeightedState]):
         program = self.model
         seed = program.simulator_seed(key, sites)
         log_prior = program.log_prior(sites)
-        windows = jnp.arange(self.n_windows + 1)  # and the whole observation
+        windows = jnp.arange(self.most_windows + 1)  # and the whole observation
         by_window = jax.vmap(lambda window: log_density(self.guide, sites, window))(windows)
-        log_proposal = logsumexp(by_window) - np.log(len(windows))
+        by_window = jnp.where(windows <= self.n_windows, by_window, -jnp.inf)
+        log_count = jnp.asarray(np.log(np.arange(1, len(windows) + 1)), jnp.float32)
+        log_proposal = logsumexp(by_window) - log_count[self.n_windows]
         error = program.simulate(sites, log_prior, seed)
         log_weight = log_prior - log_proposal + program.relative_log_likelihood(error)
         return seed, jnp.where(jnp.isfinite(error).all(), log_weight, -jnp.inf)

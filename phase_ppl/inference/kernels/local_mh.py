@@ -49,18 +49,24 @@ RULES: Final = get_args(Rule)
 EXACT_RULES: Final = ("exact", "window")
 
 
-def log_window_choice(step_error: jax.Array, eta: float, length: int) -> jax.Array:
+def log_window_choice(
+    step_error: jax.Array, eta: float, length: int, count: jax.Array | int | None = None
+) -> jax.Array:
     """Return (window,) log r(k | e), normalised.
 
     Args:
         step_error: (time,) errors, units.
         eta: weight of the errors, 1 / units.
         length: Delta T, steps; a window has one frame more.
+        count: so many of the windows, the first ones, can be chosen; None: all.
     """
     n_windows = step_error.shape[0] - length
     frames = np.arange(n_windows)[:, None] + np.arange(length + 1)
     finite = jnp.where(jnp.isfinite(step_error), step_error, 0.0)
-    return jax.nn.log_softmax(eta * finite[frames].sum(axis=1))
+    logits = eta * finite[frames].sum(axis=1)
+    if count is not None:
+        logits = jnp.where(np.arange(n_windows) < count, logits, -jnp.inf)
+    return jax.nn.log_softmax(logits)
 
 
 def log_before(
@@ -109,7 +115,7 @@ def log_after_bound(rule: Rule, log_proposal: jax.Array) -> jax.Array | float:
     return jnp.max(log_proposal) if rule == "exact" else 0.0
 
 
-@register_kernel("local_mh", validity="exact", needs=("guide", "settings"))
+@register_kernel("local_mh", validity="exact", needs=("guide", "settings"), any_length=True)
 class LocalMH(MetropolisKernel):
     """SIMPLE: Metropolis-Hastings with local, bottom-up proposals; the module has its rules.
 
@@ -145,10 +151,12 @@ class LocalMH(MetropolisKernel):
         return "exact" if self._rule in EXACT_RULES else "approximate"
 
     def memo(self, sites: Sites) -> dict[str, jax.Array]:
-        """Return (window,) log Q(sites | S_k)."""
-        windows = jnp.arange(self.n_windows)
-        density = jax.vmap(lambda window: log_density(self.guide, sites, window))
-        return {"log_proposal": density(windows)}
+        """Return (window,) log Q(sites | S_k); -inf for windows that there are not."""
+        windows = jnp.arange(self.most_windows)
+        density = jax.vmap(lambda window: log_density(self.guide, sites, window))(windows)
+        if self.model.is_padded:
+            density = jnp.where(windows < self.n_windows, density, -jnp.inf)
+        return {"log_proposal": density}
 
     def propose_initial(self, key: jax.Array) -> dict[str, jax.Array]:
         """Return a hypothesis from what the whole observation shows."""
@@ -196,4 +204,5 @@ class LocalMH(MetropolisKernel):
 
     def _log_windows(self, step_error: jax.Array) -> jax.Array:
         length = window_length(self.model.n_frames, self.settings.window)
-        return log_window_choice(step_error, self.settings.eta, length)
+        count = self.n_windows if self.model.is_padded else None
+        return log_window_choice(step_error, self.settings.eta, length, count)

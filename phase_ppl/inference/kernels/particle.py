@@ -14,6 +14,7 @@ from jax import lax, random
 from numpyro.infer.mcmc import MCMCKernel
 from numpyro.util import is_prng_key
 
+from phase_ppl.inference.proposals.guide import Mixture
 from phase_ppl.inference.proposals.tables import window_count
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.density import NO_DENSITY, Program, draw
@@ -136,16 +137,26 @@ class EventKernel(MCMCKernel, Generic[State]):
         floor = log_floor - _SLACK - _RELATIVE_SLACK * jnp.abs(log_floor)
         # without a floor, as before a first completed simulation, there is no ceiling either
         floor = jnp.where(jnp.isfinite(floor), floor, -jnp.inf)
-        return self.model.likelihood.max_total_error(floor, self.model.n_frames)
+        return self.model.likelihood.max_total_error(floor, self.model.observed)
 
     @property
-    def n_windows(self) -> int:
-        """How many windows the observation has."""
+    def n_windows(self) -> Any:
+        """How many windows the observation has: a number, or an array of one if it is padded."""
+        if not self.model.is_padded:
+            return window_count(self.model.n_frames, self.settings.window)
+        return jnp.maximum(self.model.observed - self.settings.window, 1)
+
+    @property
+    def most_windows(self) -> int:
+        """How many windows the arrays have room for."""
         return window_count(self.model.n_frames, self.settings.window)
 
     def draw_guide(self, key: jax.Array, window: jax.Array | int) -> dict[str, jax.Array]:
         """Return a hypothesis from the guide."""
-        return draw(self.guide, key, jnp.asarray(window))
+        guide = self.guide
+        if isinstance(guide, Mixture):
+            return guide.draw(key, jnp.asarray(window))
+        return draw(guide, key, jnp.asarray(window))
 
 
 class ParticleKernel(EventKernel[State]):

@@ -87,6 +87,7 @@ class RacingState(NamedTuple):
     needs=("guide", "settings"),
     keeps="start",
     weights="stratified",
+    any_length=True,
 )
 class Racing(EventKernel[RacingState]):
     """Simulations go to the pairs of goals that lead, or could lead; the module says how.

@@ -68,7 +68,7 @@ def tempered(program: EventProgram, temperature: jax.Array) -> EventProgram:
     model = copy.copy(program.model)
     # not dataclasses.replace: a model checks its prior anew, which compiled code cannot
     object.__setattr__(model, "likelihood", Tempered(program.likelihood, temperature))
-    return EventProgram(model, program.bridge, program.n_frames, program.salt)
+    return program.with_model(model)
 
 
 def next_temperature(
@@ -171,6 +171,7 @@ class SMCState(NamedTuple):
     needs=("guide", "settings"),
     keeps="last",
     weighted=True,
+    any_length=True,
 )
 class SMC(ParticleKernel[SMCState]):
     """Sequential Monte Carlo: a population cooled from the proposal to the posterior.

@@ -218,7 +218,7 @@ class UniformKernel(EventKernel[WrappedState]):
         """Return (chain, dimension) the points at which the sampler is."""
 
 
-@register_kernel("aies", validity="exact", even_chains=True)
+@register_kernel("aies", validity="exact", even_chains=True, any_length=True)
 class Ensemble(UniformKernel):
     """Affine-invariant ensemble sampling on the uniformised model.
 
@@ -262,7 +262,7 @@ class Ensemble(UniformKernel):
 _POINTS_PER_SITE: Final = 8
 
 
-@register_kernel("sa", validity="consistent")
+@register_kernel("sa", validity="consistent", any_length=True)
 class SampleAdaptive(UniformKernel):
     """Sample Adaptive MCMC on the uniformised model.
 

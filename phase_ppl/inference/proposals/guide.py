@@ -26,8 +26,10 @@ from numpyro.distributions import constraints
 from numpyro.primitives import Messenger
 
 from phase_ppl.inference.proposals.tables import BottomUpTables
-from phase_ppl.models.density import Program, draw, log_density
+from phase_ppl.models.density import Program, draw, log_density, remembered
+from phase_ppl.models.hosted import Hosted
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, IMPOSSIBLE, STRENGTH_SITES, OneOf
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_RANGE
 
@@ -38,6 +40,7 @@ NEVER = -80.0
 distribution gives a probability of 0 a log of -87."""
 
 _NEVER_ALPHA: Final = 1e-30
+_PRIORS_KEPT: Final = 16
 _PRIOR_DRAWS: Final = 32
 """Over which a prior of alpha that depends on a user's own sites is averaged."""
 
@@ -64,35 +67,38 @@ def bottom_up_guide(
 def _local_program(
     prior: Program, sites: Mapping[str, tuple[int, ...]], tables: BottomUpTables
 ) -> Program:
-    logits = jnp.asarray(tables.goal_logits, jnp.float32)
-    strength = jnp.asarray(tables.strength, jnp.float32)
-    known = ~jnp.isnan(strength)
-    estimate = jnp.where(known, strength, float(np.mean(STRENGTH_RANGE)))
-    sd = jnp.where(known, jnp.asarray(tables.strength_sd, jnp.float32), 1.0)
-
-    social = None if tables.alpha_logits is None else jnp.asarray(tables.alpha_logits, jnp.float32)
     order = list(sites)
     alpha_is_late = any(order.index(goal) < order.index(ALPHA_SITE) for goal in GOAL_SITES)
-    prior_of_alpha = _prior_of_alpha(prior) if social is not None and alpha_is_late else None
+    prior_of_alpha = None
+    if tables.alpha_logits is not None and alpha_is_late:
+        prior_of_alpha = _prior_of_alpha(prior)
 
     def local(window: jax.Array) -> None:
+        logits, strength, strength_sd, social = (
+            None if table is None else jnp.asarray(table, jnp.float32)[window] for table in tables
+        )
+        assert logits is not None
+        assert strength is not None
+        known = ~jnp.isnan(strength)
+        estimate = jnp.where(known, strength, float(np.mean(STRENGTH_RANGE)))
+        sd = jnp.where(known, strength_sd, 1.0)
         replace: dict[str, Replace] = {}
         given: dict[str, jax.Array] = {}
         if prior_of_alpha is not None and social is not None:
-            both = dist.Categorical(logits=prior_of_alpha + social[window])
+            both = dist.Categorical(logits=prior_of_alpha + social)
             given[ALPHA_SITE] = numpyro.sample(ALPHA_SITE, both)
         elif social is not None:
-            replace[ALPHA_SITE] = functools.partial(_alpha_distribution, social[window])
+            replace[ALPHA_SITE] = functools.partial(_alpha_distribution, social)
         for agent, name in enumerate(GOAL_SITES):
-            replace[name] = functools.partial(_goal_distribution, logits[window, ..., agent, :])
+            replace[name] = functools.partial(_goal_distribution, logits[..., agent, :])
         for agent, name in enumerate(STRENGTH_SITES):
             normal = dist.TruncatedNormal(
-                estimate[window, agent],
-                sd[window, agent],
+                estimate[agent],
+                sd[agent],
                 low=STRENGTH_RANGE[0],
                 high=STRENGTH_RANGE[1],
             )
-            replace[name] = functools.partial(_strength_distribution, known[window, agent], normal)
+            replace[name] = functools.partial(_strength_distribution, known[agent], normal)
         with (
             handlers.block(hide=list(given)),
             handlers.substitute(data=given),
@@ -103,16 +109,20 @@ def _local_program(
     return local
 
 
-def _prior_of_alpha(prior: Program) -> jax.Array:
+@remembered(_PRIORS_KEPT)
+def _prior_of_alpha(prior: Program) -> FloatArray:
     """Return (alpha,) the log prior, with whatever it depends on averaged out."""
 
     def probabilities(key: jax.Array) -> jax.Array:
         trace = handlers.trace(handlers.seed(prior, key)).get_trace()
         return jnp.exp(trace[ALPHA_SITE]["fn"].log_prob(jnp.arange(len(ALPHAS))))
 
-    keys = random.split(random.key(0), _PRIOR_DRAWS)
-    mean = jax.jit(jax.vmap(probabilities))(keys).mean(axis=0)
-    return jnp.log(jnp.maximum(mean, _NEVER_ALPHA))
+    def averaged() -> jax.Array:
+        keys = random.split(random.key(0), _PRIOR_DRAWS)
+        mean = jax.vmap(probabilities)(keys).mean(axis=0)
+        return jnp.log(jnp.maximum(mean, _NEVER_ALPHA))
+
+    return np.asarray(Hosted(averaged)())
 
 
 def _alpha_distribution(
@@ -234,7 +244,7 @@ class Mixture:
         key = numpyro.prng_key()  # None where all values are given
         # the components' statements are hidden: only the mixture's own count
         with handlers.block():
-            drawn = {} if key is None else self._draw(key, *args)
+            drawn = {} if key is None else self._drawn(key, *args)
         with handlers.substitute(data=drawn):
             values = {
                 name: numpyro.sample(name, dist.ImproperUniform(constraints.real, (), shape))
@@ -244,7 +254,11 @@ class Mixture:
             parts = [log_density(program, values, *args) for program in self._programs]
         numpyro.factor("mixture", logsumexp(self._log_weights + jnp.stack(parts)))
 
-    def _draw(self, key: jax.Array, *args: Any) -> dict[str, jax.Array]:
+    def draw(self, key: jax.Array, *args: Any) -> dict[str, jax.Array]:
+        """Return what :func:`~phase_ppl.models.density.draw` does, without the density."""
+        return self._drawn(random.split(key)[1], *args)
+
+    def _drawn(self, key: jax.Array, *args: Any) -> dict[str, jax.Array]:
         key_which, *keys = random.split(key, 1 + len(self._programs))
         which = random.categorical(key_which, jnp.asarray(self._log_weights))
         draws = [draw(p, k, *args) for p, k in zip(self._programs, keys, strict=True)]

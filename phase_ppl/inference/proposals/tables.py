@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import functools
 import importlib.resources
-from typing import Final, Literal, NamedTuple, get_args
+from typing import Any, Final, Literal, NamedTuple, get_args
 
 import jax
 import numpy as np
@@ -72,6 +72,16 @@ class BottomUpTables(NamedTuple):
     strength: FloatArray | jax.Array
     strength_sd: FloatArray | jax.Array
     alpha_logits: FloatArray | jax.Array | None = None
+
+
+def padded(tables: BottomUpTables, n_windows: int) -> BottomUpTables:
+    """Return the tables with room for so many windows; what comes last is repeated."""
+
+    def longer(table: Any) -> Any:
+        beyond = [(0, n_windows + 1 - len(table)), *[(0, 0)] * (np.ndim(table) - 1)]
+        return np.pad(np.asarray(table, np.float32), beyond, mode="edge")
+
+    return BottomUpTables(*(None if table is None else longer(table) for table in tables))
 
 
 def bottom_up_tables(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, Final, TypeAlias
 
 import jax
@@ -13,13 +13,14 @@ from jax import random
 from numpyro.infer.mcmc import MCMCKernel
 
 from phase_ppl.inference.proposals.guide import bottom_up_guide
-from phase_ppl.inference.proposals.tables import BottomUpTables
+from phase_ppl.inference.proposals.tables import BottomUpTables, padded, window_count
 from phase_ppl.inference.registry import Factory, KernelInfo, described
 from phase_ppl.inference.runs.length import run_length
 from phase_ppl.inference.settings import Budget, SimpleSettings
 from phase_ppl.models import priors
-from phase_ppl.models.density import compiled_quickly, remembered
-from phase_ppl.models.likelihood import RadialLikelihood
+from phase_ppl.models.density import remembered
+from phase_ppl.models.hosted import Hosted
+from phase_ppl.models.likelihood import InNats, RadialLikelihood
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import EventProgram, event_salt
 from phase_ppl.world.checks import whole_number
@@ -32,13 +33,17 @@ _KEPT_PROGRAMS: Final = 16
 Kernel: TypeAlias = str | Factory | MCMCKernel
 """A kernel as users give it: by name, as what makes one for an event, or as an instance."""
 
-Data: TypeAlias = tuple[BottomUpTables, jax.Array | int, jax.Array | int]
-"""All that compiled code is told of an event, beside its number of frames: what its windows say,
-a number that stands for it, and the handle of the bridge that simulates."""
+Data: TypeAlias = tuple[BottomUpTables, jax.Array | int, jax.Array | int, jax.Array | int | None]
+"""All that compiled code is told of an event: what its windows say, a number that stands for it,
+the handle of the bridge that simulates, and the number of frames where arrays are longer."""
 
 Recipe: TypeAlias = tuple[KernelInfo, tuple[tuple[str, Any], ...], Model, SimpleSettings, int]
-"""What compiled programs depend on: kernel, its options (name, value), model, settings and
-number of frames. Events with as many frames share them."""
+"""What compiled programs depend on: kernel, its options (name, value), model, settings and length
+of the arrays of frames. Events whose arrays are as long share them."""
+
+_LENGTHS: Final = (16, 128)
+"""Of arrays of frames; beyond, twice the last as often as it takes. Nearly all events have the
+second in common."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -124,12 +129,31 @@ class Run:
         """What the compiled programs depend on: not on the simulator, which runs beside them."""
         options = tuple(self.options.items())
         model = dataclasses.replace(self.model, simulator=None, planner=None)
-        return self.info, options, model, self.settings, self.event.observation.n_frames
+        return self.info, options, model, self.settings, self._length
+
+    @property
+    def _is_padded(self) -> bool:
+        # a likelihood of one's own may depend on where a frame is
+        ours = isinstance(self.model.error_likelihood, RadialLikelihood | InNats)
+        return self.info.any_length and ours
+
+    @property
+    def _length(self) -> int:
+        n_frames = self.event.observation.n_frames
+        if not self._is_padded:
+            return n_frames
+        least = max(n_frames, self.settings.window + 1)
+        length = next((length for length in _LENGTHS if length >= least), _LENGTHS[-1])
+        while length < least:
+            length *= 2
+        return length
 
     def data(self, bridge: int) -> Data:
         """Return what compiled code is told of the event and the bridge with that handle."""
         scene, observation = self.event.scene, self.event.observation
-        return self.settings.tables(scene, observation), event_salt(scene, observation), bridge
+        tables, salt = self.settings.tables(scene, observation), event_salt(scene, observation)
+        tables = padded(tables, window_count(self._length, self.settings.window))
+        return tables, salt, bridge, observation.n_frames if self._is_padded else None
 
     def check(self, iterations: int | None, budget: Budget | None) -> None:
         """Make the kernel and trace a step of it, with nothing simulated.
@@ -186,7 +210,7 @@ def _plain(options: dict[str, Any]) -> dict[str, Any] | None:
 def make_kernel(recipe: Recipe, data: Data) -> MCMCKernel:
     """Return the kernel for an event."""
     info, options, model, settings, n_frames = recipe
-    tables, salt, bridge = data
+    tables, salt, bridge, observed = data
     supplies: dict[str, Any] = {}
     if "settings" in info.needs:
         supplies["settings"] = settings
@@ -194,11 +218,13 @@ def make_kernel(recipe: Recipe, data: Data) -> MCMCKernel:
         supplies["guide"] = bottom_up_guide(
             model.prior, model.sites, tables, prior_share=settings.prior_share
         )
-    return info.make(EventProgram(model, bridge, n_frames, salt), **supplies, **dict(options))
+    return info.make(
+        EventProgram(model, bridge, n_frames, salt, observed), **supplies, **dict(options)
+    )
 
 
 @remembered(_KEPT_PROGRAMS)
-def compiled(recipe: Recipe) -> tuple[Callable[..., Any], Callable[..., Any]]:
+def compiled(recipe: Recipe) -> tuple[Hosted, Hosted]:
     """Return the two compiled functions of a recipe: (keys, data) and (state, data) -> state."""
 
     def init(keys: jax.Array, data: Data) -> Any:
@@ -211,4 +237,4 @@ def compiled(recipe: Recipe) -> tuple[Callable[..., Any], Callable[..., Any]]:
             jax.eval_shape(lambda keys: kernel.init(keys, 0, None, (), {}), state.rng_key)
         return kernel.sample(state, (), {})
 
-    return compiled_quickly(init), compiled_quickly(step)
+    return Hosted(init), Hosted(step)

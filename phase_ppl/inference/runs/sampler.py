@@ -37,6 +37,7 @@ from phase_ppl.inference.settings import Budget
 from phase_ppl.inference.stepwise import TableRunner, filter_event
 from phase_ppl.models.bridge import SimulatorBridge
 from phase_ppl.models.density import on_cpu
+from phase_ppl.models.hosted import Hosted
 from phase_ppl.models.likelihood import gives_table
 from phase_ppl.simulator.contract import Cancelled, OutOfTime, SimulationResult, Statistics
 from phase_ppl.simulator.runner import Runner
@@ -185,6 +186,10 @@ def _open_runner(what: Run, options: RunOptions) -> Runner | TableRunner:
     )
 
 
+_keys: Final = Hosted(lambda number, chain: random.split(random.key(number), len(chain)))
+"""The keys of so many chains."""
+
+
 class Sampler:
     """The particles of a run in the hands of one call; arguments as of :func:`run`.
 
@@ -238,7 +243,7 @@ class Sampler:
 
     def _keys(self) -> jax.Array:
         number = int(np.random.SeedSequence(self._run.seed).generate_state(1)[0])
-        return random.split(random.key(number), self._run.chains)
+        return _keys(np.uint32(number), np.zeros(self._run.chains, np.bool_))
 
     def _go_on(self, saved: Checkpoint) -> None:
         wanted = self._length.iterations
@@ -247,7 +252,7 @@ class Sampler:
                 f"iterations={wanted}, but {saved.path} has {saved.done} already"
             )
         with on_cpu():
-            blank = jax.eval_shape(self._init, self._keys(), self._data)
+            blank = self._init.shapes(self._keys(), self._data)
         self._state, self._particles = saved.state(blank), list(saved.particles)
         before = tally_of(saved.records, saved.done - 1)
         if saved.done and self._length.is_spent(before):
