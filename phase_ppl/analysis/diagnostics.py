@@ -582,11 +582,7 @@ def categorical_draws(
 
 
 def _categories(
-    name: str,
-    codes: NDArray[np.int64],
-    draw_weights: FloatArray,
-    rows: Rows,
-    weighted: bool,
+    name: str, codes: NDArray[np.int64], draw_weights: FloatArray, rows: Rows, weighted: bool
 ) -> dict[str, dict[str, float | None]]:
     labels = quantities()[name].categories()
     probability = np.bincount(rows.values[name], rows.weights, minlength=len(labels))

@@ -196,12 +196,7 @@ class EventPosterior(Hypotheses):
         )  # fmt: skip
 
     def predict(
-        self,
-        seconds: float = 2.0,
-        *,
-        n: int = 16,
-        seed: int = 0,
-        workers: int | None = None,
+        self, seconds: float = 2.0, *, n: int = 16, seed: int = 0, workers: int | None = None
     ) -> WhatIf:
         """Return what comes after the last frame: the posterior predictive, simulated.
 

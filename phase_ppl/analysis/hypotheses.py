@@ -285,11 +285,7 @@ class Hypotheses:
         return self._number(estimate.median, self._numbers(name), given)
 
     def hdi(
-        self,
-        name: str,
-        prob: float = HDI_PROBABILITY,
-        *,
-        given: Mapping[str, Any] | None = None,
+        self, name: str, prob: float = HDI_PROBABILITY, *, given: Mapping[str, Any] | None = None
     ) -> xr.DataArray:
         """Return the shortest interval with probability ``prob`` of a quantity with numbers.
 
@@ -353,12 +349,9 @@ class Hypotheses:
                 case "hdi":
                     return self.hdi(names[0], number or HDI_PROBABILITY, given=given)
                 case _:
-                    ask = {
-                        "E": self.mean,
-                        "sd": self.sd,
-                        "median": self.median,
-                        "mode": self.mode,
-                    }[query.question]
+                    ask = {"E": self.mean, "sd": self.sd, "median": self.median, "mode": self.mode}[
+                        query.question
+                    ]
                     return ask(names[0], given=given)
         except InvalidSettingError as error:  # too large a table
             raise QueryError(str(error), question, query.names[0].at) from None

@@ -165,10 +165,7 @@ class Posterior(EventPosterior):
         sizes = worth(changed.table.weights), worth(self.table.weights)
         check_overlap(sizes, (1 - changed.untried, 1 - self.untried))
         tree.attrs["settings"] = settings_under(
-            tree.attrs["settings"],
-            prior,
-            effective_size=sizes[0],
-            effective_size_before=sizes[1],
+            tree.attrs["settings"], prior, effective_size=sizes[0], effective_size_before=sizes[1]
         )
         return changed._defining(self._own)
 

@@ -9,12 +9,7 @@ from typing import Any, Final
 import numpy as np
 import xarray as xr
 
-from phase_ppl.analysis.tree import (
-    HYPOTHESIS,
-    SITES,
-    log_weight_of_draws,
-    simulation_of_draw,
-)
+from phase_ppl.analysis.tree import HYPOTHESIS, SITES, log_weight_of_draws, simulation_of_draw
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.identity import qualified_name, source_hash

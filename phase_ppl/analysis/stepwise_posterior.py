@@ -13,12 +13,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.diagnostics import (
-    frames_text,
-    overlap_sign,
-    overlapping_frames,
-    undecided,
-)
+from phase_ppl.analysis.diagnostics import frames_text, overlap_sign, overlapping_frames, undecided
 from phase_ppl.analysis.estimate import Jackknife
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.hypotheses import hypothesis_record

@@ -9,16 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import phase_ppl
-from phase_ppl.cli.shared import (
-    FAILED,
-    add_progress,
-    one_line,
-    report_hint,
-    shows_progress,
-    whole,
-    writable_folder,
-)
+from phase_ppl.cli import commands as cli
 from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.files import writable_folder
 
 if TYPE_CHECKING:
     from phase_ppl.evaluation.comparison import ModelComparison
@@ -32,51 +25,46 @@ _PAGE: Final = "[0-9][0-9][0-9][0-9]-*.html"
 
 def add_to(commands: Any) -> None:
     """Add the command."""
-    parser = commands.add_parser(
+    parser = cli.command(
+        commands,
         "compare-models",
-        description="Compare evaluations of several models, and people, on the same events: "
+        _compare_models,
+        "phase-ppl compare-models out/simple out/last_frame --out compared",
+        "Compare evaluations of several models, and people, on the same events: "
         "accuracy, agreement with people, paired differences with Holm's correction, equivalence "
         "with people, cost.",
-        epilog="example: phase-ppl compare-models out/simple out/last_frame --out compared",
     )
-    parser.set_defaults(run=_compare_models)
-    parser.add_argument(
-        "folders",
-        metavar="DIR",
+    cli.add(
+        parser,
+        "folders DIR",
+        "written by evaluate --out, of one model or of several; NAME=DIR gives it a name",
         nargs="+",
-        help="written by evaluate --out, of one model or of several; NAME=DIR gives it a name",
     )
     add_references(parser)
-    parser.add_argument(
-        "--against", metavar="NAME", help="differences from this model only; default: every pair"
+    cli.add(parser, "--against NAME", "differences from this model only; default: every pair")
+    cli.add(parser, "--common", "compare on the events that all folders share")
+    cli.add(
+        parser,
+        "--margin M",
+        "difference of shares up to which a model and people are equivalent; default 0.1",
+        float,
     )
-    parser.add_argument(
-        "--common", action="store_true", help="compare on the events that all folders share"
-    )
-    parser.add_argument(
-        "--margin",
-        metavar="M",
-        type=float,
-        help="difference of shares up to which a model and people are equivalent; default 0.1",
-    )
-    parser.add_argument("--seed", metavar="N", type=whole(0), help="of the resamples; default 0")
-    parser.add_argument(
-        "--resamples", metavar="N", type=whole(1), help="of the events, default 10000"
-    )
-    parser.add_argument("--out", metavar="DIR", type=Path, help="for tables, figures and pages")
-    parser.add_argument("--no-figures", action="store_true", help="draw no figures and pages")
-    add_progress(parser)
+    cli.add(parser, "--seed N", "of the resamples; default 0", cli.whole(0))
+    cli.add(parser, "--resamples N", "of the events, default 10000", cli.whole(1))
+    cli.add(parser, "--out DIR", "for tables, figures and pages", Path)
+    cli.add(parser, "--no-figures", "draw no figures and pages")
+    cli.add_progress(parser)
 
 
 def add_references(parser: argparse.ArgumentParser) -> None:
     """Add the option that names reference models."""
-    parser.add_argument(
-        "--stored",
-        metavar="NAME",
+    cli.add(
+        parser,
+        "--stored NAME",
+        "a reference model, whose answers the events carry, to be compared too, or all; may "
+        "be given several times",
         action="append",
         default=[],
-        help="a reference model, whose answers the events carry, to be compared too, or all; may "
-        "be given several times",
     )
 
 
@@ -87,14 +75,12 @@ def _compare_models(options: argparse.Namespace) -> int:
         if (options.out / SETTINGS).is_file():
             raise InvalidSettingError(f"--out {options.out} holds an evaluation: name another")
         writable_folder(options.out)
-    names = ("margin", "seed", "resamples")
-    given = {name: getattr(options, name) for name in names if getattr(options, name) is not None}
     found = phase_ppl.compare_models(
         _sources(options.folders),
         stored=named_references(options.stored),
         against=options.against,
         common=options.common,
-        **given,
+        **cli.given(options, "margin", "seed", "resamples"),
     )
     print(found)
     if options.out is None:
@@ -148,8 +134,8 @@ def keep(found: ModelComparison, out: Path, options: argparse.Namespace) -> int:
         problems = drawn(found, out, list(events), draw_page, options)
     for problem in problems:
         print(f"phase-ppl: error: {problem}", file=sys.stderr)
-    print(f"\nKept in {out}\n{report_hint(out)}")
-    return FAILED if problems else 0
+    print(f"\nKept in {out}\n{cli.report_hint(out)}")
+    return cli.FAILED if problems else 0
 
 
 def drawn(
@@ -171,10 +157,10 @@ def drawn(
     try:
         draw_figures(source, out, progress=not options.quiet)
     except Exception as error:
-        problems.append(f"the figures cannot be drawn: {one_line(error)}")
-    for event_id in counted(events, shows_progress(options), "page", "drawing"):
+        problems.append(f"the figures cannot be drawn: {cli.one_line(error)}")
+    for event_id in counted(events, cli.shows_progress(options), "page", "drawing"):
         try:
             draw_page(event_id)
         except Exception as error:
-            problems.append(f"the page of {event_id} cannot be drawn: {one_line(error)}")
+            problems.append(f"the page of {event_id} cannot be drawn: {cli.one_line(error)}")
     return problems

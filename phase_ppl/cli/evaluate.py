@@ -11,23 +11,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import phase_ppl
+from phase_ppl.cli import commands as cli
 from phase_ppl.cli.compare_models import add_references, drawn, keep, named_references
-from phase_ppl.cli.shared import (
-    BUDGET,
-    FAILED,
-    INTERRUPTED,
-    PRESET,
-    add_progress,
-    budget,
-    named_value,
-    report_hint,
-    shows_progress,
-    whole,
-    writable_folder,
-)
 from phase_ppl.world.errors import InvalidSettingError, OutputError, unknown_name
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import write_json
+from phase_ppl.world.files import writable_folder, write_json
 
 if TYPE_CHECKING:
     from phase_ppl.evaluation.evaluation import Evaluation
@@ -52,55 +40,47 @@ _LABEL: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 
 def add_to(commands: Any) -> None:
     """Add the command."""
-    parser = commands.add_parser(
+    parser = cli.command(
+        commands,
         "evaluate",
-        description="Ask a model about many events, longest first, and score what it answers. "
+        _evaluate,
+        "phase-ppl evaluate videos.json --model simple --planner fast --out out",
+        "Ask a model about many events, longest first, and score what it answers. "
         "Without EVENTS, the evaluation in --out is read and shown again, to be compared by "
         "--against.",
-        epilog="example: phase-ppl evaluate videos.json --model simple --planner fast --out out",
     )
-    parser.set_defaults(run=_evaluate)
-    parser.add_argument(
-        "events",
-        metavar="EVENTS",
+    cli.add(
+        parser,
+        "events EVENTS",
+        "an event file, a folder of event files, or a bundled event's name",
         nargs="?",
-        help="an event file, a folder of event files, or a bundled event's name",
     )
-    parser.add_argument(
-        "--model",
-        metavar="NAME",
-        action="append",
-        help="simple (the default), last_frame or another; given several times, all are evaluated, "
+    cli.add(
+        parser,
+        "--model NAME",
+        "simple (the default), last_frame or another; given several times, all are evaluated, "
         "each in a folder of its name in --out, and compared; LABEL=NAME gives another name",
+        action="append",
     )
-    parser.add_argument(
-        "--out", metavar="DIR", type=Path, help="for predictions, metrics, figures and pages"
+    cli.add(parser, "--out DIR", "for predictions, metrics, figures and pages", Path)
+    cli.add(
+        parser, "--resume", "go on with what is in --out; events may have been added at the end"
     )
-    parser.add_argument(
-        "--resume",
-        action="store_true",
-        default=None,
-        help="go on with what is in --out; events may have been added at the end",
-    )
-    parser.add_argument(
-        "--observer",
-        metavar="NAME",
-        help="through whom the model is seen: people, who come with the package, or a file of "
+    cli.add(
+        parser,
+        "--observer NAME",
+        "through whom the model is seen: people, who come with the package, or a file of "
         "fit-people",
     )
-    parser.add_argument("--split", metavar="NAME", help="of a generated set, such as test")
-    parser.add_argument("--limit", metavar="N", type=whole(1), help="the first N events only")
-    parser.add_argument(
-        "--workers", metavar="N", type=whole(1), help="processes; default one per usable core"
-    )
-    parser.add_argument("--seed", metavar="N", type=whole(0), help="default 0")
-    parser.add_argument(
-        "--judgments", metavar="FILE", type=Path, help="people's judgments, a .csv file"
-    )
-    parser.add_argument(
-        "--against",
-        metavar="DIR",
-        help="results of another model, or a model whose predictions the events carry, for "
+    cli.add(parser, "--split NAME", "of a generated set, such as test")
+    cli.add(parser, "--limit N", "the first N events only", cli.whole(1))
+    cli.add_workers(parser)
+    cli.add(parser, "--seed N", "default 0", cli.whole(0))
+    cli.add(parser, "--judgments FILE", "people's judgments, a .csv file", Path)
+    cli.add(
+        parser,
+        "--against DIR",
+        "results of another model, or a model whose predictions the events carry, for "
         f"paired differences; written to {AGAINST}. With several models: the one of them from "
         "which the others' differences are wanted; default: every pair",
     )
@@ -108,29 +88,26 @@ def add_to(commands: Any) -> None:
     model = parser.add_argument_group(
         "options of the model; of several models, of all that take them"
     )
-    model.add_argument("--preset", metavar="NAME", help=PRESET)
-    model.add_argument("--planner", choices=("fast", "paper"))
-    model.add_argument("--kernel", metavar="NAME")
-    model.add_argument("--budget", metavar="B", type=budget, help=BUDGET)
-    model.add_argument("--weights", metavar="NAME")
-    model.add_argument("--prior", metavar="NAME")
-    model.add_argument(
-        "--option",
-        metavar="NAME=VALUE",
-        type=_option,
-        action="append",
-        default=[],
-        help="any other, such as chains=15 or rule=paper, or of one of several models, such as "
+    cli.add(model, "--preset NAME", cli.PRESET)
+    cli.add(model, "--planner", choices=("fast", "paper"))
+    cli.add(model, "--kernel NAME")
+    cli.add(model, "--budget B", cli.BUDGET, cli.budget)
+    cli.add(model, "--weights NAME")
+    cli.add(model, "--prior NAME")
+    cli.add_options(
+        model,
+        "any other, such as chains=15 or rule=paper, or of one of several models, such as "
         "simple.chains=15; may be given several times",
+        _option,
     )
-    parser.add_argument("--no-figures", action="store_true", help="draw no figures and pages")
-    add_progress(parser)
+    cli.add(parser, "--no-figures", "draw no figures and pages")
+    cli.add_progress(parser)
 
 
 def _option(text: str) -> tuple[str, Any]:
     """Return name and value of NAME=VALUE or MODEL.NAME=VALUE."""
     label, dot, _ = text.partition("=")[0].rpartition(".")
-    name, value = named_value(text.removeprefix(f"{label}{dot}"))
+    name, value = cli.named_value(text.removeprefix(f"{label}{dot}"))
     return f"{label}{dot}{name}", value
 
 
@@ -206,9 +183,7 @@ def _evaluate(options: argparse.Namespace) -> int:
     several = len(models) > 1 or list(models) != list(models.values())
     if options.resume and options.out is None:
         raise InvalidSettingError("--resume needs --out, the folder to go on in")
-    plain = {name: getattr(options, name) for name in _SHORT_FOR}
-    plain = {name: value for name, value in plain.items() if value is not None}
-    of_models = options_of(models, plain, options.option)
+    of_models = options_of(models, cli.given(options, *_SHORT_FOR), options.option)
     events = all_events(options.events, options.split)
     (_check_several if several else _check_one)(options, events, models, of_models)
     if options.out is not None:
@@ -221,7 +196,7 @@ def _evaluate(options: argparse.Namespace) -> int:
         out = options.out / label if several and options.out is not None else options.out
         evaluation = _evaluation(options, events, model, out, of_models[label], named)
         if evaluation is None:
-            return INTERRUPTED
+            return cli.INTERRUPTED
         if several:
             for event, failure in evaluation.failures.items():
                 print(f"{label}: failed: {event}: {failure}", file=sys.stderr)
@@ -233,7 +208,7 @@ def _evaluate(options: argparse.Namespace) -> int:
         for problem in problems:
             print(f"phase-ppl: error: {named}{problem}", file=sys.stderr)
         if problems or evaluation.failures:
-            code = FAILED
+            code = cli.FAILED
         found[label] = evaluation
     if not several:
         (alone,) = found.values()
@@ -264,11 +239,11 @@ def _evaluation(
             model,
             out=out,
             workers=options.workers,
-            resume=bool(options.resume),
+            resume=options.resume,
             limit=options.limit,
             seed=options.seed or 0,
             judgments=options.judgments,
-            progress=shows_progress(options),
+            progress=cli.shows_progress(options),
             observer=options.observer,
             **of_model,
         )
@@ -330,9 +305,8 @@ def _check_several(
 
 def _show_again(options: argparse.Namespace) -> int:
     """Show an evaluation that is there."""
-    given = vars(options)
-    nothing: tuple[Any, ...] = (None, [])
-    of_work = [f"--{name}" for name in _OF_WORK if given[name] not in nothing]
+    given = cli.given(options, *_OF_WORK)
+    of_work = [f"--{name}" for name, value in given.items() if value not in ([], False)]
     if options.out is None or of_work:
         needed = f" with {', '.join(of_work)}" if of_work else ""
         raise InvalidSettingError(
@@ -341,7 +315,7 @@ def _show_again(options: argparse.Namespace) -> int:
     found = phase_ppl.Evaluation.load(options.out)
     print(found)
     _end_of_one(found, options)
-    return FAILED if found.failures else 0
+    return cli.FAILED if found.failures else 0
 
 
 def _end_of_one(found: Evaluation, options: argparse.Namespace) -> None:
@@ -349,7 +323,7 @@ def _end_of_one(found: Evaluation, options: argparse.Namespace) -> None:
     from phase_ppl.evaluation.evaluation import difference_table
 
     folder = None if found.folder is None else found.folder.path
-    print(_NOTHING_SAVED if folder is None else f"\nKept in {folder}\n{report_hint(folder)}")
+    print(_NOTHING_SAVED if folder is None else f"\nKept in {folder}\n{cli.report_hint(folder)}")
     if options.against is None:
         return
     difference = found.against(options.against)

@@ -73,8 +73,7 @@ PHASE: Final[Mapping[str, Any]] = {
         "strength": _counted(_WITHOUT_TEST, dict(zip(LEVELS, (125, 200, 204, 271), strict=True))),
         "agent_size": _counted(_WITHOUT_TEST, {"0.8": 484, "1.01": 120, "1.2": 136, "1.6": 60}),
         "reflection": _counted(
-            _TEST,
-            {"none": 25, "up-down": 12, "left-right": 18, "about y=x": 21, "about y=-x": 24},
+            _TEST, {"none": 25, "up-down": 12, "left-right": 18, "about y=x": 21, "about y=-x": 24}
         ),
         "split": _counted(_ALL, {"train": 320, "validation": 80, "test": 100}),
     },

@@ -17,13 +17,7 @@ from phase_ppl.analysis.summary import plain
 from phase_ppl.dataset.documents import read_json
 from phase_ppl.dataset.load import load_events, save_events
 from phase_ppl.evaluation import differences
-from phase_ppl.evaluation.answer_sets import (
-    PEOPLE,
-    AnswerSet,
-    colours_of,
-    label_of,
-    people_answers,
-)
+from phase_ppl.evaluation.answer_sets import PEOPLE, AnswerSet, colours_of, label_of, people_answers
 from phase_ppl.evaluation.bootstrap import LEVEL, Figure, figure, resampled, weighted_mean
 from phase_ppl.evaluation.cells import NOTHING, aligned, figure_text, p_text, short
 from phase_ppl.evaluation.differences import LEAST_EVENTS

@@ -13,13 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from phase_ppl.evaluation import tables
-from phase_ppl.evaluation.bootstrap import (
-    LEVEL,
-    difference,
-    interval,
-    resampled,
-    weighted_mean,
-)
+from phase_ppl.evaluation.bootstrap import LEVEL, difference, interval, resampled, weighted_mean
 from phase_ppl.evaluation.entries import Entry
 from phase_ppl.evaluation.metrics import Paired, events_with
 from phase_ppl.evaluation.tables import KINDS

@@ -139,11 +139,7 @@ def pearson(
 
 
 def people_drawn(
-    judged: Sequence[Any],
-    counts: IntArray,
-    by_participant: bool,
-    rng: np.random.Generator,
-    n: int,
+    judged: Sequence[Any], counts: IntArray, by_participant: bool, rng: np.random.Generator, n: int
 ) -> FloatArray:
     """Return (resample, event, answer) shares of resampled raters.
 

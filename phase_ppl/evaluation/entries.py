@@ -44,9 +44,7 @@ class Entry:
     folder: str | None = None
 
 
-def evaluations(
-    sources: Source | Sequence[Source] | Mapping[str, Source],
-) -> dict[str, Evaluation]:
+def evaluations(sources: Source | Sequence[Source] | Mapping[str, Source]) -> dict[str, Evaluation]:
     """Return name -> evaluation.
 
     A folder that holds no evaluation itself stands for those in it, under the names of their

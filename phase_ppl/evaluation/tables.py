@@ -120,8 +120,7 @@ def facts(events: Sequence[Event]) -> Facts:
             for kind, questions in KINDS.items()
         },
         scenario=np.array(
-            [-1 if e.truth is None else SCENARIOS.index(e.truth.scenario) for e in events],
-            np.int64,
+            [-1 if e.truth is None else SCENARIOS.index(e.truth.scenario) for e in events], np.int64
         ),
         judgments=judgments,
         people=_distributions(

@@ -97,10 +97,7 @@ class Tags:
     def summary(self, majority: float = MAJORITY) -> pd.DataFrame:
         """Return label -> ``percent`` of the videos that have it as a category, and ``used`` in."""
         return pd.DataFrame(
-            {
-                "percent": 100 * self.categories(majority).mean(),
-                "used": (self.shares > 0).sum(),
-            }
+            {"percent": 100 * self.categories(majority).mean(), "used": (self.shares > 0).sum()}
         )
 
     def __repr__(self) -> str:

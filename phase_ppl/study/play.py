@@ -27,15 +27,7 @@ from starlette.routing import BaseRoute, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from phase_ppl.study import plan
-from phase_ppl.study.room import (
-    KEYS,
-    Controls,
-    Message,
-    PlaySettings,
-    Room,
-    Seat,
-    settings_record,
-)
+from phase_ppl.study.room import KEYS, Controls, Message, PlaySettings, Room, Seat, settings_record
 from phase_ppl.study.store import COMPLETE, Participant
 from phase_ppl.study.web import MOST_MESSAGE, Site, same_origin
 from phase_ppl.world.names import BLUE_ITEM, NOTHING

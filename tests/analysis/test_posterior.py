@@ -53,11 +53,9 @@ def small() -> Posterior:
 @pytest.mark.parametrize("name", CATEGORICAL)
 def test_marginal_sums_to_one_over_all_labels(post: Posterior, name: str) -> None:
     marginal = post.marginal(name)
-    labels = {
-        "relation": RELATIONS,
-        "scenario": SCENARIOS,
-        "alpha": tuple(map(str, ALPHAS)),
-    }.get(name, GOALS)
+    labels = {"relation": RELATIONS, "scenario": SCENARIOS, "alpha": tuple(map(str, ALPHAS))}.get(
+        name, GOALS
+    )
     assert tuple(marginal[name].values) == labels
     assert float(marginal.sum()) == pytest.approx(1)
     assert float(marginal.min()) >= 0

@@ -160,10 +160,7 @@ TRICKS: dict[str, tuple[Callable[[h5py.Group], None], str]] = {
 @pytest.mark.parametrize("trick", TRICKS)
 @pytest.mark.parametrize("load", [ppl.load_posterior, StepwisePosterior.load])
 def test_a_posterior_made_to_do_harm_is_refused_unread(
-    tmp_path: Path,
-    posterior: bytes,
-    load: Callable[[Path], object],
-    trick: str,
+    tmp_path: Path, posterior: bytes, load: Callable[[Path], object], trick: str
 ) -> None:
     change, message = TRICKS[trick]
     path = tmp_path / "run.nc"

@@ -106,9 +106,4 @@ def test_the_published_originals_turn_left_and_their_reflected_copies_right() ->
         (mirror == "none", event.scene.turning)
         for mirror, event in zip(mirrors, load_events(DEV), strict=True)
     )
-    assert found == {
-        (True, "ccw"): 10,
-        (True, "both"): 1,
-        (False, "cw"): 37,
-        (False, "both"): 2,
-    }
+    assert found == {(True, "ccw"): 10, (True, "both"): 1, (False, "cw"): 37, (False, "both"): 2}

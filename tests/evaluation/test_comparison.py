@@ -510,7 +510,7 @@ def test_figures_and_the_report_take_the_folder_of_a_comparison(
     assert ppl.figures.accuracy(c).axes
     drawn = {path.stem for path in draw_figures(c, tmp_path)}
     assert drawn == set(DRAWINGS) - {
-        *("confusion", "correlation", "scatter_goals", "scatter_relations", "people"),
+        *("confusion", "correlation", "scatter_goals", "scatter_relations", "people")
     }
     assert capsys.readouterr().err.count("no figure") == 5
     text = ppl.report(tmp_path, progress=False).read_text("utf-8")

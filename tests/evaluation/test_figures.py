@@ -134,9 +134,7 @@ def test_confusion_counts_events(folder: ResultsFolder) -> None:
     assert {text for text in cells if text.isdigit()} == {"1"}
 
 
-def test_scatter_has_a_column_per_scenario_and_one_for_the_unknown(
-    folder: ResultsFolder,
-) -> None:
+def test_scatter_has_a_column_per_scenario_and_one_for_the_unknown(folder: ResultsFolder) -> None:
     shown = shown_in(figures.scatter_goals(folder))
     assert "competing" in shown
     assert "scenario not known" in shown

@@ -212,10 +212,7 @@ def test_only_events_with_a_prediction_count() -> None:
     assert (metrics["n_events"], metrics["n"]["events"]) == (2, 4)
     assert metrics["goal_accuracy"]["value"] == 2 / 4
     assert metrics["by_scenario"]["independent"]["n"] == 0
-    assert metrics == {
-        **evaluate_predictions(EVENTS[1:3], ANSWERS),
-        "n": metrics["n"],
-    }
+    assert metrics == {**evaluate_predictions(EVENTS[1:3], ANSWERS), "n": metrics["n"]}
 
 
 def test_a_goal_that_is_not_given_is_not_wrong() -> None:

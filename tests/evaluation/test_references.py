@@ -18,13 +18,7 @@ from phase_ppl.evaluation.people import human_accuracy
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.references import reference_predictions
 from phase_ppl.world.errors import InvalidEventError, PhasePPLError, UnknownNameError
-from tests.evaluation.judged import (
-    BLUE_TO_RED,
-    COLLABORATIVE,
-    COMPETING,
-    PINK_TO_BLUE,
-    make_event,
-)
+from tests.evaluation.judged import BLUE_TO_RED, COLLABORATIVE, COMPETING, PINK_TO_BLUE, make_event
 from tests.evaluation.toys import GREEN_TO_RED, RED_TO_RED, right, several
 from tests.world.examples import DEV, needs_dev
 

@@ -11,11 +11,7 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.evaluation.folder import ResultsFolder
-from phase_ppl.world.errors import (
-    InvalidEventError,
-    InvalidSettingError,
-    OutputError,
-)
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, OutputError
 from phase_ppl.world.event import Truth
 from tests.evaluation.toys import (
     EVENTS,

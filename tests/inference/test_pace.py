@@ -22,15 +22,7 @@ from phase_ppl.models.bridge import Record
 from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.hypothesis import Hypothesis
-from tests.inference.runs import (
-    EVENT,
-    MODEL,
-    OPTIONS,
-    Watched,
-    assert_same_draws,
-    infer,
-    stops_at,
-)
+from tests.inference.runs import EVENT, MODEL, OPTIONS, Watched, assert_same_draws, infer, stops_at
 from tests.inference.toy import few_goals, walkers
 
 FEW = ppl.Model(prior=few_goals, simulator=walkers)

@@ -76,12 +76,7 @@ def predicate(
         InvalidSettingError, UnknownNameError: one of them cannot be used.
     """
     from phase_ppl.inference.presets import preset as check_preset
-    from phase_ppl.models.predicate import (
-        AS_THE_PAPER,
-        Rationality,
-        Thresholds,
-        log_prior_of_pairs,
-    )
+    from phase_ppl.models.predicate import AS_THE_PAPER, Rationality, Thresholds, log_prior_of_pairs
 
     check_preset(preset)
     usual = AS_THE_PAPER if preset != "default" else {}

@@ -193,12 +193,7 @@ def stepwise(
     from phase_ppl.models.stepwise import StepwiseLikelihood
 
     tracking = Tracking(**_given(strengths=strengths, noise=noise))
-    given = _given(
-        sharpness=sharpness,
-        lapse=lapse,
-        weight=weight,
-        planner_seeds=planner_seeds,
-    )
+    given = _given(sharpness=sharpness, lapse=lapse, weight=weight, planner_seeds=planner_seeds)
     likelihood = StepwiseLikelihood(tracking=tracking, **given)
     return Simple(Model(prior=prior, planner=planner, likelihood=likelihood))
 

@@ -20,12 +20,7 @@ from phase_ppl.analysis._arviz import arviz_groups, pareto_smoothed
 from phase_ppl.dataset.documents import read_json
 from phase_ppl.evaluation.observers.answers import Answers, expected, people
 from phase_ppl.evaluation.prediction import Prediction
-from phase_ppl.models.observer.observers import (
-    OBSERVERS,
-    Evidence,
-    Program,
-    observer_named,
-)
+from phase_ppl.models.observer.observers import OBSERVERS, Evidence, Program, observer_named
 from phase_ppl.models.observer.perception import Perception
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown

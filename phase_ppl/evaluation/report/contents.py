@@ -184,10 +184,7 @@ def rows_of(question: str, shown: Sequence[AnswerSet], event: Event) -> list[str
 
 
 def _item(
-    event: Event,
-    everybody: Sequence[AnswerSet],
-    post: Posterior | None = None,
-    film: bool = False,
+    event: Event, everybody: Sequence[AnswerSet], post: Posterior | None = None, film: bool = False
 ) -> dict[str, Any]:
     """Return what pages show of an event: ``right`` are those right in all they answered.
 

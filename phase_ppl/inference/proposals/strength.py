@@ -315,10 +315,7 @@ def strength_estimator(strength: str | Estimator) -> Estimator:
 
 
 def estimated_strengths(
-    strength: str | Estimator,
-    scene: Scene,
-    observation: Observation,
-    windows: NDArray[np.int64],
+    strength: str | Estimator, scene: Scene, observation: Observation, windows: NDArray[np.int64]
 ) -> StrengthEstimates:
     """Return what an estimator says of each window.
 

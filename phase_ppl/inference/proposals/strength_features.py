@@ -59,8 +59,7 @@ def observed_jitter(trajectory: FloatArray) -> Jitter:
     steps = np.abs(np.diff(trajectory, axis=0))
     positions, angles = steps[..., :2], steps[:, : len(AGENTS), 2]
     return Jitter(
-        float(np.quantile(positions, 0.25) / _QUARTILE),
-        float(np.quantile(angles, 0.1) / _DECILE),
+        float(np.quantile(positions, 0.25) / _QUARTILE), float(np.quantile(angles, 0.1) / _DECILE)
     )
 
 

@@ -274,11 +274,7 @@ def _drawn_windows(n_frames: int, rng: np.random.Generator) -> NDArray[np.int64]
 
 
 def _of_windows(
-    events: Simulated,
-    index: int,
-    trajectory: FloatArray,
-    windows: NDArray[np.int64],
-    jitter: float,
+    events: Simulated, index: int, trajectory: FloatArray, windows: NDArray[np.int64], jitter: float
 ) -> Examples:
     features = window_features(trajectory, events.radius[index], windows)
     n = len(windows) * len(AGENTS)

@@ -127,9 +127,7 @@ def test_a_set_of_any_size_has_the_papers_proportions() -> None:
     assert all(abs(n - PHASE500[cell] / 10) < 1 for cell, n in cells.items())
 
 
-def test_a_set_is_the_same_for_any_number_of_workers_and_passes_its_filters(
-    tmp_path: Path,
-) -> None:
+def test_a_set_is_the_same_for_any_number_of_workers_and_passes_its_filters(tmp_path: Path) -> None:
     cells = {"chasing": 1, "hinder:LMA": 1}
     one = generate(tmp_path / "one", cells=cells, seed=4, **QUICK)
     two = generate(tmp_path / "two", cells=cells, seed=4, **{**QUICK, "workers": 2})
@@ -295,10 +293,7 @@ def test_interrupted_generation_goes_on_to_the_same_set(
         ppl.load_events(tmp_path / "part")
     with pytest.raises(OutputError, match="resume"):
         generate(tmp_path / "part", cells=CELLS, **QUICK)
-    with (
-        locked(tmp_path / "part"),
-        pytest.raises(OutputError, match="another process is at work"),
-    ):
+    with locked(tmp_path / "part"), pytest.raises(OutputError, match="another process is at work"):
         generate(tmp_path / "part", cells=CELLS, resume=True, **QUICK)
     with pytest.raises(OutputError, match="seed is 1, was 0"):
         generate(tmp_path / "part", cells=CELLS, seed=1, resume=True, **QUICK)
