@@ -59,9 +59,6 @@ def arviz_data(tree: xr.DataTree, scenario: ScenarioFunction | None = None) -> A
         An ``arviz.InferenceData`` where ArviZ is older than 1, otherwise an
         :class:`xarray.DataTree`, with the groups ``posterior``, ``posterior_predictive``,
         ``sample_stats``, ``observed_data`` and ``constant_data``.
-
-    Raises:
-        InvalidSettingError: the draws have unequal weights, which ArviZ cannot count.
     """
     if np.ptp(log_weight_of_draws(tree)) > 0:
         raise InvalidSettingError(

@@ -46,10 +46,6 @@ def over_time(tree: xr.DataTree, scenario: ScenarioFunction | None = None) -> xr
         ``goal_red``, ``goal_green``, ``relation``, ``scenario``: probabilities (time, label),
         with the labels of ``goal_red`` in ``goal_red_is`` and so on; ``time`` in seconds. The
         attribute ``hindsight`` says what it is, ``weights`` by which weights.
-
-    Raises:
-        InvalidEventError: the tree does not hold the likelihood of each frame.
-        InvalidSettingError: no simulation was completed.
     """
     simulations = tree["simulations"].dataset
     if "step_log_likelihood" not in simulations:

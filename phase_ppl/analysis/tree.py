@@ -207,9 +207,6 @@ def write_tree(tree: xr.DataTree, path: str | os.PathLike[str]) -> Path:
     """Write ``tree`` to ``path`` as NetCDF, whole or not at all, and return the path.
 
     Every array carries a checksum, so that a damaged file is noticed when it is read.
-
-    Raises:
-        OutputError: the file cannot be written there, or its name does not end in .nc.
     """
     groups = {node.path: node.to_dataset(inherit=False) for node in tree.subtree}
     check_output(path, (".nc",))
@@ -218,11 +215,7 @@ def write_tree(tree: xr.DataTree, path: str | os.PathLike[str]) -> Path:
 
 
 def read_tree(path: str | os.PathLike[str]) -> xr.DataTree:
-    """Read the tree of draws that :func:`write_tree` wrote, fully into memory.
-
-    Raises:
-        InvalidEventError: there is no such file, or it is damaged or of another kind.
-    """
+    """Read the tree of draws that :func:`write_tree` wrote, fully into memory."""
     source = existing_file(path)
     try:
         tree = _up_to_date(xr.DataTree.from_dict(dict(read_netcdf(source))))

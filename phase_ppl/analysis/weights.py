@@ -90,11 +90,7 @@ def log_sum_exp(values: FloatArray) -> float:
 
 
 def normalised(log_weights: FloatArray) -> FloatArray:
-    """Return weights of sum 1 that are proportional to exp(log_weights).
-
-    Raises:
-        InvalidSettingError: all weights are zero, or one is not a number.
-    """
+    """Return weights of sum 1 that are proportional to exp(log_weights)."""
     total = log_sum_exp(log_weights)
     if not np.isfinite(total):
         raise InvalidSettingError(

@@ -119,11 +119,6 @@ def prior_named(text: str) -> Any:
     """Return the name of a ready-made prior, or of ``FILE.py:NAME`` what that file calls so.
 
     The file is run, which is said on stderr.
-
-    Raises:
-        InvalidEventError: there is no such file.
-        InvalidSettingError: it cannot be run.
-        UnknownNameError: nothing in it is called so.
     """
     file, _, name = text.rpartition(":")
     if not file.endswith(".py"):
@@ -142,11 +137,7 @@ def prior_named(text: str) -> Any:
 
 
 def posterior(path: Path, weights: str | None = None) -> Posterior | StepwisePosterior:
-    """Return the posterior of a file, or of the folder of results that holds posterior.nc.
-
-    Raises:
-        InvalidEventError: there is no such file, or none in the folder.
-    """
+    """Return the posterior of a file, or of the folder of results that holds posterior.nc."""
     if not as_path(path).is_dir():
         return phase_ppl.load_posterior(path, weights)
     if not (path / POSTERIOR).is_file():
@@ -312,9 +303,6 @@ def results_folder(
         out: the folder; None: nothing is kept.
         names: of files that are results.
         overwrite: whether it may hold some, which are then deleted.
-
-    Raises:
-        OutputError: it cannot be written, another process is at work in it, or it holds results.
     """
     if out is None:
         yield None

@@ -97,11 +97,7 @@ def _compared(event: Event, out: Path | None, options: argparse.Namespace) -> in
 
 
 def _kernels(text: str) -> dict[str, Any]:
-    """Return label -> (name, options) of ``a,b:option=value``.
-
-    Raises:
-        InvalidSettingError: a name is missing or given twice, or an option has no value.
-    """
+    """Return label -> (name, options) of ``a,b:option=value``."""
     found: dict[str, Any] = {}
     for label in (part.strip() for part in text.split(",")):
         if not label.partition(":")[0] or label in found:

@@ -97,11 +97,7 @@ def named_references(given: Sequence[str]) -> str | list[str]:
 
 
 def _sources(given: Sequence[str]) -> dict[str, Any] | list[str]:
-    """Return the folders, with names where there are some.
-
-    Raises:
-        InvalidSettingError: only some have a name, or two the same.
-    """
+    """Return the folders, with names where there are some."""
     pairs = [(text, "") if Path(text).exists() else text.partition("=")[::2] for text in given]
     named = {name: folder for name, folder in pairs if folder}
     if not named:

@@ -112,11 +112,7 @@ def _option(text: str) -> tuple[str, Any]:
 
 
 def models_of(given: Sequence[str] | None) -> dict[str, str]:
-    """Return label -> model of ``--model NAME`` or ``--model LABEL=NAME``, ``simple`` by default.
-
-    Raises:
-        InvalidSettingError: two have the same label, or one cannot be the name of a folder.
-    """
+    """Return label -> model of ``--model NAME`` or ``--model LABEL=NAME``, ``simple`` by default."""
     found: dict[str, str] = {}
     for text in given or ["simple"]:
         label, equals, name = text.partition("=")
@@ -139,10 +135,6 @@ def options_of(
         models: label -> model.
         plain: options of every model that takes them; of a single model all.
         named: those of ``--option``, where "LABEL.NAME" is of one model, "NAME" plain.
-
-    Raises:
-        InvalidSettingError: one is given twice, or no model takes it.
-        UnknownNameError: there is no such model, or label.
     """
     from phase_ppl.evaluation.registry import model_info
 

@@ -86,9 +86,6 @@ def answer_sets(folder: ResultsFolder, events: Sequence[Event] | None = None) ->
     Args:
         folder: of the evaluation.
         events: some of the folder's events; default all.
-
-    Raises:
-        InvalidEventError, UnknownNameError: a stored prediction or judgment is damaged.
     """
     chosen = folder.events if events is None else events
     given = {event.id: folder.prediction(event.id) for event in chosen}
@@ -113,9 +110,6 @@ def measured(folder: ResultsFolder) -> list[AnswerSet]:
     They are those of metrics.json. Where an evaluation is not finished, and has none, they are
     computed, and all answers are about the events that are finished. Those of people are
     :func:`~phase_ppl.evaluation.people.human_accuracy`.
-
-    Raises:
-        InvalidEventError, UnknownNameError: as :func:`answer_sets`; or metrics.json is damaged.
     """
     stored = folder.metrics() or {}
     events = folder.events

@@ -35,9 +35,6 @@ def resampled(n: int, seed: int = 0, resamples: int = 1000) -> FloatArray:
     """Return weights (1 + resamples, n) of ``n`` events: all 1, then those of the resamples.
 
     The same arguments give the same resamples.
-
-    Raises:
-        InvalidSettingError: ``seed`` is negative or ``resamples`` below 1, or no whole number.
     """
     rng = np.random.default_rng(whole_number("seed", seed, 0))
     number = whole_number("resamples", resamples)

@@ -322,11 +322,7 @@ def _entry(record: object) -> Entry:
 
 
 def _of_kind(kind: type[_Kind], name: str, value: object) -> _Kind:
-    """Return a value of a file, which is a list or an object.
-
-    Raises:
-        InvalidEventError: it is not.
-    """
+    """Return a value of a file, which is a list or an object."""
     if not isinstance(value, kind):
         what = "a list" if kind is list else "an object"
         raise InvalidEventError(f"{name} is {shown(value)}, expected {what}")

@@ -70,10 +70,6 @@ def read_rows(
         names: of the columns; others are not read.
         check: is given each row, and may change it, or raise.
         required: those whose cells must not be empty; default all.
-
-    Raises:
-        InvalidEventError: there is no such file, it holds no rows, columns or cells are missing, or
-            ``check`` raised it; the message names file and line.
     """
     source = existing_file(path)
     found: list[dict[str, Any]] = []

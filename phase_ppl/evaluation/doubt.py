@@ -61,9 +61,6 @@ def doubt_of(
         events: with judgments and truth, where they have them.
         predictions: event id -> prediction; events without one do not count.
         seed, resamples: of events and raters.
-
-    Raises:
-        As :func:`~phase_ppl.evaluation.metrics.evaluate_predictions`.
     """
     chosen = predicted(events, predictions)
     found = [event.id for event in chosen]

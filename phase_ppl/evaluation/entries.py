@@ -52,10 +52,6 @@ def evaluations(sources: Source | Sequence[Source] | Mapping[str, Source]) -> di
 
     Args:
         sources: evaluations or folders, one or several; or name -> evaluation or folder.
-
-    Raises:
-        InvalidEventError: a folder holds no evaluation, or a damaged one.
-        InvalidSettingError: a source is none; or two would have the same name.
     """
     if isinstance(sources, Mapping):
         check_names(list(sources))
@@ -125,9 +121,6 @@ def shared_events(
     Args:
         found: name -> evaluation.
         common: leave out events that are not in all; otherwise there may be none.
-
-    Raises:
-        InvalidEventError: evaluations are about other events; or none is in all.
     """
     (first, evaluation), *others = found.items()
     notes = []
@@ -184,11 +177,6 @@ def entries(
         found: name -> evaluation.
         events: that are compared.
         stored: names of models whose answers the events carry; or :data:`ALL` of them.
-
-    Raises:
-        UnknownNameError: the events carry no answers of such a model.
-        InvalidSettingError: ``stored`` names none.
-        InvalidEventError: stored answers cannot be read.
     """
     ids = [event.id for event in events]
     made = [
@@ -219,10 +207,6 @@ def stored_names(stored: str | Sequence[str], references: Iterable[str]) -> list
     Args:
         stored: one or several; or :data:`ALL`.
         references: those that there are.
-
-    Raises:
-        UnknownNameError: there is no such model.
-        InvalidSettingError: ``stored`` is no name, and no names.
     """
     known = list(references)
     if isinstance(stored, str):

@@ -130,9 +130,6 @@ def opponent(
     Args:
         events: that the model is asked about.
         other: as of :meth:`Evaluation.against`.
-
-    Raises:
-        As :meth:`Evaluation.against`.
     """
     references = reference_predictions(events)
     if isinstance(other, str) and other in references:

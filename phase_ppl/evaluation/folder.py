@@ -79,11 +79,7 @@ class ResultsFolder:
     def create(
         cls, path: str | os.PathLike[str], settings: Mapping[str, Any], events: Sequence[Event]
     ) -> ResultsFolder:
-        """Make a folder for a new evaluation.
-
-        Raises:
-            OutputError: it cannot be written, or already holds the predictions of an evaluation.
-        """
+        """Make a folder for a new evaluation."""
         folder = Path(path)
         if holds_predictions(folder):
             raise OutputError(f"{folder} already holds an evaluation; resume it or name another")
@@ -94,11 +90,7 @@ class ResultsFolder:
 
     @classmethod
     def open(cls, path: str | os.PathLike[str]) -> ResultsFolder:
-        """Open the folder of an evaluation, finished or not.
-
-        Raises:
-            InvalidEventError: it is no such folder, or a file in it is damaged.
-        """
+        """Open the folder of an evaluation, finished or not."""
         folder = Path(path)
         if not (folder / SETTINGS).is_file():
             raise InvalidEventError(f"{folder} holds no evaluation: it has no {SETTINGS}")
@@ -121,11 +113,6 @@ class ResultsFolder:
 
         Returns:
             The folder, the predictions that are in it, and notes about those that are damaged.
-
-        Raises:
-            OutputError: it holds an evaluation that is not to be resumed, or cannot be written.
-            InvalidSettingError: its evaluation has other settings or events.
-            InvalidEventError: it is damaged.
         """
         if not resume or not holds_predictions(Path(path)):
             return cls.create(path, settings, events), {}, []
@@ -149,12 +136,7 @@ class ResultsFolder:
         return folder, done, notes
 
     def check_same(self, settings: Mapping[str, Any]) -> None:
-        """Raise what :meth:`begin` would for other settings or events; change nothing.
-
-        Raises:
-            InvalidSettingError: the evaluation has other settings or events.
-            InvalidEventError: it is damaged.
-        """
+        """Raise what :meth:`begin` would for other settings or events; change nothing."""
         before, now = (
             {name: given.get(name) for name in _DETERMINE} for given in (self.settings, settings)
         )
@@ -187,9 +169,6 @@ class ResultsFolder:
 
         The metrics, which belong to those before, are deleted, and so is what an evaluation
         that was killed has left half done.
-
-        Raises:
-            OutputError: it cannot be written.
         """
         try:
             for name in (METRICS, FAILURES):
@@ -213,11 +192,7 @@ class ResultsFolder:
         return (self.folder_of(event_id) / PREDICTION).is_file()
 
     def add(self, prediction: Prediction, artefacts: Callable[[Path], None] | None = None) -> None:
-        """Keep the prediction of an event; ``artefacts(folder)`` writes what else belongs to it.
-
-        Raises:
-            OutputError: it cannot be written.
-        """
+        """Keep the prediction of an event; ``artefacts(folder)`` writes what else belongs to it."""
         target = self.folder_of(prediction.event_id)
         part = target.with_name(f".part-{secrets.token_hex(4)}")
         try:
@@ -236,21 +211,12 @@ class ResultsFolder:
             shutil.rmtree(part, ignore_errors=True)
 
     def predictions(self) -> dict[str, Prediction]:
-        """Return event id -> prediction of the finished events, in the order of the events.
-
-        Raises:
-            InvalidEventError: a prediction is damaged, or of another event; the message names
-                the file.
-        """
+        """Return event id -> prediction of the finished events, in the order of the events."""
         found = {event.id: self.prediction(event.id) for event in self.events}
         return {name: given for name, given in found.items() if given is not None}
 
     def prediction(self, event_id: str) -> Prediction | None:
-        """Return the prediction of an event; None where it is not finished.
-
-        Raises:
-            InvalidEventError: as for :meth:`predictions`.
-        """
+        """Return the prediction of an event; None where it is not finished."""
         if not self.is_finished(event_id):
             return None
         source = self.folder_of(event_id) / PREDICTION
@@ -275,11 +241,7 @@ class ResultsFolder:
         return read_json(source) if source.is_file() else {}
 
     def metrics(self) -> dict[str, Any] | None:
-        """Return the content of metrics.json; None where the evaluation is not finished.
-
-        Raises:
-            InvalidEventError: it is damaged; the message names the file and the field.
-        """
+        """Return the content of metrics.json; None where the evaluation is not finished."""
         source = self.path / METRICS
         if not source.is_file():
             return None

@@ -226,11 +226,7 @@ EVENT_FILES: Final = (".json", ".nc")
 def all_events(
     events: str | os.PathLike[str] | Event | Sequence[Event], split: str | None = None
 ) -> list[Event]:
-    """Return the events of a file or folder, or those given; or a split of a generated data set.
-
-    Raises:
-        InvalidEventError: there are none, or two with the same id; or no such split.
-    """
+    """Return the events of a file or folder, or those given; or a split of a generated data set."""
     if split is not None:
         path = events if isinstance(events, str | os.PathLike) else None
         generated = events if path is None else load_events(path)
@@ -276,11 +272,7 @@ def _files(path: str | os.PathLike[str]) -> list[Path]:
 def judged(
     events: list[Event], judgments: str | os.PathLike[str] | Study | None
 ) -> Sequence[Event]:
-    """Return the events with people's judgments; what cannot be scored is found out now.
-
-    Raises:
-        InvalidEventError, UnknownNameError: judgments or references cannot be read.
-    """
+    """Return the events with people's judgments; what cannot be scored is found out now."""
     if judgments is not None:
         study = judgments if isinstance(judgments, Study) else load_judgments(judgments, events)
         events = with_judgments(events, study)

@@ -98,9 +98,6 @@ def participant_accuracy(
         ``n_participants``; ``goal_accuracy`` and ``relation_accuracy``; ``by_scenario``, true
         scenario -> both, of what participants said about its events, and ``n``, the participants
         who said anything.
-
-    Raises:
-        As :func:`human_accuracy`.
     """
     tally: dict[str, dict[tuple[str, str], list[bool]]] = {}
     for event in events:

@@ -96,9 +96,6 @@ class ModelInfo:
         Args:
             name: of the option.
             options: all that are given, on which it may depend.
-
-        Raises:
-            InvalidSettingError, UnknownNameError: one of those cannot be used.
         """
         parameters = inspect.signature(self.factory).parameters.values()
         if any(p.name == name and p.kind is not p.VAR_KEYWORD for p in parameters):
@@ -109,12 +106,7 @@ class ModelInfo:
         return more is None or name in more
 
     def make(self, **options: Any) -> Predict:
-        """Return the model.
-
-        Raises:
-            InvalidSettingError, UnknownNameError: an option that it does not have or that
-                cannot be used; or something that it needs is not installed.
-        """
+        """Return the model."""
         check_installed(f"model {self.name!r}", self.needs, self.extra)
         try:
             inspect.signature(self.factory).bind(**options)
@@ -210,11 +202,6 @@ def ready(model: str | Model | Predict, options: Mapping[str, Any]) -> ReadyMode
     """Return a model given by name with its options, or as a callable, ready to be asked.
 
     A :class:`phase_ppl.Model` is explained by SIMPLE.
-
-    Raises:
-        UnknownNameError: there is no model of that name.
-        InvalidSettingError: it is neither; a callable that does not take (scene, observation,
-            seed), or comes with options; or the model cannot be made with these.
     """
     if not isinstance(model, str) and not callable(model):
         from phase_ppl.models.model import Model

@@ -86,12 +86,7 @@ class Said:
 
 
 def predicted(events: Sequence[Event], predictions: Mapping[str, Prediction]) -> list[Event]:
-    """Return the events that have a prediction.
-
-    Raises:
-        InvalidEventError: two events have the same id.
-        InvalidSettingError: a prediction is filed under another event's id.
-    """
+    """Return the events that have a prediction."""
     ids = [event.id for event in events]
     if len(set(ids)) < len(ids):
         twice = next(name for name in ids if ids.count(name) > 1)
@@ -105,11 +100,7 @@ def predicted(events: Sequence[Event], predictions: Mapping[str, Prediction]) ->
 
 
 def facts(events: Sequence[Event]) -> Facts:
-    """Collect what is known about the events.
-
-    Raises:
-        InvalidEventError, UnknownNameError: the judgments of an event cannot be read.
-    """
+    """Collect what is known about the events."""
     judgments = [event_judgments(event) for event in events]
     return Facts(
         truth={

@@ -238,9 +238,6 @@ class Store:
             place_kept: seconds for which the videos of somebody who began count as seen.
             trials, raters, checks: as of the settings.
             most, per_minute: entries that are allowed.
-
-        Raises:
-            Refused: they cannot come in.
         """
         now, repeat = time.time(), None
         if person:
@@ -342,11 +339,7 @@ class Store:
         return None if row is None else self.participant(row[0])
 
     def participant(self, who: str) -> Participant:
-        """Return a participant, by id.
-
-        Raises:
-            UnknownNameError: there is none.
-        """
+        """Return a participant, by id."""
         row = self._db.execute("SELECT * FROM participant WHERE id=?", (who,)).fetchone()
         if row is None:
             raise UnknownNameError(f"there is no participant {shown(who)}")
@@ -430,11 +423,7 @@ class Store:
         return None if row is None else row[0]
 
     def exclude(self, who: str, reason: str) -> None:
-        """Mark a participant as not to be exported; their videos are shown to others instead.
-
-        Raises:
-            UnknownNameError: there is no such participant.
-        """
+        """Mark a participant as not to be exported; their videos are shown to others instead."""
         self.participant(who)
         with self._writing() as run:
             run(
@@ -445,9 +434,6 @@ class Store:
         """Delete all that a participant gave, for good; that somebody withdrew remains.
 
         Sessions that they played go too, with what the other player did in them.
-
-        Raises:
-            UnknownNameError: there is no such participant.
         """
         self.participant(who)
         played = [

@@ -93,11 +93,7 @@ def figure_of(*kinds: type) -> Callable[[Callable[P, Figure]], Callable[P, Figur
 
 
 def written(figure: Figure, path: str | os.PathLike[str] | None) -> Figure:
-    """Return the figure, written to ``path`` as well if there is one.
-
-    Raises:
-        OutputError: it cannot be written there, or the ending is none of :data:`FORMATS`.
-    """
+    """Return the figure, written to ``path`` as well if there is one."""
     if path is not None:
         with atomic_output(path, FORMATS) as part:
             figure.savefig(part, dpi=200)

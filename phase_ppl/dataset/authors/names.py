@@ -151,12 +151,7 @@ def place_in_id(id: str) -> Place | None:
 
 
 def file_name(id: str, place: Place, truth: Truth | None, n_frames: int) -> str:
-    """Return a name that :func:`parse_name` takes apart again.
-
-    Raises:
-        InvalidEventError: no name says so: an id of another kind, a strength that is none of the
-            original world's, a relation or scenario that does not follow from the goals.
-    """
+    """Return a name that :func:`parse_name` takes apart again."""
     found = _ID.fullmatch(id)
     head = f"{found[1]}{found[2]}_0" if found and place == place_in_id(id) else f"{id}_0_0"
     name = f"{head}_F8_{place}{_parameters(truth)}_A0_0_C0_0_MCTS_L{n_frames - 1}"

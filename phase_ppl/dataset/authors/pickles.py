@@ -56,12 +56,7 @@ _NO_KEY: Final = "has a dict whose keys are no texts or whole numbers"
 
 
 def read_pickle(path: str | os.PathLike[str]) -> Any:
-    """Return what the pickle in the file ``path`` describes.
-
-    Raises:
-        InvalidEventError: no such file, too large, damaged, or it holds or asks for anything else
-            than dicts, lists, tuples, texts, numbers and arrays of numbers.
-    """
+    """Return what the pickle in the file ``path`` describes."""
     with reading_bytes("a pickle"), open(path, "rb") as file:
         content = file.read(MAX_BYTES + 1)
     return unpickled(content)
@@ -180,9 +175,6 @@ def _check_opcodes(content: bytes) -> None:
     tuple of such, more for other tuples, for lists and for dicts. Keys of dicts are hashed while a
     pickle is loaded, which takes for ever for tuples of tuples of the same tuple, and overflows the
     stack of C for deep ones: keys must be of 0 or 1.
-
-    Raises:
-        InvalidEventError: too many opcodes, one that is refused, another kind of key, or damaged.
     """
     stack: list[int] = []
     marks: list[int] = []  # how long the stack was

@@ -68,11 +68,7 @@ class Family:
     def draw(
         self, rng: np.random.Generator, variant: str | None = None, turning: Turning = "both"
     ) -> Situation:
-        """Return a situation in one of the layouts.
-
-        Raises:
-            InvalidSettingError: no layout allows it, or it is of another scenario than promised.
-        """
+        """Return a situation in one of the layouts."""
         for _ in range(_TRIES):
             draw = Draw(rng, self.layouts[int(rng.integers(len(self.layouts)))], turning)
             try:
@@ -85,12 +81,7 @@ class Family:
         )
 
     def drawn_with(self, draw: Draw, variant: str | None = None) -> Situation:
-        """Return the situation of one draw.
-
-        Raises:
-            CannotDraw: the draw does not allow it.
-            InvalidSettingError: it is of another scenario than promised.
-        """
+        """Return the situation of one draw."""
         drawn = self.function(draw) if variant is None else self.function(draw, variant)
         shown = scenario(*drawn.hypothesis.effective_goals)
         if shown != self.scenario:
@@ -141,11 +132,7 @@ def available_families() -> list[str]:
 
 
 def family_and_variant(cell: str) -> tuple[Family, str | None]:
-    """Return what "FAMILY" or "FAMILY:VARIANT" names.
-
-    Raises:
-        UnknownNameError: there is no such family or variant; the message names close matches.
-    """
+    """Return what "FAMILY" or "FAMILY:VARIANT" names."""
     name, colon, variant = cell.partition(":")
     family = FAMILIES[name]
     if not family.variants and not colon:

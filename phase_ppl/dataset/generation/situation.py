@@ -163,11 +163,7 @@ class Draw:
         return tuple(order)
 
     def sides_of(self, door: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """Return the rooms on either side of a door, which is the only way between them.
-
-        Raises:
-            CannotDraw: there is another way.
-        """
+        """Return the rooms on either side of a door, which is the only way between them."""
         chain = self.chain
         cut = sorted(chain.index(room) for room in ROOMS_OF_RAY[door])
         if cut[1] - cut[0] != 1 or self.rooms.door_width.all():
@@ -215,9 +211,6 @@ class Draw:
             sizes: R of each of the four entities, units.
             strengths: of red and green, newtons.
             at: entity -> fixed place, units.
-
-        Raises:
-            CannotDraw: no arrangement without an overlap was found.
         """
         radius = np.array(sizes, np.float64)
         for start in self._arrangements(rooms, at or {}):

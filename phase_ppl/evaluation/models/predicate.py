@@ -71,9 +71,6 @@ def predicate(
             its uniform P(g), "independent", and the thresholds of SIMPLE's planner.
         **options: fields of :class:`~phase_ppl.models.predicate.Thresholds` and of
             :class:`~phase_ppl.models.predicate.Rationality`.
-
-    Raises:
-        InvalidSettingError, UnknownNameError: one of them cannot be used.
     """
     from phase_ppl.inference.presets import preset as check_preset
     from phase_ppl.models.predicate import AS_THE_PAPER, Rationality, Thresholds, log_prior_of_pairs

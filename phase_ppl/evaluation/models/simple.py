@@ -87,9 +87,6 @@ def _of_simple(given: Mapping[str, Any]) -> list[str] | None:
 
     Args:
         given: all options; ``kernel`` decides.
-
-    Raises:
-        InvalidSettingError, UnknownNameError: there is no such kernel.
     """
     from phase_ppl.inference.infer import infer
     from phase_ppl.inference.presets import SETTINGS
@@ -129,9 +126,6 @@ def simple(
         **options: for :func:`phase_ppl.infer`: ``kernel`` and its options, ``chains``,
             ``iterations`` or ``budget``, ``on_failure``, ``settings``; or fields of the settings
             by name, such as ``proposal="paper"``.
-
-    Raises:
-        InvalidSettingError, UnknownNameError: one of them cannot be used.
     """
     from phase_ppl.analysis.weights import WEIGHTINGS
     from phase_ppl.inference.presets import completed
@@ -184,9 +178,6 @@ def stepwise(
         sharpness, lapse, weight, planner_seeds: of the
             :class:`phase_ppl.StepwiseLikelihood`.
         strengths, noise: of its :class:`phase_ppl.Tracking`.
-
-    Raises:
-        InvalidSettingError, UnknownNameError: one of them cannot be used.
     """
     from phase_ppl.closed_loop.hidden_state import Tracking
     from phase_ppl.models.model import Model

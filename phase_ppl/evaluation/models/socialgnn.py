@@ -81,10 +81,6 @@ def socialgnn(
         weights: an npz file, or the folder that training wrote, instead of those of the package.
         member: the answers of this network alone, from 0, instead of the mean over all seeds.
         threads: of PyTorch.
-
-    Raises:
-        InvalidSettingError, UnknownNameError: one of them cannot be used; or the file of weights
-            is missing or damaged.
     """
     from phase_ppl.models.socialgnn.graphs import checked_variant
     from phase_ppl.models.socialgnn.store import load, shipped

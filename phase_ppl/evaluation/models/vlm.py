@@ -100,11 +100,7 @@ class Store:
         return self.path / f"{hashlib.sha256(text.encode()).hexdigest()[:20]}-{seed}.json"
 
     def find(self, request: Mapping[str, Any], seed: int) -> dict[str, Any] | None:
-        """Return the record of a request; None where there is none.
-
-        Raises:
-            InvalidEventError: the file is damaged, or of another request.
-        """
+        """Return the record of a request; None where there is none."""
         source = self.file_of(request, seed)
         if not source.exists():
             return None
@@ -139,11 +135,7 @@ class Store:
         return any(self.path.glob(f"{key}-*.json"))
 
     def keep(self, record: Mapping[str, Any]) -> None:
-        """Write a record, in place of the one before.
-
-        Raises:
-            OutputError: it cannot be written.
-        """
+        """Write a record, in place of the one before."""
         try:
             self.path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -337,11 +329,6 @@ def vlm(
         remaining: "spread" or "zero" (:data:`phase_ppl.evaluation.vlm.request.REMAINING`).
         prompt: a text file with a prompt of one's own, in which ``{goals}`` stands for the names of
             the goals; by default :data:`phase_ppl.evaluation.vlm.request.TEXT`.
-
-    Raises:
-        InvalidSettingError, UnknownNameError: one of them cannot be used, or the client's
-            library is not installed.
-        OutputError: ``store`` is no folder.
     """
     if client is None:
         raise InvalidSettingError(

@@ -47,11 +47,7 @@ class Answers:
 
     @classmethod
     def of(cls, events: Sequence[Event], study: Study | None = None) -> Answers:
-        """Collect the judgments that events carry, and the response times of a study.
-
-        Raises:
-            InvalidEventError: nobody judged any of the events, or judgments cannot be read.
-        """
+        """Collect the judgments that events carry, and the response times of a study."""
         judged = [event_judgments(event) for event in events]
         counts = {
             question: np.array(

@@ -48,10 +48,6 @@ def evidence_of(
         events: scene and observation are read, nothing else.
         made: event id -> what a model made of it, or of several readings of it; None: no model,
             surface cues alone.
-
-    Raises:
-        InvalidSettingError: an event lacks what others have, or a prediction gives no
-            probabilities of relations.
     """
     readings: list[list[Made]] = []
     for event in events:

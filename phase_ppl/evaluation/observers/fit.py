@@ -317,12 +317,7 @@ def _elpd_without(fit: PeopleFit) -> FloatArray:
 
 
 def as_observer(given: str | Program) -> tuple[Program, str]:
-    """Return an observer given by name or as a program, and its name, "" of one's own.
-
-    Raises:
-        UnknownNameError: there is no ready-made observer of that name.
-        InvalidSettingError: it is no program.
-    """
+    """Return an observer given by name or as a program, and its name, "" of one's own."""
     if isinstance(given, str):
         return observer_named(given), given
     if not callable(given):

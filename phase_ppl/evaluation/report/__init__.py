@@ -63,10 +63,6 @@ def report(
 
 
 def write_page(text: str, path: str | os.PathLike[str]) -> Path:
-    """Write a page, whole or not at all; return its path.
-
-    Raises:
-        OutputError: it cannot be written there, or its name does not end in .html.
-    """
+    """Write a page, whole or not at all; return its path."""
     write_bytes(path, (".html",), text.encode())
     return Path(path)

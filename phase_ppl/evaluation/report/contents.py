@@ -148,12 +148,7 @@ def event_page(event: Event, shown: Sequence[AnswerSet], post: Posterior | None 
 
 
 def page_in_folder(folder: ResultsFolder, event_id: str) -> str:
-    """Return the page of an event of an evaluation.
-
-    Raises:
-        UnknownNameError: the evaluation has no such event.
-        InvalidEventError: a file of the event is damaged.
-    """
+    """Return the page of an event of an evaluation."""
     event = next((event for event in folder.events if event.id == event_id), None)
     if event is None:
         raise unknown_name("event", event_id, [event.id for event in folder.events])
@@ -256,11 +251,7 @@ def _posterior(folder: ResultsFolder, event_id: str) -> Posterior | None:
 
 
 def run_page(folder: Path) -> str:
-    """Return the page of the run of inference in ``folder``.
-
-    Raises:
-        InvalidEventError: its posterior is damaged, or its film cannot be read.
-    """
+    """Return the page of the run of inference in ``folder``."""
     post = load_posterior(folder / POSTERIOR)
     strips = [_strip("Observed", post.observed(), post.scene, post.event_id)]
     shown: dict[str, Any] = {"decided": None}
@@ -369,9 +360,6 @@ def evaluation_page(
         folder: of the evaluation, finished or not.
         videos: film every event.
         progress: show a bar over the events; None: where stderr is a terminal.
-
-    Raises:
-        InvalidEventError, UnknownNameError: a file in the folder is damaged.
     """
     results = Results(folder)
     metrics = folder.metrics()

@@ -302,9 +302,6 @@ def parse(text: str, remaining: str = REMAINING[0]) -> Parsed:
     Args:
         text: the answer.
         remaining: one of :data:`REMAINING`.
-
-    Raises:
-        AnswerError: it cannot be read without guessing; the message says why.
     """
     repairs: list[str] = []
     body = _without_fence(text, repairs)

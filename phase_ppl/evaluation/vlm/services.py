@@ -88,12 +88,7 @@ class Service:
     needs_key: bool = True
 
     def __call__(self, request: Request, retries: int = 0) -> Reply:
-        """Return the answer to a request, made again by the library up to ``retries`` times.
-
-        Raises:
-            NoReply: none came; its ``again`` says whether to try again.
-            InvalidSettingError: there is no key, it is refused, or there is no such model.
-        """
+        """Return the answer to a request, made again by the library up to ``retries`` times."""
         guard = _Guard(self._key(), self.timeout)
         _ = request.video if self.show == "video" else request.pictures  # before the clock starts
         box: queue.SimpleQueue[Reply | Exception] = queue.SimpleQueue()
@@ -345,9 +340,6 @@ def make_service(
         given: those of ``base_url``, ``key_env``, ``temperature``, ``video_fps`` and ``timeout``
             that are not to be as usual.
         to_be_asked: whether its library is needed.
-
-    Raises:
-        InvalidSettingError, UnknownNameError: one of them cannot be used.
     """
     if not isinstance(name, str) or name not in SERVICES:
         raise unknown_name("client", name, SERVICES)

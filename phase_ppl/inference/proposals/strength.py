@@ -229,11 +229,7 @@ class StrengthNetwork:
 
     @classmethod
     def load(cls, file: str | Path) -> StrengthNetwork:
-        """Return the network with the weights of an npz file.
-
-        Raises:
-            InvalidSettingError: there is no such file, or it is damaged.
-        """
+        """Return the network with the weights of an npz file."""
         try:
             # from memory: NumPy leaves a damaged file open
             with np.load(io.BytesIO(Path(file).read_bytes()), allow_pickle=False) as kept:
@@ -297,12 +293,7 @@ DEFAULT_ESTIMATOR: Final = "network"
 
 
 def strength_estimator(strength: str | Estimator) -> Estimator:
-    """Return the estimator of that name, or ``strength`` itself if it is one.
-
-    Raises:
-        UnknownNameError: no estimator has that name.
-        InvalidSettingError: neither a name nor an estimator.
-    """
+    """Return the estimator of that name, or ``strength`` itself if it is one."""
     if isinstance(strength, str):
         if strength not in ESTIMATORS:
             raise unknown_name("estimator of strengths", strength, ESTIMATORS)
@@ -323,10 +314,6 @@ def estimated_strengths(
         strength: the name of an estimator, or one.
         scene, observation: what was seen.
         windows: (window, 2) first and last frame of each.
-
-    Raises:
-        UnknownNameError, InvalidSettingError: no such estimator, or an answer that is of another
-            shape or no normal distribution.
     """
     found = strength_estimator(strength)(scene, observation, windows)
     mean, sd = (np.asarray(part, float) for part in found)

@@ -148,11 +148,7 @@ def simulate_events(n: int, frames: int, seed: int, workers: int = 1) -> Simulat
 
 
 def cached_events(file: Path, n: int, frames: int, seed: int, workers: int = 1) -> Simulated:
-    """Return drawn events, from a file if they are there, else simulated and written to it.
-
-    Raises:
-        InvalidSettingError: the file holds others.
-    """
+    """Return drawn events, from a file if they are there, else simulated and written to it."""
     wanted: dict[str, Any] = {"events": n, "frames": frames, "seed": seed}
     if file.exists():
         with np.load(file) as kept:
