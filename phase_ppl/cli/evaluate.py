@@ -112,7 +112,7 @@ def _option(text: str) -> tuple[str, Any]:
 
 
 def models_of(given: Sequence[str] | None) -> dict[str, str]:
-    """Return label -> model of ``--model NAME`` or ``--model LABEL=NAME``, ``simple`` by default."""
+    """Return label -> model of ``--model NAME`` or ``LABEL=NAME``, ``simple`` by default."""
     found: dict[str, str] = {}
     for text in given or ["simple"]:
         label, equals, name = text.partition("=")

@@ -143,7 +143,7 @@ def entries_of(
 
 
 def event_from_record(record: Mapping[str, Any]) -> Event:
-    """Return the event that a parsed JSON object describes; in place of lists it may have arrays."""
+    """Return the event that a JSON object describes; in place of lists it may have arrays."""
     only(record, _EVENT_FIELDS, "an event")
     observation = read_observation(require(record, "trajectories", dict), "trajectories")
     truth = optional(record, "truth", dict)
