@@ -95,10 +95,7 @@ class Comparison:
         """
         if measure not in DISTANCES:
             raise unknown_name("distance", measure, DISTANCES)
-        found = self.settings["reference"].get("error")
-        if found is None:  # as older files have it
-            found = {"tv_goals": self.settings["reference"].get("halves_apart")}
-        value = found.get(measure)
+        value = self.settings["reference"].get("error", {}).get(measure)
         return None if value is None else float(value)
 
     def ranks(self, measure: str = "tv_goals") -> pd.DataFrame:
@@ -233,12 +230,10 @@ def _equalised(budget: str) -> str:
 
 
 def _frame(columns: Mapping[str, Any], expected: tuple[str, ...]) -> pd.DataFrame:
-    missing = [name for name in expected if name not in columns and name != "frames"]
+    missing = [name for name in expected if name not in columns]
     if missing:
         raise ValueError(f"it lacks {missing}")
-    # older files do not know the frames
-    unknown = {"frames": np.full(len(columns["simulations"]), np.nan)}
-    frame = pd.DataFrame({name: {**unknown, **columns}[name] for name in expected})
+    frame = pd.DataFrame({name: columns[name] for name in expected})
     text = ("kernel", "validity")
     return frame.astype({n: int for n in ("repeat", "seed") if n in frame}).astype(
         {n: float for n in frame if n not in (*text, "repeat", "seed")}

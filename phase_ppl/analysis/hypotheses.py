@@ -23,8 +23,6 @@ from phase_ppl.analysis.weights import Rows
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidSettingError, QueryError, shown, unknown_name
-from phase_ppl.world.goals import GOALS
-from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.names import AGENTS
 from phase_ppl.world.picture import preformatted
 
@@ -536,19 +534,6 @@ class Hypotheses:
             error = np.fmax(error, float(estimate.sd(values, weights)) / math.sqrt(size + 1))
             error *= estimate.widened(size)
         return Estimate(number, float(error))
-
-
-def hypothesis_record(best: Hypothesis) -> dict[str, Any]:
-    """Return a hypothesis as plain data; ``goal_*`` are the effective goals."""
-    record = best.to_dict()
-    red, green = best.effective_goals
-    return {
-        "goal_red": GOALS[red],
-        "goal_green": GOALS[green],
-        "stated_goal_red": record.pop("goal_red"),
-        "stated_goal_green": record.pop("goal_green"),
-        **record,
-    }
 
 
 def _distinct(names: tuple[str, ...]) -> tuple[str, ...]:

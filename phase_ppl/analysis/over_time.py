@@ -51,7 +51,7 @@ def over_time(tree: xr.DataTree, scenario: ScenarioFunction | None = None) -> xr
     if "step_log_likelihood" not in simulations:
         raise InvalidEventError(
             "this posterior does not hold the likelihood of each frame of its simulations "
-            "(simulations/step_log_likelihood), as files of earlier versions; infer it again"
+            "(simulations/step_log_likelihood); infer it again"
         )
     if not (simulations["completed"].values & ~simulations["failed"].values).any():
         raise InvalidSettingError("there is nothing to weight: no simulation was completed")

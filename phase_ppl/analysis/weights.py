@@ -169,8 +169,7 @@ def stratified(tree: xr.DataTree) -> Rows:
         raise _no_proposals("stratified", tree)
     if "prior_of_pairs" not in tree["constant_data"]:
         raise InvalidSettingError(
-            "weights 'stratified' need the prior of pairs of goals, which files of earlier "
-            "versions do not hold; 'importance' does without"
+            "weights 'stratified' need the prior of pairs of goals; 'importance' does without"
         )
     simulations = tree["simulations"].dataset
     with np.errstate(invalid="ignore"):  # of what failed

@@ -276,7 +276,7 @@ def simulated(
     n: int,
     seed: int,
     workers: int | None,
-    simulator: Simulator | None,
+    simulator: Simulator | None = None,
 ) -> WhatIf:
     """Return hypotheses drawn from a posterior, simulated from a frame on.
 

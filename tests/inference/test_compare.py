@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -437,15 +436,3 @@ def test_more_simulations_of_a_pair_can_be_asked_for() -> None:
     assert "6 simulations each" in said["description"]
     assert said["simulations"] == 6 * len(plan_enumeration(model).pairs)
     assert 0 < said["error"]["tv_goals"] < 1
-
-
-def test_a_checkpoint_with_other_budgets_in_mind_is_refused(
-    tmp_path: Path, found: ppl.Comparison, reference: Any
-) -> None:
-    path = found.save(tmp_path / "runs.json")
-    record = json.loads(path.read_text())
-    del record["runs"]["frames"], record["curve"]["frames"]
-    path.write_text(json.dumps(record))
-    assert ppl.Comparison.load(path).runs["frames"].isna().all()
-    with pytest.raises(InvalidSettingError, match="older version"):
-        compare(reference, checkpoint=path)
