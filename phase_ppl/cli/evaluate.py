@@ -196,7 +196,7 @@ def _evaluate(options: argparse.Namespace) -> int:
             print(evaluation)
         problems = []
         if evaluation.folder is not None and not options.no_figures:
-            problems = _draw(evaluation.folder, options)
+            problems = _draw(evaluation, evaluation.folder, options)
         for problem in problems:
             print(f"phase-ppl: error: {named}{problem}", file=sys.stderr)
         if problems or evaluation.failures:
@@ -324,14 +324,13 @@ def _end_of_one(found: Evaluation, options: argparse.Namespace) -> None:
         write_json(folder / AGAINST, difference)
 
 
-def _draw(folder: ResultsFolder, options: argparse.Namespace) -> list[str]:
+def _draw(evaluation: Evaluation, folder: ResultsFolder, options: argparse.Namespace) -> list[str]:
     """Draw figures and pages; return in words what could not be drawn."""
     from phase_ppl.evaluation.folder import PAGE
     from phase_ppl.evaluation.report import contents, write_page
 
     def draw_page(event_id: str) -> None:
-        page = contents.page_in_folder(folder, event_id)
+        page = contents.page_of(evaluation, event_id)
         write_page(page, folder.folder_of(event_id) / PAGE)
 
-    finished = [event.id for event in folder.events if folder.is_finished(event.id)]
-    return drawn(folder, folder.path, finished, draw_page, options)
+    return drawn(evaluation, folder.path, list(evaluation.predictions), draw_page, options)

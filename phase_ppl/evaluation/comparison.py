@@ -141,7 +141,7 @@ class ModelComparison:
             found.append(AnswerSet(one.name, kind, unlike, colour, one.predictions))
         return [answers for answers in found if answers.predictions]
 
-    @property
+    @functools.cached_property
     def measured(self) -> list[AnswerSet]:
         """The same with metrics."""
         metrics = {**self.metrics, PEOPLE: self.people}

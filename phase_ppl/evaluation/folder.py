@@ -19,6 +19,7 @@ goes on with the events that are missing.
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import secrets
@@ -30,13 +31,12 @@ from typing import Any, Final
 from phase_ppl.dataset.documents import read_json
 from phase_ppl.dataset.load import load_events, save_events
 from phase_ppl.evaluation.prediction import Prediction
-from phase_ppl.evaluation.tables import KINDS
+from phase_ppl.world.checks import number_or_nan
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
     OutputError,
     PhasePPLError,
-    shown,
 )
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import writable_folder, write_json
@@ -240,17 +240,14 @@ class ResultsFolder:
         source = self.path / FAILURES
         return read_json(source) if source.is_file() else {}
 
-    def metrics(self) -> dict[str, Any] | None:
-        """Return the content of metrics.json; None where the evaluation is not finished."""
+    def last_call(self) -> tuple[int | None, float | None]:
+        """Return workers and wall seconds of the call that finished it, by metrics.json."""
         source = self.path / METRICS
-        if not source.is_file():
-            return None
-        found = read_json(source)
-        try:
-            check_metrics(found)
-        except InvalidEventError as error:
-            raise InvalidEventError(f"{source}: {error}") from None
-        return found
+        cost = read_json(source).get("cost") if source.is_file() else None
+        given = cost if isinstance(cost, Mapping) else {}
+        workers, seconds = (number_or_nan(given.get(n)) for n in ("workers", "wall_seconds"))
+        known = math.isfinite(workers) and math.isfinite(seconds)
+        return (int(workers), seconds) if known else (None, None)
 
 
 def entry_name(place: int, event_id: str) -> str:
@@ -261,61 +258,3 @@ def entry_name(place: int, event_id: str) -> str:
 def holds_predictions(folder: Path) -> bool:
     """Whether an evaluation in ``folder`` has finished any event."""
     return any(folder.glob(f"events/*/{PREDICTION}"))
-
-
-# --- whether metrics that were read from a file have the form in which they were written ----------
-
-_ACCURACIES: Final = tuple(f"{kind}_accuracy" for kind in KINDS)
-
-
-def check_metrics(record: Mapping[str, Any]) -> None:
-    """Raise InvalidEventError unless all that is shown of metrics is there as it should be.
-
-    Figures are null or have a value and the ends of its interval, which may be null; what is
-    absent is as good as null. The message names the field.
-    """
-    _check_model(record, "")
-    references = _object(record, "reference_models", "")
-    for name in references:
-        where = "reference_models."
-        _check_model(_object(references, name, where), f"{where}{name}.")
-    cost = _object(record, "cost", "")
-    for name in ("workers", "wall_seconds"):
-        _check_number(cost, name, "cost.")
-
-
-def _check_model(record: Mapping[str, Any], where: str) -> None:
-    for name in (*_ACCURACIES, "goal_top3_accuracy"):
-        _check_figure(record, name, where)
-    scenarios = _object(record, "by_scenario", where)
-    for scenario in scenarios:
-        found = _object(scenarios, scenario, f"{where}by_scenario.")
-        for name in _ACCURACIES:
-            _check_figure(found, name, f"{where}by_scenario.{scenario}.")
-    human = _object(record, "human", where)
-    for name in human:
-        if name != "split_half_by":  # which is no figure
-            _check_figure(human, name, f"{where}human.")
-
-
-def _check_figure(record: Mapping[str, Any], name: str, where: str) -> None:
-    figure = _object(record, name, where)
-    for part in ("value", "ci_low", "ci_high") if figure else ():
-        if part not in figure:
-            raise InvalidEventError(f"{where}{name} has no {part}")
-        _check_number(figure, part, f"{where}{name}.")
-
-
-def _object(record: Mapping[str, Any], name: str, where: str) -> Mapping[str, Any]:
-    found = record.get(name)
-    if found is None:
-        return {}
-    if not isinstance(found, Mapping):
-        raise InvalidEventError(f"{where}{name} is {shown(found)}, expected an object or null")
-    return found
-
-
-def _check_number(record: Mapping[str, Any], name: str, where: str) -> None:
-    found = record.get(name)
-    if isinstance(found, bool) or not isinstance(found, int | float | None):
-        raise InvalidEventError(f"{where}{name} is {shown(found)}, expected a number or null")

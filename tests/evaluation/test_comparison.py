@@ -489,15 +489,15 @@ def test_names_of_columns_take_no_more_room_than_they_need(crowd: ppl.ModelCompa
 
 def test_a_page_has_a_column_for_everybody(crowd: ppl.ModelComparison) -> None:
     results = Results(crowd)
-    shown = event_page(crowd.events[0], results.answers)
+    shown = event_page(crowd.events[0], results.source.answers)
     for words in ("people", "SIMPLE", "planning", "physics", "$y$"):
         assert words in shown
 
 
 def test_models_keep_their_colours(crowd: ppl.ModelComparison) -> None:
-    colours = {o.name: o.colour for o in Results(crowd).answers}
+    colours = {o.name: o.colour for o in Results(crowd).source.answers}
     assert len(set(colours.values())) == len(colours) == len(NAMES) + 2
-    few = {o.name: o.colour for o in Results(compare(evaluation("vlm"))).answers}
+    few = {o.name: o.colour for o in Results(compare(evaluation("vlm"))).source.answers}
     assert few["vlm"] == colours["vlm"]
 
 

@@ -14,9 +14,7 @@ from phase_ppl.evaluation import figures
 from phase_ppl.evaluation.figures import NothingToDrawError, draw_figures, drawings_of
 from phase_ppl.evaluation.figures.layout import Results
 from phase_ppl.evaluation.folder import ResultsFolder
-from phase_ppl.evaluation.metrics import evaluate_predictions
 from phase_ppl.world.errors import InvalidEventError, OutputError
-from phase_ppl.world.files import write_json
 
 from .small import COMPETING, events, make_folder
 
@@ -44,9 +42,9 @@ def shown_in(figure: Figure) -> list[str]:
 
 def left_out(folder: ResultsFolder, capsys: pytest.CaptureFixture[str]) -> set[str]:
     """Draw all; return the names of those that were not drawn, of which each was said."""
-    drawn = {path.stem for path in draw_figures(folder, folder.path)}
+    drawn = {path.stem for path in draw_figures(folder.path, folder.path)}
     said = capsys.readouterr().err
-    missing = set(drawings_of(Results(folder))) - drawn
+    missing = set(drawings_of(Results.of(folder.path))) - drawn
     assert said.count("\n") == len(missing)
     assert all(f"no figure {name}: " in said for name in missing)
     assert {p.name for p in (folder.path / "figures").iterdir()} == {f"{n}.png" for n in drawn}
@@ -79,7 +77,7 @@ def test_a_folder_without_predictions_has_people_and_references_only(
 ) -> None:
     folder = make_folder(tmp_path / "results", predicted=lambda _: False)
     # of an evaluation that has not begun nothing is compared
-    every = set(drawings_of(Results(folder)))
+    every = set(drawings_of(Results.of(folder.path)))
     assert left_out(folder, capsys) == every - {"film_strips"}
 
 
@@ -89,7 +87,7 @@ def test_one_event_of_one_scenario_is_enough(
     only = dataclasses.replace(events()[0], predictions=None)
     folder = make_folder(tmp_path / "results", [only])
     assert left_out(folder, capsys) == set()
-    shown = shown_in(figures.accuracy(folder))
+    shown = shown_in(figures.accuracy(folder.path))
     assert "all" in shown
     assert "competing" not in shown  # it would be the same again
 
@@ -99,13 +97,13 @@ def test_a_figure_that_the_results_no_longer_allow_is_taken_away(tmp_path: Path)
     (folder.path / "figures").mkdir()
     (folder.path / "figures" / "correlation.png").write_bytes(b"old")
     assert "correlation" not in {
-        path.stem for path in draw_figures(folder, folder.path, progress=False)
+        path.stem for path in draw_figures(folder.path, folder.path, progress=False)
     }
     assert not (folder.path / "figures" / "correlation.png").exists()
 
 
 def test_accuracy_has_the_numbers_of_the_metrics(folder: ResultsFolder) -> None:
-    shown = shown_in(figures.accuracy(folder))
+    shown = shown_in(figures.accuracy(folder.path))
     # SIMPLE: goals right, wrong | right, right; relation wrong | right
     assert shown.count("n = 2 to 4") == 1  # the other model answers red's goal only
     assert {"SIMPLE", "people", "<b>other</b>", "collaborative", "competing"} <= set(shown)
@@ -115,16 +113,8 @@ def test_accuracy_has_the_numbers_of_the_metrics(folder: ResultsFolder) -> None:
     assert "0.88" in shown
 
 
-def test_accuracy_is_read_from_the_finished_metrics(tmp_path: Path) -> None:
-    folder = make_folder(tmp_path / "results")
-    metrics = evaluate_predictions(folder.events, folder.predictions())
-    metrics["goal_accuracy"] = {"value": 0.123, "ci_low": None, "ci_high": None}
-    write_json(folder.path / "metrics.json", metrics)
-    assert "0.12" in shown_in(figures.accuracy(folder))
-
-
 def test_confusion_counts_events(folder: ResultsFolder) -> None:
-    figure = figures.confusion(folder)
+    figure = figures.confusion(folder.path)
     named = {axes.get_title("left"): axes for axes in figure.axes}
     # the other model does not answer green's goal
     assert set(named) == {"SIMPLE", "people, majority"}
@@ -135,7 +125,7 @@ def test_confusion_counts_events(folder: ResultsFolder) -> None:
 
 
 def test_scatter_has_a_column_per_scenario_and_one_for_the_unknown(folder: ResultsFolder) -> None:
-    shown = shown_in(figures.scatter_goals(folder))
+    shown = shown_in(figures.scatter_goals(folder.path))
     assert "competing" in shown
     assert "scenario not known" in shown
     assert "collaborative" not in shown  # nobody judged it
@@ -154,7 +144,7 @@ def test_figures_take_a_path_and_write_to_one(folder: ResultsFolder, tmp_path: P
 def test_a_figure_that_cannot_be_drawn_says_what_is_missing(tmp_path: Path) -> None:
     folder = make_folder(tmp_path / "results", events(judgments=None))
     with pytest.raises(NothingToDrawError, match="people judged no goal"):
-        figures.scatter_goals(folder)
+        figures.scatter_goals(folder.path)
 
 
 def test_no_text_leaves_the_page_or_covers_another(tmp_path: Path) -> None:
@@ -162,7 +152,7 @@ def test_no_text_leaves_the_page_or_covers_another(tmp_path: Path) -> None:
     answers["relation_probs"] = {"adversarial": 0.7, "friendly": 0.3}
     names = ["x", "a model with a name that is long", "another"]
     folder = make_folder(tmp_path / "results", events(predictions=dict.fromkeys(names, answers)))
-    results = Results(folder)
+    results = Results.of(folder.path)
     for drawing in drawings_of(results).values():
         check_texts(drawing.draw(results))
 

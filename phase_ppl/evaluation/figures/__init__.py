@@ -1,7 +1,7 @@
 """Figures of an evaluation or of a comparison of models, for an article.
 
-They show who is right and who agrees with people. Every function takes a folder of results or of a
-comparison (or its path), or a comparison itself, draws on no global state and returns a matplotlib
+They show who is right and who agrees with people. Every function takes an evaluation or a
+comparison, or the folder of one, draws on no global state and returns a matplotlib
 figure, written to ``path`` (.png, .pdf, .svg) as well where one is given. Where the results lack
 what a figure is about, it raises :class:`NothingToDrawError`.
 """
@@ -116,8 +116,7 @@ def draw_figures(source: Source, folder: Path, *, progress: bool = True) -> list
     """Write all figures that the results allow into ``figures/``, as PNG; return the files.
 
     Args:
-        source: the folder of an evaluation, with metrics.json, or they are computed from the
-            finished events; or a comparison of models.
+        source: an evaluation or a comparison of models, or the folder of one.
         folder: to which ``figures/`` belongs.
         progress: say on the standard error output which are left out, and why.
 

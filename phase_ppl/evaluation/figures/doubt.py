@@ -39,7 +39,9 @@ def people(results: Results) -> Figure:
     Raises:
         NothingToDrawError: nobody judged relations to which a model gives probabilities.
     """
-    shown = [one for one in results.measured if one.kind != "people" and one.metrics.get("doubt")]
+    shown = [
+        one for one in results.source.measured if one.kind != "people" and one.metrics.get("doubt")
+    ]
     if not shown:
         raise NothingToDrawError("nobody judged relations to which a model gives probabilities")
     shown = shown[:_MOST]
@@ -79,7 +81,7 @@ def _points(
     answers: AnswerSet, results: Results
 ) -> tuple[FloatArray, FloatArray, IntArray, list[str]]:
     """Return probabilities and shares (event, answer), true relations, and colours of events."""
-    events = [event for event in results.events if event.id in answers.predictions]
+    events = [event for event in results.source.events if event.id in answers.predictions]
     known, model = facts(events), said(events, answers.predictions)
     p, shares = model.probabilities["relation"][:, 0], known.people["relation"][:, 0]
     there = ~np.isnan(p[:, 0]) & ~np.isnan(shares[:, 0])

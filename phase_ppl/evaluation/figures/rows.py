@@ -46,7 +46,7 @@ def accuracy(results: Results) -> Figure:
         NothingToDrawError: no answer can be right or wrong.
     """
     blocks = {
-        kind: [o for o in results.measured if o.metrics.get(f"{kind}_accuracy") is not None]
+        kind: [o for o in results.source.measured if o.metrics.get(f"{kind}_accuracy") is not None]
         for kind in KIND_TITLES
     }
     present = [name for name in SCENARIOS if name in results.scenarios.values()]
@@ -78,7 +78,7 @@ def equivalence(results: Results) -> Figure:
     comparison = results.comparison
     found = {(r["model"], r["measure"], r["scenario"]): r for r in comparison.equivalence}
     blocks = {
-        kind: [o for o in results.answers if (o.name, f"{kind}_accuracy", None) in found]
+        kind: [o for o in results.source.answers if (o.name, f"{kind}_accuracy", None) in found]
         for kind in KIND_TITLES
     }
     ends = [r[k] for r in found.values() for k in ("value", "ci_low", "ci_high")]
@@ -196,7 +196,7 @@ def correlation(results: Results) -> Figure:
     Raises:
         NothingToDrawError: nobody judged what a model gives probabilities for.
     """
-    models = [o for o in results.measured if o.kind != "people"]
+    models = [o for o in results.source.measured if o.kind != "people"]
     found = {name: [at(o.metrics, ("human", name)) for o in models] for name in _CORRELATIONS}
     panels = [name for name, values in found.items() if any(values)]
     if not panels:

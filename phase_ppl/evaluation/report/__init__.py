@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import Final
 
-from phase_ppl.evaluation.folder import COMPARISON, POSTERIOR, SETTINGS, ResultsFolder
+from phase_ppl.evaluation.folder import COMPARISON, POSTERIOR, SETTINGS
 from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.files import as_path, check_output, write_bytes
 
@@ -48,11 +48,11 @@ def report(
             f"{SETTINGS}) nor a comparison (it has no {COMPARISON})"
         )
     check_output(target, (".html",))
+    from phase_ppl.evaluation.evaluation import Evaluation
     from phase_ppl.evaluation.report import contents
 
     if of_evaluation:
-        opened = ResultsFolder.open(source)
-        text = contents.evaluation_page(opened, videos=videos, progress=progress)
+        text = contents.evaluation_page(Evaluation.load(source), videos=videos, progress=progress)
     elif of_comparison:
         from phase_ppl.evaluation.comparison import ModelComparison
 
