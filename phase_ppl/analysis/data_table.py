@@ -79,12 +79,7 @@ class Row(NamedTuple):
 
 
 def rows(here: Statistics, beside: Statistics = PHASE) -> list[Row]:
-    """Return the figures of a set beside those of another, in the order they are shown.
-
-    Args:
-        here: of :func:`phase_ppl.dataset.statistics.statistics`.
-        beside: likewise; by default the original events.
-    """
+    """Return the figures of a set beside those of another, in the order they are shown."""
     found = []
     for name, heading in TABLES.items():
         if name in here["tables"]:

@@ -427,13 +427,6 @@ def diagnostics(
     R-hat and effective sizes are None where they do not exist: for fewer than four draws per
     chain, weighted draws, or what never changes (R-hat: within half a chain). Of goal codes they
     mean nothing and are not given.
-
-    Args:
-        tree: of draws.
-        weights: name of the weighting in use; ``rows``: its table, with relation and scenario.
-        leaders: see :meth:`phase_ppl.analysis.hypotheses.Hypotheses.leaders`.
-        effective_size: see above; NaN: not known.
-        scenario: as in :class:`~phase_ppl.analysis.posterior.Posterior`.
     """
     posterior, stats = tree["posterior"].dataset, tree["sample_stats"].dataset
     n_chains, n_draws = posterior["goal_red"].shape

@@ -297,13 +297,7 @@ def add_overwrite(parser: argparse.ArgumentParser) -> None:
 def results_folder(
     out: Path | None, names: Sequence[str], overwrite: bool
 ) -> Iterator[Path | None]:
-    """Keep the folder of results to this process, from before any work is done.
-
-    Args:
-        out: the folder; None: nothing is kept.
-        names: of files that are results.
-        overwrite: whether it may hold some, which are then deleted.
-    """
+    """Keep the folder of results to this process, from before any work is done."""
     if out is None:
         yield None
         return

@@ -279,13 +279,7 @@ def _holding(
 def _tables(
     events: Sequence[Event], told: Sequence[Mapping[str, Any]], units: Sequence[str]
 ) -> dict[str, Any]:
-    """Return the tables of :func:`statistics`.
-
-    Args:
-        events: the set.
-        told: per event what the manifest says of it; empty where there is none.
-        units: per event the event that it is a copy of, or itself.
-    """
+    """Return the tables of :func:`statistics`."""
     n = len(AGENTS)
     sizes = sorted(f"{size:g}" for size in SIZES)
     known: dict[str, Sequence[str]] = {

@@ -80,13 +80,7 @@ class AnswerSet:
 def answer_sets(
     events: Sequence[Event], own: str, predictions: Mapping[str, Prediction]
 ) -> list[AnswerSet]:
-    """Return all answers there are: people's, the model's, those that the events carry, in order.
-
-    Args:
-        events: of the evaluation.
-        own: name of the model.
-        predictions: its answers, by event.
-    """
+    """Return people's answers, the model's, and those that the events carry, in order."""
     names = dict.fromkeys(name for event in events for name in event.predictions or {})
     own_colour, *colours = colours_of([own, *names])
     found = [

@@ -55,13 +55,7 @@ def doubt_of(
     seed: int = 0,
     resamples: int = 1000,
 ) -> dict[str, Any] | None:
-    """Return what the module describes.
-
-    Args:
-        events: with judgments and truth, where they have them.
-        predictions: event id -> prediction; events without one do not count.
-        seed, resamples: of events and raters.
-    """
+    """Return what the module describes."""
     chosen = predicted(events, predictions)
     found = [event.id for event in chosen]
     return doubt(facts(chosen), said(chosen, predictions), found, seed, resamples)

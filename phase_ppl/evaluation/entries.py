@@ -49,9 +49,6 @@ def evaluations(sources: Source | Sequence[Source] | Mapping[str, Source]) -> di
 
     A folder that holds no evaluation itself stands for those in it, under the names of their
     folders. Others go by the name of the model or, where several are of the same, of the folder.
-
-    Args:
-        sources: evaluations or folders, one or several; or name -> evaluation or folder.
     """
     if isinstance(sources, Mapping):
         check_names(list(sources))
@@ -117,10 +114,6 @@ def shared_events(
 
     Events are the same if they have the same id and all that is seen of them is the same. Truth
     and judgments are those of the first evaluation.
-
-    Args:
-        found: name -> evaluation.
-        common: leave out events that are not in all; otherwise there may be none.
     """
     (first, evaluation), *others = found.items()
     notes = []
@@ -171,13 +164,7 @@ def _differences(
 def entries(
     found: Mapping[str, Evaluation], events: Sequence[Event], stored: str | Sequence[str] = ()
 ) -> list[Entry]:
-    """Return the models that are compared, with their answers about the events.
-
-    Args:
-        found: name -> evaluation.
-        events: that are compared.
-        stored: names of models whose answers the events carry; or :data:`ALL` of them.
-    """
+    """Return the models that are compared, with their answers about the events."""
     ids = [event.id for event in events]
     made = [
         Entry(
@@ -202,12 +189,7 @@ def stored_label(name: str, models: Collection[str]) -> str:
 
 
 def stored_names(stored: str | Sequence[str], references: Iterable[str]) -> list[str]:
-    """Return the names of the models, whose answers the events carry, that are wanted.
-
-    Args:
-        stored: one or several; or :data:`ALL`.
-        references: those that there are.
-    """
+    """Return the names of the models, whose answers the events carry, that are wanted."""
     known = list(references)
     if isinstance(stored, str):
         stored = known if stored == ALL else [stored]

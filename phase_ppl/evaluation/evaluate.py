@@ -174,12 +174,7 @@ def settings_of(model: ReadyModel, seed: int, events: Sequence[Event]) -> dict[s
 
 
 def event_seed(seed: int, digest: str) -> int:
-    """Return the seed that a model gets for an event, below 2**31.
-
-    Args:
-        seed: of the evaluation.
-        digest: of what is seen of the event (:func:`phase_ppl.world.identity.event_digest`).
-    """
+    """Return the seed that a model gets for an event, below 2**31."""
     found = hashlib.sha256(f"{seed} {digest}".encode()).digest()
     return int.from_bytes(found[:4], "big") >> 1
 

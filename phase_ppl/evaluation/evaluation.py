@@ -148,12 +148,7 @@ class Evaluation:
 def opponent(
     events: Sequence[Event], other: Evaluation | str | os.PathLike[str]
 ) -> tuple[str, Mapping[str, Prediction]]:
-    """Return name and predictions of what a model is compared with.
-
-    Args:
-        events: that the model is asked about.
-        other: as of :meth:`Evaluation.against`.
-    """
+    """Return name and predictions of what a model is compared with."""
     references = reference_predictions(events)
     if isinstance(other, str) and other in references:
         return other, references[other]

@@ -91,12 +91,7 @@ class ModelInfo:
     more_options: MoreOptions | None = None
 
     def takes(self, name: str, options: Mapping[str, Any]) -> bool:
-        """Return whether the model has an option of that name.
-
-        Args:
-            name: of the option.
-            options: all that are given, on which it may depend.
-        """
+        """Return whether the model has an option of that name."""
         parameters = inspect.signature(self.factory).parameters.values()
         if any(p.name == name and p.kind is not p.VAR_KEYWORD for p in parameters):
             return True
@@ -158,13 +153,7 @@ def model_info(name: str) -> ModelInfo:
 
 
 def check_installed(what: str, needs: Sequence[str], extra: str | None) -> None:
-    """Raise InvalidSettingError where a module is missing that ``what`` needs.
-
-    Args:
-        what: as the message calls it.
-        needs: names of modules.
-        extra: of this package that brings them, if one does.
-    """
+    """Raise InvalidSettingError where a module is missing that ``what`` needs."""
     missing = [module for module in needs if not is_installed(module)]
     if missing:
         how = f": pip install 'phase_ppl[{extra}]'" if extra else ""

@@ -141,12 +141,7 @@ def driving(
 
 
 def replayed(session: Mapping[str, Any], event: Event) -> Event:
-    """Return the event of a session, by doing its actions once more.
-
-    Args:
-        session: as :meth:`Store.sessions` gives it.
-        event: whose scene was played.
-    """
+    """Return the event of a session, by doing its actions once more."""
     settings = session["settings"]
     scene = dataclasses.replace(
         event.scene, turning=settings["turning"], resets_velocity=settings["resets_velocity"]
@@ -172,12 +167,6 @@ def played(
     """Return the sessions of a study as events, with a row of facts about each, and counts.
 
     A session whose actions do not give its trajectory again, to the last bit, is left out.
-
-    Args:
-        store: of the study.
-        events: id -> event, whose scenes were played.
-        broken_off: with those that somebody left, or that the server's end broke off.
-        excluded: with those of people who were excluded.
     """
     out = {row["id"] for row in store.rows("SELECT id FROM participant WHERE excluded IS NOT NULL")}
     counts = dict.fromkeys(("sessions", *COMPLETE, "broken off", "excluded", "replay differs"), 0)

@@ -514,15 +514,7 @@ class Store:
         rtt_ms: Sequence[float | None] = (),
         sha256: str | None = None,
     ) -> None:
-        """End a session: "goals", "time", or why it was broken off.
-
-        Args:
-            session: its id.
-            outcome: how it ended.
-            slip_ms: most by which a frame was late.
-            rtt_ms: per agent the median round trip to its player.
-            sha256: of the trajectory.
-        """
+        """End a session: "goals", "time", or why it was broken off."""
         with self._writing() as run:
             run("UPDATE session SET ended=?, outcome=?, slip_ms=?, sha256=? "
                 "WHERE id=? AND outcome IS NULL",

@@ -57,12 +57,6 @@ def beliefs_of(event: Event, agent: int, particles: int, seed: int = 0) -> Itera
 
     It is what the simulator's agents believe, given the true states as far as they can be read
     off the observation; in between the agent is taken to coast.
-
-    Args:
-        event: what happens.
-        agent: 0 red, 1 green.
-        particles: K.
-        seed: of the particles.
     """
     from phase_ppl.agents.beliefs import Perception
     from phase_ppl.agents.config import PlannerConfig

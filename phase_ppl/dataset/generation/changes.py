@@ -57,11 +57,6 @@ def changed(
     """Return all situations that are a situation in another layout, or with ids moved by one.
 
     Goals, alpha and all places and angles at the start are those of the first.
-
-    Args:
-        family: that drew it.
-        variant: of the family.
-        situation: as it was drawn.
     """
     kinds = [kind for kind in LAYOUTS_OF_A_KIND if situation.layout in kind]
     changes = [

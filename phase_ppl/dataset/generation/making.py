@@ -33,13 +33,7 @@ Measures = Mapping[str, Any]
 
 
 def reason_against(scenario: str, hypothesis: Hypothesis, found: Measures) -> str | None:
-    """Return why a recording does not show its scenario; None where it does.
-
-    Args:
-        scenario: what it was drawn to show.
-        hypothesis: under which it was simulated.
-        found: its :func:`measures`.
-    """
+    """Return why a recording does not show its scenario; None where it does."""
     positive = [
         goal_literal(goal, agent).positive for agent, goal in enumerate(hypothesis.effective_goals)
     ]
@@ -167,12 +161,7 @@ class Made(NamedTuple):
 
 
 def make(plan: Plan, slot: Slot) -> Made:
-    """Draw and simulate situations of a slot until one shows what it should.
-
-    Args:
-        plan: of the whole set.
-        slot: what is to be made.
-    """
+    """Draw and simulate situations of a slot until one shows what it should."""
     family, variant = family_and_variant(slot.cell)
     simulator = JointSimulator(plan.planner)
     made = Made(slot, [], [], [])

@@ -288,9 +288,6 @@ def chosen_inside(fits: Sequence[PeopleFit]) -> tuple[dict[str, Prediction], dic
     So the choice of an observer sees nothing of the video it is judged by: for each video, draws
     are reweighted to leave it out, and of these each other video in turn.
 
-    Args:
-        fits: of the same people and videos.
-
     Returns:
         Event id -> prediction, and event id -> place of the fit that was chosen.
     """

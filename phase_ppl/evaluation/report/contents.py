@@ -356,13 +356,7 @@ def _summary(shown: Sequence[AnswerSet]) -> dict[str, Any]:
 def evaluation_page(
     evaluation: Evaluation, *, videos: bool = False, progress: bool | None = None
 ) -> str:
-    """Return the page of an evaluation.
-
-    Args:
-        evaluation: finished or not.
-        videos: film every event.
-        progress: show a bar over the events; None: where stderr is a terminal.
-    """
+    """Return the page of an evaluation."""
     results = Results(evaluation)
     state = f"{len(evaluation.predictions)} of {len(evaluation.events)} events predicted"
     if not evaluation.finished:
@@ -437,12 +431,7 @@ def _figures(results: Results) -> tuple[list[tuple[str, Picture]], list[str]]:
 
 
 def comparison_page(comparison: ModelComparison, *, progress: bool | None = None) -> str:
-    """Return the page of a comparison of models.
-
-    Args:
-        comparison: of models.
-        progress: show a bar over the events; None: where stderr is a terminal.
-    """
+    """Return the page of a comparison of models."""
     results = Results(comparison)
     shown = {answers.name: answers for answers in results.source.answers}
     drawn, left_out = _figures(results)
@@ -478,12 +467,7 @@ def comparison_page(comparison: ModelComparison, *, progress: bool | None = None
 
 
 def reproduction_page(made: Reproduction, *, progress: bool | None = None) -> str:
-    """Return the page of a reproduction.
-
-    Args:
-        made: what came out.
-        progress: show a bar over the events; None: where stderr is a terminal.
-    """
+    """Return the page of a reproduction."""
     results = Results(made.comparison)
     drawn, left_out = _figures(results)
     for title, alt, draw in made.drawn:

@@ -297,12 +297,7 @@ class Parsed(NamedTuple):
 
 
 def parse(text: str, remaining: str = REMAINING[0]) -> Parsed:
-    """Return the probabilities that an answer gives.
-
-    Args:
-        text: the answer.
-        remaining: one of :data:`REMAINING`.
-    """
+    """Return the probabilities that an answer gives."""
     repairs: list[str] = []
     body = _without_fence(text, repairs)
     try:

@@ -332,15 +332,7 @@ class _Guard:
 def make_service(
     name: object, model: str | None, show: str | None, given: Mapping[str, Any], to_be_asked: bool
 ) -> Service:
-    """Return a service, ready to be asked.
-
-    Args:
-        name: one of :data:`SERVICES`.
-        model, show: as of the model ``vlm``.
-        given: those of ``base_url``, ``key_env``, ``temperature``, ``video_fps`` and ``timeout``
-            that are not to be as usual.
-        to_be_asked: whether its library is needed.
-    """
+    """Return a service, ready to be asked."""
     if not isinstance(name, str) or name not in SERVICES:
         raise unknown_name("client", name, SERVICES)
     settings: dict[str, Any] = dict(_USUAL[name])

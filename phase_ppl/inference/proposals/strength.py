@@ -308,13 +308,7 @@ def strength_estimator(strength: str | Estimator) -> Estimator:
 def estimated_strengths(
     strength: str | Estimator, scene: Scene, observation: Observation, windows: NDArray[np.int64]
 ) -> StrengthEstimates:
-    """Return what an estimator says of each window.
-
-    Args:
-        strength: the name of an estimator, or one.
-        scene, observation: what was seen.
-        windows: (window, 2) first and last frame of each.
-    """
+    """Return what an estimator says of each window."""
     found = strength_estimator(strength)(scene, observation, windows)
     mean, sd = (np.asarray(part, float) for part in found)
     wanted = (len(windows), len(AGENTS))
