@@ -50,7 +50,7 @@ COMMANDS: Final = {
     ),
     "evaluate": ("evaluate", "ask a model about many events, and score what it answers"),
     "compare-models": (
-        "compare_models",
+        "evaluate",
         "compare evaluations of several models, and people, on the same events",
     ),
     "fit-people": ("fit_people", "fit an observer to people's judgments"),

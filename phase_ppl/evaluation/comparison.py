@@ -30,8 +30,7 @@ from phase_ppl.evaluation.entries import (
     shared_events,
 )
 from phase_ppl.evaluation.folder import COMPARISON, EVENTS
-from phase_ppl.evaluation.metrics import at, events_with, metrics_of_each
-from phase_ppl.evaluation.people import human_accuracy
+from phase_ppl.evaluation.metrics import at, events_with, human_accuracy, metrics_of_each
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import (
@@ -107,7 +106,7 @@ class ModelComparison:
 
     @functools.cached_property
     def people(self) -> dict[str, Any]:
-        """What people got right (:func:`~phase_ppl.evaluation.people.human_accuracy`)."""
+        """What people got right (:func:`~phase_ppl.evaluation.metrics.human_accuracy`)."""
         return human_accuracy(self.events, seed=self.settings["seed"])
 
     @functools.cached_property

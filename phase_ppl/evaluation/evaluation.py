@@ -13,8 +13,12 @@ from typing import Any, Final, NamedTuple
 from phase_ppl.analysis.summary import WIDTH, plain
 from phase_ppl.evaluation.answer_sets import PEOPLE, AnswerSet, answer_sets
 from phase_ppl.evaluation.folder import SETTINGS, ResultsFolder
-from phase_ppl.evaluation.metrics import evaluate_predictions, paired_difference, reference_models
-from phase_ppl.evaluation.people import human_accuracy
+from phase_ppl.evaluation.metrics import (
+    evaluate_predictions,
+    human_accuracy,
+    paired_difference,
+    reference_models,
+)
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.references import reference_predictions
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown, unknown_name
@@ -54,7 +58,7 @@ class Evaluation:
         """The metrics, in JSON's types.
 
         Those of :mod:`phase_ppl.evaluation.metrics`; ``people``, what people got right
-        (:func:`~phase_ppl.evaluation.people.human_accuracy`); ``reference_models``, the metrics
+        (:func:`~phase_ppl.evaluation.metrics.human_accuracy`); ``reference_models``, the metrics
         of the models whose predictions the events carry; ``failures``, ``settings``, ``cost``.
         """
         found = {

@@ -30,7 +30,7 @@ from phase_ppl.dataset.generated import MANIFEST, PLAN, GeneratedEvents
 from phase_ppl.dataset.load import load_events
 from phase_ppl.evaluation.csv_file import csv_lines, csv_text, naming_line
 from phase_ppl.evaluation.folder import EVENTS, SETTINGS
-from phase_ppl.evaluation.people import participant_accuracy
+from phase_ppl.evaluation.metrics import participant_accuracy
 from phase_ppl.evaluation.prediction import QUESTIONS
 from phase_ppl.evaluation.ratings import Judgments, checked_answer, event_judgments
 from phase_ppl.evaluation.references import reference_predictions
@@ -79,7 +79,7 @@ class Study:
             seed, resamples: of the participants.
 
         Returns:
-            As :func:`~phase_ppl.evaluation.people.participant_accuracy`.
+            As :func:`~phase_ppl.evaluation.metrics.participant_accuracy`.
 
         Raises:
             InvalidEventError: the study has answers to none of the events.

@@ -13,8 +13,15 @@ import numpy as np
 import pandas as pd
 from tqdm.auto import tqdm
 
-from phase_ppl.analysis.comparison import CURVE_COLUMNS, RUN_COLUMNS, Comparison
-from phase_ppl.analysis.measures import accuracy, curve, efficiency, of_truth
+from phase_ppl.analysis.comparison import (
+    CURVE_COLUMNS,
+    RUN_COLUMNS,
+    Comparison,
+    accuracy,
+    curve,
+    efficiency,
+    of_truth,
+)
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.summary import plain
 from phase_ppl.analysis.weights import WEIGHTINGS

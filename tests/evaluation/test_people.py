@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from phase_ppl.evaluation.people import human_accuracy, participant_accuracy
+from phase_ppl.evaluation.metrics import human_accuracy, participant_accuracy
 from tests.evaluation.judged import (
     BLUE_TO_RED,
     COLLABORATIVE,

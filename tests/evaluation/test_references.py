@@ -13,8 +13,7 @@ import pytest
 import phase_ppl as ppl
 from phase_ppl.analysis.summary import plain
 from phase_ppl.evaluation.evaluation import reference_evaluation
-from phase_ppl.evaluation.metrics import reference_models
-from phase_ppl.evaluation.people import human_accuracy
+from phase_ppl.evaluation.metrics import human_accuracy, reference_models
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.references import reference_predictions
 from phase_ppl.world.errors import InvalidEventError, PhasePPLError, UnknownNameError

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import phase_ppl as ppl
-from phase_ppl.analysis.measures import distances
+from phase_ppl.analysis.comparison import distances
 from phase_ppl.inference import entries as entries_module
 from phase_ppl.inference.entries import entries
 from phase_ppl.inference.reference import (

@@ -3,8 +3,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from phase_ppl.inference.proposals.goal_features import FEATURES, GOAL_PARTS, KINDS, goal_features
-from phase_ppl.inference.proposals.tables import bottom_up_tables, goal_weights, joint_logits
+from phase_ppl.inference.proposals.tables import (
+    FEATURES,
+    GOAL_PARTS,
+    KINDS,
+    bottom_up_tables,
+    goal_features,
+    goal_weights,
+    joint_logits,
+)
 from phase_ppl.models.sites import ALPHA_PROBABILITIES, SELF_REFERRING
 from phase_ppl.world.goals import GOALS, N_GOALS, effective_goals, goal_index
 from phase_ppl.world.hypothesis import ALPHAS

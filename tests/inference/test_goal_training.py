@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from phase_ppl.inference.proposals import goal_training
-from phase_ppl.inference.proposals.goal_features import FEATURES, KINDS
 from phase_ppl.inference.proposals.goal_training import Examples, draw_goals, learned, loss_of_whole
-from phase_ppl.inference.proposals.tables import WEIGHTS_FILE
+from phase_ppl.inference.proposals.tables import FEATURES, KINDS, WEIGHTS_FILE
 from phase_ppl.models.sites import SELF_REFERRING
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import scenario

@@ -16,10 +16,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeVar
 
 from phase_ppl.analysis.figures.style import written
 from phase_ppl.evaluation.comparison import ModelComparison
-from phase_ppl.evaluation.figures import doubt as _doubt
 from phase_ppl.evaluation.figures import grids as _grids
 from phase_ppl.evaluation.figures import rows as _rows
-from phase_ppl.evaluation.figures import studies as _studies
 from phase_ppl.evaluation.figures.layout import NothingToDrawError, Results, Source
 from phase_ppl.evaluation.likeness import MARGIN, Likeness, load_likeness
 from phase_ppl.evaluation.tags import MAJORITY, Tags, load_tags
@@ -82,7 +80,7 @@ DRAWINGS: Final = {
         "Doubt: models against people",
         "Points: probabilities of relations against people's shares, as they are and given the "
         "truth; bars: both correlations, beside what people reach among themselves.",
-        _doubt.people,
+        _rows.people,
     ),
     "film_strips": Drawing(
         "An event of every scenario",
@@ -200,7 +198,7 @@ def tags(
         InvalidSettingError: ``source`` is neither labels nor a file, or ``majority`` no share.
         InvalidEventError: the file holds no labels; the message names file and line.
     """
-    return written(_studies.tags(_read(source, Tags, load_tags), majority), path)
+    return written(_rows.tags(_read(source, Tags, load_tags), majority), path)
 
 
 def likeness(
@@ -220,4 +218,4 @@ def likeness(
         InvalidSettingError: ``source`` is neither ratings nor a file, or ``margin`` not positive.
         InvalidEventError: the file holds no ratings; the message names file and line.
     """
-    return written(_studies.likeness(_read(source, Likeness, load_likeness), margin), path)
+    return written(_rows.likeness(_read(source, Likeness, load_likeness), margin), path)

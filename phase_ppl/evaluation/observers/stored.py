@@ -9,7 +9,7 @@ import os
 from importlib import resources
 from typing import Any, Final
 
-from phase_ppl.evaluation.observers.evidence import Made, evidence_of
+from phase_ppl.evaluation.observers.answers import Made, evidence_of
 from phase_ppl.evaluation.observers.fit import FittedObserver
 from phase_ppl.evaluation.prediction import Prediction, as_prediction
 from phase_ppl.evaluation.registry import Answer, Predict, ReadyModel
