@@ -68,16 +68,11 @@ MOST_GROUPS: Final = 32
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Rows:
-    """A table of hypotheses.
+    """A table of hypotheses."""
 
-    Attributes:
-        values: site -> (row,) codes or numbers.
-        weights: (row,) non-negative, sum 1.
-        index: what identifies a row in the tree: column -> (row,) integers.
-    """
-
-    values: Mapping[str, NDArray[Any]]
-    weights: FloatArray
+    values: Mapping[str, NDArray[Any]]  # site -> (row,) codes or numbers
+    weights: FloatArray  # (row,) non-negative, sum 1
+    # what identifies a row in the tree: column -> (row,) integers
     index: Mapping[str, NDArray[np.int64]]
 
 

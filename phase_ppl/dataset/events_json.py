@@ -78,17 +78,11 @@ POSE: Final = "units of length (x, y), radians (angle)"
 
 
 class Field(NamedTuple):
-    """An array of an event, as its files have it.
+    """An array of an event, as its files have it."""
 
-    Attributes:
-        key: its name in a JSON scene.
-        dims: its dimensions; those of :data:`LABELS` have named places.
-        units: in words.
-    """
-
-    key: str
-    dims: tuple[str, ...]
-    units: str = LENGTH
+    key: str  # its name in a JSON scene
+    dims: tuple[str, ...]  # its dimensions; those of ``LABELS`` have named places
+    units: str = LENGTH  # in words
 
     @property
     def shape(self) -> tuple[int | None, ...]:

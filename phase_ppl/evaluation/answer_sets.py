@@ -53,23 +53,17 @@ PALETTE: Final = (
 
 @dataclasses.dataclass(frozen=True)
 class AnswerSet:
-    """What one source answered about events.
+    """What one source answered about events."""
 
-    Attributes:
-        name: of the source, as in files.
-        kind: "people", "model" (the evaluation's own) or "reference" (a model whose answers the
-            events carry).
-        label: of the source, as in figures.
-        colour: in figures.
-        predictions: event id -> answers; people's probabilities are shares of their ratings.
-        metrics: of them, where they were asked for.
-    """
-
-    name: str
+    name: str  # of the source, as in files
+    # "people", "model" (the evaluation's own) or "reference" (a model whose answers the events
+    # carry)
     kind: str
-    label: str
-    colour: str
+    label: str  # of the source, as in figures
+    colour: str  # in figures
+    # event id -> answers; people's probabilities are shares of their ratings
     predictions: Mapping[str, Prediction]
+    # of them, where they were asked for
     metrics: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
     def has(self, question: str) -> bool:

@@ -25,23 +25,16 @@ ALL: Final = "all"
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Entry:
-    """A model that is compared.
+    """A model that is compared."""
 
-    Attributes:
-        name: as the comparison calls it, different for all.
-        kind: "model", of an evaluation; or "stored", whose answers the events carry.
-        predictions: event id -> answers, of the events compared.
-        settings: of the evaluation, as in its settings.json but for the events.
-        failures: event id -> what went wrong, of the events compared.
-        folder: of the evaluation, if it has one.
-    """
-
-    name: str
-    kind: str
-    predictions: Mapping[str, Prediction]
+    name: str  # as the comparison calls it, different for all
+    kind: str  # "model", of an evaluation; or "stored", whose answers the events carry
+    predictions: Mapping[str, Prediction]  # event id -> answers, of the events compared
+    # of the evaluation, as in its settings.json but for the events
     settings: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    # event id -> what went wrong, of the events compared
     failures: Mapping[str, str] = dataclasses.field(default_factory=dict)
-    folder: str | None = None
+    folder: str | None = None  # of the evaluation, if it has one
 
 
 def evaluations(sources: Source | Sequence[Source] | Mapping[str, Source]) -> dict[str, Evaluation]:

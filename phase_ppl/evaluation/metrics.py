@@ -278,16 +278,11 @@ def _ordered(result: Mapping[str, Any]) -> dict[str, Any]:
 
 
 class Curve(NamedTuple):
-    """A figure and its values on the resamples.
+    """A figure and its values on the resamples."""
 
-    Attributes:
-        values: (1 + resamples,) its value, then the resampled ones.
-        n: number of events that count in it.
-        scores: (event, answer) what it is the share of, from 0 to 1; None for what is no share.
-    """
-
-    values: FloatArray
-    n: int
+    values: FloatArray  # (1 + resamples,) its value, then the resampled ones
+    n: int  # number of events that count in it
+    # (event, answer) what it is the share of, from 0 to 1; None for what is no share
     scores: FloatArray | None = None
 
     def figure(self) -> Figure | None:

@@ -170,21 +170,13 @@ def is_installed(module: str) -> bool:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ReadyModel:
-    """A model that is made, and what is known of it.
+    """A model that is made, and what is known of it."""
 
-    Attributes:
-        name: as reports call it.
-        predict: the model.
-        parallel: whether several processes may run it.
-        registered: whether it was given by name.
-        record: what determines its answers, as plain data.
-    """
-
-    name: str
-    predict: Predict
-    parallel: bool
-    registered: bool
-    record: Mapping[str, Any]
+    name: str  # as reports call it
+    predict: Predict  # the model
+    parallel: bool  # whether several processes may run it
+    registered: bool  # whether it was given by name
+    record: Mapping[str, Any]  # what determines its answers, as plain data
 
 
 def ready(model: str | Model | Predict, options: Mapping[str, Any]) -> ReadyModel:

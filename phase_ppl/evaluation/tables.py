@@ -26,18 +26,13 @@ TOP: Final = 3
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Facts:
-    """What is known about the events themselves.
+    """What is known about the events themselves."""
 
-    Attributes:
-        truth: kind -> (event, question) index of the true answer, -1 where unknown.
-        scenario: (event,) index of the true scenario, -1 where unknown.
-        judgments: of each event.
-        people: kind -> (event, question, answer) share of people, NaN where nobody answered.
-    """
-
+    # kind -> (event, question) index of the true answer, -1 where unknown
     truth: Mapping[str, IntArray]
-    scenario: IntArray
-    judgments: Sequence[Judgments | None]
+    scenario: IntArray  # (event,) index of the true scenario, -1 where unknown
+    judgments: Sequence[Judgments | None]  # of each event
+    # kind -> (event, question, answer) share of people, NaN where nobody answered
     people: Mapping[str, FloatArray]
 
     @property
@@ -49,20 +44,16 @@ class Facts:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Said:
-    """What a model says about the events.
+    """What a model says about the events."""
 
-    Attributes:
-        right: kind -> (event, question) 1 where the answer is true, 0 where not, NaN unknown.
-        in_top: (event, agent) likewise whether the true goal is among the three most probable
-            answers and has a probability above 0.
-        probabilities: kind -> (event, question, answer), NaN where none are given.
-        scenario: (event,) index of the scenario of both goals answered, -1 where unknown.
-    """
-
+    # kind -> (event, question) 1 where the answer is true, 0 where not, NaN unknown
     right: Mapping[str, FloatArray]
+    # (event, agent) likewise whether the true goal is among the three most probable answers and has
+    # a probability above 0
     in_top: FloatArray
+    # kind -> (event, question, answer), NaN where none are given
     probabilities: Mapping[str, FloatArray]
-    scenario: IntArray
+    scenario: IntArray  # (event,) index of the scenario of both goals answered, -1 where unknown
 
     def where_known(self, other: Said) -> Said:
         """Return it without what is unknown of ``other``."""

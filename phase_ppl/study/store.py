@@ -102,25 +102,15 @@ class Answer(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Participant:
-    """Somebody who came, and how far they are.
+    """Somebody who came, and how far they are."""
 
-    Attributes:
-        id: as exports name them.
-        config: hash of the settings that they came under.
-        grp: of a study with groups, once it is drawn.
-        seen: when they were last heard of, in seconds since 1970.
-        outcome: how it ended; None: it has not.
-        answers: to pages, in the order in which they came.
-        trials: None until they are drawn.
-    """
-
-    id: str
-    config: str
-    grp: str | None
-    seen: float
-    outcome: str | None
-    answers: Sequence[Answer]
-    trials: Sequence[Trial] | None
+    id: str  # as exports name them
+    config: str  # hash of the settings that they came under
+    grp: str | None  # of a study with groups, once it is drawn
+    seen: float  # when they were last heard of, in seconds since 1970
+    outcome: str | None  # how it ended; None: it has not
+    answers: Sequence[Answer]  # to pages, in the order in which they came
+    trials: Sequence[Trial] | None  # None until they are drawn
 
     def attempts(self, page: str) -> int:
         """Return how often a page was answered."""

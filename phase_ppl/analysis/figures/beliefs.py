@@ -39,17 +39,11 @@ _APART: Final = 4.0
 
 
 class Belief(NamedTuple):
-    """What an agent sees and believes in a frame.
+    """What an agent sees and believes in a frame."""
 
-    Attributes:
-        visible: (cells,) in view, row after row from the top left.
-        observed: (entity,) whether the agent sees or feels it.
-        particles: (particle, entity, coord) x, y [units], angle [rad].
-    """
-
-    visible: BoolArray
-    observed: BoolArray
-    particles: FloatArray
+    visible: BoolArray  # (cells,) in view, row after row from the top left
+    observed: BoolArray  # (entity,) whether the agent sees or feels it
+    particles: FloatArray  # (particle, entity, coord) x, y [units], angle [rad]
 
 
 def beliefs_of(event: Event, agent: int, particles: int, seed: int = 0) -> Iterator[Belief]:

@@ -41,15 +41,11 @@ _SUFFIXES: Final = re.compile(r"\.(mp4|pik|pkl|pickle)$")
 
 
 class Place(NamedTuple):
-    """Where something was recorded.
+    """Where something was recorded."""
 
-    Attributes:
-        layout: number of the layout before any reflection.
-        copy: number of the reflection, 0 up-down, 1 left-right, 2 about y = x, 3 about y = -x;
-            None for an original.
-    """
-
-    layout: int
+    layout: int  # number of the layout before any reflection
+    # number of the reflection, 0 up-down, 1 left-right, 2 about y = x, 3 about y = -x; None for an
+    # original
     copy: int | None
 
     @property
@@ -62,17 +58,11 @@ class Place(NamedTuple):
 
 
 class Recorded(NamedTuple):
-    """What a file name says.
+    """What a file name says."""
 
-    Attributes:
-        id: time stamp and place, or, in names that the authors did not give, what comes first.
-        place: None where the name does not say.
-        truth: goals and strengths; None where the name does not say.
-    """
-
-    id: str
-    place: Place | None
-    truth: Truth | None
+    id: str  # time stamp and place, or, in names that the authors did not give, what comes first
+    place: Place | None  # None where the name does not say
+    truth: Truth | None  # goals and strengths; None where the name does not say
 
 
 def parse_name(name: str) -> Recorded:

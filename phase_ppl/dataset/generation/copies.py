@@ -34,23 +34,15 @@ SHORTEST: Final = 33
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Recording:
-    """A simulated situation.
+    """A simulated situation."""
 
-    Attributes:
-        scene: what was known at the start.
-        hypothesis: stated goals, alpha, strengths.
-        layout: number of the layout, before any reflection.
-        trajectory: (time, entity, coord) x, y [units], angle [rad].
-        actions: (time, agent) action that led to the frame, ``NO_ACTION`` at the start.
-        held: (time, agent) item held when that action was chosen, or ``NOTHING``.
-    """
-
-    scene: Scene
-    hypothesis: Hypothesis
-    layout: int
-    trajectory: FloatArray
+    scene: Scene  # what was known at the start
+    hypothesis: Hypothesis  # stated goals, alpha, strengths
+    layout: int  # number of the layout, before any reflection
+    trajectory: FloatArray  # (time, entity, coord) x, y [units], angle [rad]
+    # (time, agent) action that led to the frame, ``NO_ACTION`` at the start
     actions: NDArray[np.int64]
-    held: NDArray[np.int64]
+    held: NDArray[np.int64]  # (time, agent) item held when that action was chosen, or ``NOTHING``
 
 
 def record(situation: Situation, simulator: JointSimulator, frames: int, seed: int) -> Recording:
@@ -92,15 +84,10 @@ def after_motion(trajectory: FloatArray) -> int:
 
 
 class Reflection(NamedTuple):
-    """A reflection of the arena about a line through its centre.
+    """A reflection of the arena about a line through its centre."""
 
-    Attributes:
-        matrix: (2, 2) of offsets from the centre.
-        offset: angle a becomes ``offset`` - a, rad.
-    """
-
-    matrix: FloatArray
-    offset: float
+    matrix: FloatArray  # (2, 2) of offsets from the centre
+    offset: float  # angle a becomes ``offset`` - a, rad
 
 
 REFLECTIONS: Final = {

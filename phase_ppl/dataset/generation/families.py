@@ -42,23 +42,15 @@ _TRIES: Final = 200
 
 @dataclasses.dataclass(frozen=True)
 class Family:
-    """A family of events.
+    """A family of events."""
 
-    Attributes:
-        name: as users call it.
-        function: ``function(draw)`` or, with variants, ``function(draw, variant)``.
-        scenario: what its events show; the relation follows from it.
-        layouts: numbers of the layouts it can be drawn in.
-        variants: names of its variants; empty where there are none.
-        summary: first line of the function's documentation.
-    """
-
-    name: str
+    name: str  # as users call it
+    # ``function(draw)`` or, with variants, ``function(draw, variant)``
     function: Callable[..., Situation]
-    scenario: str
-    layouts: tuple[int, ...]
-    variants: tuple[str, ...]
-    summary: str
+    scenario: str  # what its events show; the relation follows from it
+    layouts: tuple[int, ...]  # numbers of the layouts it can be drawn in
+    variants: tuple[str, ...]  # names of its variants; empty where there are none
+    summary: str  # first line of the function's documentation
 
     @property
     def relation(self) -> str:

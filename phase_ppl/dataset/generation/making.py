@@ -127,36 +127,22 @@ REPLAN_TRIES: Final = 3
 
 
 class Rejected(NamedTuple):
-    """A simulation that did not show what it should.
+    """A simulation that did not show what it should."""
 
-    Attributes:
-        id: of it as an event.
-        reason: why it was not kept.
-        recording: of it.
-        found: its measures.
-        replanned: whether it was to be a re-planned copy.
-    """
-
-    id: str
-    reason: str
-    recording: Recording
-    found: dict[str, Any]
-    replanned: bool
+    id: str  # of it as an event
+    reason: str  # why it was not kept
+    recording: Recording  # of it
+    found: dict[str, Any]  # its measures
+    replanned: bool  # whether it was to be a re-planned copy
 
 
 class Made(NamedTuple):
-    """What became of a slot.
+    """What became of a slot."""
 
-    Attributes:
-        slot: what was wanted.
-        events: the event and its copies; empty where every draw was rejected.
-        entries: per event what the manifest says about it.
-        rejected: draws before the one that was kept, and failed attempts at re-planned copies.
-    """
-
-    slot: Slot
-    events: list[Event]
-    entries: list[dict[str, Any]]
+    slot: Slot  # what was wanted
+    events: list[Event]  # the event and its copies; empty where every draw was rejected
+    entries: list[dict[str, Any]]  # per event what the manifest says about it
+    # draws before the one that was kept, and failed attempts at re-planned copies
     rejected: list[Rejected]
 
 

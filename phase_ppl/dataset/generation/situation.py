@@ -72,31 +72,20 @@ STRENGTH: Final = "strength"
 
 
 class Choice(NamedTuple):
-    """One of the choices that a situation is made of.
+    """One of the choices that a situation is made of."""
 
-    Attributes:
-        kind: :data:`NUMBER` (of a room, landmark or the like), :data:`SIZE` or :data:`STRENGTH`.
-        value: the number, or the original id of the size or strength.
-    """
-
-    kind: str
-    value: int
+    kind: str  # ``NUMBER`` (of a room, landmark or the like), ``SIZE`` or ``STRENGTH``
+    value: int  # the number, or the original id of the size or strength
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Situation:
-    """What is to be simulated.
+    """What is to be simulated."""
 
-    Attributes:
-        scene: layout, sizes and start.
-        hypothesis: stated goals, alpha, strengths.
-        layout: number of the layout.
-        choices: that its family made, in order; places and angles are not among them.
-    """
-
-    scene: Scene
-    hypothesis: Hypothesis
-    layout: int
+    scene: Scene  # layout, sizes and start
+    hypothesis: Hypothesis  # stated goals, alpha, strengths
+    layout: int  # number of the layout
+    # that its family made, in order; places and angles are not among them
     choices: tuple[Choice, ...] = ()
 
 

@@ -34,19 +34,12 @@ FOLDER: Final = "figures"
 
 
 class Drawing(NamedTuple):
-    """A kind of figure.
+    """A kind of figure."""
 
-    Attributes:
-        title: what it shows, in a few words.
-        alt: what stands in its place for those who do not see it.
-        draw: draws it.
-        compares: whether it is one of comparisons of models only.
-    """
-
-    title: str
-    alt: str
-    draw: Callable[[Results], Figure]
-    compares: bool = False
+    title: str  # what it shows, in a few words
+    alt: str  # what stands in its place for those who do not see it
+    draw: Callable[[Results], Figure]  # draws it
+    compares: bool = False  # whether it is one of comparisons of models only
 
 
 DRAWINGS: Final = {

@@ -21,15 +21,10 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PredicateInversePlanning:
-    """The model with its options, ready to be asked.
+    """The model with its options, ready to be asked."""
 
-    Attributes:
-        prior: name of the prior over pairs of effective goals.
-        log_prior: (goal of red, goal of green).
-    """
-
-    prior: str
-    log_prior: NDArray[np.float64]
+    prior: str  # name of the prior over pairs of effective goals
+    log_prior: NDArray[np.float64]  # (goal of red, goal of green)
     thresholds: Thresholds
     rationality: Rationality
 

@@ -28,16 +28,11 @@ _NOT_OPTIONS: Final = ("checkpoint", "event", "executor", "progress", "seed", "w
 
 @dataclasses.dataclass(frozen=True)
 class Simple:
-    """A model of this package with its options, ready to be asked.
+    """A model of this package with its options, ready to be asked."""
 
-    Attributes:
-        model: prior, simulator and likelihood.
-        weights: of the draws; None: the run's default.
-        options: for :func:`phase_ppl.infer`, kernel options included.
-    """
-
-    model: Model
-    weights: str | None = None
+    model: Model  # prior, simulator and likelihood
+    weights: str | None = None  # of the draws; None: the run's default
+    # for ``infer``, kernel options included
     options: dict[str, Any] = dataclasses.field(default_factory=dict)
 
     def __call__(self, scene: Scene, observation: Observation, seed: int) -> Answer:

@@ -21,15 +21,10 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class SocialGNNModel:
-    """Trained networks, ready to be asked.
+    """Trained networks, ready to be asked."""
 
-    Attributes:
-        trained: the networks whose probabilities are averaged.
-        n_threads: of PyTorch.
-    """
-
-    trained: Trained
-    n_threads: int = 1
+    trained: Trained  # the networks whose probabilities are averaged
+    n_threads: int = 1  # of PyTorch
 
     def __call__(self, scene: Scene, observation: Observation, seed: int) -> Prediction:
         """Return what the networks say; nothing in it is random."""

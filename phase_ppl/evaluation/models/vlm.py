@@ -145,27 +145,17 @@ class Store:
 
 @dataclasses.dataclass(frozen=True)
 class Vlm:
-    """A vision-language model, ready to be asked.
+    """A vision-language model, ready to be asked."""
 
-    Attributes:
-        client: answers.
-        named: what of the client determines its answers: ``client``, ``model`` and settings.
-        pictures: how many frames there are to see, at most.
-        store: keeps the answers, if they are to be kept.
-        replay: whether stored answers are all there is.
-        retries: how often an event is asked about again, at most.
-        remaining: what becomes of probability that an answer gives to no goal.
-        text: of the question, see :data:`phase_ppl.evaluation.vlm.request.TEXT`.
-    """
-
-    client: Client
+    client: Client  # answers
+    # what of the client determines its answers: ``client``, ``model`` and settings
     named: Mapping[str, Any]
-    pictures: int
-    store: Store | None
-    replay: bool
-    retries: int
-    remaining: str
-    text: str = TEXT
+    pictures: int  # how many frames there are to see, at most
+    store: Store | None  # keeps the answers, if they are to be kept
+    replay: bool  # whether stored answers are all there is
+    retries: int  # how often an event is asked about again, at most
+    remaining: str  # what becomes of probability that an answer gives to no goal
+    text: str = TEXT  # of the question, see ``TEXT``
 
     def __call__(self, scene: Scene, observation: Observation, seed: int) -> Answer:
         """Return what the model answers, or has answered to the same request and seed before."""

@@ -34,22 +34,15 @@ _NODES: Final = 64
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Answers:
-    """People's answers about some videos.
+    """People's answers about some videos."""
 
-    Attributes:
-        counts: question -> (event, answer) numbers of people.
-        rows: (answer, [question, event, rater, answer]) single answers, of people with names;
-            none where only counts are known.
-        raters: names of the people.
-        times: (time, [event, rater]) of the answers about a video that took ``seconds``.
-        seconds: (time,).
-    """
-
-    counts: Mapping[str, IntArray]
+    counts: Mapping[str, IntArray]  # question -> (event, answer) numbers of people
+    # (answer, [question, event, rater, answer]) single answers, of people with names; none where
+    # only counts are known
     rows: IntArray
-    raters: tuple[str, ...]
-    times: IntArray
-    seconds: FloatArray
+    raters: tuple[str, ...]  # names of the people
+    times: IntArray  # (time, [event, rater]) of the answers about a video that took ``seconds``
+    seconds: FloatArray  # (time,)
 
     @classmethod
     def of(cls, events: Sequence[Event], study: Study | None = None) -> Answers:

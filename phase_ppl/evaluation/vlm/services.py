@@ -67,25 +67,18 @@ _HEADERS: Final = {"Accept-Encoding": "identity"}  # an answer is as large as wh
 
 @dataclasses.dataclass(frozen=True)
 class Service:
-    """A service that is asked over the network through its library.
+    """A service that is asked over the network through its library."""
 
-    Attributes:
-        name: one of :data:`SERVICES`.
-        model, base_url, show, timeout, temperature, video_fps: as of the model ``vlm``; None leaves
-            the last two to the service.
-        variables: the environment variables that may hold the key, the first that does counts.
-        needs_key: whether it is an error if there is none.
-    """
-
-    name: str
-    model: str
+    name: str  # one of ``SERVICES``
+    model: str  # as of the model ``vlm``; None leaves the last two to the service
     base_url: str
+    # the environment variables that may hold the key, the first that does counts
     variables: tuple[str, ...]
     show: str
     timeout: float = 300.0
     temperature: float | None = None
     video_fps: float | None = None
-    needs_key: bool = True
+    needs_key: bool = True  # whether it is an error if there is none
 
     def __call__(self, request: Request, retries: int = 0) -> Reply:
         """Return the answer to a request, made again by the library up to ``retries`` times."""

@@ -29,15 +29,11 @@ _GRID = np.linspace(*STRENGTH_RANGE, 901)
 
 
 class StrengthEstimates(NamedTuple):
-    """Normal distributions of the agents' strengths, to be cut to the range of strengths.
+    """Normal distributions of the agents' strengths, to be cut to the range of strengths."""
 
-    Attributes:
-        mean: (window, agent) newtons; NaN where there is no estimate, which means the prior.
-        sd: (window, agent) newtons; NaN where ``mean`` is.
-    """
-
+    # (window, agent) newtons; NaN where there is no estimate, which means the prior
     mean: FloatArray
-    sd: FloatArray
+    sd: FloatArray  # (window, agent) newtons; NaN where ``mean`` is
 
 
 class Estimator(Protocol):
@@ -52,22 +48,14 @@ class Estimator(Protocol):
 
 
 class Quality(NamedTuple):
-    """How good estimates are, as proposals from normal distributions cut to the range.
+    """How good estimates are, as proposals from normal distributions cut to the range."""
 
-    Attributes:
-        share: of estimates among all.
-        rmse: of the proposals' mean, newtons; of the prior's mean where there is no estimate.
-        log_density: mean log density of the true strength; without an estimate that of the
-            uniform prior, -6.11.
-        log_mixture: the same, of a mixture with a tenth of the prior, as in SIMPLE's proposal.
-        coverage: share of the estimates that are no farther off than their standard deviation;
-            nan without any.
-    """
-
-    share: float
-    rmse: float
+    share: float  # of estimates among all
+    rmse: float  # of the proposals' mean, newtons; of the prior's mean where there is no estimate
+    # mean log density of the true strength; without an estimate that of the uniform prior, -6.11
     log_density: float
-    log_mixture: float
+    log_mixture: float  # the same, of a mixture with a tenth of the prior, as in SIMPLE's proposal
+    # share of the estimates that are no farther off than their standard deviation; nan without any
     coverage: float
 
 

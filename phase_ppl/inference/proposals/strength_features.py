@@ -64,20 +64,13 @@ def observed_jitter(trajectory: FloatArray) -> Jitter:
 
 
 class Motion(NamedTuple):
-    """Motion of all entities by parabolas of one reach; the first entry is of frame ``reach``.
+    """Motion of all entities by parabolas of one reach; the first entry is of frame ``reach``."""
 
-    Attributes:
-        reach: frames to either side.
-        velocity, acceleration: (time - 2 reach, entity, 2) units and seconds.
-        friction: (time - 2 reach, entity, 2) force that the floor friction takes, newtons.
-        noise: standard deviation of the acceleration's components by the jitter.
-    """
-
-    reach: int
-    velocity: FloatArray
+    reach: int  # frames to either side
+    velocity: FloatArray  # (time - 2 reach, entity, 2) units and seconds
     acceleration: FloatArray
-    friction: FloatArray
-    noise: float
+    friction: FloatArray  # (time - 2 reach, entity, 2) force that the floor friction takes, newtons
+    noise: float  # standard deviation of the acceleration's components by the jitter
 
 
 def fitted_motion(positions: FloatArray, reach: int, jitter: float) -> Motion:

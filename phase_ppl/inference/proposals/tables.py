@@ -58,19 +58,16 @@ def window_count(n_frames: int, window: int) -> int:
 
 
 class BottomUpTables(NamedTuple):
-    """What each window says; the last entry is about the whole observation.
+    """What each window says; the last entry is about the whole observation."""
 
-    Attributes:
-        goal_logits: (window + 1, agent, goal) unnormalised log probabilities of stated goals; or
-            (window + 1, alpha, agent, goal), given alpha.
-        strength: (window + 1, agent) estimate, newtons; NaN where there is none.
-        strength_sd: (window + 1, agent) its standard deviation, newtons; NaN likewise.
-        alpha_logits: (window + 1, alpha) beside the prior's; None: alpha as in the prior.
-    """
-
+    # (window + 1, agent, goal) unnormalised log probabilities of stated goals; or (window + 1,
+    # alpha, agent, goal), given alpha
     goal_logits: FloatArray | jax.Array
+    # (window + 1, agent) estimate, newtons; NaN where there is none
     strength: FloatArray | jax.Array
+    # (window + 1, agent) its standard deviation, newtons; NaN likewise
     strength_sd: FloatArray | jax.Array
+    # (window + 1, alpha) beside the prior's; None: alpha as in the prior
     alpha_logits: FloatArray | jax.Array | None = None
 
 
@@ -212,19 +209,12 @@ _LENGTH, _WAY = 10.0, 3.0
 
 
 class _Goals(NamedTuple):
-    """(agent, goal) what the goals are about.
+    """(agent, goal) what the goals are about."""
 
-    Attributes:
-        kind: index into ``KINDS``.
-        subject: entity.
-        about_agent: whether the place is an agent instead of a landmark.
-        agent, landmark: the place; 0 where it is of the other sort.
-    """
-
-    kind: IntArray
-    subject: IntArray
-    about_agent: NDArray[np.bool_]
-    agent: IntArray
+    kind: IntArray  # index into ``KINDS``
+    subject: IntArray  # entity
+    about_agent: NDArray[np.bool_]  # whether the place is an agent instead of a landmark
+    agent: IntArray  # the place; 0 where it is of the other sort
     landmark: IntArray
 
 
