@@ -24,9 +24,7 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError
 
 _PAIR: Final = ("chain", "draw")
-
-_STREAM: Final = 0x9EA1
-"""Keeps this noise apart from what else follows from the run's seed."""
+_STREAM: Final = 0x9EA1  # keeps this noise apart from what else follows from the run's seed
 
 
 def arviz_data(tree: xr.DataTree, scenario: ScenarioFunction | None = None) -> Any:

@@ -262,11 +262,8 @@ def _cell(mean: float, error: float) -> str:
 COMPARED: Final = ("goal_red", "goal_green", "relation")
 """Quantities whose marginals are compared with a reference."""
 
-CURVE_POINTS: Final = 40
-"""Prefixes of a run that are looked at, at most."""
-
-Marginals = Mapping[str, FloatArray]
-"""Quantity of :data:`COMPARED` -> probabilities of its labels."""
+CURVE_POINTS: Final = 40  # prefixes of a run that are looked at, at most
+Marginals = Mapping[str, FloatArray]  # quantity of ``COMPARED`` -> probabilities of its labels
 
 
 def marginals(post: Posterior) -> dict[str, FloatArray]:

@@ -12,10 +12,7 @@ from phase_ppl.world.goals import GOALS
 from phase_ppl.world.names import LANDMARKS
 
 Statistics = Mapping[str, Any]
-
-WIDTH: Final = 88
-"""Columns of the text at most."""
-
+WIDTH: Final = 88  # columns of the text at most
 Z: Final = 1.96
 FEWEST: Final = 10
 """Events from which on a bootstrap's error is believed."""

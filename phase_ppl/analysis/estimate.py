@@ -95,9 +95,7 @@ def shortest_interval(values: FloatArray, weights: FloatArray, prob: float) -> t
     return float(starts[best]), float(ends[best])
 
 
-N_SETS: Final = 30
-"""Random sets of chains that are left out."""
-
+N_SETS: Final = 30  # random sets of chains that are left out
 _MOST_DECIMALS: Final = 4
 
 

@@ -34,18 +34,13 @@ RESERVED_QUANTITIES: Final = frozenset(
 )
 """Names that are taken by arguments, columns and coordinates of results."""
 
-HDI_PROBABILITY: Final = 0.94
-"""Mass of the intervals that summaries report."""
-
-N_TOP: Final = 3
-"""Number of labels that ``top`` returns where nothing else is asked for."""
+HDI_PROBABILITY: Final = 0.94  # mass of the intervals that summaries report
+N_TOP: Final = 3  # number of labels that ``top`` returns where nothing else is asked for
 
 LEFT_OUT_OF_INTERVALS: Final = 1 / 3
 """Share of the chains that is left out at a time to see how ends of intervals vary."""
 
-MOST_CELLS: Final = 10_000_000
-"""Size of a joint table above which it is refused."""
-
+MOST_CELLS: Final = 10_000_000  # size of a joint table above which it is refused
 GOALS_OF: Final = dict(zip(AGENTS, ("goal_red", "goal_green"), strict=True))
 STRENGTHS_OF: Final = dict(zip(AGENTS, ("strength_red", "strength_green"), strict=True))
 """Agent -> the quantity that is its goal, its strength."""
@@ -53,8 +48,7 @@ STRENGTHS_OF: Final = dict(zip(AGENTS, ("strength_red", "strength_green"), stric
 _SHOWN: Final = ("goal_red", "goal_green", "alpha", "strength_red", "strength_green")
 """What a message says of a hypothesis."""
 
-_LISTED: Final = 5
-"""Labels that a message names at most, the most probable first."""
+_LISTED: Final = 5  # labels that a message names at most, the most probable first
 
 
 SURE: Final = 1.64

@@ -44,9 +44,7 @@ T = TypeVar("T")
 QUESTIONS: Final = ("P", "E", "sd", "median", "H", "I", "mode", "top", "hdi")
 """What can be asked; ``top`` and ``hdi`` may be followed by a number."""
 
-LONGEST: Final = 10_000
-"""Characters of a question, at most."""
-
+LONGEST: Final = 10_000  # characters of a question, at most
 _QUANTITY: Final = "the name of a quantity, such as goal_red"
 _WORD: Final = re.compile(r"[^\W\d]\w*")
 _NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")

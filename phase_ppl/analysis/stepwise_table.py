@@ -41,9 +41,7 @@ many nats the best pair of actions leaves the frame less probable than one that 
 action puts it, whose log density is ``log_peak``."""
 
 REQUIRED_ATTRS: Final = ("event_id", "settings", "cost", "weight", "schema")
-
-_LEAST: Final = 1e-12
-"""Rows with less of the mass than this are left out of tables."""
+_LEAST: Final = 1e-12  # rows with less of the mass than this are left out of tables
 
 
 def check(found: xr.Dataset) -> None:

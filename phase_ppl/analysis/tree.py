@@ -22,8 +22,7 @@ from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS
 from phase_ppl.world.scene import Scene
 
-SCHEMA: Final = "phase-ppl-posterior-2"
-"""Value of the root attribute ``schema``."""
+SCHEMA: Final = "phase-ppl-posterior-2"  # value of the root attribute ``schema``
 
 SIMULATED: Final = "simulated"
 """Group of the simulation that each draw rests on, as the simulator made it. Where the likelihood

@@ -77,8 +77,7 @@ BAD_INPUT: Final = 2
 INTERRUPTED: Final = 130
 """Exit codes."""
 
-POSTERIOR: Final = "posterior.nc"
-"""The file in the folder of results that holds the posterior."""
+POSTERIOR: Final = "posterior.nc"  # the file in the folder of results that holds the posterior
 
 
 def run(arguments: Sequence[str] | None) -> int:

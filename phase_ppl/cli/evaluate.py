@@ -339,11 +339,8 @@ def _draw(evaluation: Evaluation, folder: ResultsFolder, options: argparse.Names
 
 # --- several models side by side ------------------------------------------------------------------
 
-PAGES: Final = "pages"
-"""The folder of the pages, one per event, in that of a comparison."""
-
-_PAGE: Final = "[0-9][0-9][0-9][0-9]-*.html"
-"""What pages are called (``entry_name``)."""
+PAGES: Final = "pages"  # the folder of the pages, one per event, in that of a comparison
+_PAGE: Final = "[0-9][0-9][0-9][0-9]-*.html"  # what pages are called (``entry_name``)
 
 
 def _add_compare_models(commands: Any) -> None:

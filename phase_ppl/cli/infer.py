@@ -24,9 +24,7 @@ if TYPE_CHECKING:
     from phase_ppl.analysis.posterior import Posterior
     from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 
-CHECKPOINT: Final = "run.ckpt"
-"""The file in the folder of results that holds an unfinished run."""
-
+CHECKPOINT: Final = "run.ckpt"  # the file in the folder of results that holds an unfinished run
 _SAMPLED: Final = (cli.POSTERIOR, "summary.json", "posterior.png", "replay.mp4")
 _STEPWISE: Final = (
     *(cli.POSTERIOR, "summary.json", "posterior.png"),

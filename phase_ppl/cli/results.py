@@ -32,12 +32,8 @@ def _add_posterior(parser: argparse.ArgumentParser) -> None:
 
 # --- query -----------------------------------------------------------------------------------
 
-_MOST_LINES: Final = 40
-"""Entries of a table that are printed, at most."""
-
-_LEAST: Final = 0.0005
-"""Probability below which they are not printed one by one."""
-
+_MOST_LINES: Final = 40  # entries of a table that are printed, at most
+_LEAST: Final = 0.0005  # probability below which they are not printed one by one
 _HELP: Final = """\
 Ask a saved posterior. Every answer comes with its Monte-Carlo error, from the
 spread between the particles.

@@ -21,10 +21,7 @@ from phase_ppl.world.errors import (
 )
 
 T = TypeVar("T")
-
-MAX_BYTES: Final = 512 * 2**20
-"""Largest event file that is read."""
-
+MAX_BYTES: Final = 512 * 2**20  # largest event file that is read
 PICKLE_SUFFIXES: Final = (".pkl", ".pickle", ".pik", ".pck", ".p")
 _HEAD_BYTES: Final = 64
 _OLD_PICKLE: Final = re.compile(rb"\([dli]|[\]}]q|c[A-Za-z_][\w.]*\n")

@@ -42,8 +42,7 @@ _CONTROL: Final = re.compile(
 )
 """Characters that a terminal obeys, as they are and as JSON spells them."""
 
-Groups = dict[str, "xr.Dataset"]
-"""Path of a group, "/" of the root -> its content."""
+Groups = dict[str, "xr.Dataset"]  # path of a group, "/" of the root -> its content
 
 
 def is_hdf5(path: str | os.PathLike[str]) -> bool:

@@ -28,9 +28,7 @@ GOAL_TYPES: Final = ("LMO+", "LMO-", "LMA+", "LMA-", "TE+", "TE-")
 LEVELS: Final = tuple(f"{level:g}" for level in STRENGTH_LEVELS)
 """Names of the strengths of the original world, newtons."""
 
-OTHER: Final = "other"
-"""What is none of the original strengths or sizes."""
-
+OTHER: Final = "other"  # what is none of the original strengths or sizes
 _RESAMPLINGS: Final = 200
 
 

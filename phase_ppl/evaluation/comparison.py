@@ -48,9 +48,7 @@ from phase_ppl.world.picture import preformatted
 if TYPE_CHECKING:
     import pandas as pd
 
-SCHEMA: Final = "phase-ppl-model-comparison-1"
-"""Value of ``schema`` in comparison.json."""
-
+SCHEMA: Final = "phase-ppl-model-comparison-1"  # value of ``schema`` in comparison.json
 MARGIN: Final = 0.1
 RESAMPLES: Final = 10_000
 """Resamples for differences: with 1000 no p is below 0.002, which many pairs make useless."""

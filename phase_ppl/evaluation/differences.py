@@ -22,12 +22,8 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import SCENARIOS
 
 Row = dict[str, Any]
-
-LEAST_EVENTS: Final = 10
-"""Events without which nothing is said of equivalence."""
-
-ALPHA: Final = 1 - LEVEL
-"""Corrected p up to which a difference, or an equivalence, counts as shown."""
+LEAST_EVENTS: Final = 10  # events without which nothing is said of equivalence
+ALPHA: Final = 1 - LEVEL  # corrected p up to which a difference, or an equivalence, counts as shown
 
 _ROUNDING: Final = 1e-12
 """Difference of shares that is rounding: what is the margin but for it is the margin."""

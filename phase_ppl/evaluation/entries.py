@@ -18,9 +18,7 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.identity import event_digest
 
 Source: TypeAlias = Evaluation | str | os.PathLike[str]
-
-ALL: Final = "all"
-"""Stands for all models whose answers the events carry."""
+ALL: Final = "all"  # stands for all models whose answers the events carry
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

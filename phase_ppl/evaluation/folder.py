@@ -42,9 +42,7 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.files import writable_folder, write_json
 from phase_ppl.world.identity import differences
 
-SCHEMA: Final = "phase-ppl-evaluation-1"
-"""Value of ``schema`` in settings.json."""
-
+SCHEMA: Final = "phase-ppl-evaluation-1"  # value of ``schema`` in settings.json
 SETTINGS: Final = "settings.json"
 EVENTS: Final = "events.json"
 PREDICTION: Final = "prediction.json"

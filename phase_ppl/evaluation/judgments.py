@@ -216,11 +216,8 @@ def _seconds(cell: str) -> float:
 
 # --- the events of an evaluation, and people's judgments of them ----------------------------------
 
-GENERATED: Final = (MANIFEST, PLAN)
-"""Files by which the folder of a generated data set is known."""
-
-EVENT_FILES: Final = (".json", ".nc")
-"""Endings of the files that are read from a folder of events."""
+GENERATED: Final = (MANIFEST, PLAN)  # files by which the folder of a generated data set is known
+EVENT_FILES: Final = (".json", ".nc")  # endings of the files that are read from a folder of events
 
 
 def all_events(

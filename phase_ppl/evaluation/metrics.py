@@ -84,8 +84,7 @@ from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS, scenario
 
-Path = tuple[str, ...]
-"""Keys under which a figure is found in the metrics."""
+Path = tuple[str, ...]  # keys under which a figure is found in the metrics
 
 PREFIX: Final[Mapping[str, str]] = {"goal": "goal_", "relation": ""}
 """Kind -> what the names of figures under ``human`` begin with."""
@@ -417,8 +416,7 @@ def at(metrics: Mapping[str, Any], path: Path) -> Any:
 # --- what people got right ------------------------------------------------------------------------
 
 _RED, _GREEN = GOAL_QUESTIONS.values()
-_ALL: Final = ""
-"""Stands for all scenarios together."""
+_ALL: Final = ""  # stands for all scenarios together
 
 
 def human_accuracy(

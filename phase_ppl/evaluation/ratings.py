@@ -16,9 +16,7 @@ from phase_ppl.world.goals import GOALS, goal_index
 from phase_ppl.world.hypothesis import RELATIONS
 from phase_ppl.world.names import AGENTS
 
-MAX_RATINGS: Final = 10**9 - 1
-"""Most ratings on one question of one event."""
-
+MAX_RATINGS: Final = 10**9 - 1  # most ratings on one question of one event
 _COUNTS: Final = ("relation_counts", "goal_counts", "responses")
 
 _WITHOUT_RATINGS: Final = ("n_raters", "majority")

@@ -60,9 +60,7 @@ It may have a method ``warm_up()``, called once before the first event, for what
 share, such as compiled code on disk; and a method ``settings()``, which returns as plain data what
 else determines its answers."""
 
-Factory = Callable[..., Predict]
-"""``factory(**options)`` checks the options and returns the model."""
-
+Factory = Callable[..., Predict]  # ``factory(**options)`` checks the options and returns the model
 MoreOptions = Callable[[Mapping[str, Any]], Collection[str] | None]
 
 

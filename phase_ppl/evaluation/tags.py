@@ -50,8 +50,7 @@ LABELS: Final = (
 )
 """The paper's 23 labels, in its order and words (Appendix A.1)."""
 
-MAJORITY: Final = 0.5
-"""Share of the viewers of a video from which on it has a category (paper)."""
+MAJORITY: Final = 0.5  # share of the viewers of a video from which on it has a category (paper)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -388,8 +388,7 @@ class Room:
         }
 
 
-_BEND: Final = 0.01
-"""Sine of the least turn of an outline at which there is a corner."""
+_BEND: Final = 0.01  # sine of the least turn of an outline at which there is a corner
 
 
 def outline(scene: Scene, poses: FloatArray, agent: int) -> list[list[float]]:

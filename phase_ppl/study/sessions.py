@@ -86,11 +86,8 @@ def _needed(
     return (there + driving(size, strength, carried, resets, item)) * settings.step
 
 
-_STEADY: Final = 24
-"""Steps after which the speed of an agent that is reset is taken as it stays."""
-
-_CREEPS: Final = 2e-3
-"""Units per step that are no motion."""
+_STEADY: Final = 24  # steps after which the speed of an agent that is reset is taken as it stays
+_CREEPS: Final = 2e-3  # units per step that are no motion
 
 
 @functools.lru_cache(maxsize=1024)
@@ -222,8 +219,7 @@ _STEP: Final[Mapping[str, str]] = {
     "keys_green": "likewise",
     "lag_ms": "most by which a frame of the step was late, milliseconds",
 }
-COLUMNS: Final = {"sessions.csv": _SESSION, "steps.csv": _STEP}
-"""Table -> column -> what is in it."""
+COLUMNS: Final = {"sessions.csv": _SESSION, "steps.csv": _STEP}  # table -> column -> what is in it
 
 
 def _row(session: Mapping[str, Any], event: Event, players: list[str | None]) -> dict[str, Any]:

@@ -28,9 +28,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-PAPERS_PARTICLES: Final = 10
-"""K in the figure of the paper."""
-
+PAPERS_PARTICLES: Final = 10  # K in the figure of the paper
 _DARK: Final = 0.35
 _FAINT: Final = 0.55
 _MOST_PARTICLES: Final = 1000

@@ -47,12 +47,8 @@ PANELS: Final = {
 }
 """Quantity -> title of its panel."""
 
-_LINES: Final = 5
-"""Lines of a panel; what else there is, is one more."""
-
-_SEEN: Final = 0.1
-"""Probability that a goal must reach at some time to have a line."""
-
+_LINES: Final = 5  # lines of a panel; what else there is, is one more
+_SEEN: Final = 0.1  # probability that a goal must reach at some time to have a line
 _RELATION_COLOURS: Final = dict(zip(RELATIONS, ("#009e73", GREY, "#d55e00"), strict=True))
 _LINE_HEIGHT: Final = 0.095
 """Of a label, as a share of a panel's height."""

@@ -18,9 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-FORMATS: Final = (".png", ".pdf", ".svg")
-"""File name endings a figure can be written with."""
-
+FORMATS: Final = (".png", ".pdf", ".svg")  # file name endings a figure can be written with
 INK: Final = "#222222"
 GREY: Final = "#666666"
 """Colours of text: of what is shown, of what explains it."""

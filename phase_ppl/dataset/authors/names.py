@@ -23,9 +23,7 @@ Goal = tuple[str, int, int, int]
 """Type "LMO" (item, landmark), "LMA" (agent, landmark) or "TE" (agent, agent); entity; target;
 sign 1 (to) or -1 (away from)."""
 
-ALPHA: Final = 10.0
-"""Weight of the other's goal, in names."""
-
+ALPHA: Final = 10.0  # weight of the other's goal, in names
 _LONGEST: Final = 1000
 _PLACE: Final = re.compile(
     r"(?P<stamp>.*?)_?(?P<switch>\d)_\d_[FI]\d_E(?P<layout>\d+)(?:\.(?P<copy>[0-3]))?(?=_|$)"

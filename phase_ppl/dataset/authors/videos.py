@@ -260,11 +260,8 @@ _ROUNDING: Final = 1e-6
 _MISFIT: Final = 4.0
 """How much worse it is to be a radian off the cut than to turn by a radian."""
 
-_PASS: Final = 0.1
-"""Cost of passing the cut, rad^2."""
-
-_BACK: Final = 3.0
-"""Cost of passing it forth and back within two frames, rad^2."""
+_PASS: Final = 0.1  # cost of passing the cut, rad^2
+_BACK: Final = 3.0  # cost of passing it forth and back within two frames, rad^2
 
 _JUMPS: Final = np.array([0, -1, 1])
 """Cuts that may be passed between two frames; first what wins a tie."""

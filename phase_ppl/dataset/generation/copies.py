@@ -22,14 +22,12 @@ from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.names import AGENTS, BLUE_ITEM, ENTITIES, LANDMARKS, NOTHING, Predicate
 from phase_ppl.world.scene import Scene, Turning
 
-AT_REST: Final = 0.02
-"""Units per frame below which nothing is said to move."""
+AT_REST: Final = 0.02  # units per frame below which nothing is said to move
 
 AFTER_MOTION: Final = 8
 """Frames kept after the last motion, as in the original recordings: 2 s of video."""
 
-SHORTEST: Final = 33
-"""Frames that are always kept: the shortest original recording."""
+SHORTEST: Final = 33  # frames that are always kept: the shortest original recording
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

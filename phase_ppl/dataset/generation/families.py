@@ -36,8 +36,7 @@ from phase_ppl.world.registry import Registry
 from phase_ppl.world.rooms import ROOMS_OF_RAY
 from phase_ppl.world.scene import Turning
 
-_TRIES: Final = 200
-"""Draws that a layout may refuse before the family is said to be impossible."""
+_TRIES: Final = 200  # draws that a layout may refuse before the family is said to be impossible
 
 
 @dataclasses.dataclass(frozen=True)

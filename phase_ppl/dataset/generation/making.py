@@ -23,12 +23,8 @@ from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.names import AGENTS, BLUE_ITEM, ENTITIES, ITEMS
 from phase_ppl.world.observation import Observation
 
-NEAR: Final = 1.5
-"""Agents this near, in units of the sum of their sizes, are said to have met."""
-
-MAX_STUCK: Final = 36
-"""Frames (3 s simulated) for which an agent may push without any effect."""
-
+NEAR: Final = 1.5  # agents this near, in units of the sum of their sizes, are said to have met
+MAX_STUCK: Final = 36  # frames (3 s simulated) for which an agent may push without any effect
 Measures = Mapping[str, Any]
 
 
@@ -122,8 +118,7 @@ def longest_run(flags: NDArray[np.bool_]) -> int:
 
 # --- making ----------------------------------------------------------------------------------
 
-REPLAN_TRIES: Final = 3
-"""Simulations of a changed situation after which it is given up."""
+REPLAN_TRIES: Final = 3  # simulations of a changed situation after which it is given up
 
 
 class Rejected(NamedTuple):

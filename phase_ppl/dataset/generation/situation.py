@@ -31,8 +31,7 @@ the original files; those that are missing were never used."""
 LAYOUTS_OF_A_KIND: Final = ((4, 8, 17), (12, 13, 18), (14, 19), (15, 20))
 """Layouts in which the same doors are narrow: a situation of one can be planned in another."""
 
-SIZES: Final = (0.8, 1.2, 1.6, 1.01)
-"""Sizes R by the original ids, units."""
+SIZES: Final = (0.8, 1.2, 1.6, 1.01)  # sizes R by the original ids, units
 
 SPOTS: Final[tuple[tuple[tuple[float, float], ...], ...]] = (
     ((8, 20), (8, 14), (14, 16), (14, 20)),
@@ -63,9 +62,7 @@ def walls_of_lengths(lengths: Sequence[float]) -> NDArray[np.float64]:
     return np.array(walls, np.float64).reshape(-1, 2, 2)
 
 
-_ARRANGEMENTS: Final = 50
-"""Tries at places and angles without an overlap before a draw is given up."""
-
+_ARRANGEMENTS: Final = 50  # tries at places and angles without an overlap before a draw is given up
 NUMBER: Final = "number"
 SIZE: Final = "size"
 STRENGTH: Final = "strength"

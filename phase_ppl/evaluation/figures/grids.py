@@ -41,13 +41,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_WIDTH: Final = 7.2
-"""Inches: both columns of a journal's page."""
-
+_WIDTH: Final = 7.2  # inches: both columns of a journal's page
 _PANELS: Final = 6
-
-_DARK: Final = 0.65
-"""Share of a row from which on its number is white."""
+_DARK: Final = 0.65  # share of a row from which on its number is white
 
 _HIGHER, _LOWER = "#1b6ca8", "#b5482a"
 

@@ -37,11 +37,8 @@ SCENARIO_COLOURS: Final = dict(
 )
 """To be told apart without seeing red and green apart."""
 
-_CHARACTER: Final = 0.6
-"""Mean width of a character, as a share of its size."""
-
-_WIDEST: Final = 2.2
-"""Inches that names of rows take at most; longer ones are written smaller."""
+_CHARACTER: Final = 0.6  # mean width of a character, as a share of its size
+_WIDEST: Final = 2.2  # inches that names of rows take at most; longer ones are written smaller
 
 
 class NothingToDrawError(InvalidSettingError):

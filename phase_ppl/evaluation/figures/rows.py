@@ -38,8 +38,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Blocks = Mapping[str, Sequence[AnswerSet]]
-"""Kind of question -> the rows about it."""
+Blocks = Mapping[str, Sequence[AnswerSet]]  # kind of question -> the rows about it
 
 _CORRELATIONS: Final = {
     "goal_r": ("Goals", "goal_split_half_r"),

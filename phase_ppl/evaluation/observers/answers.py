@@ -28,8 +28,7 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import RELATION_TABLE, RELATIONS
 
-_NODES: Final = 64
-"""Points at which what people share about a video is summed out."""
+_NODES: Final = 64  # points at which what people share about a video is summed out
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

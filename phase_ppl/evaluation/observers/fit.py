@@ -27,13 +27,8 @@ from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
 from phase_ppl.world.files import write_json
 
 SCHEMA: Final = "phase-ppl-observer-1"
-
-KEPT: Final = 200
-"""Draws of the parameters that a file keeps: a mean over them is off by little."""
-
-UNRELIABLE: Final = 0.7
-"""Pareto k from which on what is left out is left out by fitting again."""
-
+KEPT: Final = 200  # draws of the parameters that a file keeps: a mean over them is off by little
+UNRELIABLE: Final = 0.7  # Pareto k from which on what is left out is left out by fitting again
 _NOT_PARAMETERS: Final = ("log_likelihood", "rater", "own_pace")
 _AT_A_TIME: Final = 50
 

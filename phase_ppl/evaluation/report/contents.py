@@ -45,8 +45,7 @@ from phase_ppl.world.hypothesis import ALPHA_WORDS, ALPHAS, RELATIONS, SCENARIOS
 from phase_ppl.world.names import AGENTS
 from phase_ppl.world.scene import Scene
 
-REPLAY: Final = "replay.mp4"
-"""The film in the folder of a run."""
+REPLAY: Final = "replay.mp4"  # the film in the folder of a run
 
 ASKED: Final = {
     "goal_red": "Goal of the red agent",
@@ -55,12 +54,8 @@ ASKED: Final = {
 }
 """Question -> how it is put to a reader."""
 
-MAX_ROWS: Final = 6
-"""Most goals that are shown of an agent."""
-
-_WORTH_A_ROW: Final = 0.02
-"""Probability from which on a goal is."""
-
+MAX_ROWS: Final = 6  # most goals that are shown of an agent
+_WORTH_A_ROW: Final = 0.02  # probability from which on a goal is
 _PANELS: Final = 6
 _STRIP_WIDTH: Final = 1200
 """Pixels."""

@@ -34,16 +34,13 @@ from phase_ppl.world.names import AGENTS, ITEMS, LANDMARKS
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 
-N_NAMED: Final = 10
-"""Goals that an answer names for each agent."""
+N_NAMED: Final = 10  # goals that an answer names for each agent
 
 REMAINING: Final = ("spread", "zero")
 """What becomes of probability that an answer gives to no goal: spread evenly over the goals that it
 does not name, or left out, those named being scaled to sum 1."""
 
-_EXCERPT: Final = 200
-"""Characters of a line about a request, at most."""
-
+_EXCERPT: Final = 200  # characters of a line about a request, at most
 _SUM_TOLERANCE: Final = 0.05
 _SUM_EXACT: Final = 1e-6
 _FENCE: Final = re.compile(r"```[ \t]*(?:\w+[ \t]*)?\r?\n(.*?)```", re.DOTALL)

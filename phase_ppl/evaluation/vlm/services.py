@@ -28,14 +28,9 @@ from phase_ppl.evaluation.vlm.request import NoReply, Reply, Request, in_a_line
 from phase_ppl.world.checks import number_or_nan
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 
-SERVICES: Final = {"google": "google.genai", "openai": "openai"}
-"""Name -> the module that it needs."""
-
-MAX_REPLY: Final = 8 * 2**20
-"""Largest answer that is read, bytes; a good one has a few thousand."""
-
-LONGEST_WAIT: Final = 120.0
-"""Seconds that a library waits before it makes a request again, at most."""
+SERVICES: Final = {"google": "google.genai", "openai": "openai"}  # name -> the module that it needs
+MAX_REPLY: Final = 8 * 2**20  # largest answer that is read, bytes; a good one has a few thousand
+LONGEST_WAIT: Final = 120.0  # seconds that a library waits before it makes a request again, at most
 
 _FIRST_WAIT: Final = 4.0
 """Seconds, doubled every time: of Google's library, which does not heed Retry-After."""

@@ -81,14 +81,12 @@ def quality(estimates: StrengthEstimates, strength: FloatArray) -> Quality:
     )
 
 
-TOLERANCE: Final = 0.01
-"""Relative deviation from a level that still counts as a hit."""
+TOLERANCE: Final = 0.01  # relative deviation from a level that still counts as a hit
 
 MAX_OFF_HEADING: Final = 0.05
 """Angle between the driving force and the agent's heading that still counts as forward, rad."""
 
-MIN_SPEED: Final = 0.3
-"""Below this the direction of the friction is uncertain, units per second."""
+MIN_SPEED: Final = 0.3  # below this the direction of the friction is uncertain, units per second
 
 VALIDATION_SD: Final = 40.0
 """Root mean square error of the rule on the 50 development videos, newtons: 39 on whole videos
@@ -165,8 +163,7 @@ def _force_from_rest(track: FloatArray, agent_mass: float) -> tuple[FloatArray, 
     return np.where(even, force[1:], 0.0), heading
 
 
-HIDDEN: Final = 64
-"""Units of each of the two hidden layers, as in the paper."""
+HIDDEN: Final = 64  # units of each of the two hidden layers, as in the paper
 
 SHAPES: Final[dict[str, tuple[int, ...]]] = {
     "centre": (N_FEATURES,),

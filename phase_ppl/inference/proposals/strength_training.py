@@ -158,8 +158,7 @@ def cached_events(file: Path, n: int, frames: int, seed: int, workers: int = 1) 
 
 # --- examples: windows of events, blurred and cut ------------------------------------------------
 
-LARGEST_JITTER: Final = 0.35
-"""Of the positions in the training, units."""
+LARGEST_JITTER: Final = 0.35  # of the positions in the training, units
 
 ANGLE_SHARE: Final = 0.2
 """Jitter of the angles, rad, for a unit of that of the positions: an agent of size 1 whose rim
@@ -272,9 +271,7 @@ def _of_windows(
 # --- training -----------------------------------------------------------------------------------
 
 _HALF_LOG_2PI: Final = 0.5 * np.log(2 * np.pi)
-
-SMALLEST_SCALE: Final = 0.05
-"""Features that hardly vary in the training are not blown up."""
+SMALLEST_SCALE: Final = 0.05  # features that hardly vary in the training are not blown up
 
 
 @dataclasses.dataclass(frozen=True)
