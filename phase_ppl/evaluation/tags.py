@@ -20,7 +20,7 @@ from typing import Any, Final
 
 import pandas as pd
 
-from phase_ppl.evaluation.csv_file import read_rows
+from phase_ppl.evaluation.csv_file import read_columns
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
 
 LABELS: Final = (
@@ -124,5 +124,5 @@ def load_tags(path: str | os.PathLike[str]) -> Tags:
             raise InvalidEventError(f"the same label for the same video as before: {shown(choice)}")
         seen.add(choice)
 
-    rows = read_rows(path, names, check, required=names[:2])
+    rows = read_columns(path, names, check, names[:2])
     return Tags(pd.DataFrame(rows, columns=list(names), dtype=object))

@@ -227,7 +227,7 @@ def test_a_video_has_a_category_that_half_of_its_viewers_see(tags_file: Path) ->
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "expected a column participant"),
+        ("", "is empty"),
         ("participant,video\np,a\n", "expected a column label"),
         ("participant,video,label\n", "holds no rows"),
         ("participant,video,label\np,a,x,y\n", "line 2: has 4 cells, expected 3"),
