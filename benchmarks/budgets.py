@@ -30,8 +30,7 @@ from common import write
 sys.path.insert(0, str(Path(__file__).parents[1]))  # the small world is the tests'
 
 import phase_ppl as ppl
-from phase_ppl.analysis.comparison import RUN_COLUMNS, Comparison
-from phase_ppl.analysis.measures import distances
+from phase_ppl.analysis.comparison import RUN_COLUMNS, Comparison, distances
 from phase_ppl.inference.reference import error_of, of_masses, of_pairs
 from phase_ppl.models.sites import SELF_REFERRING
 from phase_ppl.world.goals import N_GOALS

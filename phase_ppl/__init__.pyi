@@ -6,7 +6,7 @@ from phase_ppl.agents.config import PlannerConfig as PlannerConfig
 from phase_ppl.analysis import plots as _plots
 from phase_ppl.analysis.comparison import Comparison as Comparison
 from phase_ppl.analysis.estimate import Estimate as Estimate
-from phase_ppl.analysis.figures.film import watch_film as watch_film
+from phase_ppl.analysis.figures.over_time import watch_film as watch_film
 from phase_ppl.analysis.posterior import Posterior as Posterior
 from phase_ppl.analysis.posterior import load_posterior as load_posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior as StepwisePosterior
@@ -42,12 +42,12 @@ from phase_ppl.evaluation.judgments import with_judgments as with_judgments
 from phase_ppl.evaluation.likeness import Likeness as Likeness
 from phase_ppl.evaluation.likeness import load_likeness as load_likeness
 from phase_ppl.evaluation.metrics import evaluate_predictions as evaluate_predictions
+from phase_ppl.evaluation.metrics import human_accuracy as human_accuracy
 from phase_ppl.evaluation.metrics import paired_difference as paired_difference
 from phase_ppl.evaluation.metrics import reference_models as reference_models
 from phase_ppl.evaluation.observers.fit import FittedObserver as FittedObserver
 from phase_ppl.evaluation.observers.fit import PeopleFit as PeopleFit
 from phase_ppl.evaluation.paper import Reproduction as Reproduction
-from phase_ppl.evaluation.people import human_accuracy as human_accuracy
 from phase_ppl.evaluation.prediction import Prediction as Prediction
 from phase_ppl.evaluation.ratings import Judgments as Judgments
 from phase_ppl.evaluation.references import reference_predictions as reference_predictions

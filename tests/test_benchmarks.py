@@ -107,7 +107,7 @@ def test_a_few_attacks_of_each_kind_are_withstood(figures: Figures) -> None:
     assert report["bad"] == []
     assert sum(report["counts"].values()) == 14
     assert {name.split()[0] for name in report["counts"]} == {
-        *("commands", "calls", "flips", "hostile", "kills"),
+        *("commands", "calls", "flips", "hostile", "kills")
     }
 
 

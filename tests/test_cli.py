@@ -87,7 +87,7 @@ def test_results_of_another_run_are_not_overwritten_unless_told_to(
 def test_summary_has_all_its_parts(results: Path) -> None:
     summary = json.loads((results / "summary.json").read_text())
     assert set(summary) >= {
-        *("goals", "relation", "scenario", "strengths", "map", "diagnostics", "settings", "cost"),
+        *("goals", "relation", "scenario", "strengths", "map", "diagnostics", "settings", "cost")
     }
     for agent in ("red agent", "green agent"):
         assert set(summary["goals"][agent]) == set(GOALS)
@@ -129,10 +129,7 @@ def test_resume_extends_a_run_beside_its_file_and_then_deletes_it(
 
 
 def test_a_failed_simulation_that_ends_the_run_leaves_results_and_a_file(
-    walk: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    walk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     calls: list[int] = []
 

@@ -24,9 +24,7 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError
 
 _PAIR: Final = ("chain", "draw")
-
-_STREAM: Final = 0x9EA1
-"""Keeps this noise apart from what else follows from the run's seed."""
+_STREAM: Final = 0x9EA1  # keeps this noise apart from what else follows from the run's seed
 
 
 def arviz_data(tree: xr.DataTree, scenario: ScenarioFunction | None = None) -> Any:
@@ -59,9 +57,6 @@ def arviz_data(tree: xr.DataTree, scenario: ScenarioFunction | None = None) -> A
         An ``arviz.InferenceData`` where ArviZ is older than 1, otherwise an
         :class:`xarray.DataTree`, with the groups ``posterior``, ``posterior_predictive``,
         ``sample_stats``, ``observed_data`` and ``constant_data``.
-
-    Raises:
-        InvalidSettingError: the draws have unequal weights, which ArviZ cannot count.
     """
     if np.ptp(log_weight_of_draws(tree)) > 0:
         raise InvalidSettingError(

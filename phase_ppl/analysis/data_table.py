@@ -12,10 +12,7 @@ from phase_ppl.world.goals import GOALS
 from phase_ppl.world.names import LANDMARKS
 
 Statistics = Mapping[str, Any]
-
-WIDTH: Final = 88
-"""Columns of the text at most."""
-
+WIDTH: Final = 88  # columns of the text at most
 Z: Final = 1.96
 FEWEST: Final = 10
 """Events from which on a bootstrap's error is believed."""
@@ -79,12 +76,7 @@ class Row(NamedTuple):
 
 
 def rows(here: Statistics, beside: Statistics = PHASE) -> list[Row]:
-    """Return the figures of a set beside those of another, in the order they are shown.
-
-    Args:
-        here: of :func:`phase_ppl.dataset.statistics.statistics`.
-        beside: likewise; by default the original events.
-    """
+    """Return the figures of a set beside those of another, in the order they are shown."""
     found = []
     for name, heading in TABLES.items():
         if name in here["tables"]:

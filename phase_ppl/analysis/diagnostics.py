@@ -134,17 +134,13 @@ def _ess_between(chains: FloatArray) -> float:
 AGREED: Final = 0.8
 """Share of particles with the same leading goal from which on they are said to agree."""
 
-STUCK: Final = 0.05
-"""Acceptance rate below which the particles are said to have hardly moved."""
-
-FEW: Final = 0.1
-"""Effective share of weighted draws below which a few of them are said to decide."""
+STUCK: Final = 0.05  # acceptance rate below which the particles are said to have hardly moved
+FEW: Final = 0.1  # effective share of weighted draws below which a few of them are said to decide
 
 FEW_DRAWS: Final = 5.0
 """Independent draws that the answers are worth below which so few are said to decide."""
 
-MIXED: Final = 1.1
-"""R-hat above which draws are said to depend on where their chain began."""
+MIXED: Final = 1.1  # R-hat above which draws are said to depend on where their chain began
 
 UNTRIED: Final = 0.05
 """Prior mass of pairs of goals without a simulation from which on it is a sign."""
@@ -364,8 +360,7 @@ def _weighted(found: Mapping[str, Any]) -> list[str]:
 
 # --- in numbers ------------------------------------------------------------------------------
 
-MASS: Final = 0.02
-"""Share of the draws, or probability, from which on a category is reported."""
+MASS: Final = 0.02  # share of the draws, or probability, from which on a category is reported
 
 CATEGORICAL: Final = ("goal_red", "goal_green", "relation", "scenario")
 """Quantities whose categories are reported."""
@@ -427,13 +422,6 @@ def diagnostics(
     R-hat and effective sizes are None where they do not exist: for fewer than four draws per
     chain, weighted draws, or what never changes (R-hat: within half a chain). Of goal codes they
     mean nothing and are not given.
-
-    Args:
-        tree: of draws.
-        weights: name of the weighting in use; ``rows``: its table, with relation and scenario.
-        leaders: see :meth:`phase_ppl.analysis.hypotheses.Hypotheses.leaders`.
-        effective_size: see above; NaN: not known.
-        scenario: as in :class:`~phase_ppl.analysis.posterior.Posterior`.
     """
     posterior, stats = tree["posterior"].dataset, tree["sample_stats"].dataset
     n_chains, n_draws = posterior["goal_red"].shape
@@ -582,11 +570,7 @@ def categorical_draws(
 
 
 def _categories(
-    name: str,
-    codes: NDArray[np.int64],
-    draw_weights: FloatArray,
-    rows: Rows,
-    weighted: bool,
+    name: str, codes: NDArray[np.int64], draw_weights: FloatArray, rows: Rows, weighted: bool
 ) -> dict[str, dict[str, float | None]]:
     labels = quantities()[name].categories()
     probability = np.bincount(rows.values[name], rows.weights, minlength=len(labels))
@@ -678,8 +662,7 @@ _SHRUNK: Final = 0.8
 """Part of their size with which bodies must meet to be said to lie on each other: in contact they
 press into each other a little."""
 
-_FRAMES_NAMED: Final = 3
-"""Frames that a verdict names."""
+_FRAMES_NAMED: Final = 3  # frames that a verdict names
 
 
 def overlapping_frames(trajectory: FloatArray, scene: Scene) -> list[int]:

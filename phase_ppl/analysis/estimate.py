@@ -95,9 +95,7 @@ def shortest_interval(values: FloatArray, weights: FloatArray, prob: float) -> t
     return float(starts[best]), float(ends[best])
 
 
-N_SETS: Final = 30
-"""Random sets of chains that are left out."""
-
+N_SETS: Final = 30  # random sets of chains that are left out
 _MOST_DECIMALS: Final = 4
 
 
@@ -167,18 +165,13 @@ def with_error(value: float, error: float) -> str:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Jackknife:
-    """Weights of rows without sets of groups of chains.
+    """Weights of rows without sets of groups of chains."""
 
-    Attributes:
-        weights: (set, row), each set's sum 1. Where halves of the draws are compared, further
-            ones follow: the first and the last half, and both without each set.
-        factor: (n - d) / d, where sets of d of n groups are left out.
-        n_sets: how many of the weights are those of sets; None: all.
-    """
-
+    # (set, row), each set's sum 1. Where halves of the draws are compared, further ones follow: the
+    # first and the last half, and both without each set
     weights: FloatArray
-    factor: float
-    n_sets: int | None = None
+    factor: float  # (n - d) / d, where sets of d of n groups are left out
+    n_sets: int | None = None  # how many of the weights are those of sets; None: all
 
     def error(self, results: ArrayLike, value: ArrayLike) -> FloatArray:
         """Return the standard error of a statistic, with what the halves differ beyond chance.

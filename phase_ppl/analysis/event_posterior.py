@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable, Sequence
+import json
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -12,8 +13,11 @@ import xarray as xr
 from phase_ppl.analysis.estimate import Estimate
 from phase_ppl.analysis.hypotheses import Hypotheses
 from phase_ppl.analysis.prior_change import checked_program
+from phase_ppl.analysis.tree import kept_scene
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, shown
+from phase_ppl.world.goals import GOALS
+from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.identity import qualified_name
 from phase_ppl.world.scene import Scene
 
@@ -25,20 +29,45 @@ if TYPE_CHECKING:
 class EventPosterior(Hypotheses):
     """What posteriors that were sampled and those read step by step have in common."""
 
+    _attrs: Mapping[Hashable, Any]
+    _constant: xr.Dataset
+
     @property
     def event_id(self) -> str:
         """Name of the event that was explained."""
-        raise NotImplementedError
+        return str(self._attrs["event_id"])
 
     @property
     def settings(self) -> dict[str, Any]:
-        """What determined the result."""
-        raise NotImplementedError
+        """What determined the result: model, likelihood, seed and the rest."""
+        return dict(json.loads(self._attrs["settings"]))
+
+    @property
+    def cost(self) -> dict[str, Any]:
+        """What it cost: simulations or searches, seconds, workers."""
+        return dict(json.loads(self._attrs["cost"]))
 
     @property
     def scene(self) -> Scene:
         """Where the event takes place, and how it starts."""
+        return kept_scene(self._constant)
+
+    def map(self) -> Hypothesis:
+        """Return the most probable hypothesis; its goals are the stated ones."""
         raise NotImplementedError
+
+    def map_record(self) -> dict[str, Any]:
+        """Return :meth:`map` as plain data; ``goal_*`` are the effective goals."""
+        best = self.map()
+        record = best.to_dict()
+        red, green = best.effective_goals
+        return {
+            "goal_red": GOALS[red],
+            "goal_green": GOALS[green],
+            "stated_goal_red": record.pop("goal_red"),
+            "stated_goal_green": record.pop("goal_green"),
+            **record,
+        }
 
     def observed(self) -> FloatArray:
         """Return the trajectory (time, entity, [x, y, angle]) that was explained."""
@@ -196,12 +225,7 @@ class EventPosterior(Hypotheses):
         )  # fmt: skip
 
     def predict(
-        self,
-        seconds: float = 2.0,
-        *,
-        n: int = 16,
-        seed: int = 0,
-        workers: int | None = None,
+        self, seconds: float = 2.0, *, n: int = 16, seed: int = 0, workers: int | None = None
     ) -> WhatIf:
         """Return what comes after the last frame: the posterior predictive, simulated.
 
@@ -216,12 +240,5 @@ class EventPosterior(Hypotheses):
 
         begin, frames = length(self._source(), len(self.observed()) - 1, seconds)
         return simulated(
-            self._source(),
-            None,
-            at=begin,
-            frames=frames,
-            n=n,
-            seed=seed,
-            workers=workers,
-            simulator=None,
+            self._source(), None, at=begin, frames=frames, n=n, seed=seed, workers=workers
         )

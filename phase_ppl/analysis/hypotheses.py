@@ -23,8 +23,6 @@ from phase_ppl.analysis.weights import Rows
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidSettingError, QueryError, shown, unknown_name
-from phase_ppl.world.goals import GOALS
-from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.names import AGENTS
 from phase_ppl.world.picture import preformatted
 
@@ -36,18 +34,13 @@ RESERVED_QUANTITIES: Final = frozenset(
 )
 """Names that are taken by arguments, columns and coordinates of results."""
 
-HDI_PROBABILITY: Final = 0.94
-"""Mass of the intervals that summaries report."""
-
-N_TOP: Final = 3
-"""Number of labels that ``top`` returns where nothing else is asked for."""
+HDI_PROBABILITY: Final = 0.94  # mass of the intervals that summaries report
+N_TOP: Final = 3  # number of labels that ``top`` returns where nothing else is asked for
 
 LEFT_OUT_OF_INTERVALS: Final = 1 / 3
 """Share of the chains that is left out at a time to see how ends of intervals vary."""
 
-MOST_CELLS: Final = 10_000_000
-"""Size of a joint table above which it is refused."""
-
+MOST_CELLS: Final = 10_000_000  # size of a joint table above which it is refused
 GOALS_OF: Final = dict(zip(AGENTS, ("goal_red", "goal_green"), strict=True))
 STRENGTHS_OF: Final = dict(zip(AGENTS, ("strength_red", "strength_green"), strict=True))
 """Agent -> the quantity that is its goal, its strength."""
@@ -55,8 +48,7 @@ STRENGTHS_OF: Final = dict(zip(AGENTS, ("strength_red", "strength_green"), stric
 _SHOWN: Final = ("goal_red", "goal_green", "alpha", "strength_red", "strength_green")
 """What a message says of a hypothesis."""
 
-_LISTED: Final = 5
-"""Labels that a message names at most, the most probable first."""
+_LISTED: Final = 5  # labels that a message names at most, the most probable first
 
 
 SURE: Final = 1.64
@@ -285,11 +277,7 @@ class Hypotheses:
         return self._number(estimate.median, self._numbers(name), given)
 
     def hdi(
-        self,
-        name: str,
-        prob: float = HDI_PROBABILITY,
-        *,
-        given: Mapping[str, Any] | None = None,
+        self, name: str, prob: float = HDI_PROBABILITY, *, given: Mapping[str, Any] | None = None
     ) -> xr.DataArray:
         """Return the shortest interval with probability ``prob`` of a quantity with numbers.
 
@@ -353,12 +341,9 @@ class Hypotheses:
                 case "hdi":
                     return self.hdi(names[0], number or HDI_PROBABILITY, given=given)
                 case _:
-                    ask = {
-                        "E": self.mean,
-                        "sd": self.sd,
-                        "median": self.median,
-                        "mode": self.mode,
-                    }[query.question]
+                    ask = {"E": self.mean, "sd": self.sd, "median": self.median, "mode": self.mode}[
+                        query.question
+                    ]
                     return ask(names[0], given=given)
         except InvalidSettingError as error:  # too large a table
             raise QueryError(str(error), question, query.names[0].at) from None
@@ -543,19 +528,6 @@ class Hypotheses:
             error = np.fmax(error, float(estimate.sd(values, weights)) / math.sqrt(size + 1))
             error *= estimate.widened(size)
         return Estimate(number, float(error))
-
-
-def hypothesis_record(best: Hypothesis) -> dict[str, Any]:
-    """Return a hypothesis as plain data; ``goal_*`` are the effective goals."""
-    record = best.to_dict()
-    red, green = best.effective_goals
-    return {
-        "goal_red": GOALS[red],
-        "goal_green": GOALS[green],
-        "stated_goal_red": record.pop("goal_red"),
-        "stated_goal_green": record.pop("goal_green"),
-        **record,
-    }
 
 
 def _distinct(names: tuple[str, ...]) -> tuple[str, ...]:

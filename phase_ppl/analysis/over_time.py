@@ -46,16 +46,12 @@ def over_time(tree: xr.DataTree, scenario: ScenarioFunction | None = None) -> xr
         ``goal_red``, ``goal_green``, ``relation``, ``scenario``: probabilities (time, label),
         with the labels of ``goal_red`` in ``goal_red_is`` and so on; ``time`` in seconds. The
         attribute ``hindsight`` says what it is, ``weights`` by which weights.
-
-    Raises:
-        InvalidEventError: the tree does not hold the likelihood of each frame.
-        InvalidSettingError: no simulation was completed.
     """
     simulations = tree["simulations"].dataset
     if "step_log_likelihood" not in simulations:
         raise InvalidEventError(
             "this posterior does not hold the likelihood of each frame of its simulations "
-            "(simulations/step_log_likelihood), as files of earlier versions; infer it again"
+            "(simulations/step_log_likelihood); infer it again"
         )
     if not (simulations["completed"].values & ~simulations["failed"].values).any():
         raise InvalidSettingError("there is nothing to weight: no simulation was completed")

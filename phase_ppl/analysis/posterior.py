@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -15,7 +14,6 @@ import xarray as xr
 from phase_ppl.analysis._arviz import arviz_data
 from phase_ppl.analysis.diagnostics import diagnostics
 from phase_ppl.analysis.event_posterior import EventPosterior
-from phase_ppl.analysis.hypotheses import hypothesis_record
 from phase_ppl.analysis.over_time import over_time
 from phase_ppl.analysis.prior_change import (
     changed_text,
@@ -37,7 +35,6 @@ from phase_ppl.analysis.tree import (
     SIMULATED,
     array,
     check_tree,
-    kept_scene,
     read_tree,
     simulation_of_draw,
     untried,
@@ -50,7 +47,6 @@ from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidSettingError, unknown_name
 from phase_ppl.world.files import existing_file
 from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
-from phase_ppl.world.scene import Scene
 
 
 class Posterior(EventPosterior):
@@ -104,6 +100,7 @@ class Posterior(EventPosterior):
                 f"burn_in={self._burn_in}, but each chain has {n_draws} draws: expected fewer"
             )
         self._tree = tree
+        self._attrs, self._constant = tree.attrs, tree["constant_data"].to_dataset()
         self._kept = without_burn_in(tree, self._burn_in)
         self._weights = name
         tree = self._kept
@@ -137,25 +134,10 @@ class Posterior(EventPosterior):
     def untried(self) -> float:
         """Prior mass of the pairs of effective goals that no simulation was completed of.
 
-        To these a sampled posterior gives probability 0, whatever they would explain; NaN for
-        files of earlier versions, which do not hold the prior of pairs.
+        To these a sampled posterior gives probability 0, whatever they would explain; NaN where
+        the prior of pairs is not kept.
         """
         return untried(self._tree)
-
-    @property
-    def event_id(self) -> str:
-        """Name of the event that was explained."""
-        return str(self._tree.attrs["event_id"])
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """What determined the result."""
-        return dict(json.loads(self._tree.attrs["settings"]))
-
-    @property
-    def cost(self) -> dict[str, Any]:
-        """What the run cost: simulations, seconds, workers."""
-        return dict(json.loads(self._tree.attrs["cost"]))
 
     def under(self, prior: Callable[..., object]) -> Posterior:
         if self._weights == "likelihood":
@@ -165,10 +147,7 @@ class Posterior(EventPosterior):
         sizes = worth(changed.table.weights), worth(self.table.weights)
         check_overlap(sizes, (1 - changed.untried, 1 - self.untried))
         tree.attrs["settings"] = settings_under(
-            tree.attrs["settings"],
-            prior,
-            effective_size=sizes[0],
-            effective_size_before=sizes[1],
+            tree.attrs["settings"], prior, effective_size=sizes[0], effective_size_before=sizes[1]
         )
         return changed._defining(self._own)
 
@@ -198,7 +177,7 @@ class Posterior(EventPosterior):
         red, green = (np.array([goal]) for goal in best.effective_goals)
         codes = relation_codes(red, green, self._scenario)
         return {
-            **hypothesis_record(best),
+            **super().map_record(),
             "log_joint": float(self._log_joint().max()),
             **{name: self._quantities[name].categories()[int(c[0])] for name, c in codes.items()},
         }
@@ -227,11 +206,6 @@ class Posterior(EventPosterior):
         draws = array(self._tree, "sample_stats", "log_joint")
         chain, draw = np.argwhere(is_best if is_best.any() else draws == draws.max())[0]
         return np.asarray(array(self._tree, SIMULATED, "trajectory")[chain, draw], np.float64)
-
-    @property
-    def scene(self) -> Scene:
-        """Where the event takes place, and how it starts."""
-        return kept_scene(self._tree["constant_data"].to_dataset())
 
     def observed(self) -> FloatArray:
         """Return the trajectory (time, entity, [x, y, angle]) that was explained."""

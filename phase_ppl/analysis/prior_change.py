@@ -9,12 +9,7 @@ from typing import Any, Final
 import numpy as np
 import xarray as xr
 
-from phase_ppl.analysis.tree import (
-    HYPOTHESIS,
-    SITES,
-    log_weight_of_draws,
-    simulation_of_draw,
-)
+from phase_ppl.analysis.tree import HYPOTHESIS, SITES, log_weight_of_draws, simulation_of_draw
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.identity import qualified_name, source_hash
@@ -72,9 +67,6 @@ def reweighted(tree: xr.DataTree, program: Callable[..., object]) -> xr.DataTree
     ratio of their priors, and stated goals and alpha are drawn anew given them. Sites of a user's
     own, where the other prior has them too, are weighted along with all the rest; else they are
     left out.
-
-    Raises:
-        InvalidEventError: a draw rests on no simulation of the tree.
     """
     from phase_ppl.models.density import NO_DENSITY
     from phase_ppl.models.effective import (
@@ -138,9 +130,6 @@ def check_overlap(worths: tuple[float, float], tried: tuple[float, float]) -> No
     Args:
         worths: equal draws that the simulations are worth under the other prior, and before.
         tried: shares of the other prior, and of the run's own, that were simulated.
-
-    Raises:
-        InvalidSettingError: the simulations are worth much fewer, and too few, or hold much less.
     """
     if worths[0] < FEWEST and worths[0] < _LEFT * worths[1]:
         reason = f"are worth {worths[0]:.1f} equal draws under this prior, {worths[1]:.1f} before"

@@ -81,11 +81,7 @@ class Quantity:
         )
 
     def numbers(self, entries: NDArray[Any]) -> NDArray[np.float64]:
-        """Return the numbers that codes or numbers stand for.
-
-        Raises:
-            InvalidSettingError: they stand for none.
-        """
+        """Return the numbers that codes or numbers stand for."""
         if not self.numeric:
             raise InvalidSettingError(
                 f"{self.name} has categories, not numbers; ask for its marginal, mode or top"
@@ -95,11 +91,7 @@ class Quantity:
         return np.asarray(entries, np.float64)
 
     def code(self, value: object) -> int:
-        """Return the code of the label ``value`` (case and spacing do not matter).
-
-        Raises:
-            UnknownNameError: there is no such label; the message names close matches.
-        """
+        """Return the code of the label ``value`` (case and spacing do not matter)."""
         labels = self.categories()
         if isinstance(value, str) and value in labels:  # a user's may differ in case only
             return labels.index(value)
@@ -110,11 +102,7 @@ class Quantity:
         raise unknown_name(self.name, value, labels)
 
     def categories(self) -> tuple[str, ...]:
-        """Return the labels.
-
-        Raises:
-            InvalidSettingError: the quantity is a real number.
-        """
+        """Return the labels."""
         if self.labels is None:
             raise InvalidSettingError(
                 f"{self.name} is a real number without categories; ask for its mean or hdi, "
@@ -168,9 +156,6 @@ def own_quantity(
 
     What is not real is a category: its labels are the attribute ``flag_meanings`` (JSON, by
     code) where the tree has one, otherwise all values that occur.
-
-    Raises:
-        InvalidEventError: a value that ``flag_meanings`` has no label for.
     """
     variable = tree["posterior"].dataset[name]
     if variable.dtype.kind == "f":
@@ -223,9 +208,6 @@ def relation_codes(
     """Return the codes of ``relation`` and ``scenario`` of pairs of effective goals.
 
     ``scenario`` replaces the paper's scenario of two goals; the relation follows from it.
-
-    Raises:
-        UnknownNameError: ``scenario`` returns something that is no scenario.
     """
     if scenario is None:
         codes = SCENARIO_TABLE[goal_red, goal_green].astype(np.int64)

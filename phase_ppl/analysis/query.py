@@ -44,9 +44,7 @@ T = TypeVar("T")
 QUESTIONS: Final = ("P", "E", "sd", "median", "H", "I", "mode", "top", "hdi")
 """What can be asked; ``top`` and ``hdi`` may be followed by a number."""
 
-LONGEST: Final = 10_000
-"""Characters of a question, at most."""
-
+LONGEST: Final = 10_000  # characters of a question, at most
 _QUANTITY: Final = "the name of a quantity, such as goal_red"
 _WORD: Final = re.compile(r"[^\W\d]\w*")
 _NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
@@ -88,12 +86,7 @@ class Query(NamedTuple):
 def understood(
     text: str, quantities: Mapping[str, Quantity]
 ) -> tuple[Query, dict[str, Any], dict[str, Any]]:
-    """Return what ``text`` asks, its event and what is given, these as quantity -> value.
-
-    Raises:
-        QueryError: it breaks the grammar, names what does not exist, or asks for what a quantity
-            does not have; the message points at the place.
-    """
+    """Return what ``text`` asks, its event and what is given, these as quantity -> value."""
     query = _parsed(text)
     meaning = _Meaning(quantities, text)
     for place, name in enumerate(query.names):
@@ -102,11 +95,7 @@ def understood(
 
 
 def conditions(quantities: Mapping[str, Quantity], text: str) -> Mapping[str, Any]:
-    """Return conditions in words, such as ``"relation=friendly"``, as quantity -> value.
-
-    Raises:
-        QueryError: they cannot be read, or name what does not exist.
-    """
+    """Return conditions in words, such as ``"relation=friendly"``, as quantity -> value."""
     question = f"P({text})"
     query = _parsed(question)
     if not query.event or query.given:

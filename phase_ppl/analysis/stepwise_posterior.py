@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -13,15 +12,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.diagnostics import (
-    frames_text,
-    overlap_sign,
-    overlapping_frames,
-    undecided,
-)
+from phase_ppl.analysis.diagnostics import frames_text, overlap_sign, overlapping_frames, undecided
 from phase_ppl.analysis.estimate import Jackknife
 from phase_ppl.analysis.event_posterior import EventPosterior
-from phase_ppl.analysis.hypotheses import hypothesis_record
 from phase_ppl.analysis.over_time import by_label
 from phase_ppl.analysis.prior_change import changed_text, settings_under
 from phase_ppl.analysis.quantities import (
@@ -33,14 +26,12 @@ from phase_ppl.analysis.quantities import (
 from phase_ppl.analysis.query import conditions
 from phase_ppl.analysis.stepwise_table import (
     DIMENSIONS,
-    SCHEMAS,
+    SCHEMA,
     STRENGTHS,
     Table,
-    brought_up,
     check,
 )
 from phase_ppl.analysis.summary import plain, wrapped
-from phase_ppl.analysis.tree import kept_scene
 from phase_ppl.analysis.weights import log_sum_exp
 from phase_ppl.dataset.hdf5 import netcdf_bytes, read_netcdf, root_attribute
 from phase_ppl.world.arrays import FloatArray
@@ -49,7 +40,6 @@ from phase_ppl.world.files import check_output, existing_file, write_bytes
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
 from phase_ppl.world.observation import FRAMES_PER_SECOND
-from phase_ppl.world.scene import Scene
 
 FILTERING: Final = (
     "Filtering: what can be believed at each frame from the frames so far; later frames change "
@@ -108,7 +98,6 @@ class StepwisePosterior(EventPosterior):
         *,
         scenario: ScenarioFunction | None = None,
     ) -> None:
-        found = brought_up(found)
         check(found)
         self._found, self._scenario = found, scenario
         self._table = Table(found)
@@ -119,6 +108,7 @@ class StepwisePosterior(EventPosterior):
         rows = self._table.rows(self._frame)
         columns = dict(rows.values)
         columns |= derived_codes(columns["goal_red"], columns["goal_green"], scenario)
+        self._attrs, self._constant = found.attrs, found
         super().__init__(quantities(), dataclasses.replace(rows, values=columns))
 
     def _jackknife(self, share: float) -> Jackknife | None:
@@ -139,21 +129,6 @@ class StepwisePosterior(EventPosterior):
     def dataset(self) -> xr.Dataset:
         """Log likelihoods, strengths and the trajectory: ``stepwise_table.DIMENSIONS``."""
         return self._found
-
-    @property
-    def event_id(self) -> str:
-        """Name of the event that was explained."""
-        return str(self._found.attrs["event_id"])
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """Model, likelihood and seed: all that the numbers depend on."""
-        return dict(json.loads(self._found.attrs["settings"]))
-
-    @property
-    def cost(self) -> dict[str, Any]:
-        """What it cost: searches, seconds."""
-        return dict(json.loads(self._found.attrs["cost"]))
 
     @property
     def frame(self) -> int:
@@ -326,11 +301,6 @@ class StepwisePosterior(EventPosterior):
             attrs={"event": event, "over": over or f"not {event}"},
         )
 
-    @property
-    def scene(self) -> Scene:
-        """Where the event takes place, and how it starts."""
-        return kept_scene(self._found)
-
     def observed(self) -> FloatArray:
         """Return the trajectory (time, entity, [x, y, angle]) that was explained."""
         return np.asarray(self._found["trajectory"].values, np.float64)[: self._frame + 1]
@@ -377,10 +347,6 @@ class StepwisePosterior(EventPosterior):
             "cost": self.cost,
         }
         return {name: plain(value) for name, value in record.items()}
-
-    def map_record(self) -> dict[str, Any]:
-        """Return :meth:`map` as plain data; ``goal_*`` are the effective goals."""
-        return hypothesis_record(self.map())
 
     def __str__(self) -> str:
         found, cost = self.diagnostics(), self.cost
@@ -466,4 +432,4 @@ def _satisfied(columns: Mapping[str, NDArray[np.float64]], text: str) -> NDArray
 
 def is_stepwise(path: str | os.PathLike[str]) -> bool:
     """Whether a file holds a posterior that was read step by step."""
-    return root_attribute(path, "schema") in SCHEMAS
+    return root_attribute(path, "schema") == SCHEMA

@@ -17,12 +17,6 @@ from phase_ppl.world.hypothesis import ALPHAS, effective_pairs
 
 SCHEMA: Final = "phase_ppl/stepwise/2"
 
-_FIRST_SCHEMA: Final = "phase_ppl/stepwise/1"
-"""Of files with one set of searches, and nothing to tell errors and surprise by."""
-
-SCHEMAS: Final = (_FIRST_SCHEMA, SCHEMA)
-"""What can be read."""
-
 STATED: Final = ("stated_goal_red", "stated_goal_green", "alpha")
 STRENGTHS: Final = ("strength_red", "strength_green")
 
@@ -47,29 +41,13 @@ many nats the best pair of actions leaves the frame less probable than one that 
 action puts it, whose log density is ``log_peak``."""
 
 REQUIRED_ATTRS: Final = ("event_id", "settings", "cost", "weight", "schema")
-
-_LEAST: Final = 1e-12
-"""Rows with less of the mass than this are left out of tables."""
-
-
-def brought_up(found: xr.Dataset) -> xr.Dataset:
-    """Return what was stored under an earlier schema in today's form, unknown where it lacks it."""
-    if found.attrs.get("schema") != _FIRST_SCHEMA or "time" not in found.sizes:
-        return found
-    n = found.sizes["time"]
-    unknown = ("time", np.full(n, np.nan))
-    without = np.empty((0, n, N_GOALS, N_GOALS), np.float32)
-    return found.assign(
-        log_likelihood_without=(DIMENSIONS["log_likelihood_without"], without),
-        unexplained=unknown,
-        log_peak=unknown,
-    )
+_LEAST: Final = 1e-12  # rows with less of the mass than this are left out of tables
 
 
 def check(found: xr.Dataset) -> None:
     """Raise InvalidEventError, naming what is missing or wrong, if ``found`` is no such table."""
     schema = found.attrs.get("schema")
-    if schema not in SCHEMAS:
+    if schema != SCHEMA:
         raise InvalidEventError(f"this was not read step by step: its schema is {schema!r}")
     missing = [name for name in REQUIRED_ATTRS if name not in found.attrs]
     missing += [name for name in DIMENSIONS if name not in found.variables]

@@ -8,11 +8,8 @@ from typing import Any, Final
 
 import numpy as np
 
-WIDTH: Final = 88
-"""Columns of a table."""
-
-LABEL: Final = 13
-"""Columns of what stands before a line."""
+WIDTH: Final = 88  # columns of a table
+LABEL: Final = 13  # columns of what stands before a line
 
 _NAME, _NUMBER, _BAR = 36, 16, 22
 

@@ -6,9 +6,7 @@ numbers only, so that it survives NetCDF unchanged.
 
 from __future__ import annotations
 
-import json
 import os
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -24,18 +22,11 @@ from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS
 from phase_ppl.world.scene import Scene
 
-SCHEMA: Final = "phase-ppl-posterior-2"
-"""Value of the root attribute ``schema``."""
+SCHEMA: Final = "phase-ppl-posterior-2"  # value of the root attribute ``schema``
 
 SIMULATED: Final = "simulated"
 """Group of the simulation that each draw rests on, as the simulator made it. Where the likelihood
 is the radial one, its attribute ``beta`` says how much noise the likelihood puts around it."""
-
-_OLDER_SCHEMA: Final = "phase-ppl-posterior-1"
-"""Of files in which this group was called ``posterior_predictive``, although it is without the
-likelihood's noise."""
-
-_RADIAL: Final = re.compile(r"RadialLikelihood\(beta=([^)]+)\)")
 
 SITES: Final = (
     "goal_red",
@@ -145,7 +136,7 @@ def array(tree: xr.DataTree, group: str, name: str) -> NDArray[Any]:
 def untried(tree: xr.DataTree) -> float:
     """Return the prior mass of the pairs of effective goals without a completed simulation.
 
-    NaN where the tree does not hold the prior of pairs, as in files of earlier versions.
+    NaN where the tree does not hold the prior of pairs.
     """
     constant = tree["constant_data"].dataset
     if "prior_of_pairs" not in constant:
@@ -207,9 +198,6 @@ def write_tree(tree: xr.DataTree, path: str | os.PathLike[str]) -> Path:
     """Write ``tree`` to ``path`` as NetCDF, whole or not at all, and return the path.
 
     Every array carries a checksum, so that a damaged file is noticed when it is read.
-
-    Raises:
-        OutputError: the file cannot be written there, or its name does not end in .nc.
     """
     groups = {node.path: node.to_dataset(inherit=False) for node in tree.subtree}
     check_output(path, (".nc",))
@@ -218,36 +206,14 @@ def write_tree(tree: xr.DataTree, path: str | os.PathLike[str]) -> Path:
 
 
 def read_tree(path: str | os.PathLike[str]) -> xr.DataTree:
-    """Read the tree of draws that :func:`write_tree` wrote, fully into memory.
-
-    Raises:
-        InvalidEventError: there is no such file, or it is damaged or of another kind.
-    """
+    """Read the tree of draws that :func:`write_tree` wrote, fully into memory."""
     source = existing_file(path)
     try:
-        tree = _up_to_date(xr.DataTree.from_dict(dict(read_netcdf(source))))
+        tree = xr.DataTree.from_dict(dict(read_netcdf(source)))
         check_tree(tree)
     except InvalidEventError as error:
         raise InvalidEventError(f"{source}: {error}") from None
     return tree
-
-
-def _up_to_date(tree: xr.DataTree) -> xr.DataTree:
-    """Return a tree of an older file in the present schema; others as they are."""
-    if tree.attrs.get("schema") != _OLDER_SCHEMA or "posterior_predictive" not in tree.children:
-        return tree
-    groups = {name: node.to_dataset() for name, node in tree.children.items()}
-    simulated = groups.pop("posterior_predictive")
-    try:
-        likelihood = str(json.loads(tree.attrs["settings"])["model"]["likelihood"])
-    except (KeyError, TypeError, ValueError):
-        likelihood = ""
-    radial = _RADIAL.fullmatch(likelihood)
-    if radial is not None:
-        simulated.attrs["beta"] = float(radial[1])
-    newer = xr.DataTree.from_dict({**groups, SIMULATED: simulated})
-    newer.attrs = {**tree.attrs, "schema": SCHEMA}
-    return newer
 
 
 def kept_scene(kept: xr.Dataset) -> Scene:
@@ -257,7 +223,7 @@ def kept_scene(kept: xr.Dataset) -> Scene:
     return Scene(
         **{name: kept[name].values for name in names},
         turning=kept.attrs["turning"],
-        resets_velocity=bool(kept.attrs.get("resets_velocity", 0)),  # older files have none
+        resets_velocity=bool(kept.attrs.get("resets_velocity", 0)),
         arena=(x0, x1, y0, y1),
         landmark_half_width=float(kept.attrs["landmark_half_width"]),
     )

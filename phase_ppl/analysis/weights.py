@@ -68,16 +68,11 @@ MOST_GROUPS: Final = 32
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Rows:
-    """A table of hypotheses.
+    """A table of hypotheses."""
 
-    Attributes:
-        values: site -> (row,) codes or numbers.
-        weights: (row,) non-negative, sum 1.
-        index: what identifies a row in the tree: column -> (row,) integers.
-    """
-
-    values: Mapping[str, NDArray[Any]]
-    weights: FloatArray
+    values: Mapping[str, NDArray[Any]]  # site -> (row,) codes or numbers
+    weights: FloatArray  # (row,) non-negative, sum 1
+    # what identifies a row in the tree: column -> (row,) integers
     index: Mapping[str, NDArray[np.int64]]
 
 
@@ -90,11 +85,7 @@ def log_sum_exp(values: FloatArray) -> float:
 
 
 def normalised(log_weights: FloatArray) -> FloatArray:
-    """Return weights of sum 1 that are proportional to exp(log_weights).
-
-    Raises:
-        InvalidSettingError: all weights are zero, or one is not a number.
-    """
+    """Return weights of sum 1 that are proportional to exp(log_weights)."""
     total = log_sum_exp(log_weights)
     if not np.isfinite(total):
         raise InvalidSettingError(
@@ -173,8 +164,7 @@ def stratified(tree: xr.DataTree) -> Rows:
         raise _no_proposals("stratified", tree)
     if "prior_of_pairs" not in tree["constant_data"]:
         raise InvalidSettingError(
-            "weights 'stratified' need the prior of pairs of goals, which files of earlier "
-            "versions do not hold; 'importance' does without"
+            "weights 'stratified' need the prior of pairs of goals; 'importance' does without"
         )
     simulations = tree["simulations"].dataset
     with np.errstate(invalid="ignore"):  # of what failed

@@ -276,7 +276,7 @@ def simulated(
     n: int,
     seed: int,
     workers: int | None,
-    simulator: Simulator | None,
+    simulator: Simulator | None = None,
 ) -> WhatIf:
     """Return hypotheses drawn from a posterior, simulated from a frame on.
 
@@ -372,11 +372,7 @@ def _simulate(
 
 
 def length(post: Source, at: int | None, seconds: float | None) -> tuple[int, int]:
-    """Return the frame to go on from, and how many frames to simulate from there, it included.
-
-    Raises:
-        InvalidSettingError: there is no such frame, or no time is left after it.
-    """
+    """Return the frame to go on from, and how many frames to simulate from there, it included."""
     last = len(post.observed) - 1
     begin = 0 if at is None else at
     if isinstance(begin, bool) or not isinstance(begin, int) or not 0 <= begin <= last:

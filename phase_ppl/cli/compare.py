@@ -8,22 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import phase_ppl
-from phase_ppl.cli.shared import (
-    BUDGET,
-    INTERRUPTED,
-    add_overwrite,
-    add_planner,
-    add_progress,
-    add_workers,
-    budget,
-    event_command,
-    load,
-    option_value,
-    prior_named,
-    results_folder,
-    shows_progress,
-    whole,
-)
+from phase_ppl.cli import commands as cli
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import Event
 
@@ -33,57 +18,48 @@ FIGURE: Final = "comparison.png"
 
 def add_to(commands: Any) -> None:
     """Add the command."""
-    parser = event_command(
+    parser = cli.event_command(
         commands,
         "compare",
         _compare,
-        "compare kernels on an event: same budget, several seeds, against a reference",
         "phase-ppl compare collaborate --kernels local_mh,local_mh:rule=paper,prior_mh "
         "--budget 500 --repeats 8 --out out",
     )
-    parser.add_argument(
-        "--kernels",
-        metavar="A,B",
-        required=True,
-        help="names, with options as NAME:OPTION=VALUE:OPTION=VALUE; as_printed, as_intended and "
+    cli.add(
+        parser,
+        "--kernels A,B",
+        "names, with options as NAME:OPTION=VALUE:OPTION=VALUE; as_printed, as_intended and "
         "default are SIMPLE by a preset, on this planner and these weights",
+        required=True,
     )
-    parser.add_argument(
-        "--budget",
-        metavar="B",
-        type=budget,
-        default=phase_ppl.simulations(500),
-        help=f"{BUDGET}; default 500",
+    cli.add(
+        parser, "--budget B", f"{cli.BUDGET}; default 500", cli.budget, phase_ppl.simulations(500)
     )
-    parser.add_argument("--repeats", metavar="R", type=whole(1), default=8, help="default 8")
-    parser.add_argument("--chains", metavar="M", type=whole(1), default=15, help="default 15")
-    parser.add_argument(
-        "--prior", metavar="NAME", default="uniform", help="default uniform; or FILE.py:NAME"
-    )
-    add_planner(parser)
-    parser.add_argument(
-        "--reference",
-        metavar="R",
-        help="a posterior's .nc file, 'enumeration' (more precise: enumeration:per_pair=16) or a "
+    cli.add(parser, "--repeats R", "default 8", cli.whole(1), 8)
+    cli.add(parser, "--chains M", "default 15", cli.whole(1), 15)
+    cli.add(parser, "--prior NAME", "default uniform; or FILE.py:NAME", default="uniform")
+    cli.add_planner(parser)
+    cli.add(
+        parser,
+        "--reference R",
+        "a posterior's .nc file, 'enumeration' (more precise: enumeration:per_pair=16) or a "
         "kernel, with options as in --kernels; default: what is affordable",
     )
-    parser.add_argument("--weights", metavar="NAME", default="count", help="default count")
-    add_workers(parser)
-    parser.add_argument(
-        "--checkpoint", metavar="FILE", type=Path, help=".json; keeps and takes up finished runs"
-    )
-    parser.add_argument("--out", metavar="DIR", type=Path, help="for the runs and a figure")
-    add_overwrite(parser)
-    add_progress(parser)
+    cli.add(parser, "--weights NAME", "default count", default="count")
+    cli.add_workers(parser)
+    cli.add(parser, "--checkpoint FILE", ".json; keeps and takes up finished runs", Path)
+    cli.add(parser, "--out DIR", "for the runs and a figure", Path)
+    cli.add_overwrite(parser)
+    cli.add_progress(parser)
 
 
 def _compare(options: argparse.Namespace) -> int:
-    event = load(options)
+    event = cli.load(options)
     names = [COMPARISON, FIGURE]
     if options.out is not None and options.checkpoint is not None:
         kept = options.checkpoint.resolve()
         names = [name for name in names if (options.out / name).resolve() != kept]
-    with results_folder(options.out, names, options.overwrite) as out:
+    with cli.results_folder(options.out, names, options.overwrite) as out:
         return _compared(event, out, options)
 
 
@@ -92,7 +68,7 @@ def _compared(event: Event, out: Path | None, options: argparse.Namespace) -> in
     try:
         found = phase_ppl.compare(
             event,
-            phase_ppl.Model(prior=prior_named(options.prior), planner=options.planner),
+            phase_ppl.Model(prior=cli.prior_named(options.prior), planner=options.planner),
             kernels=_kernels(options.kernels),
             budget=options.budget,
             repeats=options.repeats,
@@ -101,13 +77,13 @@ def _compared(event: Event, out: Path | None, options: argparse.Namespace) -> in
             reference=_reference(options.reference),
             weights=options.weights,
             workers=options.workers,
-            progress=shows_progress(options),
+            progress=cli.shows_progress(options),
             checkpoint=options.checkpoint,
         )
     except phase_ppl.ComparisonInterrupted as stopped:
         if stopped.comparison is None:
             print("phase-ppl: interrupted before the first run was finished", file=sys.stderr)
-            return INTERRUPTED
+            return cli.INTERRUPTED
         print("phase-ppl: interrupted; this is what was finished until then", file=sys.stderr)
         found, interrupted = stopped.comparison, True
     print(found)
@@ -117,15 +93,11 @@ def _compared(event: Event, out: Path | None, options: argparse.Namespace) -> in
         found.save(out / COMPARISON)
         phase_ppl.plot.comparison(found, path=out / FIGURE)
         print(f"\nWritten to {out}: {COMPARISON}, {FIGURE}")
-    return INTERRUPTED if interrupted else 0
+    return cli.INTERRUPTED if interrupted else 0
 
 
 def _kernels(text: str) -> dict[str, Any]:
-    """Return label -> (name, options) of ``a,b:option=value``.
-
-    Raises:
-        InvalidSettingError: a name is missing or given twice, or an option has no value.
-    """
+    """Return label -> (name, options) of ``a,b:option=value``."""
     found: dict[str, Any] = {}
     for label in (part.strip() for part in text.split(",")):
         if not label.partition(":")[0] or label in found:
@@ -142,7 +114,7 @@ def _with_options(text: str, where: str) -> tuple[str, dict[str, Any]]:
         key, equals, value = option.partition("=")
         if not (key and equals and value):
             raise InvalidSettingError(f"{where}: {option!r} in {text!r} is no OPTION=VALUE")
-        options[key] = option_value(value)
+        options[key] = cli.option_value(value)
     return name, options
 
 

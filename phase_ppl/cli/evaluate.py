@@ -1,4 +1,4 @@
-"""The command ``evaluate``: one model or several, which are then compared."""
+"""The commands ``evaluate``, of one model or several, and ``compare-models``."""
 
 from __future__ import annotations
 
@@ -6,30 +6,18 @@ import argparse
 import inspect
 import re
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import phase_ppl
-from phase_ppl.cli.compare_models import add_references, drawn, keep, named_references
-from phase_ppl.cli.shared import (
-    BUDGET,
-    FAILED,
-    INTERRUPTED,
-    PRESET,
-    add_progress,
-    budget,
-    named_value,
-    report_hint,
-    shows_progress,
-    whole,
-    writable_folder,
-)
+from phase_ppl.cli import commands as cli
 from phase_ppl.world.errors import InvalidSettingError, OutputError, unknown_name
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import write_json
+from phase_ppl.world.files import writable_folder, write_json
 
 if TYPE_CHECKING:
+    from phase_ppl.evaluation.comparison import ModelComparison
     from phase_ppl.evaluation.evaluation import Evaluation
     from phase_ppl.evaluation.folder import ResultsFolder
 
@@ -51,56 +39,49 @@ _LABEL: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 
 
 def add_to(commands: Any) -> None:
-    """Add the command."""
-    parser = commands.add_parser(
+    """Add the commands."""
+    _add_compare_models(commands)
+    parser = cli.command(
+        commands,
         "evaluate",
-        description="Ask a model about many events, longest first, and score what it answers. "
+        _evaluate,
+        "phase-ppl evaluate videos.json --model simple --planner fast --out out",
+        "Ask a model about many events, longest first, and score what it answers. "
         "Without EVENTS, the evaluation in --out is read and shown again, to be compared by "
         "--against.",
-        epilog="example: phase-ppl evaluate videos.json --model simple --planner fast --out out",
     )
-    parser.set_defaults(run=_evaluate)
-    parser.add_argument(
-        "events",
-        metavar="EVENTS",
+    cli.add(
+        parser,
+        "events EVENTS",
+        "an event file, a folder of event files, or a bundled event's name",
         nargs="?",
-        help="an event file, a folder of event files, or a bundled event's name",
     )
-    parser.add_argument(
-        "--model",
-        metavar="NAME",
-        action="append",
-        help="simple (the default), last_frame or another; given several times, all are evaluated, "
+    cli.add(
+        parser,
+        "--model NAME",
+        "simple (the default), last_frame or another; given several times, all are evaluated, "
         "each in a folder of its name in --out, and compared; LABEL=NAME gives another name",
+        action="append",
     )
-    parser.add_argument(
-        "--out", metavar="DIR", type=Path, help="for predictions, metrics, figures and pages"
+    cli.add(parser, "--out DIR", "for predictions, metrics, figures and pages", Path)
+    cli.add(
+        parser, "--resume", "go on with what is in --out; events may have been added at the end"
     )
-    parser.add_argument(
-        "--resume",
-        action="store_true",
-        default=None,
-        help="go on with what is in --out; events may have been added at the end",
-    )
-    parser.add_argument(
-        "--observer",
-        metavar="NAME",
-        help="through whom the model is seen: people, who come with the package, or a file of "
+    cli.add(
+        parser,
+        "--observer NAME",
+        "through whom the model is seen: people, who come with the package, or a file of "
         "fit-people",
     )
-    parser.add_argument("--split", metavar="NAME", help="of a generated set, such as test")
-    parser.add_argument("--limit", metavar="N", type=whole(1), help="the first N events only")
-    parser.add_argument(
-        "--workers", metavar="N", type=whole(1), help="processes; default one per usable core"
-    )
-    parser.add_argument("--seed", metavar="N", type=whole(0), help="default 0")
-    parser.add_argument(
-        "--judgments", metavar="FILE", type=Path, help="people's judgments, a .csv file"
-    )
-    parser.add_argument(
-        "--against",
-        metavar="DIR",
-        help="results of another model, or a model whose predictions the events carry, for "
+    cli.add(parser, "--split NAME", "of a generated set, such as test")
+    cli.add(parser, "--limit N", "the first N events only", cli.whole(1))
+    cli.add_workers(parser)
+    cli.add(parser, "--seed N", "default 0", cli.whole(0))
+    cli.add(parser, "--judgments FILE", "people's judgments, a .csv file", Path)
+    cli.add(
+        parser,
+        "--against DIR",
+        "results of another model, or a model whose predictions the events carry, for "
         f"paired differences; written to {AGAINST}. With several models: the one of them from "
         "which the others' differences are wanted; default: every pair",
     )
@@ -108,38 +89,31 @@ def add_to(commands: Any) -> None:
     model = parser.add_argument_group(
         "options of the model; of several models, of all that take them"
     )
-    model.add_argument("--preset", metavar="NAME", help=PRESET)
-    model.add_argument("--planner", choices=("fast", "paper"))
-    model.add_argument("--kernel", metavar="NAME")
-    model.add_argument("--budget", metavar="B", type=budget, help=BUDGET)
-    model.add_argument("--weights", metavar="NAME")
-    model.add_argument("--prior", metavar="NAME")
-    model.add_argument(
-        "--option",
-        metavar="NAME=VALUE",
-        type=_option,
-        action="append",
-        default=[],
-        help="any other, such as chains=15 or rule=paper, or of one of several models, such as "
+    cli.add(model, "--preset NAME", cli.PRESET)
+    cli.add(model, "--planner", choices=("fast", "paper"))
+    cli.add(model, "--kernel NAME")
+    cli.add(model, "--budget B", cli.BUDGET, cli.budget)
+    cli.add(model, "--weights NAME")
+    cli.add(model, "--prior NAME")
+    cli.add_options(
+        model,
+        "any other, such as chains=15 or rule=paper, or of one of several models, such as "
         "simple.chains=15; may be given several times",
+        _option,
     )
-    parser.add_argument("--no-figures", action="store_true", help="draw no figures and pages")
-    add_progress(parser)
+    cli.add(parser, "--no-figures", "draw no figures and pages")
+    cli.add_progress(parser)
 
 
 def _option(text: str) -> tuple[str, Any]:
     """Return name and value of NAME=VALUE or MODEL.NAME=VALUE."""
     label, dot, _ = text.partition("=")[0].rpartition(".")
-    name, value = named_value(text.removeprefix(f"{label}{dot}"))
+    name, value = cli.named_value(text.removeprefix(f"{label}{dot}"))
     return f"{label}{dot}{name}", value
 
 
 def models_of(given: Sequence[str] | None) -> dict[str, str]:
-    """Return label -> model of ``--model NAME`` or ``--model LABEL=NAME``, ``simple`` by default.
-
-    Raises:
-        InvalidSettingError: two have the same label, or one cannot be the name of a folder.
-    """
+    """Return label -> model of ``--model NAME`` or ``LABEL=NAME``, ``simple`` by default."""
     found: dict[str, str] = {}
     for text in given or ["simple"]:
         label, equals, name = text.partition("=")
@@ -162,10 +136,6 @@ def options_of(
         models: label -> model.
         plain: options of every model that takes them; of a single model all.
         named: those of ``--option``, where "LABEL.NAME" is of one model, "NAME" plain.
-
-    Raises:
-        InvalidSettingError: one is given twice, or no model takes it.
-        UnknownNameError: there is no such model, or label.
     """
     from phase_ppl.evaluation.registry import model_info
 
@@ -206,9 +176,7 @@ def _evaluate(options: argparse.Namespace) -> int:
     several = len(models) > 1 or list(models) != list(models.values())
     if options.resume and options.out is None:
         raise InvalidSettingError("--resume needs --out, the folder to go on in")
-    plain = {name: getattr(options, name) for name in _SHORT_FOR}
-    plain = {name: value for name, value in plain.items() if value is not None}
-    of_models = options_of(models, plain, options.option)
+    of_models = options_of(models, cli.given(options, *_SHORT_FOR), options.option)
     events = all_events(options.events, options.split)
     (_check_several if several else _check_one)(options, events, models, of_models)
     if options.out is not None:
@@ -221,7 +189,7 @@ def _evaluate(options: argparse.Namespace) -> int:
         out = options.out / label if several and options.out is not None else options.out
         evaluation = _evaluation(options, events, model, out, of_models[label], named)
         if evaluation is None:
-            return INTERRUPTED
+            return cli.INTERRUPTED
         if several:
             for event, failure in evaluation.failures.items():
                 print(f"{label}: failed: {event}: {failure}", file=sys.stderr)
@@ -229,11 +197,11 @@ def _evaluate(options: argparse.Namespace) -> int:
             print(evaluation)
         problems = []
         if evaluation.folder is not None and not options.no_figures:
-            problems = _draw(evaluation.folder, options)
+            problems = _draw(evaluation, evaluation.folder, options)
         for problem in problems:
             print(f"phase-ppl: error: {named}{problem}", file=sys.stderr)
         if problems or evaluation.failures:
-            code = FAILED
+            code = cli.FAILED
         found[label] = evaluation
     if not several:
         (alone,) = found.values()
@@ -264,11 +232,11 @@ def _evaluation(
             model,
             out=out,
             workers=options.workers,
-            resume=bool(options.resume),
+            resume=options.resume,
             limit=options.limit,
             seed=options.seed or 0,
             judgments=options.judgments,
-            progress=shows_progress(options),
+            progress=cli.shows_progress(options),
             observer=options.observer,
             **of_model,
         )
@@ -330,9 +298,8 @@ def _check_several(
 
 def _show_again(options: argparse.Namespace) -> int:
     """Show an evaluation that is there."""
-    given = vars(options)
-    nothing: tuple[Any, ...] = (None, [])
-    of_work = [f"--{name}" for name in _OF_WORK if given[name] not in nothing]
+    given = cli.given(options, *_OF_WORK)
+    of_work = [f"--{name}" for name, value in given.items() if value not in ([], False)]
     if options.out is None or of_work:
         needed = f" with {', '.join(of_work)}" if of_work else ""
         raise InvalidSettingError(
@@ -341,7 +308,7 @@ def _show_again(options: argparse.Namespace) -> int:
     found = phase_ppl.Evaluation.load(options.out)
     print(found)
     _end_of_one(found, options)
-    return FAILED if found.failures else 0
+    return cli.FAILED if found.failures else 0
 
 
 def _end_of_one(found: Evaluation, options: argparse.Namespace) -> None:
@@ -349,7 +316,7 @@ def _end_of_one(found: Evaluation, options: argparse.Namespace) -> None:
     from phase_ppl.evaluation.evaluation import difference_table
 
     folder = None if found.folder is None else found.folder.path
-    print(_NOTHING_SAVED if folder is None else f"\nKept in {folder}\n{report_hint(folder)}")
+    print(_NOTHING_SAVED if folder is None else f"\nKept in {folder}\n{cli.report_hint(folder)}")
     if options.against is None:
         return
     difference = found.against(options.against)
@@ -358,14 +325,158 @@ def _end_of_one(found: Evaluation, options: argparse.Namespace) -> None:
         write_json(folder / AGAINST, difference)
 
 
-def _draw(folder: ResultsFolder, options: argparse.Namespace) -> list[str]:
+def _draw(evaluation: Evaluation, folder: ResultsFolder, options: argparse.Namespace) -> list[str]:
     """Draw figures and pages; return in words what could not be drawn."""
     from phase_ppl.evaluation.folder import PAGE
     from phase_ppl.evaluation.report import contents, write_page
 
     def draw_page(event_id: str) -> None:
-        page = contents.page_in_folder(folder, event_id)
+        page = contents.page_of(evaluation, event_id)
         write_page(page, folder.folder_of(event_id) / PAGE)
 
-    finished = [event.id for event in folder.events if folder.is_finished(event.id)]
-    return drawn(folder, folder.path, finished, draw_page, options)
+    return drawn(evaluation, folder.path, list(evaluation.predictions), draw_page, options)
+
+
+# --- several models side by side ------------------------------------------------------------------
+
+PAGES: Final = "pages"  # the folder of the pages, one per event, in that of a comparison
+_PAGE: Final = "[0-9][0-9][0-9][0-9]-*.html"  # what pages are called (``entry_name``)
+
+
+def _add_compare_models(commands: Any) -> None:
+    """Add the command."""
+    parser = cli.command(
+        commands,
+        "compare-models",
+        _compare_models,
+        "phase-ppl compare-models out/simple out/last_frame --out compared",
+        "Compare evaluations of several models, and people, on the same events: "
+        "accuracy, agreement with people, paired differences with Holm's correction, equivalence "
+        "with people, cost.",
+    )
+    cli.add(
+        parser,
+        "folders DIR",
+        "written by evaluate --out, of one model or of several; NAME=DIR gives it a name",
+        nargs="+",
+    )
+    add_references(parser)
+    cli.add(parser, "--against NAME", "differences from this model only; default: every pair")
+    cli.add(parser, "--common", "compare on the events that all folders share")
+    cli.add(
+        parser,
+        "--margin M",
+        "difference of shares up to which a model and people are equivalent; default 0.1",
+        float,
+    )
+    cli.add(parser, "--seed N", "of the resamples; default 0", cli.whole(0))
+    cli.add(parser, "--resamples N", "of the events, default 10000", cli.whole(1))
+    cli.add(parser, "--out DIR", "for tables, figures and pages", Path)
+    cli.add(parser, "--no-figures", "draw no figures and pages")
+    cli.add_progress(parser)
+
+
+def add_references(parser: argparse.ArgumentParser) -> None:
+    """Add the option that names reference models."""
+    cli.add(
+        parser,
+        "--stored NAME",
+        "a reference model, whose answers the events carry, to be compared too, or all; may "
+        "be given several times",
+        action="append",
+        default=[],
+    )
+
+
+def _compare_models(options: argparse.Namespace) -> int:
+    from phase_ppl.evaluation.folder import SETTINGS
+
+    if options.out is not None:
+        if (options.out / SETTINGS).is_file():
+            raise InvalidSettingError(f"--out {options.out} holds an evaluation: name another")
+        writable_folder(options.out)
+    found = phase_ppl.compare_models(
+        _sources(options.folders),
+        stored=named_references(options.stored),
+        against=options.against,
+        common=options.common,
+        **cli.given(options, "margin", "seed", "resamples"),
+    )
+    print(found)
+    if options.out is None:
+        print("\nNothing was saved; --out DIR keeps tables and figures.")
+        return 0
+    return keep(found, options.out, options)
+
+
+def named_references(given: Sequence[str]) -> str | list[str]:
+    """Return what ``compare_models`` takes for the reference models named by ``--stored``."""
+    from phase_ppl.evaluation.entries import ALL
+
+    return ALL if ALL in given else list(given)
+
+
+def _sources(given: Sequence[str]) -> dict[str, Any] | list[str]:
+    """Return the folders, with names where there are some."""
+    pairs = [(text, "") if Path(text).exists() else text.partition("=")[::2] for text in given]
+    named = {name: folder for name, folder in pairs if folder}
+    if not named:
+        return list(given)
+    if len(named) < len(given) or "" in named:
+        raise InvalidSettingError(
+            f"{' '.join(given)}: expected a different name for each, as in one=DIR other=DIR"
+        )
+    return named
+
+
+def keep(found: ModelComparison, out: Path, options: argparse.Namespace) -> int:
+    """Write a comparison with its figures and pages; return the exit code."""
+    from phase_ppl.evaluation.folder import entry_name
+    from phase_ppl.evaluation.report import contents, write_page
+
+    found.save(out)
+    problems = []
+    if not options.no_figures:
+        pages = writable_folder(out / PAGES)
+        for old in pages.glob(_PAGE):  # of an earlier comparison, perhaps of other events
+            old.unlink(missing_ok=True)
+        events = {event.id: (place, event) for place, event in enumerate(found.events)}
+
+        def draw_page(event_id: str) -> None:
+            place, event = events[event_id]
+            page = contents.event_page(event, found.answers)
+            write_page(page, pages / f"{entry_name(place, event_id)}.html")
+
+        problems = drawn(found, out, list(events), draw_page, options)
+    for problem in problems:
+        print(f"phase-ppl: error: {problem}", file=sys.stderr)
+    print(f"\nKept in {out}\n{cli.report_hint(out)}")
+    return cli.FAILED if problems else 0
+
+
+def drawn(
+    source: Any,
+    out: Path,
+    events: Sequence[str],
+    draw_page: Callable[[str], None],
+    options: argparse.Namespace,
+) -> list[str]:
+    """Draw the figures of an evaluation or a comparison into ``out``, and the events' pages.
+
+    The results are there, whatever becomes of their pictures: what could not be drawn is
+    returned in words.
+    """
+    from phase_ppl.evaluation.figures import draw_figures
+    from phase_ppl.inference.progress import counted
+
+    problems = []
+    try:
+        draw_figures(source, out, progress=not options.quiet)
+    except Exception as error:
+        problems.append(f"the figures cannot be drawn: {cli.one_line(error)}")
+    for event_id in counted(events, cli.shows_progress(options), "page", "drawing"):
+        try:
+            draw_page(event_id)
+        except Exception as error:
+            problems.append(f"the page of {event_id} cannot be drawn: {cli.one_line(error)}")
+    return problems

@@ -9,17 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import phase_ppl
-from phase_ppl.cli.shared import (
-    add_planner,
-    add_progress,
-    check_suffix,
-    command,
-    event_command,
-    load,
-    shows_progress,
-    whole,
-    writable_folder,
-)
+from phase_ppl.cli import commands as cli
 from phase_ppl.dataset.generated import MANIFEST, read_manifest
 from phase_ppl.dataset.load import EXPORTS, PHASE_PICKLE
 from phase_ppl.dataset.load import SUFFIXES as EVENT_SUFFIXES
@@ -28,7 +18,7 @@ from phase_ppl.evaluation.judgments import all_events
 from phase_ppl.render.video import SUFFIXES as FILM_SUFFIXES
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import write_json
+from phase_ppl.world.files import writable_folder, write_json
 
 _PICTURE: Final = ".png"
 _STRIP: Final = 6
@@ -51,9 +41,7 @@ def add_to(commands: Any) -> None:
 
 
 def _add_goals(commands: Any) -> None:
-    command(
-        commands, "goals", _goals, "list the 36 goals that an agent can have", "phase-ppl goals"
-    )
+    cli.command(commands, "goals", _goals, "phase-ppl goals")
 
 
 def _goals(_: argparse.Namespace) -> int:
@@ -62,11 +50,10 @@ def _goals(_: argparse.Namespace) -> int:
 
 
 def _add_simulate(commands: Any) -> None:
-    parser = event_command(
+    parser = cli.event_command(
         commands,
         "simulate",
         _simulate,
-        "run the joint simulator from an event's start under a hypothesis",
         "phase-ppl simulate collaborate --goal-red 'Get blue item to red lm' "
         "--goal-green 'get to red agent' --out simulated.mp4",
     )
@@ -78,21 +65,15 @@ def _add_simulate(commands: Any) -> None:
         parser.add_argument(
             f"--strength-{agent}", metavar="NEWTON", type=float, default=450.0, help="default 450"
         )
-    add_planner(parser)
-    parser.add_argument(
-        "--frames", metavar="T", type=whole(2), help="default: as long as the event"
-    )
-    parser.add_argument(
-        "--overlapping", action="store_true", help="though bodies overlap at the start"
-    )
-    parser.add_argument(
-        "--out", metavar="FILE", type=Path, required=True, help=".json, .nc, .mp4 or .gif"
-    )
+    cli.add_planner(parser)
+    cli.add(parser, "--frames T", "default: as long as the event", cli.whole(2))
+    cli.add(parser, "--overlapping", "though bodies overlap at the start")
+    cli.add(parser, "--out FILE", ".json, .nc, .mp4 or .gif", Path, required=True)
 
 
 def _simulate(options: argparse.Namespace) -> int:
-    suffix = check_suffix(options.out, (*EVENT_SUFFIXES, *FILM_SUFFIXES))
-    event = load(options)
+    suffix = cli.check_suffix(options.out, (*EVENT_SUFFIXES, *FILM_SUFFIXES))
+    event = cli.load(options)
     writable_folder(options.out.parent)
     hypothesis = phase_ppl.Hypothesis(
         goal_red=options.goal_red,
@@ -119,38 +100,26 @@ def _simulate(options: argparse.Namespace) -> int:
 
 
 def _add_render(commands: Any) -> None:
-    parser = event_command(
+    parser = cli.event_command(
         commands,
         "render",
         _render,
-        "film an event, or draw a frame or a film strip of it",
         "phase-ppl render collaborate --fields-of-view --out collaborate.gif",
     )
     which = parser.add_mutually_exclusive_group()
-    which.add_argument(
-        "--frame", metavar="N", type=int, help="one frame as .png; 0 is the first, -1 the last"
-    )
-    which.add_argument(
-        "--strip",
-        metavar="N",
-        type=whole(1),
-        help=f"N frames side by side as .png; default {_STRIP}",
-    )
-    parser.add_argument(
-        "--fields-of-view", action="store_true", help="show what each agent can see"
-    )
-    parser.add_argument(
-        "--out", metavar="FILE", type=Path, required=True, help=".mp4 or .gif, or .png for pictures"
-    )
+    cli.add(which, "--frame N", "one frame as .png; 0 is the first, -1 the last", int)
+    cli.add(which, "--strip N", f"N frames side by side as .png; default {_STRIP}", cli.whole(1))
+    cli.add(parser, "--fields-of-view", "show what each agent can see")
+    cli.add(parser, "--out FILE", ".mp4 or .gif, or .png for pictures", Path, required=True)
 
 
 def _render(options: argparse.Namespace) -> int:
-    suffix = check_suffix(options.out, (*FILM_SUFFIXES, _PICTURE))
+    suffix = cli.check_suffix(options.out, (*FILM_SUFFIXES, _PICTURE))
     one_frame = options.frame is not None
     if suffix != _PICTURE and (one_frame or options.strip is not None):
         what = "--frame" if one_frame else "--strip"
         raise InvalidSettingError(f"{what} draws a picture: --out {options.out} must end in .png")
-    event = load(options)
+    event = cli.load(options)
     writable_folder(options.out.parent)
     n_frames = event.observation.n_frames
     shown = f"{n_frames} frames"
@@ -170,30 +139,21 @@ def _render(options: argparse.Namespace) -> int:
 
 
 def _add_describe(commands: Any) -> None:
-    parser = command(
-        commands,
-        "describe",
-        _describe,
-        "print and draw the statistics of a set of events beside those of PHASE",
-        "phase-ppl describe events.json --out out",
+    parser = cli.command(
+        commands, "describe", _describe, "phase-ppl describe events.json --out out"
     )
-    parser.add_argument(
-        "events",
-        metavar="EVENTS",
-        type=Path,
-        help="a generated set, an event file, or a folder of event files",
+    cli.add(
+        parser, "events EVENTS", "a generated set, an event file, or a folder of event files", Path
     )
-    parser.add_argument(
-        "--beside", metavar="EVENTS", type=Path, help="another set to compare with, not PHASE"
+    cli.add(parser, "--beside EVENTS", "another set to compare with, not PHASE", Path)
+    cli.add(
+        parser,
+        "--out DIR",
+        "write statistics.json, data_card.png and contact_sheet.png there",
+        Path,
     )
-    parser.add_argument(
-        "--out",
-        metavar="DIR",
-        type=Path,
-        help="write statistics.json, data_card.png and contact_sheet.png there",
-    )
-    parser.add_argument("--json", action="store_true", help="print JSON, not a table")
-    add_progress(parser)
+    cli.add(parser, "--json", "print JSON, not a table")
+    cli.add_progress(parser)
 
 
 def _describe(options: argparse.Namespace) -> int:
@@ -211,7 +171,7 @@ def _describe(options: argparse.Namespace) -> int:
     write_json(out / "statistics.json", found)
     phase_ppl.plot.data_card(found, out / "data_card.png", beside=beside)
     sheets = phase_ppl.render.contact_sheet(
-        events, out / "contact_sheet.png", progress=shows_progress(options)
+        events, out / "contact_sheet.png", progress=cli.shows_progress(options)
     )
     if not options.json:
         names = ", ".join(["statistics.json", "data_card.png", *(sheet.name for sheet in sheets)])
@@ -221,32 +181,28 @@ def _describe(options: argparse.Namespace) -> int:
 
 def _statistics(path: Path) -> tuple[list[Event], Mapping[str, Any]]:
     events = all_events(path)
-    whole = path.resolve()
-    generated = (path / MANIFEST).is_file()
-    manifest = read_manifest(path) if generated else None
-    name = whole.name if path.is_dir() else whole.stem
+    manifest = read_manifest(path) if (path / MANIFEST).is_file() else None
+    name = path.resolve().name if path.is_dir() else path.stem
     return events, phase_ppl.statistics(events, manifest, name=name)
 
 
 def _add_export(commands: Any) -> None:
-    parser = command(
+    parser = cli.command(
         commands,
         "export",
         _export,
-        "write events in another format, or read the pickles of PHASE's authors",
         "phase-ppl export collaborate compete --to phase-test --out two.json",
     )
-    parser.add_argument(
-        "events", metavar="EVENTS", nargs="+", help="files of events, or bundled events' names"
-    )
-    parser.add_argument(
+    cli.add(parser, "events EVENTS", "files of events, or bundled events' names", nargs="+")
+    cli.add(
+        parser,
         "--from",
+        "the files are pickles of PHASE's authors; plain data are read, no code is run",
         dest="source",
         choices=(PHASE_PICKLE,),
-        help="the files are pickles of PHASE's authors; plain data are read, no code is run",
     )
-    parser.add_argument("--to", choices=tuple(EXPORTS), required=True)
-    parser.add_argument("--out", metavar="FILE", type=Path, required=True)
+    cli.add(parser, "--to", choices=tuple(EXPORTS), required=True)
+    cli.add(parser, "--out FILE", type=Path, required=True)
 
 
 def _export(options: argparse.Namespace) -> int:

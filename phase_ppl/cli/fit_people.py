@@ -7,44 +7,40 @@ from pathlib import Path
 from typing import Any
 
 import phase_ppl
-from phase_ppl.cli.shared import add_progress, check_suffix, command, shows_progress, whole
+from phase_ppl.cli import commands as cli
 
 
 def add_to(commands: Any) -> None:
     """Add the command."""
-    parser = command(
+    parser = cli.command(
         commands,
         "fit-people",
         _fit,
+        "phase-ppl fit-people videos.json --source out --observer company --out people.json",
         "Fit an observer to people's judgments: what stands between a model's evidence and the "
         "answers of people, and where they hesitate.",
-        "phase-ppl fit-people videos.json --source out --observer company --out people.json",
     )
-    parser.add_argument("events", metavar="EVENTS", help="an event file or a folder of event files")
-    parser.add_argument(
-        "--judgments", metavar="FILE", type=Path, help="a .csv file; default: those in the events"
-    )
-    parser.add_argument(
-        "--observer", metavar="NAME", action="append", help="default company; of several, the best"
-    )
-    parser.add_argument(
-        "--source",
-        metavar="MODEL|DIR",
-        default="stepwise",
-        help="the model whose evidence observers go by, or the folder of its evaluation, which is "
+    cli.add(parser, "events EVENTS", "an event file or a folder of event files")
+    cli.add(parser, "--judgments FILE", "a .csv file; default: those in the events", Path)
+    cli.add(parser, "--observer NAME", "default company; of several, the best", action="append")
+    cli.add(
+        parser,
+        "--source MODEL|DIR",
+        "the model whose evidence observers go by, or the folder of its evaluation, which is "
         "not computed again; cues: surface cues alone",
+        default="stepwise",
     )
-    parser.add_argument("--out", metavar="FILE", type=Path, required=True, help="a .json file")
-    parser.add_argument("--workers", metavar="N", type=whole(1))
-    parser.add_argument("--seed", metavar="N", type=whole(0), default=0)
-    add_progress(parser)
+    cli.add(parser, "--out FILE", "a .json file", Path, required=True)
+    cli.add_workers(parser)
+    cli.add_seed(parser)
+    cli.add_progress(parser)
 
 
 def _fit(options: argparse.Namespace) -> int:
     from phase_ppl.evaluation.doubt import doubt_of
     from phase_ppl.evaluation.judgments import all_events, judged
 
-    check_suffix(options.out, (".json",))
+    cli.check_suffix(options.out, (".json",))
     events = judged(all_events(options.events), options.judgments)
     source = None
     if options.source != "cues":
@@ -52,7 +48,7 @@ def _fit(options: argparse.Namespace) -> int:
             events,
             options.source,
             **({} if Path(options.source).is_dir() else {"workers": options.workers}),
-            progress=shows_progress(options),
+            progress=cli.shows_progress(options),
             seed=options.seed,
         )
     fits = []
@@ -63,7 +59,7 @@ def _fit(options: argparse.Namespace) -> int:
         fits.append(fit)
         found = doubt_of(events, fit.left_out)
         print(f"{name}: ELPD {fit.elpd.sum():.1f} nats, each video left out in turn")
-        for label in ("relation_r", "relation_r_given_truth", "log_score_gap") if found else ():
+        for label in ("relation_r", "relation_r_given_truth", "log_score_gap"):
             if found is not None and found[label] is not None:
                 print(f"  {label.replace('_', ' ')} {found[label]['value']:.2f}")
     best = max(fits, key=lambda fit: float(fit.elpd.sum()))

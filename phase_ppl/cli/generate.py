@@ -12,16 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import phase_ppl
-from phase_ppl.cli.shared import (
-    FAILED,
-    INTERRUPTED,
-    add_other_versions,
-    add_planner,
-    add_progress,
-    command,
-    shows_progress,
-    whole,
-)
+from phase_ppl.cli import commands as cli
 from phase_ppl.dataset.generated import GeneratedEvents, verify
 from phase_ppl.dataset.generation.generate import PRESETS, GenerationInterrupted, generate
 from phase_ppl.dataset.generation.plan import PHASE500
@@ -32,71 +23,70 @@ REJECTED_VIDEOS: Final = "videos_rejected"
 """Folders of films in that of the data set; those of rejected draws end in the reason."""
 
 
+_PASSED_ON: Final = (
+    *("planner", "seed", "copies", "replans", "turning", "workers"),
+    *("keep_rejected", "resume", "other_versions"),
+)
+
+
 def add_to(commands: Any) -> None:
     """Add the commands."""
-    parser = command(
+    parser = cli.command(
         commands,
         "generate",
         _generate,
+        "phase-ppl generate --n 20 --seed 1 --out events",
         "Make a data set like PHASE: draw situations, simulate them, keep those that show what "
         "they should.",
-        "phase-ppl generate --n 20 --seed 1 --out events",
     )
     size = parser.add_mutually_exclusive_group()
-    size.add_argument("--n", metavar="N", type=whole(1), help="events, in the paper's proportions")
-    size.add_argument("--preset", choices=tuple(PRESETS), help="the paper's 500 events; default")
-    size.add_argument(
-        "--cell",
-        metavar="FAMILY=N",
-        type=_cell,
+    cli.add(size, "--n N", "events, in the paper's proportions", cli.whole(1))
+    cli.add(size, "--preset", "the paper's 500 events; default", choices=tuple(PRESETS))
+    cli.add(
+        size,
+        "--cell FAMILY=N",
+        "events of a family, such as chasing=10 or hinder:LMA=5; may be given several times",
+        _cell,
         action="append",
-        help="events of a family, such as chasing=10 or hinder:LMA=5; may be given several times",
     )
-    parser.add_argument("--out", metavar="DIR", type=Path, required=True)
-    add_planner(parser)
-    parser.add_argument("--seed", metavar="N", type=whole(0), default=0, help="default 0")
-    parser.add_argument(
-        "--copies",
-        metavar="K",
-        type=whole(0),
-        default=0,
-        help="of each event, with other reflections and colours; default 0",
+    cli.add(parser, "--out DIR", type=Path, required=True)
+    cli.add_planner(parser)
+    cli.add_seed(parser)
+    cli.add(
+        parser,
+        "--copies K",
+        "of each event, with other reflections and colours; default 0",
+        cli.whole(0),
+        0,
     )
-    parser.add_argument(
-        "--replans",
-        metavar="K",
-        type=whole(0),
-        default=0,
-        help="copies of each event simulated anew in a layout of the same kind, or with sizes and "
+    cli.add(
+        parser,
+        "--replans K",
+        "copies of each event simulated anew in a layout of the same kind, or with sizes and "
         "strengths moved by one, as far as its family allows; default 0",
+        cli.whole(0),
+        0,
     )
-    parser.add_argument(
+    cli.add(
+        parser,
         "--turning",
+        "which way agents can turn, before any reflection; default both",
         choices=TURNINGS,
         default="both",
-        help="which way agents can turn, before any reflection; default both",
     )
-    parser.add_argument("--workers", metavar="N", type=whole(1), help="default one per core")
-    parser.add_argument(
-        "--keep-rejected", action="store_true", help="keep the draws that were not good enough"
-    )
-    parser.add_argument(
+    cli.add_workers(parser)
+    cli.add(parser, "--keep-rejected", "keep the draws that were not good enough")
+    cli.add(
+        parser,
         "--videos",
-        action="store_true",
-        help="film every event, rejected draws too if they are kept, and draw all on one picture",
+        "film every event, rejected draws too if they are kept, and draw all on one picture",
     )
-    parser.add_argument("--resume", action="store_true", help="go on with what DIR holds")
-    add_progress(parser)
-    add_other_versions(parser)
+    cli.add(parser, "--resume", "go on with what DIR holds")
+    cli.add_progress(parser)
+    cli.add_other_versions(parser)
 
-    check = command(
-        commands,
-        "verify",
-        _verify,
-        "Compare a generated data set with its checksums.",
-        "phase-ppl verify events",
-    )
-    check.add_argument("folder", metavar="DIR", type=Path)
+    check = cli.command(commands, "verify", _verify, "phase-ppl verify events")
+    cli.add(check, "folder DIR", type=Path)
 
 
 def _generate(options: argparse.Namespace) -> int:
@@ -106,31 +96,23 @@ def _generate(options: argparse.Namespace) -> int:
             options.out,
             options.n,
             cells=cells,
-            planner=options.planner,
-            seed=options.seed,
-            copies=options.copies,
-            replans=options.replans,
-            turning=options.turning,
-            workers=options.workers,
-            keep_rejected=options.keep_rejected,
-            resume=options.resume,
-            other_versions=options.other_versions,
-            progress=shows_progress(options),
+            progress=cli.shows_progress(options),
+            **cli.given(options, *_PASSED_ON),
         )
     except GenerationInterrupted as stopped:
         print(f"phase-ppl: {stopped}: phase-ppl generate ... --resume", file=sys.stderr)
-        return INTERRUPTED
+        return cli.INTERRUPTED
     _print(made)
     if options.videos:
         _film(made, options)
     given_up = made.manifest["given_up"]
     if given_up:
         print(f"Given up after too many draws: {', '.join(given_up)}", file=sys.stderr)
-    return FAILED if given_up else 0
+    return cli.FAILED if given_up else 0
 
 
 def _film(made: GeneratedEvents, options: argparse.Namespace) -> None:
-    shown = shows_progress(options)
+    shown = cli.shows_progress(options)
     folder = made.path / VIDEOS
     phase_ppl.render.videos(made, folder, workers=options.workers, progress=shown)
     sheets = phase_ppl.render.contact_sheet(made, made.path / "contact_sheet.png", progress=shown)
@@ -175,7 +157,7 @@ def _verify(options: argparse.Namespace) -> int:
     for line in wrong:
         print(line)
     if wrong:
-        return FAILED
+        return cli.FAILED
     print(f"{options.folder}: all events are as they were made")
     return 0
 
@@ -184,4 +166,4 @@ def _cell(text: str) -> tuple[str, int]:
     name, equals, number = text.partition("=")
     if not (name and equals):
         raise argparse.ArgumentTypeError(f"{text!r} is not of the form FAMILY=N")
-    return name, whole(1)(number)
+    return name, cli.whole(1)(number)

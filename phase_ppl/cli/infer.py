@@ -13,29 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import phase_ppl
-from phase_ppl.cli.shared import (
-    BAD_INPUT,
-    BUDGET,
-    INTERRUPTED,
-    POSTERIOR,
-    PRESET,
-    add_other_versions,
-    add_overwrite,
-    add_planner,
-    add_progress,
-    add_workers,
-    budget,
-    command,
-    event_command,
-    load,
-    named_value,
-    one_line,
-    prior_named,
-    report_hint,
-    results_folder,
-    shows_progress,
-    whole,
-)
+from phase_ppl.cli import commands as cli
 from phase_ppl.inference.presets import completed
 from phase_ppl.world.errors import InvalidSettingError, OutputError, PhasePPLError
 from phase_ppl.world.event import Event
@@ -46,12 +24,10 @@ if TYPE_CHECKING:
     from phase_ppl.analysis.posterior import Posterior
     from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 
-CHECKPOINT: Final = "run.ckpt"
-"""The file in the folder of results that holds an unfinished run."""
-
-_SAMPLED: Final = (POSTERIOR, "summary.json", "posterior.png", "replay.mp4")
+CHECKPOINT: Final = "run.ckpt"  # the file in the folder of results that holds an unfinished run
+_SAMPLED: Final = (cli.POSTERIOR, "summary.json", "posterior.png", "replay.mp4")
 _STEPWISE: Final = (
-    *(POSTERIOR, "summary.json", "posterior.png"),
+    *(cli.POSTERIOR, "summary.json", "posterior.png"),
     *("over_time.png", "why.png", "watch.mp4"),
 )
 """Files of results, by kind of posterior."""
@@ -61,112 +37,95 @@ _RESULTS: Final = tuple(dict.fromkeys((*_SAMPLED, *_STEPWISE)))
 
 def add_to(commands: Any) -> None:
     """Add the commands."""
-    infer = event_command(
-        commands,
-        "infer",
-        _infer,
-        "print, draw and save the posterior over goals, relation and strengths of an event",
-        "phase-ppl infer collaborate --planner fast --seed 0 --out out",
+    infer = cli.event_command(
+        commands, "infer", _infer, "phase-ppl infer collaborate --planner fast --seed 0 --out out"
     )
-    add_planner(infer)
+    cli.add_planner(infer)
     infer.set_defaults(planner=None)  # the preset's
-    infer.add_argument(
-        "--preset",
-        metavar="NAME",
-        default="default",
-        help=PRESET,
-    )
-    infer.add_argument(
-        "--prior",
-        metavar="NAME",
+    cli.add(infer, "--preset NAME", cli.PRESET, default="default")
+    cli.add(
+        infer,
+        "--prior NAME",
+        "default uniform; FILE.py:NAME takes one of your own, and runs that file",
         default="uniform",
-        help="default uniform; FILE.py:NAME takes one of your own, and runs that file",
     )
-    infer.add_argument(
+    cli.add(
+        infer,
         "--model",
+        "simple: whole simulations, sampled (the default); stepwise: every frame given those "
+        "before it, over all hypotheses",
         choices=("simple", "stepwise"),
         default="simple",
-        help="simple: whole simulations, sampled (the default); stepwise: every frame given those "
-        "before it, over all hypotheses",
     )
-    infer.add_argument(
+    cli.add(
+        infer,
         "--watch",
-        action="store_true",
-        help="of the stepwise model: show what it believes as the video plays, and film it",
+        "of the stepwise model: show what it believes as the video plays, and film it",
     )
-    infer.add_argument(
-        "--kernel", metavar="NAME", help="default local_mh; of the stepwise model none, no sampling"
-    )
-    infer.add_argument("--chains", metavar="M", type=whole(1), help="default 15")
-    infer.add_argument(
-        "--option",
-        metavar="NAME=VALUE",
-        type=named_value,
-        action="append",
-        default=[],
-        help="of the kernel, such as rule=paper, or of SIMPLE's settings, such as beta=0.1; may "
+    cli.add(infer, "--kernel NAME", "default local_mh; of the stepwise model none, no sampling")
+    cli.add(infer, "--chains M", "default 15", cli.whole(1))
+    cli.add_options(
+        infer,
+        "of the kernel, such as rule=paper, or of SIMPLE's settings, such as beta=0.1; may "
         "be given several times",
     )
-    infer.add_argument(
-        "--out", metavar="DIR", type=Path, help="for the posterior, a figure and a film"
-    )
-    add_overwrite(infer)
+    cli.add(infer, "--out DIR", "for the posterior, a figure and a film", Path)
+    cli.add_overwrite(infer)
     _add_run_options(infer)
 
-    resume = command(
+    resume = cli.command(
         commands,
         "resume",
         _resume,
-        "Go on with an interrupted run, or extend one, as if it had never stopped.",
         "phase-ppl resume out/run.ckpt --workers 4",
+        "Go on with an interrupted run, or extend one, as if it had never stopped.",
     )
-    resume.add_argument("file", metavar="FILE", type=Path, help="the run.ckpt that it left")
-    resume.add_argument("--out", metavar="DIR", type=Path, help="default: where FILE is")
-    add_overwrite(resume)
-    add_other_versions(resume)
+    cli.add(resume, "file FILE", "the run.ckpt that it left", Path)
+    cli.add(resume, "--out DIR", "default: where FILE is", Path)
+    cli.add_overwrite(resume)
+    cli.add_other_versions(resume)
     _add_run_options(resume)
 
 
 def _add_run_options(parser: argparse.ArgumentParser) -> None:
     """Add what ``infer`` and ``resume`` share."""
     length = parser.add_mutually_exclusive_group()
-    length.add_argument("--iterations", metavar="L", type=whole(1), help="default 6, or as before")
-    length.add_argument("--budget", metavar="B", type=budget, help=BUDGET)
-    add_workers(parser)
-    parser.add_argument(
+    cli.add(length, "--iterations L", "default 6, or as before", cli.whole(1))
+    cli.add(length, "--budget B", cli.BUDGET, cli.budget)
+    cli.add_workers(parser)
+    cli.add(
+        parser,
         "--on-failure",
+        "what becomes of a failed simulation; default reject, or as before",
         choices=("reject", "raise", "retry"),
-        help="what becomes of a failed simulation; default reject, or as before",
     )
-    parser.add_argument("--retries", metavar="N", type=whole(1), help="of retry; default 3")
-    parser.add_argument(
-        "--burn-in",
-        metavar="N",
-        type=whole(0),
-        help="draws at the beginning of each chain that do not count; default a quarter of 20 "
+    cli.add(parser, "--retries N", "of retry; default 3", cli.whole(1))
+    cli.add(
+        parser,
+        "--burn-in N",
+        "draws at the beginning of each chain that do not count; default a quarter of 20 "
         "iterations or more, else none",
+        cli.whole(0),
     )
-    parser.add_argument(
-        "--weights",
-        metavar="NAME",
-        help="of the posterior; default: those that are valid for the kernel and the length",
+    cli.add(
+        parser,
+        "--weights NAME",
+        "of the posterior; default: those that are valid for the kernel and the length",
     )
-    parser.add_argument(
-        "--simulation-seconds",
-        metavar="S",
-        type=float,
-        help="a simulation that takes longer has failed; default: none has",
+    cli.add(
+        parser,
+        "--simulation-seconds S",
+        "a simulation that takes longer has failed; default: none has",
+        float,
     )
-    parser.add_argument(
-        "--keep-checkpoint",
-        action="store_true",
-        help=f"keep {CHECKPOINT} when the run is complete, to extend it",
+    cli.add(
+        parser, "--keep-checkpoint", f"keep {CHECKPOINT} when the run is complete, to extend it"
     )
-    add_progress(parser)
+    cli.add_progress(parser)
 
 
 def _infer(options: argparse.Namespace) -> int:
-    event = load(options)
+    event = cli.load(options)
     if options.watch and (options.model != "stepwise" or options.kernel is not None):
         raise InvalidSettingError("--watch needs --model stepwise, and no kernel")
     kept = None if options.out is None else options.out / CHECKPOINT
@@ -175,12 +134,15 @@ def _infer(options: argparse.Namespace) -> int:
             f"{kept} holds an unfinished run: continue it with 'phase-ppl resume {kept}', or "
             "delete it"
         )
-    with results_folder(options.out, _RESULTS, options.overwrite) as out:
+    with cli.results_folder(options.out, _RESULTS, options.overwrite) as out:
         if options.watch:
             return _watched(event, out, options)
         exact = options.model == "stepwise" and options.kernel is None
-        given = {**_run_options(options), **_kernel_options(options.option)}
-        given |= {name: getattr(options, name) for name in ("kernel", "chains", "planner")}
+        given = {
+            **_run_options(options),
+            **_kernel_options(options.option),
+            **cli.given(options, "kernel", "chains", "planner"),
+        }
         run = functools.partial(
             phase_ppl.infer,
             event,
@@ -193,7 +155,7 @@ def _infer(options: argparse.Namespace) -> int:
 
 
 def _model_of(options: argparse.Namespace) -> phase_ppl.Model:
-    prior = prior_named(options.prior)
+    prior = cli.prior_named(options.prior)
     if options.model == "simple":
         return phase_ppl.Model(prior=prior)
     likelihood = phase_ppl.StepwiseLikelihood()
@@ -207,7 +169,7 @@ def _resume(options: argparse.Namespace) -> int:
     own = options.file.parent
     # what is beside the file is of the same run
     elsewhere = options.out is not None and options.out.resolve() != own.resolve()
-    with results_folder(
+    with cli.results_folder(
         options.out or own, _RESULTS if elsewhere else (), options.overwrite
     ) as out:
         run = functools.partial(
@@ -233,15 +195,15 @@ def _finish(
     except (phase_ppl.Interrupted, phase_ppl.StepwiseInterrupted) as stopped:
         if stopped.posterior is None:
             print("phase-ppl: interrupted before the first draws", file=sys.stderr)
-            return INTERRUPTED
+            return cli.INTERRUPTED
         print("phase-ppl: interrupted; this is what was done until then", file=sys.stderr)
-        post, code = stopped.posterior, INTERRUPTED
+        post, code = stopped.posterior, cli.INTERRUPTED
     except PhasePPLError as error:
         if getattr(error, "posterior", None) is None:
             raise
-        print(f"phase-ppl: error: {one_line(error)}", file=sys.stderr)
+        print(f"phase-ppl: error: {cli.one_line(error)}", file=sys.stderr)
         print("phase-ppl: this is what was done until then", file=sys.stderr)
-        post, code = error.posterior, BAD_INPUT  # type: ignore[attr-defined]
+        post, code = error.posterior, cli.BAD_INPUT  # type: ignore[attr-defined]
     print(post)
     if out is None:
         print("\nNothing was saved; --out DIR keeps the posterior, a figure and a video.")
@@ -257,15 +219,11 @@ def _finish(
 
 
 def _run_options(options: argparse.Namespace) -> dict[str, Any]:
-    given = (
+    names = (
         *("iterations", "budget", "workers", "on_failure", "retries"),
         *("simulation_seconds", "burn_in", "weights"),
     )
-    found = {name: getattr(options, name) for name in given}
-    return {
-        "progress": shows_progress(options),
-        **{name: value for name, value in found.items() if value is not None},
-    }
+    return {"progress": cli.shows_progress(options), **cli.given(options, *names)}
 
 
 def _kernel_options(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
@@ -283,7 +241,7 @@ def _write_results(
     post: Posterior | StepwisePosterior, event: Event, out: Path, **told: str
 ) -> None:
     """Write the posterior, a summary with what else is told, figures and a film into ``out``."""
-    post.save(out / POSTERIOR)
+    post.save(out / cli.POSTERIOR)
     write_json(out / "summary.json", {**post.summary(), **told})
     phase_ppl.plot.posterior(post, path=out / "posterior.png")
     if isinstance(post, phase_ppl.Posterior):
@@ -298,7 +256,7 @@ def _write_results(
     for name in set(_RESULTS) - set(written):  # of another run, which was to be overwritten
         (out / name).unlink(missing_ok=True)
     print(f"\nWritten to {out}: {', '.join(written)}")
-    print(report_hint(out))
+    print(cli.report_hint(out))
 
 
 # --- watching --------------------------------------------------------------------------------
@@ -331,7 +289,7 @@ def _watched(event: Event, out: Path | None, options: argparse.Namespace) -> int
                     screen.show(post, index)
         except KeyboardInterrupt:
             print("phase-ppl: interrupted; this is what was seen until then", file=sys.stderr)
-            code = INTERRUPTED
+            code = cli.INTERRUPTED
         post = watch.posterior()
     print(f"\n{post}")
     if out is None:

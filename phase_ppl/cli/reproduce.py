@@ -8,52 +8,38 @@ from pathlib import Path
 from typing import Any
 
 import phase_ppl
-from phase_ppl.cli.shared import (
-    INTERRUPTED,
-    add_progress,
-    add_workers,
-    command,
-    shows_progress,
-    whole,
-)
+from phase_ppl.cli import commands as cli
 from phase_ppl.evaluation.reproduce import PAGE, PROFILES, RESULT
 
 
 def add_to(commands: Any) -> None:
     """Add the command."""
-    parser = command(
+    parser = cli.command(
         commands,
         "reproduce",
         _reproduce,
+        "phase-ppl reproduce --videos test.json --profile quick --out paper",
         "Run the models of the paper, and hold every number and figure of it against what comes "
         "out, on one page. Without --videos it is a try on generated events, no reproduction.",
-        "phase-ppl reproduce --videos test.json --profile quick --out paper",
     )
-    parser.add_argument(
-        "--videos", metavar="FILE", type=Path, help="phase-test JSON or the authors' release"
-    )
-    parser.add_argument("--out", metavar="DIR", type=Path, required=True)
-    parser.add_argument(
+    cli.add(parser, "--videos FILE", "phase-test JSON or the authors' release", Path)
+    cli.add(parser, "--out DIR", type=Path, required=True)
+    cli.add(
+        parser,
         "--profile",
+        "quick (the default): few simulations, the fast planner; paper: as the paper has it; "
+        "full: and all lesions, and what is beyond the paper",
         choices=PROFILES,
         default=PROFILES[0],
-        help="quick (the default): few simulations, the fast planner; paper: as the paper has it; "
-        "full: and all lesions, and what is beyond the paper",
     )
-    parser.add_argument(
-        "--judgments", metavar="FILE", type=Path, help="people's judgments, a .csv file"
-    )
-    parser.add_argument(
-        "--vlm-store", metavar="DIR", type=Path, help="stored answers of a vision-language model"
-    )
-    parser.add_argument("--tags", metavar="FILE", type=Path, help="people's labels, a .csv file")
-    parser.add_argument(
-        "--likeness", metavar="FILE", type=Path, help="people's ratings of likeness, a .csv file"
-    )
-    parser.add_argument("--seed", metavar="N", type=whole(0), default=0, help="default 0")
-    parser.add_argument("--resume", action="store_true", help="go on with what is in DIR")
-    add_workers(parser)
-    add_progress(parser)
+    cli.add(parser, "--judgments FILE", "people's judgments, a .csv file", Path)
+    cli.add(parser, "--vlm-store DIR", "stored answers of a vision-language model", Path)
+    cli.add(parser, "--tags FILE", "people's labels, a .csv file", Path)
+    cli.add(parser, "--likeness FILE", "people's ratings of likeness, a .csv file", Path)
+    cli.add_seed(parser)
+    cli.add(parser, "--resume", "go on with what is in DIR")
+    cli.add_workers(parser)
+    cli.add_progress(parser)
 
 
 def _reproduce(options: argparse.Namespace) -> int:
@@ -62,13 +48,13 @@ def _reproduce(options: argparse.Namespace) -> int:
         made = phase_ppl.reproduce(
             options.out,
             options.videos,
-            progress=shows_progress(options),
+            progress=cli.shows_progress(options),
             say=_say,
-            **{name: getattr(options, name) for name in names},
+            **cli.given(options, *names),
         )
     except KeyboardInterrupt:
         _say("phase-ppl: interrupted; go on with the same command and --resume")
-        return INTERRUPTED
+        return cli.INTERRUPTED
     print(made)
     print(f"\nWritten to {made.folder}: {PAGE}, {RESULT}")
     return 0

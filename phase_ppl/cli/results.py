@@ -13,17 +13,9 @@ import numpy as np
 
 import phase_ppl
 from phase_ppl.analysis.summary import LABEL, plain, wrapped
-from phase_ppl.cli.shared import (
-    BAD_INPUT,
-    add_progress,
-    check_suffix,
-    command,
-    posterior,
-    prior_named,
-    shows_progress,
-    writable_folder,
-)
+from phase_ppl.cli import commands as cli
 from phase_ppl.world.errors import InvalidSettingError, QueryError
+from phase_ppl.world.files import writable_folder
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -32,24 +24,16 @@ if TYPE_CHECKING:
 
 
 def _add_posterior(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "file", metavar="FILE", type=Path, help="a posterior's .nc file, or the folder of infer"
-    )
-    parser.add_argument(
-        "--weights",
-        metavar="NAME",
-        help="count, importance, visited or likelihood; default: the file's",
+    cli.add(parser, "file FILE", "a posterior's .nc file, or the folder of infer", Path)
+    cli.add(
+        parser, "--weights NAME", "count, importance, visited or likelihood; default: the file's"
     )
 
 
 # --- query -----------------------------------------------------------------------------------
 
-_MOST_LINES: Final = 40
-"""Entries of a table that are printed, at most."""
-
-_LEAST: Final = 0.0005
-"""Probability below which they are not printed one by one."""
-
+_MOST_LINES: Final = 40  # entries of a table that are printed, at most
+_LEAST: Final = 0.0005  # probability below which they are not printed one by one
 _HELP: Final = """\
 Ask a saved posterior. Every answer comes with its Monte-Carlo error, from the
 spread between the particles.
@@ -90,22 +74,20 @@ def _add_query(commands: Any) -> None:
     )
     parser.set_defaults(run=_query)
     _add_posterior(parser)
-    parser.add_argument("questions", metavar="QUESTION", nargs="+")
-    parser.add_argument(
-        "--prior", metavar="NAME", help="under another prior: a name, or FILE.py:NAME, which is run"
-    )
-    parser.add_argument("--json", action="store_true", help="answers as JSON, a list")
+    cli.add(parser, "questions QUESTION", nargs="+")
+    cli.add(parser, "--prior NAME", "under another prior: a name, or FILE.py:NAME, which is run")
+    cli.add(parser, "--json", "answers as JSON, a list")
 
 
 def _query(options: argparse.Namespace) -> int:
-    post = posterior(options.file, options.weights)
+    post = cli.posterior(options.file, options.weights)
     if options.prior is not None:
-        post = post.with_prior(prior_named(options.prior))
+        post = post.with_prior(cli.prior_named(options.prior))
     try:
         answers = [post.query(question) for question in options.questions]
     except QueryError as error:  # its lines show the place
         print(f"phase-ppl: error: {error}", file=sys.stderr)
-        return BAD_INPUT
+        return cli.BAD_INPUT
     pairs = list(zip(options.questions, answers, strict=True))
     if options.json:
         records = [{"question": question, **_record(found)} for question, found in pairs]
@@ -197,20 +179,14 @@ _BLOCKS: Final = 10
 
 
 def _add_diagnose(commands: Any) -> None:
-    parser = command(
-        commands,
-        "diagnose",
-        _diagnose,
-        "say whether the chains of a posterior can be trusted",
-        "phase-ppl diagnose out --out out",
-    )
+    parser = cli.command(commands, "diagnose", _diagnose, "phase-ppl diagnose out --out out")
     _add_posterior(parser)
-    parser.add_argument("--json", action="store_true", help="JSON instead of a table")
-    parser.add_argument("--out", metavar="DIR", type=Path, help="for the figures")
+    cli.add(parser, "--json", "JSON instead of a table")
+    cli.add(parser, "--out DIR", "for the figures", Path)
 
 
 def _diagnose(options: argparse.Namespace) -> int:
-    post = posterior(options.file, options.weights)
+    post = cli.posterior(options.file, options.weights)
     found = post.diagnostics()
     record = json.dumps(plain(dict(found)), indent=1, ensure_ascii=False, allow_nan=False)
     if not isinstance(post, phase_ppl.Posterior):
@@ -347,34 +323,21 @@ def _whole(value: float | None) -> str:
 
 
 def _add_report(commands: Any) -> None:
-    parser = command(
-        commands,
-        "report",
-        _report,
-        "Make one self-contained HTML page of a run, an evaluation, or a comparison of models.",
-        "phase-ppl report out",
+    parser = cli.command(commands, "report", _report, "phase-ppl report out")
+    cli.add(
+        parser, "folder DIR", "written by infer --out, evaluate --out or compare-models --out", Path
     )
-    parser.add_argument(
-        "folder",
-        metavar="DIR",
-        type=Path,
-        help="written by infer --out, evaluate --out or compare-models --out",
-    )
-    parser.add_argument(
-        "--out", metavar="FILE", type=Path, help=".html; default report.html in DIR"
-    )
-    parser.add_argument(
-        "--videos", action="store_true", help="film every event of an evaluation as well"
-    )
-    add_progress(parser)
+    cli.add(parser, "--out FILE", ".html; default report.html in DIR", Path)
+    cli.add(parser, "--videos", "film every event of an evaluation as well")
+    cli.add_progress(parser)
 
 
 def _report(options: argparse.Namespace) -> int:
     if options.out is not None:
-        check_suffix(options.out, (".html",))
+        cli.check_suffix(options.out, (".html",))
         writable_folder(options.out.parent)
     path = phase_ppl.report(
-        options.folder, options.out, videos=options.videos, progress=shows_progress(options)
+        options.folder, options.out, videos=options.videos, progress=cli.shows_progress(options)
     )
     print(f"{path.stat().st_size / 1e6:.1f} MB written to {path}")
     return 0

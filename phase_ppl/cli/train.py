@@ -10,56 +10,40 @@ from pathlib import Path
 from typing import Any
 
 import phase_ppl
-from phase_ppl.cli.shared import (
-    INTERRUPTED,
-    add_progress,
-    command,
-    named_value,
-    shows_progress,
-    whole,
-    writable_folder,
-)
+from phase_ppl.cli import commands as cli
 from phase_ppl.models.socialgnn.graphs import VARIANTS
 from phase_ppl.models.socialgnn.store import TrainingSettings
 from phase_ppl.world.errors import InvalidSettingError, unknown_name
+from phase_ppl.world.files import writable_folder
 
 
 def add_to(commands: Any) -> None:
     """Add the command."""
-    parser = command(
+    parser = cli.command(
         commands,
         "train",
         _train,
+        "phase-ppl train socialgnn --data events --out gnn",
         "Train a model of social perception on a generated data set: networks from several seeds, "
         "whose answers are averaged. Needs the extra neural (PyTorch).",
-        "phase-ppl train socialgnn --data events --out gnn",
     )
-    parser.add_argument("model", choices=("socialgnn",))
-    parser.add_argument(
-        "--data",
-        metavar="SET",
-        type=Path,
+    cli.add(parser, "model", choices=("socialgnn",))
+    cli.add(
+        parser,
+        "--data SET",
+        "the folder of a generated set, with the splits train and validation",
+        Path,
         required=True,
-        help="the folder of a generated set, with the splits train and validation",
     )
-    parser.add_argument("--out", metavar="DIR", type=Path, required=True)
-    parser.add_argument(
-        "--seeds", metavar="K", type=whole(1), default=5, help="networks; default 5"
+    cli.add(parser, "--out DIR", type=Path, required=True)
+    cli.add(parser, "--seeds K", "networks; default 5", cli.whole(1), 5)
+    cli.add(parser, "--seed N", "first one; default 0", cli.whole(0), 0)
+    cli.add(parser, "--variant", choices=VARIANTS, default=VARIANTS[0])
+    cli.add_options(
+        parser, "how to train, such as epochs=100 or looks=false; may be given several times"
     )
-    parser.add_argument(
-        "--seed", metavar="N", type=whole(0), default=0, help="first one; default 0"
-    )
-    parser.add_argument("--variant", choices=VARIANTS, default=VARIANTS[0])
-    parser.add_argument(
-        "--option",
-        metavar="NAME=VALUE",
-        type=named_value,
-        action="append",
-        default=[],
-        help="how to train, such as epochs=100 or looks=false; may be given several times",
-    )
-    parser.add_argument("--resume", action="store_true", help="go on with what DIR holds")
-    add_progress(parser)
+    cli.add(parser, "--resume", "go on with what DIR holds")
+    cli.add_progress(parser)
 
 
 def _train(options: argparse.Namespace) -> int:
@@ -77,15 +61,13 @@ def _train(options: argparse.Namespace) -> int:
         report = phase_ppl.train_socialgnn(
             options.data,
             options.out,
-            seeds=options.seeds,
-            seed=options.seed,
             settings=settings,
-            resume=options.resume,
-            progress=shows_progress(options),
+            progress=cli.shows_progress(options),
+            **cli.given(options, "seeds", "seed", "resume"),
         )
     except KeyboardInterrupt:
         print("phase-ppl: interrupted; go on with the same command and --resume", file=sys.stderr)
-        return INTERRUPTED
+        return cli.INTERRUPTED
     _print(report)
     print(f"\nKept in {options.out}; to ask them: phase-ppl evaluate EVENTS --model socialgnn "
           f"--weights {shlex.quote(str(options.out))}")  # fmt: skip

@@ -21,10 +21,7 @@ from phase_ppl.world.errors import (
 )
 
 T = TypeVar("T")
-
-MAX_BYTES: Final = 512 * 2**20
-"""Largest event file that is read."""
-
+MAX_BYTES: Final = 512 * 2**20  # largest event file that is read
 PICKLE_SUFFIXES: Final = (".pkl", ".pickle", ".pik", ".pck", ".p")
 _HEAD_BYTES: Final = 64
 _OLD_PICKLE: Final = re.compile(rb"\([dli]|[\]}]q|c[A-Za-z_][\w.]*\n")
@@ -36,9 +33,6 @@ def read_document(path: str | os.PathLike[str]) -> dict[str, Any]:
 
     A pickle is recognised by its name or its first bytes and never loaded: loading one runs
     whatever code its author put into it.
-
-    Raises:
-        InvalidEventError: no such file, a folder, a pickle, too large, or not a JSON object.
     """
     if Path(path).suffix.lower() in PICKLE_SUFFIXES:
         raise InvalidEventError(_REFUSED_PICKLE)
@@ -76,12 +70,7 @@ def read_json(path: str | os.PathLike[str]) -> dict[str, Any]:
 
 
 def parse_document(content: bytes) -> dict[str, Any]:
-    """Return the JSON object that ``content`` spells.
-
-    Raises:
-        InvalidEventError: too large, not UTF-8, not strict JSON (NaN and Infinity are not JSON),
-            a key given twice, nested too deeply, or not an object.
-    """
+    """Return the JSON object that ``content`` spells."""
     _refuse_binary(content[:_HEAD_BYTES])
     if len(content) > MAX_BYTES:
         raise too_large(MAX_BYTES)

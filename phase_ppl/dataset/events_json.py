@@ -78,17 +78,11 @@ POSE: Final = "units of length (x, y), radians (angle)"
 
 
 class Field(NamedTuple):
-    """An array of an event, as its files have it.
+    """An array of an event, as its files have it."""
 
-    Attributes:
-        key: its name in a JSON scene.
-        dims: its dimensions; those of :data:`LABELS` have named places.
-        units: in words.
-    """
-
-    key: str
-    dims: tuple[str, ...]
-    units: str = LENGTH
+    key: str  # its name in a JSON scene
+    dims: tuple[str, ...]  # its dimensions; those of ``LABELS`` have named places
+    units: str = LENGTH  # in words
 
     @property
     def shape(self) -> tuple[int | None, ...]:
@@ -143,12 +137,7 @@ def entries_of(
 
 
 def event_from_record(record: Mapping[str, Any]) -> Event:
-    """Return the event that a parsed JSON object describes; in place of lists it may have arrays.
-
-    Raises:
-        InvalidEventError: something is missing, of the wrong type or impossible.
-        UnknownNameError: a field, goal, relation or scenario is unknown.
-    """
+    """Return the event that a JSON object describes; in place of lists it may have arrays."""
     only(record, _EVENT_FIELDS, "an event")
     observation = read_observation(require(record, "trajectories", dict), "trajectories")
     truth = optional(record, "truth", dict)
@@ -293,11 +282,7 @@ def events_record(events: Sequence[Event]) -> dict[str, Any]:
 
 
 def to_text(record: Mapping[str, Any], compact: bool = False) -> str:
-    """Return ``record`` as JSON text, with what is short, or all if ``compact``, on one line.
-
-    Raises:
-        InvalidEventError: a value has no JSON form, such as NaN.
-    """
+    """Return ``record`` as JSON text, with what is short, or all if ``compact``, on one line."""
     try:
         return json.dumps(record, allow_nan=False) if compact else _layout(record, 0) + "\n"
     except (TypeError, ValueError, RecursionError) as error:

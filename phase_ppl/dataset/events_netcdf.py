@@ -246,11 +246,7 @@ class Listing(NamedTuple):
 
 
 def read(path: str | os.PathLike[str]) -> Entries:
-    """Return the events of the file ``path``, in memory, each still to be checked.
-
-    Raises:
-        InvalidEventError: damaged, too large, or no file of events.
-    """
+    """Return the events of the file ``path``, in memory, each still to be checked."""
     with _opened_dataset(path) as stored:
         dataset = stored.load()
     tag = _format(dataset)
@@ -449,11 +445,7 @@ class StoredEvents(Sequence[Event]):
         return found
 
     def read(self, indices: Sequence[int]) -> list[Event]:
-        """Return events in one go.
-
-        Raises:
-            InvalidEventError: the file cannot be read, or an event is damaged; it is named.
-        """
+        """Return events in one go."""
         events = []
         with contextlib.ExitStack() as stack:
             with naming(self._file):

@@ -119,11 +119,7 @@ class GeneratedEvents(StoredEvents):
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
-    """Return the manifest of a finished data set.
-
-    Raises:
-        InvalidEventError: there is none, or it is damaged.
-    """
+    """Return the manifest of a finished data set."""
     source = folder / MANIFEST
     if not source.is_file():
         unfinished = " yet: its generation can be resumed" if (folder / PLAN).is_file() else ""
@@ -144,11 +140,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
 
 
 def verify(folder: str | os.PathLike[str]) -> list[str]:
-    """Return what is wrong with a finished data set; nothing if all is well.
-
-    Raises:
-        InvalidEventError: it cannot be read at all.
-    """
+    """Return what is wrong with a finished data set; nothing if all is well."""
     found = GeneratedEvents(folder)
     wrong = []
     if found.manifest.get("earlier_versions"):

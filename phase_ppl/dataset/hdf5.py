@@ -42,16 +42,11 @@ _CONTROL: Final = re.compile(
 )
 """Characters that a terminal obeys, as they are and as JSON spells them."""
 
-Groups = dict[str, "xr.Dataset"]
-"""Path of a group, "/" of the root -> its content."""
+Groups = dict[str, "xr.Dataset"]  # path of a group, "/" of the root -> its content
 
 
 def is_hdf5(path: str | os.PathLike[str]) -> bool:
-    """Whether ``path`` is a file that begins like HDF5.
-
-    Raises:
-        InvalidEventError: it is a file that cannot be read.
-    """
+    """Whether ``path`` is a file that begins like HDF5."""
     try:
         if not Path(path).is_file():  # a pipe could not be read a second time
             return False
@@ -132,10 +127,6 @@ def read_netcdf(path: str | os.PathLike[str] | BinaryIO) -> Groups:
     """Return the groups of a NetCDF 4 file, in memory, if there is no harm in it.
 
     Characters of attributes that would move the cursor of a terminal are replaced.
-
-    Raises:
-        InvalidEventError: it cannot be read, is not plain (:func:`check_hdf5`), or is not what its
-            checksum says.
     """
     import xarray as xr
 

@@ -57,11 +57,7 @@ def bundled_events() -> list[str]:
 
 
 def load_bundled(name: str) -> Event:
-    """Return the bundled event ``name``.
-
-    Raises:
-        UnknownNameError: there is no such event; the message names those that there are.
-    """
+    """Return the bundled event ``name``."""
     names = bundled_events()
     if name not in names:
         raise unknown_name("bundled event", name, names)

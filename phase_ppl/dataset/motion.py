@@ -15,16 +15,13 @@ from phase_ppl.world.observation import FRAMES_PER_SECOND
 from phase_ppl.world.scene import Turning
 
 Flags = NDArray[np.bool_]
-
-SLOW: Final = 0.5
-"""Units per simulated second below which a body is said to be at rest."""
+SLOW: Final = 0.5  # units per simulated second below which a body is said to be at rest
 
 TAIL: Final = 5
 """A track whose last motion is fewer frames than this before its end was not cut after it: the
 original ones that were cut go on for 5 to 9 frames."""
 
-_MOVING: Final = 0.02
-"""Units per frame that count as motion where the end of it is looked for."""
+_MOVING: Final = 0.02  # units per frame that count as motion where the end of it is looked for
 
 HELD_WITHIN: Final = 0.05
 """How far a held item may be from its place at a grab point, units: frames are means over a step,
@@ -111,11 +108,8 @@ def _lasting(flags: Flags) -> Flags:
 # The agents of the authors' recordings turn counter-clockwise only, those of the reflected copies
 # clockwise only; an explanation that lets them turn the other way explains something else.
 
-MIN_TURNS: Final = 3
-"""Turns that must be seen before one direction is believed to be the only one."""
-
-MIN_SHARE: Final = 0.8
-"""Share of all turns that must go the same way."""
+MIN_TURNS: Final = 3  # turns that must be seen before one direction is believed to be the only one
+MIN_SHARE: Final = 0.8  # share of all turns that must go the same way
 
 RATE_TOLERANCE: Final = 0.05
 """Relative deviation of a turn from the full rate: floor friction acts beside the centre of mass

@@ -36,11 +36,7 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS, STRENGTH_LEVELS
 from phase_ppl.world.names import ENTITIES, LANDMARKS
-from phase_ppl.world.observation import (
-    FRAMES_PER_SECOND,
-    SHOWN_SECONDS_PER_FRAME,
-    Observation,
-)
+from phase_ppl.world.observation import FRAMES_PER_SECOND, SHOWN_SECONDS_PER_FRAME, Observation
 from phase_ppl.world.scene import LANDMARK_HALF_WIDTH, Scene, finite_array
 
 FORMAT: Final = "phase-test-1"

@@ -28,9 +28,7 @@ GOAL_TYPES: Final = ("LMO+", "LMO-", "LMA+", "LMA-", "TE+", "TE-")
 LEVELS: Final = tuple(f"{level:g}" for level in STRENGTH_LEVELS)
 """Names of the strengths of the original world, newtons."""
 
-OTHER: Final = "other"
-"""What is none of the original strengths or sizes."""
-
+OTHER: Final = "other"  # what is none of the original strengths or sizes
 _RESAMPLINGS: Final = 200
 
 
@@ -73,8 +71,7 @@ PHASE: Final[Mapping[str, Any]] = {
         "strength": _counted(_WITHOUT_TEST, dict(zip(LEVELS, (125, 200, 204, 271), strict=True))),
         "agent_size": _counted(_WITHOUT_TEST, {"0.8": 484, "1.01": 120, "1.2": 136, "1.6": 60}),
         "reflection": _counted(
-            _TEST,
-            {"none": 25, "up-down": 12, "left-right": 18, "about y=x": 21, "about y=-x": 24},
+            _TEST, {"none": 25, "up-down": 12, "left-right": 18, "about y=x": 21, "about y=-x": 24}
         ),
         "split": _counted(_ALL, {"train": 320, "validation": 80, "test": 100}),
     },
@@ -280,13 +277,7 @@ def _holding(
 def _tables(
     events: Sequence[Event], told: Sequence[Mapping[str, Any]], units: Sequence[str]
 ) -> dict[str, Any]:
-    """Return the tables of :func:`statistics`.
-
-    Args:
-        events: the set.
-        told: per event what the manifest says of it; empty where there is none.
-        units: per event the event that it is a copy of, or itself.
-    """
+    """Return the tables of :func:`statistics`."""
     n = len(AGENTS)
     sizes = sorted(f"{size:g}" for size in SIZES)
     known: dict[str, Sequence[str]] = {

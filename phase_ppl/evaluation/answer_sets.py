@@ -6,9 +6,6 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from phase_ppl.evaluation.folder import ResultsFolder
-from phase_ppl.evaluation.metrics import evaluate_predictions
-from phase_ppl.evaluation.people import human_accuracy
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
 from phase_ppl.evaluation.ratings import event_judgments
 from phase_ppl.evaluation.references import reference_predictions
@@ -56,23 +53,17 @@ PALETTE: Final = (
 
 @dataclasses.dataclass(frozen=True)
 class AnswerSet:
-    """What one source answered about events.
+    """What one source answered about events."""
 
-    Attributes:
-        name: of the source, as in files.
-        kind: "people", "model" (the evaluation's own) or "reference" (a model whose answers the
-            events carry).
-        label: of the source, as in figures.
-        colour: in figures.
-        predictions: event id -> answers; people's probabilities are shares of their ratings.
-        metrics: see :func:`measured`.
-    """
-
-    name: str
+    name: str  # of the source, as in files
+    # "people", "model" (the evaluation's own) or "reference" (a model whose answers the events
+    # carry)
     kind: str
-    label: str
-    colour: str
+    label: str  # of the source, as in figures
+    colour: str  # in figures
+    # event id -> answers; people's probabilities are shares of their ratings
     predictions: Mapping[str, Prediction]
+    # of them, where they were asked for
     metrics: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
     def has(self, question: str) -> bool:
@@ -80,57 +71,23 @@ class AnswerSet:
         return any(question in given.answers for given in self.predictions.values())
 
 
-def answer_sets(folder: ResultsFolder, events: Sequence[Event] | None = None) -> list[AnswerSet]:
-    """Return all answers there are: people's, the model's, those in the file in its order.
-
-    Args:
-        folder: of the evaluation.
-        events: some of the folder's events; default all.
-
-    Raises:
-        InvalidEventError, UnknownNameError: a stored prediction or judgment is damaged.
-    """
-    chosen = folder.events if events is None else events
-    given = {event.id: folder.prediction(event.id) for event in chosen}
-    own = str(folder.settings.get("model", "model"))
-    # the order, and so the colour, is the same whichever events are asked for
-    names = dict.fromkeys(name for event in folder.events for name in event.predictions or {})
+def answer_sets(
+    events: Sequence[Event], own: str, predictions: Mapping[str, Prediction]
+) -> list[AnswerSet]:
+    """Return people's answers, the model's, and those that the events carry, in order."""
+    names = dict.fromkeys(name for event in events for name in event.predictions or {})
     own_colour, *colours = colours_of([own, *names])
-    made = {name: answer for name, answer in given.items() if answer is not None}
-    found = [people_answers(chosen), AnswerSet(own, "model", label_of(own), own_colour, made)]
-    references = reference_predictions(chosen)
+    found = [
+        people_answers(events),
+        AnswerSet(own, "model", label_of(own), own_colour, predictions),
+    ]
+    references = reference_predictions(events)
     for name, colour in zip(names, colours, strict=True):
         label = label_of(name)
         if label == label_of(own):
             label += " (in the file)"
         found.append(AnswerSet(name, "reference", label, colour, references.get(name, {})))
     return [answers for answers in found if answers.predictions]
-
-
-def measured(folder: ResultsFolder) -> list[AnswerSet]:
-    """Return :func:`answer_sets` with their metrics.
-
-    They are those of metrics.json. Where an evaluation is not finished, and has none, they are
-    computed, and all answers are about the events that are finished. Those of people are
-    :func:`~phase_ppl.evaluation.people.human_accuracy`.
-
-    Raises:
-        InvalidEventError, UnknownNameError: as :func:`answer_sets`; or metrics.json is damaged.
-    """
-    stored = folder.metrics() or {}
-    events = folder.events
-    if not stored:
-        events = [event for event in events if folder.is_finished(event.id)]
-    of_references = stored.get("reference_models") or {}
-    found = []
-    for answers in answer_sets(folder, events):
-        if answers.kind == "people":
-            metrics = human_accuracy(events)
-        else:
-            known = stored if answers.kind == "model" else of_references.get(answers.name)
-            metrics = known or evaluate_predictions(events, answers.predictions)
-        found.append(dataclasses.replace(answers, metrics=metrics))
-    return found
 
 
 def people_answers(events: Sequence[Event]) -> AnswerSet:

@@ -21,11 +21,8 @@ from scipy import special
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import whole_number
 
-Figure = dict[str, float | None]
-"""``value``, ``ci_low``, ``ci_high``."""
-
-LEVEL: Final = 0.95
-"""Share of the resampled values between ``ci_low`` and ``ci_high``."""
+Figure = dict[str, float | None]  # ``value``, ``ci_low``, ``ci_high``
+LEVEL: Final = 0.95  # share of the resampled values between ``ci_low`` and ``ci_high``
 
 _CONSTANT: Final = 1e-12
 """Variance up to which a vector of probabilities is constant but for rounding."""
@@ -35,9 +32,6 @@ def resampled(n: int, seed: int = 0, resamples: int = 1000) -> FloatArray:
     """Return weights (1 + resamples, n) of ``n`` events: all 1, then those of the resamples.
 
     The same arguments give the same resamples.
-
-    Raises:
-        InvalidSettingError: ``seed`` is negative or ``resamples`` below 1, or no whole number.
     """
     rng = np.random.default_rng(whole_number("seed", seed, 0))
     number = whole_number("resamples", resamples)

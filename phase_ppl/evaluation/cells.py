@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-NOTHING: Final = "-"
-"""What a table of a terminal has where there is no figure."""
+NOTHING: Final = "-"  # what a table of a terminal has where there is no figure
 
 
 def figure_text(found: Mapping[str, Any] | None, signed: bool = False) -> str:

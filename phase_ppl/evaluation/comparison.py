@@ -17,13 +17,7 @@ from phase_ppl.analysis.summary import plain
 from phase_ppl.dataset.documents import read_json
 from phase_ppl.dataset.load import load_events, save_events
 from phase_ppl.evaluation import differences
-from phase_ppl.evaluation.answer_sets import (
-    PEOPLE,
-    AnswerSet,
-    colours_of,
-    label_of,
-    people_answers,
-)
+from phase_ppl.evaluation.answer_sets import PEOPLE, AnswerSet, colours_of, label_of, people_answers
 from phase_ppl.evaluation.bootstrap import LEVEL, Figure, figure, resampled, weighted_mean
 from phase_ppl.evaluation.cells import NOTHING, aligned, figure_text, p_text, short
 from phase_ppl.evaluation.differences import LEAST_EVENTS
@@ -36,8 +30,7 @@ from phase_ppl.evaluation.entries import (
     shared_events,
 )
 from phase_ppl.evaluation.folder import COMPARISON, EVENTS
-from phase_ppl.evaluation.metrics import at, events_with, metrics_of_each
-from phase_ppl.evaluation.people import human_accuracy
+from phase_ppl.evaluation.metrics import at, events_with, human_accuracy, metrics_of_each
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import (
@@ -55,9 +48,7 @@ from phase_ppl.world.picture import preformatted
 if TYPE_CHECKING:
     import pandas as pd
 
-SCHEMA: Final = "phase-ppl-model-comparison-1"
-"""Value of ``schema`` in comparison.json."""
-
+SCHEMA: Final = "phase-ppl-model-comparison-1"  # value of ``schema`` in comparison.json
 MARGIN: Final = 0.1
 RESAMPLES: Final = 10_000
 """Resamples for differences: with 1000 no p is below 0.002, which many pairs make useless."""
@@ -113,7 +104,7 @@ class ModelComparison:
 
     @functools.cached_property
     def people(self) -> dict[str, Any]:
-        """What people got right (:func:`~phase_ppl.evaluation.people.human_accuracy`)."""
+        """What people got right (:func:`~phase_ppl.evaluation.metrics.human_accuracy`)."""
         return human_accuracy(self.events, seed=self.settings["seed"])
 
     @functools.cached_property
@@ -147,7 +138,7 @@ class ModelComparison:
             found.append(AnswerSet(one.name, kind, unlike, colour, one.predictions))
         return [answers for answers in found if answers.predictions]
 
-    @property
+    @functools.cached_property
     def measured(self) -> list[AnswerSet]:
         """The same with metrics."""
         metrics = {**self.metrics, PEOPLE: self.people}
@@ -328,11 +319,7 @@ def _entry(record: object) -> Entry:
 
 
 def _of_kind(kind: type[_Kind], name: str, value: object) -> _Kind:
-    """Return a value of a file, which is a list or an object.
-
-    Raises:
-        InvalidEventError: it is not.
-    """
+    """Return a value of a file, which is a list or an object."""
     if not isinstance(value, kind):
         what = "a list" if kind is list else "an object"
         raise InvalidEventError(f"{name} is {shown(value)}, expected {what}")

@@ -59,44 +59,62 @@ def naming_line(line: int) -> Iterator[None]:
 
 def read_rows(
     path: str | os.PathLike[str],
-    names: Sequence[str],
-    check: Callable[[dict[str, Any]], None],
-    required: Sequence[str] | None = None,
+    check: Callable[[dict[str, str], int], dict[str, Any]],
+    check_header: Callable[[list[str]], None],
 ) -> list[dict[str, Any]]:
-    """Return the cells of some columns of a CSV file, row by row, as text.
+    """Return the rows of a CSV file; an error's message begins with file and line.
 
     Args:
         path: of the file.
-        names: of the columns; others are not read.
-        check: is given each row, and may change it, or raise.
-        required: those whose cells must not be empty; default all.
-
-    Raises:
-        InvalidEventError: there is no such file, it holds no rows, columns or cells are missing, or
-            ``check`` raised it; the message names file and line.
+        check: makes of column -> cell, and the number of its line, what is returned of a row.
+        check_header: is given the names of the columns.
     """
     source = existing_file(path)
-    found: list[dict[str, Any]] = []
+    found = []
     try:
         lines = csv_lines(csv_text(source))
         line, header = next(lines, (0, []))
-        for name in names:
-            if header.count(name) != 1:
-                raise InvalidEventError(f", line {line}: expected a column {name}")
+        if not header:
+            raise InvalidEventError(": is empty")
+        with naming_line(line):
+            check_header(header)
         for line, cells in lines:
             with naming_line(line):
                 if len(cells) != len(header):
                     raise InvalidEventError(f"has {len(cells)} cells, expected {len(header)}")
-                row = dict(zip(header, cells, strict=True))
-                for name in names if required is None else required:
-                    if not row[name]:
-                        raise InvalidEventError(f"{name} is empty")
-                found.append({name: row[name] for name in names})
-                check(found[-1])
+                found.append(check(dict(zip(header, cells, strict=True)), line))
     except PhasePPLError as error:
         raise type(error)(f"{source}{error}") from None
+    return found
+
+
+def read_columns(
+    path: str | os.PathLike[str],
+    names: Sequence[str],
+    check: Callable[[dict[str, Any]], None],
+    required: Sequence[str],
+) -> list[dict[str, Any]]:
+    """Return some columns of a CSV file, row by row, as ``check`` leaves or refuses them.
+
+    Cells of the ``required`` ones must not be empty; other columns are not read.
+    """
+
+    def header(given: list[str]) -> None:
+        for name in names:
+            if given.count(name) != 1:
+                raise InvalidEventError(f"expected a column {name}")
+
+    def row(cells: dict[str, str], _: int) -> dict[str, Any]:
+        for name in required:
+            if not cells[name]:
+                raise InvalidEventError(f"{name} is empty")
+        kept: dict[str, Any] = {name: cells[name] for name in names}
+        check(kept)
+        return kept
+
+    found = read_rows(path, row, header)
     if not found:
-        raise InvalidEventError(f"{source}: holds no rows")
+        raise InvalidEventError(f"{path}: holds no rows")
     return found
 
 

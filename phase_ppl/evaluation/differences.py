@@ -13,13 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from phase_ppl.evaluation import tables
-from phase_ppl.evaluation.bootstrap import (
-    LEVEL,
-    difference,
-    interval,
-    resampled,
-    weighted_mean,
-)
+from phase_ppl.evaluation.bootstrap import LEVEL, difference, interval, resampled, weighted_mean
 from phase_ppl.evaluation.entries import Entry
 from phase_ppl.evaluation.metrics import Paired, events_with
 from phase_ppl.evaluation.tables import KINDS
@@ -28,12 +22,8 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import SCENARIOS
 
 Row = dict[str, Any]
-
-LEAST_EVENTS: Final = 10
-"""Events without which nothing is said of equivalence."""
-
-ALPHA: Final = 1 - LEVEL
-"""Corrected p up to which a difference, or an equivalence, counts as shown."""
+LEAST_EVENTS: Final = 10  # events without which nothing is said of equivalence
+ALPHA: Final = 1 - LEVEL  # corrected p up to which a difference, or an equivalence, counts as shown
 
 _ROUNDING: Final = 1e-12
 """Difference of shares that is rounding: what is the margin but for it is the margin."""

@@ -18,46 +18,28 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.identity import event_digest
 
 Source: TypeAlias = Evaluation | str | os.PathLike[str]
-
-ALL: Final = "all"
-"""Stands for all models whose answers the events carry."""
+ALL: Final = "all"  # stands for all models whose answers the events carry
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Entry:
-    """A model that is compared.
+    """A model that is compared."""
 
-    Attributes:
-        name: as the comparison calls it, different for all.
-        kind: "model", of an evaluation; or "stored", whose answers the events carry.
-        predictions: event id -> answers, of the events compared.
-        settings: of the evaluation, as in its settings.json but for the events.
-        failures: event id -> what went wrong, of the events compared.
-        folder: of the evaluation, if it has one.
-    """
-
-    name: str
-    kind: str
-    predictions: Mapping[str, Prediction]
+    name: str  # as the comparison calls it, different for all
+    kind: str  # "model", of an evaluation; or "stored", whose answers the events carry
+    predictions: Mapping[str, Prediction]  # event id -> answers, of the events compared
+    # of the evaluation, as in its settings.json but for the events
     settings: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    # event id -> what went wrong, of the events compared
     failures: Mapping[str, str] = dataclasses.field(default_factory=dict)
-    folder: str | None = None
+    folder: str | None = None  # of the evaluation, if it has one
 
 
-def evaluations(
-    sources: Source | Sequence[Source] | Mapping[str, Source],
-) -> dict[str, Evaluation]:
+def evaluations(sources: Source | Sequence[Source] | Mapping[str, Source]) -> dict[str, Evaluation]:
     """Return name -> evaluation.
 
     A folder that holds no evaluation itself stands for those in it, under the names of their
     folders. Others go by the name of the model or, where several are of the same, of the folder.
-
-    Args:
-        sources: evaluations or folders, one or several; or name -> evaluation or folder.
-
-    Raises:
-        InvalidEventError: a folder holds no evaluation, or a damaged one.
-        InvalidSettingError: a source is none; or two would have the same name.
     """
     if isinstance(sources, Mapping):
         check_names(list(sources))
@@ -123,13 +105,6 @@ def shared_events(
 
     Events are the same if they have the same id and all that is seen of them is the same. Truth
     and judgments are those of the first evaluation.
-
-    Args:
-        found: name -> evaluation.
-        common: leave out events that are not in all; otherwise there may be none.
-
-    Raises:
-        InvalidEventError: evaluations are about other events; or none is in all.
     """
     (first, evaluation), *others = found.items()
     notes = []
@@ -180,18 +155,7 @@ def _differences(
 def entries(
     found: Mapping[str, Evaluation], events: Sequence[Event], stored: str | Sequence[str] = ()
 ) -> list[Entry]:
-    """Return the models that are compared, with their answers about the events.
-
-    Args:
-        found: name -> evaluation.
-        events: that are compared.
-        stored: names of models whose answers the events carry; or :data:`ALL` of them.
-
-    Raises:
-        UnknownNameError: the events carry no answers of such a model.
-        InvalidSettingError: ``stored`` names none.
-        InvalidEventError: stored answers cannot be read.
-    """
+    """Return the models that are compared, with their answers about the events."""
     ids = [event.id for event in events]
     made = [
         Entry(
@@ -216,16 +180,7 @@ def stored_label(name: str, models: Collection[str]) -> str:
 
 
 def stored_names(stored: str | Sequence[str], references: Iterable[str]) -> list[str]:
-    """Return the names of the models, whose answers the events carry, that are wanted.
-
-    Args:
-        stored: one or several; or :data:`ALL`.
-        references: those that there are.
-
-    Raises:
-        UnknownNameError: there is no such model.
-        InvalidSettingError: ``stored`` is no name, and no names.
-    """
+    """Return the names of the models, whose answers the events carry, that are wanted."""
     known = list(references)
     if isinstance(stored, str):
         stored = known if stored == ALL else [stored]

@@ -174,12 +174,7 @@ def settings_of(model: ReadyModel, seed: int, events: Sequence[Event]) -> dict[s
 
 
 def event_seed(seed: int, digest: str) -> int:
-    """Return the seed that a model gets for an event, below 2**31.
-
-    Args:
-        seed: of the evaluation.
-        digest: of what is seen of the event (:func:`phase_ppl.world.identity.event_digest`).
-    """
+    """Return the seed that a model gets for an event, below 2**31."""
     found = hashlib.sha256(f"{seed} {digest}".encode()).digest()
     return int.from_bytes(found[:4], "big") >> 1
 
@@ -256,20 +251,14 @@ class _Job(NamedTuple):
 
 
 class _Outcome(NamedTuple):
-    """What became of a job.
+    """What became of a job."""
 
-    Attributes:
-        prediction: the answer, its ``cost`` with the ``seconds`` that it took, and the
-            ``cpu_seconds`` of its process; None: there is none.
-        artefacts: file name -> content, of files that belong to the answer.
-        failure: what went wrong, where there is no prediction.
-        of_settings: whether the model said that a setting cannot be used.
-    """
-
+    # the answer, its ``cost`` with the ``seconds`` that it took, and the ``cpu_seconds`` of its
+    # process; None: there is none
     prediction: Prediction | None = None
-    artefacts: Mapping[str, bytes] = {}
-    failure: str = ""
-    of_settings: bool = False
+    artefacts: Mapping[str, bytes] = {}  # file name -> content, of files that belong to the answer
+    failure: str = ""  # what went wrong, where there is no prediction
+    of_settings: bool = False  # whether the model said that a setting cannot be used
 
 
 def _ask(predict: Predict, job: _Job) -> _Outcome:

@@ -11,9 +11,14 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from phase_ppl.analysis.summary import WIDTH, plain
+from phase_ppl.evaluation.answer_sets import PEOPLE, AnswerSet, answer_sets
 from phase_ppl.evaluation.folder import SETTINGS, ResultsFolder
-from phase_ppl.evaluation.metrics import evaluate_predictions, paired_difference, reference_models
-from phase_ppl.evaluation.people import human_accuracy
+from phase_ppl.evaluation.metrics import (
+    evaluate_predictions,
+    human_accuracy,
+    paired_difference,
+    reference_models,
+)
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.references import reference_predictions
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown, unknown_name
@@ -53,7 +58,7 @@ class Evaluation:
         """The metrics, in JSON's types.
 
         Those of :mod:`phase_ppl.evaluation.metrics`; ``people``, what people got right
-        (:func:`~phase_ppl.evaluation.people.human_accuracy`); ``reference_models``, the metrics
+        (:func:`~phase_ppl.evaluation.metrics.human_accuracy`); ``reference_models``, the metrics
         of the models whose predictions the events carry; ``failures``, ``settings``, ``cost``.
         """
         found = {
@@ -65,6 +70,29 @@ class Evaluation:
             "cost": self.cost,
         }
         return dict(plain(found))
+
+    @property
+    def finished(self) -> bool:
+        """Whether every event has a prediction, or failed."""
+        return len(self.predictions) + len(self.failures) >= len(self.events)
+
+    @functools.cached_property
+    def answers(self) -> list[AnswerSet]:
+        """All answers, of people first, as figures and pages show them."""
+        return answer_sets(self.events, self.name, self.predictions)
+
+    @functools.cached_property
+    def measured(self) -> list[AnswerSet]:
+        """The same with metrics; of an evaluation that is not finished all about what is."""
+        metrics, events = self.metrics, self.events
+        others = {PEOPLE: metrics["people"], **metrics["reference_models"]}
+        if not self.finished:
+            events = [event for event in events if event.id in self.predictions]
+            others = {PEOPLE: human_accuracy(events), **reference_models(events)}
+        return [
+            dataclasses.replace(one, metrics=metrics if one.kind == "model" else others[one.name])
+            for one in answer_sets(events, self.name, self.predictions)
+        ]
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Evaluation:
@@ -78,8 +106,7 @@ class Evaluation:
             if name not in folder.settings:
                 raise InvalidEventError(f"{folder.path / SETTINGS} has no {name}")
         predictions = folder.predictions()
-        last = (folder.metrics() or {}).get("cost") or {}
-        cost = cost_of(predictions, last.get("workers"), last.get("wall_seconds"))
+        cost = cost_of(predictions, *folder.last_call())
         return cls(folder.events, predictions, folder.failures(), folder.settings, cost, folder)
 
     def against(self, other: Evaluation | str | os.PathLike[str]) -> dict[str, Any]:
@@ -125,15 +152,7 @@ class Evaluation:
 def opponent(
     events: Sequence[Event], other: Evaluation | str | os.PathLike[str]
 ) -> tuple[str, Mapping[str, Prediction]]:
-    """Return name and predictions of what a model is compared with.
-
-    Args:
-        events: that the model is asked about.
-        other: as of :meth:`Evaluation.against`.
-
-    Raises:
-        As :meth:`Evaluation.against`.
-    """
+    """Return name and predictions of what a model is compared with."""
     references = reference_predictions(events)
     if isinstance(other, str) and other in references:
         return other, references[other]
@@ -211,8 +230,6 @@ def reference_evaluation(events: Sequence[Event], name: str) -> Evaluation:
 
 
 # --- printed --------------------------------------------------------------------------------------
-
-PEOPLE: Final = "people"
 
 _LABEL: Final = 24
 _OWN: Final = 19

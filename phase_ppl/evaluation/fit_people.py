@@ -14,8 +14,7 @@ from phase_ppl.evaluation.evaluate import evaluate
 from phase_ppl.evaluation.evaluation import Evaluation
 from phase_ppl.evaluation.folder import POSTERIOR
 from phase_ppl.evaluation.judgments import Study, all_events, judged, load_judgments
-from phase_ppl.evaluation.observers.answers import Answers
-from phase_ppl.evaluation.observers.evidence import Made, evidence_of
+from phase_ppl.evaluation.observers.answers import Answers, Made, evidence_of
 from phase_ppl.evaluation.observers.fit import PeopleFit, as_observer, sampled
 from phase_ppl.models.observer.observers import Evidence, Program
 from phase_ppl.models.observer.perception import Perception

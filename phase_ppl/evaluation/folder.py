@@ -19,6 +19,7 @@ goes on with the events that are missing.
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import secrets
@@ -30,21 +31,18 @@ from typing import Any, Final
 from phase_ppl.dataset.documents import read_json
 from phase_ppl.dataset.load import load_events, save_events
 from phase_ppl.evaluation.prediction import Prediction
-from phase_ppl.evaluation.tables import KINDS
+from phase_ppl.world.checks import number_or_nan
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
     OutputError,
     PhasePPLError,
-    shown,
 )
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import writable_folder, write_json
 from phase_ppl.world.identity import differences
 
-SCHEMA: Final = "phase-ppl-evaluation-1"
-"""Value of ``schema`` in settings.json."""
-
+SCHEMA: Final = "phase-ppl-evaluation-1"  # value of ``schema`` in settings.json
 SETTINGS: Final = "settings.json"
 EVENTS: Final = "events.json"
 PREDICTION: Final = "prediction.json"
@@ -79,11 +77,7 @@ class ResultsFolder:
     def create(
         cls, path: str | os.PathLike[str], settings: Mapping[str, Any], events: Sequence[Event]
     ) -> ResultsFolder:
-        """Make a folder for a new evaluation.
-
-        Raises:
-            OutputError: it cannot be written, or already holds the predictions of an evaluation.
-        """
+        """Make a folder for a new evaluation."""
         folder = Path(path)
         if holds_predictions(folder):
             raise OutputError(f"{folder} already holds an evaluation; resume it or name another")
@@ -94,11 +88,7 @@ class ResultsFolder:
 
     @classmethod
     def open(cls, path: str | os.PathLike[str]) -> ResultsFolder:
-        """Open the folder of an evaluation, finished or not.
-
-        Raises:
-            InvalidEventError: it is no such folder, or a file in it is damaged.
-        """
+        """Open the folder of an evaluation, finished or not."""
         folder = Path(path)
         if not (folder / SETTINGS).is_file():
             raise InvalidEventError(f"{folder} holds no evaluation: it has no {SETTINGS}")
@@ -121,11 +111,6 @@ class ResultsFolder:
 
         Returns:
             The folder, the predictions that are in it, and notes about those that are damaged.
-
-        Raises:
-            OutputError: it holds an evaluation that is not to be resumed, or cannot be written.
-            InvalidSettingError: its evaluation has other settings or events.
-            InvalidEventError: it is damaged.
         """
         if not resume or not holds_predictions(Path(path)):
             return cls.create(path, settings, events), {}, []
@@ -149,12 +134,7 @@ class ResultsFolder:
         return folder, done, notes
 
     def check_same(self, settings: Mapping[str, Any]) -> None:
-        """Raise what :meth:`begin` would for other settings or events; change nothing.
-
-        Raises:
-            InvalidSettingError: the evaluation has other settings or events.
-            InvalidEventError: it is damaged.
-        """
+        """Raise what :meth:`begin` would for other settings or events; change nothing."""
         before, now = (
             {name: given.get(name) for name in _DETERMINE} for given in (self.settings, settings)
         )
@@ -187,9 +167,6 @@ class ResultsFolder:
 
         The metrics, which belong to those before, are deleted, and so is what an evaluation
         that was killed has left half done.
-
-        Raises:
-            OutputError: it cannot be written.
         """
         try:
             for name in (METRICS, FAILURES):
@@ -213,11 +190,7 @@ class ResultsFolder:
         return (self.folder_of(event_id) / PREDICTION).is_file()
 
     def add(self, prediction: Prediction, artefacts: Callable[[Path], None] | None = None) -> None:
-        """Keep the prediction of an event; ``artefacts(folder)`` writes what else belongs to it.
-
-        Raises:
-            OutputError: it cannot be written.
-        """
+        """Keep the prediction of an event; ``artefacts(folder)`` writes what else belongs to it."""
         target = self.folder_of(prediction.event_id)
         part = target.with_name(f".part-{secrets.token_hex(4)}")
         try:
@@ -236,21 +209,12 @@ class ResultsFolder:
             shutil.rmtree(part, ignore_errors=True)
 
     def predictions(self) -> dict[str, Prediction]:
-        """Return event id -> prediction of the finished events, in the order of the events.
-
-        Raises:
-            InvalidEventError: a prediction is damaged, or of another event; the message names
-                the file.
-        """
+        """Return event id -> prediction of the finished events, in the order of the events."""
         found = {event.id: self.prediction(event.id) for event in self.events}
         return {name: given for name, given in found.items() if given is not None}
 
     def prediction(self, event_id: str) -> Prediction | None:
-        """Return the prediction of an event; None where it is not finished.
-
-        Raises:
-            InvalidEventError: as for :meth:`predictions`.
-        """
+        """Return the prediction of an event; None where it is not finished."""
         if not self.is_finished(event_id):
             return None
         source = self.folder_of(event_id) / PREDICTION
@@ -274,21 +238,14 @@ class ResultsFolder:
         source = self.path / FAILURES
         return read_json(source) if source.is_file() else {}
 
-    def metrics(self) -> dict[str, Any] | None:
-        """Return the content of metrics.json; None where the evaluation is not finished.
-
-        Raises:
-            InvalidEventError: it is damaged; the message names the file and the field.
-        """
+    def last_call(self) -> tuple[int | None, float | None]:
+        """Return workers and wall seconds of the call that finished it, by metrics.json."""
         source = self.path / METRICS
-        if not source.is_file():
-            return None
-        found = read_json(source)
-        try:
-            check_metrics(found)
-        except InvalidEventError as error:
-            raise InvalidEventError(f"{source}: {error}") from None
-        return found
+        cost = read_json(source).get("cost") if source.is_file() else None
+        given = cost if isinstance(cost, Mapping) else {}
+        workers, seconds = (number_or_nan(given.get(n)) for n in ("workers", "wall_seconds"))
+        known = math.isfinite(workers) and math.isfinite(seconds)
+        return (int(workers), seconds) if known else (None, None)
 
 
 def entry_name(place: int, event_id: str) -> str:
@@ -299,61 +256,3 @@ def entry_name(place: int, event_id: str) -> str:
 def holds_predictions(folder: Path) -> bool:
     """Whether an evaluation in ``folder`` has finished any event."""
     return any(folder.glob(f"events/*/{PREDICTION}"))
-
-
-# --- whether metrics that were read from a file have the form in which they were written ----------
-
-_ACCURACIES: Final = tuple(f"{kind}_accuracy" for kind in KINDS)
-
-
-def check_metrics(record: Mapping[str, Any]) -> None:
-    """Raise InvalidEventError unless all that is shown of metrics is there as it should be.
-
-    Figures are null or have a value and the ends of its interval, which may be null; what is
-    absent is as good as null. The message names the field.
-    """
-    _check_model(record, "")
-    references = _object(record, "reference_models", "")
-    for name in references:
-        where = "reference_models."
-        _check_model(_object(references, name, where), f"{where}{name}.")
-    cost = _object(record, "cost", "")
-    for name in ("workers", "wall_seconds"):
-        _check_number(cost, name, "cost.")
-
-
-def _check_model(record: Mapping[str, Any], where: str) -> None:
-    for name in (*_ACCURACIES, "goal_top3_accuracy"):
-        _check_figure(record, name, where)
-    scenarios = _object(record, "by_scenario", where)
-    for scenario in scenarios:
-        found = _object(scenarios, scenario, f"{where}by_scenario.")
-        for name in _ACCURACIES:
-            _check_figure(found, name, f"{where}by_scenario.{scenario}.")
-    human = _object(record, "human", where)
-    for name in human:
-        if name != "split_half_by":  # which is no figure
-            _check_figure(human, name, f"{where}human.")
-
-
-def _check_figure(record: Mapping[str, Any], name: str, where: str) -> None:
-    figure = _object(record, name, where)
-    for part in ("value", "ci_low", "ci_high") if figure else ():
-        if part not in figure:
-            raise InvalidEventError(f"{where}{name} has no {part}")
-        _check_number(figure, part, f"{where}{name}.")
-
-
-def _object(record: Mapping[str, Any], name: str, where: str) -> Mapping[str, Any]:
-    found = record.get(name)
-    if found is None:
-        return {}
-    if not isinstance(found, Mapping):
-        raise InvalidEventError(f"{where}{name} is {shown(found)}, expected an object or null")
-    return found
-
-
-def _check_number(record: Mapping[str, Any], name: str, where: str) -> None:
-    found = record.get(name)
-    if isinstance(found, bool) or not isinstance(found, int | float | None):
-        raise InvalidEventError(f"{where}{name} is {shown(found)}, expected a number or null")

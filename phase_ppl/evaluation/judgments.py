@@ -28,16 +28,15 @@ import pandas as pd
 
 from phase_ppl.dataset.generated import MANIFEST, PLAN, GeneratedEvents
 from phase_ppl.dataset.load import load_events
-from phase_ppl.evaluation.csv_file import csv_lines, csv_text, naming_line
+from phase_ppl.evaluation.csv_file import read_rows
 from phase_ppl.evaluation.folder import EVENTS, SETTINGS
-from phase_ppl.evaluation.people import participant_accuracy
+from phase_ppl.evaluation.metrics import participant_accuracy
 from phase_ppl.evaluation.prediction import QUESTIONS
 from phase_ppl.evaluation.ratings import Judgments, checked_answer, event_judgments
 from phase_ppl.evaluation.references import reference_predictions
 from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import InvalidEventError, PhasePPLError, shown, unknown_name
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import existing_file
 
 COLUMNS: Final = ("participant", "video", *QUESTIONS, "response_time")
 """Columns of a study, all of which its table has."""
@@ -79,7 +78,7 @@ class Study:
             seed, resamples: of the participants.
 
         Returns:
-            As :func:`~phase_ppl.evaluation.people.participant_accuracy`.
+            As :func:`~phase_ppl.evaluation.metrics.participant_accuracy`.
 
         Raises:
             InvalidEventError: the study has answers to none of the events.
@@ -107,12 +106,25 @@ def load_judgments(path: str | os.PathLike[str], events: Sequence[Event] | None 
         UnknownNameError: a column, goal, relation or video is unknown; the message names close
             matches. Messages begin with the file, and the line where it is one.
     """
-    source = existing_file(path)
     videos = None if events is None else [event.id for event in events]
-    try:
-        rows = _rows(csv_text(source), videos)
-    except PhasePPLError as error:
-        raise type(error)(f"{source}{error}") from None
+    first: dict[tuple[str, str], int] = {}
+
+    def check(cells: dict[str, str], line: int) -> dict[str, Any]:
+        row = _row(cells)
+        who, video = row["participant"], row["video"]
+        if videos is not None and video not in videos:
+            raise unknown_name("video", video, videos)
+        if (who, video) in first:
+            raise InvalidEventError(
+                f"participant {shown(who)} judges video {shown(video)} a second time, after line "
+                f"{first[who, video]}"
+            )
+        first[who, video] = line
+        return row
+
+    rows = read_rows(path, check, _check_header)
+    if not any(row[question] for row in rows for question in QUESTIONS):
+        raise InvalidEventError(f"{path}: holds no judgments")
     # plain objects: pandas' own text would make NaN of None
     table = pd.DataFrame(rows, columns=list(COLUMNS), dtype=object)
     return Study(table.astype({"response_time": float}))
@@ -137,37 +149,6 @@ def with_judgments(events: Sequence[Event], study: Study) -> list[Event]:
         some = ", ".join(shown(video) for video in list(study.judgments)[:3])
         raise InvalidEventError(f"the study is of none of the {len(events)} events, but of {some}")
     return found
-
-
-def _rows(text: str, videos: Sequence[str] | None) -> list[dict[str, Any]]:
-    lines = csv_lines(text)
-    line, header = next(lines, (0, []))
-    if not header:
-        raise InvalidEventError(": is empty")
-    with naming_line(line):
-        _check_header(header)
-    allowed = None if videos is None else set(videos)
-    first: dict[tuple[str, str], int] = {}
-    rows = []
-    for line, cells in lines:
-        with naming_line(line):
-            if len(cells) != len(header):
-                raise InvalidEventError(f"has {len(cells)} cells, expected {len(header)}")
-            row = _row(dict(zip(header, cells, strict=True)))
-            video = row["video"]
-            if allowed is not None and video not in allowed:
-                raise unknown_name("video", video, videos or [])
-            pair = row["participant"], video
-            if pair in first:
-                raise InvalidEventError(
-                    f"participant {shown(pair[0])} judges video {shown(video)} a second time, "
-                    f"after line {first[pair]}"
-                )
-            first[pair] = line
-            rows.append(row)
-    if not any(row[question] for row in rows for question in QUESTIONS):
-        raise InvalidEventError(": holds no judgments")
-    return rows
 
 
 def _check_header(header: Sequence[str]) -> None:
@@ -216,21 +197,14 @@ def _seconds(cell: str) -> float:
 
 # --- the events of an evaluation, and people's judgments of them ----------------------------------
 
-GENERATED: Final = (MANIFEST, PLAN)
-"""Files by which the folder of a generated data set is known."""
-
-EVENT_FILES: Final = (".json", ".nc")
-"""Endings of the files that are read from a folder of events."""
+GENERATED: Final = (MANIFEST, PLAN)  # files by which the folder of a generated data set is known
+EVENT_FILES: Final = (".json", ".nc")  # endings of the files that are read from a folder of events
 
 
 def all_events(
     events: str | os.PathLike[str] | Event | Sequence[Event], split: str | None = None
 ) -> list[Event]:
-    """Return the events of a file or folder, or those given; or a split of a generated data set.
-
-    Raises:
-        InvalidEventError: there are none, or two with the same id; or no such split.
-    """
+    """Return the events of a file or folder, or those given; or a split of a generated data set."""
     if split is not None:
         path = events if isinstance(events, str | os.PathLike) else None
         generated = events if path is None else load_events(path)
@@ -276,11 +250,7 @@ def _files(path: str | os.PathLike[str]) -> list[Path]:
 def judged(
     events: list[Event], judgments: str | os.PathLike[str] | Study | None
 ) -> Sequence[Event]:
-    """Return the events with people's judgments; what cannot be scored is found out now.
-
-    Raises:
-        InvalidEventError, UnknownNameError: judgments or references cannot be read.
-    """
+    """Return the events with people's judgments; what cannot be scored is found out now."""
     if judgments is not None:
         study = judgments if isinstance(judgments, Study) else load_judgments(judgments, events)
         events = with_judgments(events, study)

@@ -20,7 +20,7 @@ from typing import Any, Final, Literal
 import numpy as np
 import pandas as pd
 
-from phase_ppl.evaluation.csv_file import read_rows
+from phase_ppl.evaluation.csv_file import read_columns
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import positive_number
 from phase_ppl.world.errors import InvalidEventError, shown, unknown_name
@@ -154,7 +154,7 @@ def load_likeness(path: str | os.PathLike[str]) -> Likeness:
             raise InvalidEventError(f"participant {shown(who)} is in two groups")
 
     names = ("participant", "video", "group", "rating")
-    rows = read_rows(path, names, check)
+    rows = read_columns(path, names, check, names)
     if len({row["group"] for row in rows}) != 2:
         found = sorted({row["group"] for row in rows})
         raise InvalidEventError(f"{path}: groups are {shown(found)}, expected two")

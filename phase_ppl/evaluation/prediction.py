@@ -171,11 +171,7 @@ class Prediction:
 
 
 def as_prediction(given: object, event_id: str = "") -> Prediction:
-    """Return an answer as a prediction of the event.
-
-    Raises:
-        InvalidEventError, UnknownNameError: it is none; the message says what is wrong.
-    """
+    """Return an answer as a prediction of the event."""
     if isinstance(given, Prediction):
         found = dataclasses.replace(given, event_id=event_id)
     elif isinstance(given, Mapping):
@@ -201,12 +197,7 @@ def as_prediction(given: object, event_id: str = "") -> Prediction:
 
 
 def probabilities_of(question: str, shares: Mapping[str, Any]) -> FloatArray:
-    """Return probabilities in label order from answer -> probability; those left out are 0.
-
-    Raises:
-        UnknownNameError: there is no such question or answer.
-        InvalidEventError: a value is no number, or ``shares`` is no mapping.
-    """
+    """Return probabilities in label order from answer -> probability; those left out are 0."""
     return _in_order(question, shares, 0.0)
 
 

@@ -16,9 +16,7 @@ from phase_ppl.world.goals import GOALS, goal_index
 from phase_ppl.world.hypothesis import RELATIONS
 from phase_ppl.world.names import AGENTS
 
-MAX_RATINGS: Final = 10**9 - 1
-"""Most ratings on one question of one event."""
-
+MAX_RATINGS: Final = 10**9 - 1  # most ratings on one question of one event
 _COUNTS: Final = ("relation_counts", "goal_counts", "responses")
 
 _WITHOUT_RATINGS: Final = ("n_raters", "majority")
@@ -145,12 +143,7 @@ class Judgments:
 
 
 def event_judgments(event: Event) -> Judgments | None:
-    """Return the judgments that an event carries; None where there are none.
-
-    Raises:
-        InvalidEventError, UnknownNameError: as for :meth:`Judgments.from_record`; the message
-            begins with the event.
-    """
+    """Return the judgments that an event carries; None where there are none."""
     if event.judgments is None:
         return None
     try:
@@ -160,11 +153,7 @@ def event_judgments(event: Event) -> Judgments | None:
 
 
 def checked_answer(question: str, answer: object) -> str:
-    """Return ``answer`` as the labels of ``question`` spell it; case and spaces do not matter.
-
-    Raises:
-        UnknownNameError: there is no such question or answer; the message names close matches.
-    """
+    """Return ``answer`` as the labels of ``question`` spell it; case and spaces do not matter."""
     if question not in QUESTIONS:
         raise unknown_name("question", question, QUESTIONS)
     if question != "relation":

@@ -60,9 +60,7 @@ It may have a method ``warm_up()``, called once before the first event, for what
 share, such as compiled code on disk; and a method ``settings()``, which returns as plain data what
 else determines its answers."""
 
-Factory = Callable[..., Predict]
-"""``factory(**options)`` checks the options and returns the model."""
-
+Factory = Callable[..., Predict]  # ``factory(**options)`` checks the options and returns the model
 MoreOptions = Callable[[Mapping[str, Any]], Collection[str] | None]
 
 
@@ -91,15 +89,7 @@ class ModelInfo:
     more_options: MoreOptions | None = None
 
     def takes(self, name: str, options: Mapping[str, Any]) -> bool:
-        """Return whether the model has an option of that name.
-
-        Args:
-            name: of the option.
-            options: all that are given, on which it may depend.
-
-        Raises:
-            InvalidSettingError, UnknownNameError: one of those cannot be used.
-        """
+        """Return whether the model has an option of that name."""
         parameters = inspect.signature(self.factory).parameters.values()
         if any(p.name == name and p.kind is not p.VAR_KEYWORD for p in parameters):
             return True
@@ -109,12 +99,7 @@ class ModelInfo:
         return more is None or name in more
 
     def make(self, **options: Any) -> Predict:
-        """Return the model.
-
-        Raises:
-            InvalidSettingError, UnknownNameError: an option that it does not have or that
-                cannot be used; or something that it needs is not installed.
-        """
+        """Return the model."""
         check_installed(f"model {self.name!r}", self.needs, self.extra)
         try:
             inspect.signature(self.factory).bind(**options)
@@ -166,13 +151,7 @@ def model_info(name: str) -> ModelInfo:
 
 
 def check_installed(what: str, needs: Sequence[str], extra: str | None) -> None:
-    """Raise InvalidSettingError where a module is missing that ``what`` needs.
-
-    Args:
-        what: as the message calls it.
-        needs: names of modules.
-        extra: of this package that brings them, if one does.
-    """
+    """Raise InvalidSettingError where a module is missing that ``what`` needs."""
     missing = [module for module in needs if not is_installed(module)]
     if missing:
         how = f": pip install 'phase_ppl[{extra}]'" if extra else ""
@@ -189,32 +168,19 @@ def is_installed(module: str) -> bool:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ReadyModel:
-    """A model that is made, and what is known of it.
+    """A model that is made, and what is known of it."""
 
-    Attributes:
-        name: as reports call it.
-        predict: the model.
-        parallel: whether several processes may run it.
-        registered: whether it was given by name.
-        record: what determines its answers, as plain data.
-    """
-
-    name: str
-    predict: Predict
-    parallel: bool
-    registered: bool
-    record: Mapping[str, Any]
+    name: str  # as reports call it
+    predict: Predict  # the model
+    parallel: bool  # whether several processes may run it
+    registered: bool  # whether it was given by name
+    record: Mapping[str, Any]  # what determines its answers, as plain data
 
 
 def ready(model: str | Model | Predict, options: Mapping[str, Any]) -> ReadyModel:
     """Return a model given by name with its options, or as a callable, ready to be asked.
 
     A :class:`phase_ppl.Model` is explained by SIMPLE.
-
-    Raises:
-        UnknownNameError: there is no model of that name.
-        InvalidSettingError: it is neither; a callable that does not take (scene, observation,
-            seed), or comes with options; or the model cannot be made with these.
     """
     if not isinstance(model, str) and not callable(model):
         from phase_ppl.models.model import Model

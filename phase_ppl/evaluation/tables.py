@@ -26,18 +26,13 @@ TOP: Final = 3
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Facts:
-    """What is known about the events themselves.
+    """What is known about the events themselves."""
 
-    Attributes:
-        truth: kind -> (event, question) index of the true answer, -1 where unknown.
-        scenario: (event,) index of the true scenario, -1 where unknown.
-        judgments: of each event.
-        people: kind -> (event, question, answer) share of people, NaN where nobody answered.
-    """
-
+    # kind -> (event, question) index of the true answer, -1 where unknown
     truth: Mapping[str, IntArray]
-    scenario: IntArray
-    judgments: Sequence[Judgments | None]
+    scenario: IntArray  # (event,) index of the true scenario, -1 where unknown
+    judgments: Sequence[Judgments | None]  # of each event
+    # kind -> (event, question, answer) share of people, NaN where nobody answered
     people: Mapping[str, FloatArray]
 
     @property
@@ -49,20 +44,16 @@ class Facts:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Said:
-    """What a model says about the events.
+    """What a model says about the events."""
 
-    Attributes:
-        right: kind -> (event, question) 1 where the answer is true, 0 where not, NaN unknown.
-        in_top: (event, agent) likewise whether the true goal is among the three most probable
-            answers and has a probability above 0.
-        probabilities: kind -> (event, question, answer), NaN where none are given.
-        scenario: (event,) index of the scenario of both goals answered, -1 where unknown.
-    """
-
+    # kind -> (event, question) 1 where the answer is true, 0 where not, NaN unknown
     right: Mapping[str, FloatArray]
+    # (event, agent) likewise whether the true goal is among the three most probable answers and has
+    # a probability above 0
     in_top: FloatArray
+    # kind -> (event, question, answer), NaN where none are given
     probabilities: Mapping[str, FloatArray]
-    scenario: IntArray
+    scenario: IntArray  # (event,) index of the scenario of both goals answered, -1 where unknown
 
     def where_known(self, other: Said) -> Said:
         """Return it without what is unknown of ``other``."""
@@ -86,12 +77,7 @@ class Said:
 
 
 def predicted(events: Sequence[Event], predictions: Mapping[str, Prediction]) -> list[Event]:
-    """Return the events that have a prediction.
-
-    Raises:
-        InvalidEventError: two events have the same id.
-        InvalidSettingError: a prediction is filed under another event's id.
-    """
+    """Return the events that have a prediction."""
     ids = [event.id for event in events]
     if len(set(ids)) < len(ids):
         twice = next(name for name in ids if ids.count(name) > 1)
@@ -105,11 +91,7 @@ def predicted(events: Sequence[Event], predictions: Mapping[str, Prediction]) ->
 
 
 def facts(events: Sequence[Event]) -> Facts:
-    """Collect what is known about the events.
-
-    Raises:
-        InvalidEventError, UnknownNameError: the judgments of an event cannot be read.
-    """
+    """Collect what is known about the events."""
     judgments = [event_judgments(event) for event in events]
     return Facts(
         truth={
@@ -120,8 +102,7 @@ def facts(events: Sequence[Event]) -> Facts:
             for kind, questions in KINDS.items()
         },
         scenario=np.array(
-            [-1 if e.truth is None else SCENARIOS.index(e.truth.scenario) for e in events],
-            np.int64,
+            [-1 if e.truth is None else SCENARIOS.index(e.truth.scenario) for e in events], np.int64
         ),
         judgments=judgments,
         people=_distributions(

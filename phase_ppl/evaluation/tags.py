@@ -20,7 +20,7 @@ from typing import Any, Final
 
 import pandas as pd
 
-from phase_ppl.evaluation.csv_file import read_rows
+from phase_ppl.evaluation.csv_file import read_columns
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
 
 LABELS: Final = (
@@ -50,8 +50,7 @@ LABELS: Final = (
 )
 """The paper's 23 labels, in its order and words (Appendix A.1)."""
 
-MAJORITY: Final = 0.5
-"""Share of the viewers of a video from which on it has a category (paper)."""
+MAJORITY: Final = 0.5  # share of the viewers of a video from which on it has a category (paper)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -97,10 +96,7 @@ class Tags:
     def summary(self, majority: float = MAJORITY) -> pd.DataFrame:
         """Return label -> ``percent`` of the videos that have it as a category, and ``used`` in."""
         return pd.DataFrame(
-            {
-                "percent": 100 * self.categories(majority).mean(),
-                "used": (self.shares > 0).sum(),
-            }
+            {"percent": 100 * self.categories(majority).mean(), "used": (self.shares > 0).sum()}
         )
 
     def __repr__(self) -> str:
@@ -128,5 +124,5 @@ def load_tags(path: str | os.PathLike[str]) -> Tags:
             raise InvalidEventError(f"the same label for the same video as before: {shown(choice)}")
         seen.add(choice)
 
-    rows = read_rows(path, names, check, required=names[:2])
+    rows = read_columns(path, names, check, names[:2])
     return Tags(pd.DataFrame(rows, columns=list(names), dtype=object))

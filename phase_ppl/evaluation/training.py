@@ -48,10 +48,7 @@ the third, the report scores it too."""
 
 ASKED: Final = "training.json"
 MEMBERS: Final = "members"
-
-Shares: TypeAlias = dict[str, FloatArray]
-"""Question -> probabilities of its answers."""
-
+Shares: TypeAlias = dict[str, FloatArray]  # question -> probabilities of its answers
 _MOST_SEEDS: Final = 1000
 _DIGITS: Final = 4
 

@@ -13,8 +13,15 @@ import numpy as np
 import pandas as pd
 from tqdm.auto import tqdm
 
-from phase_ppl.analysis.comparison import CURVE_COLUMNS, RUN_COLUMNS, Comparison
-from phase_ppl.analysis.measures import accuracy, curve, efficiency, of_truth
+from phase_ppl.analysis.comparison import (
+    CURVE_COLUMNS,
+    RUN_COLUMNS,
+    Comparison,
+    accuracy,
+    curve,
+    efficiency,
+    of_truth,
+)
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.summary import plain
 from phase_ppl.analysis.weights import WEIGHTINGS
@@ -243,11 +250,6 @@ class _Record:
         pairs = [(name, old.get(name), new[name]) for name in new
                  if name not in _MAY_DIFFER]  # fmt: skip
         pairs.append(("reference", old["reference"].get("asked"), new["reference"]["asked"]))
-        if stored.runs["frames"].isna().any():
-            raise InvalidSettingError(
-                f"checkpoint {self._path} is of an older version, whose kernels spent a budget by "
-                "what they declared; name another file, or delete this one"
-            )
         shared = old["kernels"].keys() & new["kernels"].keys()
         pairs += [(f"kernel {k!r}", old["kernels"][k], new["kernels"][k]) for k in sorted(shared)]
         for name, was, given in pairs:

@@ -24,7 +24,7 @@ import numpy as np
 from jax import random
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.measures import COMPARED, Marginals, distances, marginals
+from phase_ppl.analysis.comparison import COMPARED, Marginals, distances, marginals
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.quantities import relation_codes
 from phase_ppl.inference.entries import Entry, Spec, entry

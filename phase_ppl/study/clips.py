@@ -48,8 +48,7 @@ class Clip:
         return np.array(frames)
 
 
-_SIDEWAYS: Final = -np.pi / 2
-"""Angle of an agent that looks to the right."""
+_SIDEWAYS: Final = -np.pi / 2  # angle of an agent that looks to the right
 
 CLIPS: Final[Mapping[str, Clip]] = {
     "moving": Clip(

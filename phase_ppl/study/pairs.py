@@ -21,9 +21,6 @@ def counterparts(played: Sequence[Event], generated: Sequence[Event] | None) -> 
         played: events with goals and strengths.
         generated: where to look; None: they are simulated, by the agents' planner, as long as the
             played ones, in a world whose agents keep their velocities.
-
-    Raises:
-        InvalidEventError: a played event has no counterpart of its own.
     """
     if generated is None:
         return [_simulated(event, seed) for seed, event in enumerate(played)]

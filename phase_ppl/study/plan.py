@@ -201,11 +201,7 @@ class Unfit(ValueError):
 def checked(
     settings: Settings, page: str, answers: Mapping[str, Any]
 ) -> tuple[dict[str, Any], bool | None]:
-    """Return the answers to a page, and, of quiz and consent, whether they let the study go on.
-
-    Raises:
-        Unfit: an answer is missing, is none of those allowed, or was not asked for.
-    """
+    """Return the answers to a page, and, of quiz and consent, whether they let the study go on."""
     kind = page.partition("-")[0]
     if kind == "consent":
         _only(answers, ["agree"])

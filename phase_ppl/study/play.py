@@ -27,23 +27,13 @@ from starlette.routing import BaseRoute, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from phase_ppl.study import plan
-from phase_ppl.study.room import (
-    KEYS,
-    Controls,
-    Message,
-    PlaySettings,
-    Room,
-    Seat,
-    settings_record,
-)
+from phase_ppl.study.room import KEYS, Controls, Message, PlaySettings, Room, Seat, settings_record
 from phase_ppl.study.store import COMPLETE, Participant
 from phase_ppl.study.web import MOST_MESSAGE, Site, same_origin
 from phase_ppl.world.names import BLUE_ITEM, NOTHING
 from phase_ppl.world.scene import Scene
 
-COUNTDOWN: Final = 3
-"""Seconds before a session begins."""
-
+COUNTDOWN: Final = 3  # seconds before a session begins
 _PING: Final = 2.0
 _SAVED_EVERY: Final = 1.0
 _RETRY: Final = 5.0

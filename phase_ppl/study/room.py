@@ -198,19 +198,13 @@ class Step(NamedTuple):
 
 
 class Picture(NamedTuple):
-    """A moment of the world, and what each agent sees of it.
+    """A moment of the world, and what each agent sees of it."""
 
-    Attributes:
-        poses: (4, 3) x, y [units], angle [rad].
-        seen: per agent, whether it observes each entity.
-        sights: per agent the corners of its field of view; None where all is shown.
-        held: item of each agent, or ``NOTHING``.
-    """
-
-    poses: FloatArray
-    seen: Sequence[Sequence[bool]]
+    poses: FloatArray  # (4, 3) x, y [units], angle [rad]
+    seen: Sequence[Sequence[bool]]  # per agent, whether it observes each entity
+    # per agent the corners of its field of view; None where all is shown
     sights: Sequence[list[list[float]] | None]
-    held: Sequence[int]
+    held: Sequence[int]  # item of each agent, or ``NOTHING``
 
 
 class Room:
@@ -394,8 +388,7 @@ class Room:
         }
 
 
-_BEND: Final = 0.01
-"""Sine of the least turn of an outline at which there is a corner."""
+_BEND: Final = 0.01  # sine of the least turn of an outline at which there is a corner
 
 
 def outline(scene: Scene, poses: FloatArray, agent: int) -> list[list[float]]:

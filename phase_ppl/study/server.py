@@ -32,12 +32,7 @@ _MOST_TIME: Final = 1e13
 
 
 def create_app(site: Site, names: tuple[str, ...] = ()) -> Starlette:
-    """Return the application of a study.
-
-    Args:
-        site: the study.
-        names: of the host, by which it may be reached beside those of this machine.
-    """
+    """Return the application of a study."""
 
     @contextlib.asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:

@@ -86,11 +86,8 @@ def _needed(
     return (there + driving(size, strength, carried, resets, item)) * settings.step
 
 
-_STEADY: Final = 24
-"""Steps after which the speed of an agent that is reset is taken as it stays."""
-
-_CREEPS: Final = 2e-3
-"""Units per step that are no motion."""
+_STEADY: Final = 24  # steps after which the speed of an agent that is reset is taken as it stays
+_CREEPS: Final = 2e-3  # units per step that are no motion
 
 
 @functools.lru_cache(maxsize=1024)
@@ -141,12 +138,7 @@ def driving(
 
 
 def replayed(session: Mapping[str, Any], event: Event) -> Event:
-    """Return the event of a session, by doing its actions once more.
-
-    Args:
-        session: as :meth:`Store.sessions` gives it.
-        event: whose scene was played.
-    """
+    """Return the event of a session, by doing its actions once more."""
     settings = session["settings"]
     scene = dataclasses.replace(
         event.scene, turning=settings["turning"], resets_velocity=settings["resets_velocity"]
@@ -172,12 +164,6 @@ def played(
     """Return the sessions of a study as events, with a row of facts about each, and counts.
 
     A session whose actions do not give its trajectory again, to the last bit, is left out.
-
-    Args:
-        store: of the study.
-        events: id -> event, whose scenes were played.
-        broken_off: with those that somebody left, or that the server's end broke off.
-        excluded: with those of people who were excluded.
     """
     out = {row["id"] for row in store.rows("SELECT id FROM participant WHERE excluded IS NOT NULL")}
     counts = dict.fromkeys(("sessions", *COMPLETE, "broken off", "excluded", "replay differs"), 0)
@@ -233,8 +219,7 @@ _STEP: Final[Mapping[str, str]] = {
     "keys_green": "likewise",
     "lag_ms": "most by which a frame of the step was late, milliseconds",
 }
-COLUMNS: Final = {"sessions.csv": _SESSION, "steps.csv": _STEP}
-"""Table -> column -> what is in it."""
+COLUMNS: Final = {"sessions.csv": _SESSION, "steps.csv": _STEP}  # table -> column -> what is in it
 
 
 def _row(session: Mapping[str, Any], event: Event, players: list[str | None]) -> dict[str, Any]:

@@ -67,12 +67,7 @@ class Settings:
 
     @classmethod
     def read(cls, path: Path) -> Settings:
-        """Read ``study.toml``.
-
-        Raises:
-            InvalidEventError: there is no such file.
-            InvalidSettingError, UnknownNameError: the message names the line or the setting.
-        """
+        """Read ``study.toml``."""
         source = existing_file(path)
         try:
             text = source.read_text("utf-8")

@@ -40,8 +40,7 @@ from phase_ppl.world.hypothesis import scenario
 if TYPE_CHECKING:
     from phase_ppl.evaluation.judgments import Study as Judged
 
-AT_ONCE: Final = 20
-"""Participants at the same time."""
+AT_ONCE: Final = 20  # participants at the same time
 
 _LIKELY: Final[Mapping[str, Mapping[str, float]]] = {
     "collaborative": {

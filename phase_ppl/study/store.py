@@ -102,25 +102,15 @@ class Answer(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Participant:
-    """Somebody who came, and how far they are.
+    """Somebody who came, and how far they are."""
 
-    Attributes:
-        id: as exports name them.
-        config: hash of the settings that they came under.
-        grp: of a study with groups, once it is drawn.
-        seen: when they were last heard of, in seconds since 1970.
-        outcome: how it ended; None: it has not.
-        answers: to pages, in the order in which they came.
-        trials: None until they are drawn.
-    """
-
-    id: str
-    config: str
-    grp: str | None
-    seen: float
-    outcome: str | None
-    answers: Sequence[Answer]
-    trials: Sequence[Trial] | None
+    id: str  # as exports name them
+    config: str  # hash of the settings that they came under
+    grp: str | None  # of a study with groups, once it is drawn
+    seen: float  # when they were last heard of, in seconds since 1970
+    outcome: str | None  # how it ended; None: it has not
+    answers: Sequence[Answer]  # to pages, in the order in which they came
+    trials: Sequence[Trial] | None  # None until they are drawn
 
     def attempts(self, page: str) -> int:
         """Return how often a page was answered."""
@@ -238,9 +228,6 @@ class Store:
             place_kept: seconds for which the videos of somebody who began count as seen.
             trials, raters, checks: as of the settings.
             most, per_minute: entries that are allowed.
-
-        Raises:
-            Refused: they cannot come in.
         """
         now, repeat = time.time(), None
         if person:
@@ -342,11 +329,7 @@ class Store:
         return None if row is None else self.participant(row[0])
 
     def participant(self, who: str) -> Participant:
-        """Return a participant, by id.
-
-        Raises:
-            UnknownNameError: there is none.
-        """
+        """Return a participant, by id."""
         row = self._db.execute("SELECT * FROM participant WHERE id=?", (who,)).fetchone()
         if row is None:
             raise UnknownNameError(f"there is no participant {shown(who)}")
@@ -430,11 +413,7 @@ class Store:
         return None if row is None else row[0]
 
     def exclude(self, who: str, reason: str) -> None:
-        """Mark a participant as not to be exported; their videos are shown to others instead.
-
-        Raises:
-            UnknownNameError: there is no such participant.
-        """
+        """Mark a participant as not to be exported; their videos are shown to others instead."""
         self.participant(who)
         with self._writing() as run:
             run(
@@ -445,9 +424,6 @@ class Store:
         """Delete all that a participant gave, for good; that somebody withdrew remains.
 
         Sessions that they played go too, with what the other player did in them.
-
-        Raises:
-            UnknownNameError: there is no such participant.
         """
         self.participant(who)
         played = [
@@ -528,15 +504,7 @@ class Store:
         rtt_ms: Sequence[float | None] = (),
         sha256: str | None = None,
     ) -> None:
-        """End a session: "goals", "time", or why it was broken off.
-
-        Args:
-            session: its id.
-            outcome: how it ended.
-            slip_ms: most by which a frame was late.
-            rtt_ms: per agent the median round trip to its player.
-            sha256: of the trajectory.
-        """
+        """End a session: "goals", "time", or why it was broken off."""
         with self._writing() as run:
             run("UPDATE session SET ended=?, outcome=?, slip_ms=?, sha256=? "
                 "WHERE id=? AND outcome IS NULL",

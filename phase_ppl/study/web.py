@@ -84,11 +84,7 @@ class Site:
         self._thread.shutdown()
 
     async def ask(self, method: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
-        """Call a method of the store in its thread, as in ``site.ask(store.end, who, "left")``.
-
-        Raises:
-            HTTPException: 503 where the disk is full or the file cannot be written.
-        """
+        """Call a method of the store in its thread, as in ``site.ask(store.end, who, "left")``."""
         loop = asyncio.get_running_loop()
         try:
             return await loop.run_in_executor(self._thread, lambda: method(*args, **kwargs))
@@ -127,11 +123,7 @@ def same_origin(connection: HTTPConnection) -> bool:
 
 
 async def posted(request: Request) -> dict[str, Any]:
-    """Return the JSON object that a page of the study sent.
-
-    Raises:
-        HTTPException: 403 from elsewhere, 413 too large, 415 or 400 no JSON object.
-    """
+    """Return the JSON object that a page of the study sent."""
     if not same_origin(request):
         raise HTTPException(403, "this does not come from a page of the study")
     if request.headers.get("content-type", "").split(";")[0] != "application/json":

@@ -84,9 +84,7 @@ def distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["ahead", "behind"])
-def test_actions_of_both_searches_differ_no_more_than_those_of_two_sets_of_seeds(
-    name: str,
-) -> None:
+def test_actions_of_both_searches_differ_no_more_than_those_of_two_sets_of_seeds(name: str) -> None:
     where = SCENES[name]
     slow = histogram(where, True, range(40))
     fast, again = histogram(where, False, range(40)), histogram(where, False, range(40, 80))

@@ -48,10 +48,7 @@ def described(
 
 @pytest.mark.parametrize(
     ("goal", "entity", "threshold"),
-    [
-        ("Get red agent to red lm", "red", 0.566),
-        ("Get blue item to red lm", "blue", 1.414),
-    ],
+    [("Get red agent to red lm", "red", 0.566), ("Get blue item to red lm", "blue", 1.414)],
 )
 def test_a_landmark_is_reached_within_a_distance(goal: str, entity: str, threshold: float) -> None:
     x, y = scene().landmark_centres[2]

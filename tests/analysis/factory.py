@@ -201,11 +201,7 @@ def random_hypothesis(rng: np.random.Generator) -> Hypothesis:
 
 
 def random_tree(
-    seed: int = 0,
-    n_chains: int = 4,
-    n_draws: int = 6,
-    n_frames: int = 8,
-    **options: object,
+    seed: int = 0, n_chains: int = 4, n_draws: int = 6, n_frames: int = 8, **options: object
 ) -> xr.DataTree:
     """Return a tree with chains that accept about half of their random proposals."""
     rng = np.random.default_rng(seed)

@@ -11,8 +11,16 @@ import pandas as pd
 import pytest
 
 from phase_ppl.analysis import Posterior, plots
-from phase_ppl.analysis.comparison import CURVE_COLUMNS, MEASURES, RUN_COLUMNS, Comparison
-from phase_ppl.analysis.measures import accuracy, curve, efficiency, marginals
+from phase_ppl.analysis.comparison import (
+    CURVE_COLUMNS,
+    MEASURES,
+    RUN_COLUMNS,
+    Comparison,
+    accuracy,
+    curve,
+    efficiency,
+    marginals,
+)
 from phase_ppl.world.errors import InvalidEventError, OutputError, UnknownNameError
 from phase_ppl.world.event import Truth
 

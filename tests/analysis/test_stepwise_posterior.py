@@ -178,18 +178,7 @@ def test_it_is_saved_and_read_again(tmp_path: Path) -> None:
         StepwisePosterior.load(file)
 
 
-def test_files_of_the_first_schema_are_read_and_know_no_errors(tmp_path: Path) -> None:
-    new = ("log_likelihood_without", "unexplained", "log_peak")
-    old = FOUND.drop_vars(new).assign_attrs(schema="phase_ppl/stepwise/1")
-    file = tmp_path / "old.nc"
-    old.to_netcdf(file, engine="h5netcdf")
-    post = ppl.load_posterior(file)
-    assert isinstance(post, StepwisePosterior)
-    assert post.probability(relation="friendly") == pytest.approx(
-        StepwisePosterior(FOUND).probability(relation="friendly")
-    )
-    assert np.isnan(post.probability(relation="friendly").error)
-    assert "Nothing was kept" in post.diagnostics()["verdict"]
+def test_a_posterior_that_lacks_something_is_refused() -> None:
     with pytest.raises(InvalidEventError, match="lacks unexplained"):
         StepwisePosterior(FOUND.drop_vars("unexplained"))
 

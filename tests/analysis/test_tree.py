@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import pickle
 from pathlib import Path
@@ -13,7 +12,7 @@ import pytest
 import xarray as xr
 
 from phase_ppl.analysis import Posterior
-from phase_ppl.analysis.tree import REQUIRED, array, check_tree, write_tree
+from phase_ppl.analysis.tree import REQUIRED, array, check_tree
 from phase_ppl.world.errors import InvalidEventError, OutputError
 from phase_ppl.world.scene import Scene
 
@@ -183,30 +182,3 @@ def test_codes_shapes_and_attributes_outside_the_schema_are_named() -> None:
 def test_a_run_without_draws_is_refused() -> None:
     with pytest.raises(InvalidEventError, match="no draws"):
         Posterior(random_tree(1, n_draws=0))
-
-
-def test_a_file_of_the_older_schema_is_read(tmp_path: Path) -> None:
-    """In which the simulations of the draws were called posterior predictive."""
-    tree = random_tree(1)
-    older = xr.DataTree.from_dict(
-        {
-            "posterior_predictive" if name == "simulated" else name: node.to_dataset()
-            for name, node in tree.children.items()
-        }
-    )
-    older["posterior_predictive"].attrs = {}
-    settings = {"seed": 3, "model": {"likelihood": "RadialLikelihood(beta=0.25)"}}
-    older.attrs = {
-        **tree.attrs,
-        "schema": "phase-ppl-posterior-1",
-        "settings": json.dumps(settings),
-    }
-    write_tree(older, tmp_path / "old.nc")
-    found = Posterior.load(tmp_path / "old.nc")
-    np.testing.assert_array_equal(
-        array(found.tree, "simulated", "trajectory"), array(tree, "simulated", "trajectory")
-    )
-    assert "posterior_predictive" not in found.tree.children
-    assert found.tree["simulated"].attrs["beta"] == 0.25
-    np.testing.assert_array_equal(found.replay(), Posterior(tree).replay())
-    assert Posterior.load(found.save(tmp_path / "new.nc")).settings == settings

@@ -22,14 +22,7 @@ from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, Unkno
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import Hypothesis
 
-from .factory import (
-    BLUE_TO_RED,
-    PINK_TO_BLUE,
-    TO_GREEN,
-    Simulation,
-    hypothesis,
-    make_tree,
-)
+from .factory import BLUE_TO_RED, PINK_TO_BLUE, TO_GREEN, Simulation, hypothesis, make_tree
 
 A = hypothesis(BLUE_TO_RED)
 B = hypothesis(PINK_TO_BLUE)

@@ -57,9 +57,7 @@ def prediction(event_id: str) -> Prediction:
 
 
 def make_folder(
-    path: Path,
-    of: Sequence[Event] | None = None,
-    predicted: Callable[[str], bool] = lambda _: True,
+    path: Path, of: Sequence[Event] | None = None, predicted: Callable[[str], bool] = lambda _: True
 ) -> ResultsFolder:
     """Return a folder in which the events that ``predicted`` names have predictions."""
     folder = ResultsFolder.create(path, {"model": "simple", "seed": 0}, of or events())

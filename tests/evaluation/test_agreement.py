@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.spatial.distance import jensenshannon
 from scipy.stats import entropy, pearsonr
 
-from phase_ppl.evaluation import agreement
 from phase_ppl.evaluation.bootstrap import correlation, resampled
+from phase_ppl.evaluation.doubt import jensen_shannon, split_half
 from phase_ppl.evaluation.metrics import evaluate_predictions, paired_difference
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.ratings import Judgments
@@ -101,7 +101,7 @@ def test_js_is_the_squared_distance_of_scipy_in_bits() -> None:
     found = human()
     distances = [jensenshannon(m, h, base=2) for m, h in zip(MODEL, PEOPLE, strict=True)]
     assert found["js"]["value"] == pytest.approx(np.mean(np.square(distances)), abs=1e-12)
-    apart = agreement.jensen_shannon(np.array([[1.0, 0, 0]]), np.array([[0, 0.5, 0.5]]))
+    apart = jensen_shannon(np.array([[1.0, 0, 0]]), np.array([[0, 0.5, 0.5]]))
     assert apart == pytest.approx(1)
 
 
@@ -194,7 +194,7 @@ def test_differences_of_agreement_are_paired() -> None:
 
 
 def split(judged: list[Judgments | None], *, by_participant: bool, splits: int = 4000) -> float:
-    values, _ = agreement.split_half(
+    values, _ = split_half(
         judged,
         ["relation"],
         np.ones((1, len(judged))),

@@ -143,7 +143,7 @@ def test_a_failing_figure_costs_no_results(
         raise RuntimeError("no ink")
 
     monkeypatch.setattr(figures, "draw_figures", broken)
-    monkeypatch.setattr(contents, "page_in_folder", broken)
+    monkeypatch.setattr(contents, "page_of", broken)
     out = tmp_path / "out"
     assert evaluate(events, "--model", "right", "--out", out) == 1
     written = capsys.readouterr()

@@ -489,15 +489,15 @@ def test_names_of_columns_take_no_more_room_than_they_need(crowd: ppl.ModelCompa
 
 def test_a_page_has_a_column_for_everybody(crowd: ppl.ModelComparison) -> None:
     results = Results(crowd)
-    shown = event_page(crowd.events[0], results.answers)
+    shown = event_page(crowd.events[0], results.source.answers)
     for words in ("people", "SIMPLE", "planning", "physics", "$y$"):
         assert words in shown
 
 
 def test_models_keep_their_colours(crowd: ppl.ModelComparison) -> None:
-    colours = {o.name: o.colour for o in Results(crowd).answers}
+    colours = {o.name: o.colour for o in Results(crowd).source.answers}
     assert len(set(colours.values())) == len(colours) == len(NAMES) + 2
-    few = {o.name: o.colour for o in Results(compare(evaluation("vlm"))).answers}
+    few = {o.name: o.colour for o in Results(compare(evaluation("vlm"))).source.answers}
     assert few["vlm"] == colours["vlm"]
 
 
@@ -510,7 +510,7 @@ def test_figures_and_the_report_take_the_folder_of_a_comparison(
     assert ppl.figures.accuracy(c).axes
     drawn = {path.stem for path in draw_figures(c, tmp_path)}
     assert drawn == set(DRAWINGS) - {
-        *("confusion", "correlation", "scatter_goals", "scatter_relations", "people"),
+        *("confusion", "correlation", "scatter_goals", "scatter_relations", "people")
     }
     assert capsys.readouterr().err.count("no figure") == 5
     text = ppl.report(tmp_path, progress=False).read_text("utf-8")

@@ -14,11 +14,7 @@ import xarray as xr
 import phase_ppl as ppl
 from phase_ppl.evaluation import registry
 from phase_ppl.evaluation.evaluate import Progress
-from phase_ppl.world.errors import (
-    InvalidEventError,
-    InvalidSettingError,
-    UnknownNameError,
-)
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from phase_ppl.world.event import Truth
 from tests.evaluation.toys import (
     EVENTS,

@@ -5,18 +5,26 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
+import numpy as np
+import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 from matplotlib.text import Text
+from scipy import stats
 
 import phase_ppl as ppl
 from phase_ppl.evaluation import figures
 from phase_ppl.evaluation.figures import NothingToDrawError, draw_figures, drawings_of
 from phase_ppl.evaluation.figures.layout import Results
 from phase_ppl.evaluation.folder import ResultsFolder
-from phase_ppl.evaluation.metrics import evaluate_predictions
-from phase_ppl.world.errors import InvalidEventError, OutputError
-from phase_ppl.world.files import write_json
+from phase_ppl.evaluation.likeness import Likeness
+from phase_ppl.evaluation.tags import LABELS
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    InvalidSettingError,
+    OutputError,
+    PhasePPLError,
+)
 
 from .small import COMPETING, events, make_folder
 
@@ -44,9 +52,9 @@ def shown_in(figure: Figure) -> list[str]:
 
 def left_out(folder: ResultsFolder, capsys: pytest.CaptureFixture[str]) -> set[str]:
     """Draw all; return the names of those that were not drawn, of which each was said."""
-    drawn = {path.stem for path in draw_figures(folder, folder.path)}
+    drawn = {path.stem for path in draw_figures(folder.path, folder.path)}
     said = capsys.readouterr().err
-    missing = set(drawings_of(Results(folder))) - drawn
+    missing = set(drawings_of(Results.of(folder.path))) - drawn
     assert said.count("\n") == len(missing)
     assert all(f"no figure {name}: " in said for name in missing)
     assert {p.name for p in (folder.path / "figures").iterdir()} == {f"{n}.png" for n in drawn}
@@ -79,7 +87,7 @@ def test_a_folder_without_predictions_has_people_and_references_only(
 ) -> None:
     folder = make_folder(tmp_path / "results", predicted=lambda _: False)
     # of an evaluation that has not begun nothing is compared
-    every = set(drawings_of(Results(folder)))
+    every = set(drawings_of(Results.of(folder.path)))
     assert left_out(folder, capsys) == every - {"film_strips"}
 
 
@@ -89,7 +97,7 @@ def test_one_event_of_one_scenario_is_enough(
     only = dataclasses.replace(events()[0], predictions=None)
     folder = make_folder(tmp_path / "results", [only])
     assert left_out(folder, capsys) == set()
-    shown = shown_in(figures.accuracy(folder))
+    shown = shown_in(figures.accuracy(folder.path))
     assert "all" in shown
     assert "competing" not in shown  # it would be the same again
 
@@ -99,13 +107,13 @@ def test_a_figure_that_the_results_no_longer_allow_is_taken_away(tmp_path: Path)
     (folder.path / "figures").mkdir()
     (folder.path / "figures" / "correlation.png").write_bytes(b"old")
     assert "correlation" not in {
-        path.stem for path in draw_figures(folder, folder.path, progress=False)
+        path.stem for path in draw_figures(folder.path, folder.path, progress=False)
     }
     assert not (folder.path / "figures" / "correlation.png").exists()
 
 
 def test_accuracy_has_the_numbers_of_the_metrics(folder: ResultsFolder) -> None:
-    shown = shown_in(figures.accuracy(folder))
+    shown = shown_in(figures.accuracy(folder.path))
     # SIMPLE: goals right, wrong | right, right; relation wrong | right
     assert shown.count("n = 2 to 4") == 1  # the other model answers red's goal only
     assert {"SIMPLE", "people", "<b>other</b>", "collaborative", "competing"} <= set(shown)
@@ -115,16 +123,8 @@ def test_accuracy_has_the_numbers_of_the_metrics(folder: ResultsFolder) -> None:
     assert "0.88" in shown
 
 
-def test_accuracy_is_read_from_the_finished_metrics(tmp_path: Path) -> None:
-    folder = make_folder(tmp_path / "results")
-    metrics = evaluate_predictions(folder.events, folder.predictions())
-    metrics["goal_accuracy"] = {"value": 0.123, "ci_low": None, "ci_high": None}
-    write_json(folder.path / "metrics.json", metrics)
-    assert "0.12" in shown_in(figures.accuracy(folder))
-
-
 def test_confusion_counts_events(folder: ResultsFolder) -> None:
-    figure = figures.confusion(folder)
+    figure = figures.confusion(folder.path)
     named = {axes.get_title("left"): axes for axes in figure.axes}
     # the other model does not answer green's goal
     assert set(named) == {"SIMPLE", "people, majority"}
@@ -134,10 +134,8 @@ def test_confusion_counts_events(folder: ResultsFolder) -> None:
     assert {text for text in cells if text.isdigit()} == {"1"}
 
 
-def test_scatter_has_a_column_per_scenario_and_one_for_the_unknown(
-    folder: ResultsFolder,
-) -> None:
-    shown = shown_in(figures.scatter_goals(folder))
+def test_scatter_has_a_column_per_scenario_and_one_for_the_unknown(folder: ResultsFolder) -> None:
+    shown = shown_in(figures.scatter_goals(folder.path))
     assert "competing" in shown
     assert "scenario not known" in shown
     assert "collaborative" not in shown  # nobody judged it
@@ -156,7 +154,7 @@ def test_figures_take_a_path_and_write_to_one(folder: ResultsFolder, tmp_path: P
 def test_a_figure_that_cannot_be_drawn_says_what_is_missing(tmp_path: Path) -> None:
     folder = make_folder(tmp_path / "results", events(judgments=None))
     with pytest.raises(NothingToDrawError, match="people judged no goal"):
-        figures.scatter_goals(folder)
+        figures.scatter_goals(folder.path)
 
 
 def test_no_text_leaves_the_page_or_covers_another(tmp_path: Path) -> None:
@@ -164,7 +162,7 @@ def test_no_text_leaves_the_page_or_covers_another(tmp_path: Path) -> None:
     answers["relation_probs"] = {"adversarial": 0.7, "friendly": 0.3}
     names = ["x", "a model with a name that is long", "another"]
     folder = make_folder(tmp_path / "results", events(predictions=dict.fromkeys(names, answers)))
-    results = Results(folder)
+    results = Results.of(folder.path)
     for drawing in drawings_of(results).values():
         check_texts(drawing.draw(results))
 
@@ -185,3 +183,173 @@ def check_texts(figure: Figure) -> None:
                 or place.y1 <= box.y0 + 2
             )
             assert apart, f"{text!r} and {other!r} overlap"
+
+
+# --- what people said -----------------------------------------------------------------------------
+
+TAGS = """participant,video,label
+p1,a,helping
+p1,a,collaborating
+p2,a,Helping
+p3,a,
+p1,b,chasing
+p2,b,
+p2,c,dancing
+"""
+
+
+@pytest.fixture
+def tags_file(tmp_path: Path) -> Path:
+    file = tmp_path / "tags.csv"
+    file.write_text(TAGS, "utf-8")
+    return file
+
+
+def test_there_are_23_labels() -> None:
+    assert len(set(LABELS)) == 23
+
+
+def test_a_video_has_a_category_that_half_of_its_viewers_see(tags_file: Path) -> None:
+    tags = ppl.load_tags(tags_file)
+    assert tags.viewers.to_dict() == {"a": 3, "b": 2, "c": 1}
+    assert tags.shares.loc["a", "helping"] == pytest.approx(2 / 3)
+    categories = tags.categories()
+    assert categories.loc["a", "helping"]
+    assert not categories.loc["a", "collaborating"]
+    assert categories.loc["b", "chasing"], "exactly half is enough"
+    found = tags.summary()
+    assert found.loc["helping", "percent"] == pytest.approx(100 / 3)
+    assert found.loc["collaborating", ["percent", "used"]].tolist() == [0, 1]
+    assert found.index[-1] == "dancing", "labels of others come last"
+    assert ppl.load_tags(tags_file).summary(0.7).loc["helping", "percent"] == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "is empty"),
+        ("participant,video\np,a\n", "expected a column label"),
+        ("participant,video,label\n", "holds no rows"),
+        ("participant,video,label\np,a,x,y\n", "line 2: has 4 cells, expected 3"),
+        ("participant,video,label\n,a,x\n", "line 2: participant is empty"),
+        ("participant,video,label\np,a,x\np,a,x\n", "line 3: the same label"),
+    ],
+)
+def test_mistakes_in_labels_are_named(tmp_path: Path, text: str, message: str) -> None:
+    file = tmp_path / "tags.csv"
+    file.write_text(text, "utf-8")
+    with pytest.raises(InvalidEventError, match=f"tags.csv.*{message}"):
+        ppl.load_tags(file)
+
+
+def test_other_columns_of_other_peoples_files_do_not_matter(tmp_path: Path) -> None:
+    file = tmp_path / "tags.csv"
+    file.write_text("age,label,video,participant\n33,helping,a,p\n", "utf-8")
+    assert ppl.load_tags(file).table.values.tolist() == [["p", "a", "helping"]]
+
+
+@pytest.mark.parametrize("majority", [0, -1, 1.1, "half"])
+def test_a_majority_is_a_share(tags_file: Path, majority: object) -> None:
+    with pytest.raises(InvalidSettingError, match="majority="):
+        ppl.figures.tags(tags_file, majority=majority)  # type: ignore[arg-type]
+
+
+def test_the_figure_of_labels_shows_their_percentages(tags_file: Path, tmp_path: Path) -> None:
+    figure = ppl.figures.tags(tags_file, tmp_path / "tags.png")
+    (axes,) = figure.axes
+    names = [label.get_text() for label in axes.get_yticklabels()]
+    assert names == ["dancing", *reversed(LABELS)]
+    widths = dict(zip(names, [bar.get_width() for bar in axes.patches], strict=True))
+    assert widths["helping"] == pytest.approx(100 / 3)
+    assert widths["stalking"] == 0
+    assert len(axes.lines) == 1, "collaborating was chosen by somebody"
+    assert (tmp_path / "tags.png").stat().st_size > 1000
+
+
+def ratings(played: float, generated: float, n: int = 30, noise: float = 0.4) -> Likeness:
+    rng = np.random.default_rng(0)
+    rows = [
+        {
+            "participant": f"{group}{who}",
+            "video": f"{group}-{video}",
+            "group": group,
+            "rating": int(np.clip(round(rng.normal(mean, noise)), 1, 5)),
+        }
+        for group, mean in (("generated", generated), ("played", played))
+        for who in range(n)
+        for video in range(5)
+    ]
+    return Likeness(pd.DataFrame(rows))
+
+
+def test_equivalence_is_shown_by_two_one_sided_tests() -> None:
+    same = ratings(4.0, 4.0)
+    found = same.equivalence()
+    assert found["equivalent"]
+    assert -0.5 < found["ci_low"] < found["difference"] < found["ci_high"] < 0.5
+    first, second = same.means("participants").values()
+    low, high = stats.ttest_ind(first, second, equal_var=False).confidence_interval(0.9)
+    assert (found["ci_low"], found["ci_high"]) == pytest.approx((low, high))
+    # TOST rejects exactly where the 90 % interval lies within the margin
+    reach = max(abs(low), abs(high))
+    assert same.equivalence(reach * 1.001)["equivalent"]
+    assert not same.equivalence(reach * 0.999)["equivalent"]
+    assert same.equivalence(reach)["p"] == pytest.approx(0.05)
+    assert not ratings(4.0, 3.4).equivalence()["equivalent"]
+    assert ratings(4.0, 3.4).equivalence()["difference"] > 0
+
+
+def test_ratings_without_any_difference_are_no_error() -> None:
+    rows = [{"participant": f"{g}{k}", "video": f"{g}v", "group": g, "rating": 4}
+            for g in ("played", "generated") for k in range(3)]  # fmt: skip
+    found = Likeness(pd.DataFrame(rows)).equivalence()
+    assert (found["difference"], found["equivalent"]) == (0, True)
+
+
+def test_the_summary_has_deviations_of_videos_and_of_people() -> None:
+    found = ratings(4.0, 3.0).summary()
+    assert list(found.index) == ["played", "generated"]
+    assert found.loc["played", ["videos", "participants", "ratings"]].tolist() == [5, 30, 150]
+    assert (found["sd_participants"] > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ("p,a,g,6\n", "line 2: rating is '6', expected 1 to 5"),
+        ("p,a,g,4.0\n", "rating is '4.0'"),
+        ("p,a,g,4\np,a,g,4\n", "line 3: participant 'p' rates 'a' a second time"),
+        ("p,a,g,4\np,b,h,4\n", "line 3: participant 'p' is in two groups"),
+        ("p,a,g,4\nq,a,g,4\n", r"groups are \['g'\], expected two"),
+    ],
+)
+def test_mistakes_in_ratings_are_named(tmp_path: Path, rows: str, message: str) -> None:
+    file = tmp_path / "likeness.csv"
+    file.write_text(f"participant,video,group,rating\n{rows}", "utf-8")
+    with pytest.raises(InvalidEventError, match=message):
+        ppl.load_likeness(file)
+
+
+def test_the_figure_of_ratings_says_whether_equivalence_is_shown(tmp_path: Path) -> None:
+    file = tmp_path / "likeness.csv"
+    ratings(4.0, 4.0).table.to_csv(file, index=False)
+    figure = ppl.figures.likeness(file, tmp_path / "likeness.pdf")
+    shares, means, difference = figure.axes
+    heights = [bar.get_height() for bar in shares.patches]
+    assert sum(heights) == pytest.approx(2)
+    assert "equivalence is\nshown" in figure._supxlabel.get_text() or "equivalence is shown" in (
+        figure._supxlabel.get_text().replace("\n", " ")
+    )
+    assert [t.get_text().split("\n")[0] for t in means.get_xticklabels()] == ["played", "generated"]
+    assert difference.lines[-1].get_markerfacecolor() != "white"
+
+
+@pytest.mark.parametrize("draw", [ppl.figures.tags, ppl.figures.likeness])
+def test_figures_refuse_what_they_cannot_draw(draw: object, tmp_path: Path) -> None:
+    for bad in (3, None, ppl.load_event("compete"), tmp_path / "nothing.csv"):
+        with pytest.raises(PhasePPLError):
+            draw(bad)  # type: ignore[operator]
+    with pytest.raises(InvalidSettingError, match="margin"):
+        ratings(4, 4).equivalence(0)
+    with pytest.raises(PhasePPLError, match="unknown by"):
+        ratings(4, 4).equivalence(by="days")  # type: ignore[arg-type]

@@ -65,9 +65,7 @@ def test_parameters_come_back_and_the_observer_that_made_the_answers_wins(
     assert set(chosen.values()) == {1}
 
 
-def test_left_out_videos_are_predicted_as_by_a_fit_without_them(
-    fits: dict[str, PeopleFit],
-) -> None:
+def test_left_out_videos_are_predicted_as_by_a_fit_without_them(fits: dict[str, PeopleFit]) -> None:
     fit = fits["distance"]
     again = fit.without([3]).predict(fit.evidence)["v3"].probabilities["relation"]
     assert fit.left_out["v3"].probabilities["relation"] == pytest.approx(again, abs=0.05)

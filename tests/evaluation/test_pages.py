@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from phase_ppl.evaluation.answer_sets import answer_sets
+from phase_ppl.evaluation.evaluation import Evaluation
 from phase_ppl.evaluation.folder import POSTERIOR, ResultsFolder
 from phase_ppl.evaluation.prediction import Prediction
-from phase_ppl.evaluation.report.contents import MAX_ROWS, page_in_folder, rows_of
+from phase_ppl.evaluation.report.contents import MAX_ROWS, page_of, rows_of
 from phase_ppl.world.errors import InvalidEventError, UnknownNameError
 from phase_ppl.world.goals import GOALS
 
@@ -26,7 +26,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> ResultsFolder:
 
 
 def test_a_page_shows_everybodys_answers_and_marks_the_true_ones(folder: ResultsFolder) -> None:
-    page = Page(page_in_folder(folder, "one"))
+    page = Page(page_of(Evaluation.load(folder.path), "one"))
     for words in ("people", "SIMPLE", "<b>other</b>", "0.90", "0.60", "0.40", "0.70"):
         assert words in page.text
     for answer in (RED, GREEN, "adversarial"):
@@ -40,22 +40,22 @@ def test_a_page_shows_everybodys_answers_and_marks_the_true_ones(folder: Results
 
 
 def test_a_page_without_truth_posterior_or_judgments(folder: ResultsFolder, tmp_path: Path) -> None:
-    page = Page(page_in_folder(folder, "three"))
+    page = Page(page_of(Evaluation.load(folder.path), "three"))
     assert "Truth not known." in page.text
     assert "true" not in page.text
     assert "Best hypothesis" not in page.text
     bare = [dataclasses.replace(e, predictions=None) for e in events(judgments=None, truth=None)]
     empty = make_folder(tmp_path / "results", bare, predicted=lambda _: False)
-    page = Page(page_in_folder(empty, "one"))
+    page = Page(page_of(Evaluation.load(empty.path), "one"))
     assert (page.all("table"), len(page.all("img"))) == ([], 1)
 
 
 def test_goals_that_were_answered_or_are_true_always_have_a_row(tmp_path: Path) -> None:
     event = events()[0]
     wide = Prediction("one", {"goal_red": [0.0] * 6 + [1 / 30] * 30}, {"goal_red": GOALS[0]})
-    folder = ResultsFolder.create(tmp_path / "results", {"model": "simple"}, [event])
+    folder = ResultsFolder.create(tmp_path / "results", {"model": "simple", "seed": 0}, [event])
     folder.add(wide)
-    shown = [one for one in answer_sets(folder) if one.kind == "model"]
+    shown = [one for one in Evaluation.load(folder.path).answers if one.kind == "model"]
     rows = rows_of("goal_red", shown, event)
     assert len(rows) == MAX_ROWS
     assert {GOALS[0], RED} <= set(rows)
@@ -66,8 +66,8 @@ def test_an_event_that_is_not_there_and_a_damaged_posterior_are_named(
     folder: ResultsFolder, tmp_path: Path
 ) -> None:
     with pytest.raises(UnknownNameError, match="unknown event 'onn'; did you mean 'one'"):
-        page_in_folder(folder, "onn")
+        page_of(Evaluation.load(folder.path), "onn")
     damaged = make_folder(tmp_path / "results")
     (damaged.folder_of("one") / POSTERIOR).write_bytes(b"no NetCDF")
     with pytest.raises(InvalidEventError, match=r"posterior\.nc"):
-        page_in_folder(damaged, "one")
+        page_of(Evaluation.load(damaged.path), "one")

@@ -16,7 +16,7 @@ from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.cli import main
 from phase_ppl.evaluation.folder import POSTERIOR
 from phase_ppl.evaluation.report import write_page
-from phase_ppl.evaluation.report.contents import page_in_folder
+from phase_ppl.evaluation.report.contents import page_of
 from phase_ppl.evaluation.report.html import page
 from phase_ppl.world.errors import InvalidEventError, OutputError
 from phase_ppl.world.files import write_json
@@ -85,7 +85,7 @@ def comparison(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def event(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = make_folder(tmp_path_factory.mktemp("event") / "results")
-    return write_page(page_in_folder(folder, HOSTILE), folder.path / "page.html")
+    return write_page(page_of(ppl.Evaluation.load(folder.path), HOSTILE), folder.path / "page.html")
 
 
 def test_the_report_of_an_evaluation_has_all_its_parts(evaluation: Path) -> None:

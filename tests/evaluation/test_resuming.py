@@ -11,11 +11,7 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.evaluation.folder import ResultsFolder
-from phase_ppl.world.errors import (
-    InvalidEventError,
-    InvalidSettingError,
-    OutputError,
-)
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, OutputError
 from phase_ppl.world.event import Truth
 from tests.evaluation.toys import (
     EVENTS,
@@ -166,41 +162,6 @@ def test_a_damaged_folder_is_refused_with_the_file(
         (tmp_path / file).write_text(content)
     with pytest.raises((InvalidEventError, InvalidSettingError), match=message):
         evaluate(out=tmp_path, resume=True)
-
-
-FIGURE = {"value": 0.5, "ci_low": None, "ci_high": None}
-
-
-@pytest.mark.parametrize(
-    ("record", "message"),
-    [
-        ({"goal_accuracy": 3}, "goal_accuracy is 3, expected an object or null"),
-        ({"goal_accuracy": {"value": 1}}, "goal_accuracy has no ci_low"),
-        ({"goal_accuracy": {**FIGURE, "value": "1"}}, "goal_accuracy.value is '1', expected"),
-        ({"by_scenario": []}, r"by_scenario is \[\]"),
-        ({"by_scenario": {"opposing": {"relation_accuracy": True}}}, "opposing.relation_accuracy"),
-        ({"human": {"js": [1]}}, r"human.js is \[1\]"),
-        ({"reference_models": {"other": 4}}, "reference_models.other is 4"),
-        ({"reference_models": {"other": {"human": ""}}}, "reference_models.other.human is ''"),
-        ({"cost": 7}, "cost is 7"),
-        ({"cost": {"wall_seconds": "long"}}, "cost.wall_seconds is 'long'"),
-    ],
-)
-def test_damaged_metrics_are_refused_with_file_and_field(
-    record: dict[str, Any], message: str, tmp_path: Path
-) -> None:
-    evaluate(out=tmp_path)
-    (tmp_path / "metrics.json").write_text(json.dumps(record))
-    for read in (ppl.Evaluation.load, ppl.report):
-        with pytest.raises(InvalidEventError, match=rf"metrics\.json: .*{message}"):
-            read(tmp_path)
-
-
-def test_metrics_may_lack_what_is_not_known(tmp_path: Path) -> None:
-    evaluate(out=tmp_path)
-    record = {"goal_accuracy": FIGURE, "human": None, "reference_models": {"other": None}}
-    (tmp_path / "metrics.json").write_text(json.dumps(record))
-    assert ppl.Evaluation.load(tmp_path).name == "right"
 
 
 def test_settings_that_lack_something_are_refused(tmp_path: Path) -> None:

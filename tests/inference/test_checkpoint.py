@@ -21,11 +21,7 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.inference.runs import sampler
-from phase_ppl.inference.runs.checkpoint import (
-    Checkpoint,
-    read_archive,
-    write_archive,
-)
+from phase_ppl.inference.runs.checkpoint import Checkpoint, read_archive, write_archive
 from phase_ppl.world import identity
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, OutputError
 from tests.inference.runs import EVENT, MODEL, OPTIONS, assert_same_draws, infer, stops_at

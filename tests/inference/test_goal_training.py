@@ -8,12 +8,23 @@ import numpy as np
 import pytest
 
 from phase_ppl.inference.proposals import goal_training
-from phase_ppl.inference.proposals.goal_features import FEATURES, KINDS
 from phase_ppl.inference.proposals.goal_training import Examples, draw_goals, learned, loss_of_whole
-from phase_ppl.inference.proposals.tables import WEIGHTS_FILE
-from phase_ppl.models.sites import SELF_REFERRING
-from phase_ppl.world.goals import N_GOALS
-from phase_ppl.world.hypothesis import scenario
+from phase_ppl.inference.proposals.tables import (
+    FEATURES,
+    GOAL_PARTS,
+    KINDS,
+    WEIGHTS_FILE,
+    bottom_up_tables,
+    goal_features,
+    goal_weights,
+    joint_logits,
+)
+from phase_ppl.models.sites import ALPHA_PROBABILITIES, SELF_REFERRING
+from phase_ppl.world.goals import GOALS, N_GOALS, effective_goals, goal_index
+from phase_ppl.world.hypothesis import ALPHAS, scenario
+from phase_ppl.world.names import AGENTS, LANDMARKS
+from phase_ppl.world.observation import Observation
+from phase_ppl.world.scene import Scene
 
 
 def telling_examples(n: int) -> Examples:
@@ -63,3 +74,108 @@ def test_training_writes_weights_and_a_report(
     )
     with np.load(tmp_path / WEIGHTS_FILE) as stored:
         assert {stored[name].shape for name in ("window", "whole")} == {(len(KINDS), len(FEATURES))}
+
+
+# --- features -------------------------------------------------------------------------------------
+
+START = np.array([[8, 10, 0.3], [20, 8, 1.0], [10, 16, 0], [18, 11, 0]], float)
+SCENE = Scene(START, np.array([0.8, 1.2, 1.01, 0.8]))
+RED, GREEN = 0, 1
+N_FRAMES = 21
+
+
+def motion(**towards: tuple[float, float]) -> Observation:
+    """Entities named by their index go straight to places: ``_0=(x, y)``; the others rest."""
+    frames = np.repeat(START[None], N_FRAMES, axis=0)
+    for name, place in towards.items():
+        entity = int(name[1:])
+        frames[:, entity, :2] = np.linspace(START[entity, :2], place, N_FRAMES)
+    return Observation(frames)
+
+
+def feature(observation: Observation, name: str, goal: str, agent: int = RED) -> float:
+    whole = goal_features(SCENE, observation, np.array([0]), np.array([N_FRAMES - 1]))
+    return float(whole[0, agent, goal_index(goal), FEATURES.index(name)])
+
+
+def most_probable(observation: Observation, agent: int) -> str:
+    tables = bottom_up_tables(SCENE, observation)
+    alone = np.asarray(tables.goal_logits)[-1, ALPHAS.index((0, 0)), agent]
+    return GOALS[int(alone.argmax())]
+
+
+def test_every_goal_has_a_kind() -> None:
+    assert GOAL_PARTS.kind.shape == (2, N_GOALS)
+    assert KINDS[GOAL_PARTS.kind[RED, goal_index("Get red agent away from blue lm")]] == "not self"
+    assert KINDS[GOAL_PARTS.kind[GREEN, goal_index("Get red agent to blue lm")]] == "other"
+    assert KINDS[GOAL_PARTS.kind[RED, goal_index("get to green agent")]] == "touch"
+
+
+def test_an_agent_that_pushes_an_item_is_seen_to_touch_it() -> None:
+    pushed = motion(_2=(9.0, 18.5)).trajectory.copy()
+    pushed[:, RED, :2] = pushed[:, 2, :2] - np.array([1.4, 1.0])
+    goal = f"Get blue item to {LANDMARKS[0]}"
+    assert feature(Observation(pushed), "share of time touching the subject", goal) == 1
+    assert feature(Observation(pushed), "share of time touching the subject", goal, GREEN) == 0
+    assert feature(Observation(pushed), "progress", goal) > 0
+
+
+def test_way_towards_an_item_is_the_agents_own() -> None:
+    goal = "Get pink item to red lm"
+    name = "agent's way towards the subject"
+    assert feature(motion(_0=(16.0, 12.0)), name, goal) > 0
+    assert feature(motion(_3=(10.0, 10.0)), name, goal) == 0
+
+
+def test_features_do_not_depend_on_which_landmark_it_is() -> None:
+    # the scene turned by half a circle has landmarks 0 and 2, 1 and 3 exchanged
+    turned = START * [-1, -1, 1] + [32, 24, 0]
+    scene = Scene(turned, SCENE.radius)
+    there = motion(_0=(15.7, 12.6), _2=(12.3, 12.7)).trajectory
+    back = there * np.array([-1, -1, 1]) + np.array([32, 24, 0])
+    first, last = np.array([0]), np.array([N_FRAMES - 1])
+    one = goal_features(SCENE, Observation(there), first, last)
+    other = goal_features(scene, Observation(back), first, last)
+    landmarks = SCENE.landmark_centres
+    partner = [int(np.argmin(np.abs(landmarks - ([32, 24] - c)).sum(axis=1))) for c in landmarks]
+    for number, goal in enumerate(GOALS):
+        twin = number
+        for name, place in zip(LANDMARKS, partner, strict=True):
+            if goal.endswith(name):
+                twin = goal_index(goal.removesuffix(name) + LANDMARKS[place])
+        np.testing.assert_allclose(one[0, :, number], other[0, :, twin], atol=1e-9)
+
+
+def test_one_frame_of_motion_is_enough() -> None:
+    short = Observation(motion(_0=(16.0, 12.0)).trajectory[:2])
+    assert np.isfinite(np.asarray(bottom_up_tables(SCENE, short).goal_logits)).all()
+
+
+@pytest.mark.parametrize("agent", [RED, GREEN])
+def test_an_agent_that_walks_to_a_landmark_and_stays_is_taken_to_want_that(agent: int) -> None:
+    place = 23.5, 19.5
+    nearest = np.linalg.norm(SCENE.landmark_centres - place, axis=1).argmin()
+    wanted = f"Get {AGENTS[agent]} to {LANDMARKS[nearest]}"
+    assert most_probable(motion(**{f"_{agent}": place}), agent) == wanted
+
+
+def test_tables_are_those_of_the_joint_distribution() -> None:
+    scores = np.random.default_rng(0).normal(0, 2, (2, N_GOALS))
+    goal, alpha = joint_logits(scores)
+    expected = np.zeros((N_GOALS, N_GOALS, len(ALPHAS)))
+    for red, green, index in np.ndindex(expected.shape):
+        if not (SELF_REFERRING[RED, red] or SELF_REFERRING[GREEN, green]):
+            goals = effective_goals(red, green, ALPHAS[index])
+            together = scores[RED, goals[0]] + scores[GREEN, goals[1]]
+            expected[red, green, index] = ALPHA_PROBABILITIES[index] * np.exp(together)
+    alpha = np.array(ALPHA_PROBABILITIES) * np.exp(alpha)
+    goal = np.exp(goal - goal.max(axis=-1, keepdims=True))
+    goal /= goal.sum(axis=-1, keepdims=True)
+    found = np.einsum("a,ar,ag->rga", alpha / alpha.sum(), goal[:, RED], goal[:, GREEN])
+    np.testing.assert_allclose(found, expected / expected.sum(), atol=1e-12)
+
+
+def test_weights_that_come_with_the_package_fit_the_features() -> None:
+    for weights in goal_weights().values():
+        assert weights.shape == (len(KINDS), len(FEATURES))
+        assert np.isfinite(weights).all()

@@ -246,9 +246,7 @@ def test_interrupt_keeps_the_iterations_that_were_done(
     assert kept.cost["interrupted"]
 
 
-def test_interrupt_keeps_the_initial_particles_or_nothing(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_interrupt_keeps_the_initial_particles_or_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     disturb(monkeypatch, interrupt_in(1))
     with pytest.raises(KeyboardInterrupt) as caught:
         infer()

@@ -29,13 +29,7 @@ from phase_ppl.inference.kernels.metropolis import log_ratio
 from phase_ppl.models import priors
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
-from tests.inference.toy import (
-    TableRunner,
-    run,
-    table_errors,
-    table_program,
-    total_variation,
-)
+from tests.inference.toy import TableRunner, run, table_errors, table_program, total_variation
 
 ERRORS = table_errors()
 KEYS = random.split(random.key(0), 2)

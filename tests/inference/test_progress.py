@@ -49,9 +49,7 @@ def test_uneven_simulations_give_a_steady_estimate(monkeypatch: pytest.MonkeyPat
     assert estimates[0] is None
 
 
-def test_what_was_done_before_is_counted_but_not_its_time(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_what_was_done_before_is_counted_but_not_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
     now = 0.0
     monkeypatch.setattr(progress, "clock", lambda: now)
     with Progress(30, shown=False, done=20, batch=2) as bar:

@@ -41,14 +41,7 @@ BLOCK = 100
 BLOCKS = 7
 """Steps are compiled a block at a time."""
 
-EXACT = (
-    "enumerated_gibbs",
-    "local_mh",
-    "mixture",
-    "prior_mh",
-    "random_walk_mh",
-    "single_site_mh",
-)
+EXACT = ("enumerated_gibbs", "local_mh", "mixture", "prior_mh", "random_walk_mh", "single_site_mh")
 
 ERRORS = table_errors()
 KEYS = random.split(random.key(0), CHAINS)

@@ -233,10 +233,7 @@ UNUSUAL: dict[str, tuple[Callable[[], Any], dict[str, tuple[int, ...]]]] = {
     "heavy tail": (prior_with("strength_red", sampled(dist.LogNormal(6.0, 0.5))), {}),
     "levels": (prior_with("strength_green", sampled(sites.OneOf([200.0, 700.0]))), {}),
     "whole newtons": (prior_with("strength_green", sampled(dist.DiscreteUniform(150, 600))), {}),
-    "derived values": (
-        also(lambda: numpyro.deterministic("also", jnp.array(1.0))),
-        {},
-    ),
+    "derived values": (also(lambda: numpyro.deterministic("also", jnp.array(1.0))), {}),
 }
 
 

@@ -97,7 +97,7 @@ def test_readings_of_a_video_are_averaged_as_answers() -> None:
 
 
 def test_relations_and_goals_follow_from_one_belief_about_pairs() -> None:
-    from phase_ppl.evaluation.observers.evidence import evidence_of
+    from phase_ppl.evaluation.observers.answers import evidence_of
 
     event = ppl.load_event("collaborate")
     empty = evidence_of(
@@ -152,7 +152,7 @@ def test_what_is_no_observer_is_refused() -> None:
 
 
 def test_few_hypotheses_answer_as_all_pairs_of_goals_do() -> None:
-    from phase_ppl.evaluation.observers.evidence import PAIRS
+    from phase_ppl.evaluation.observers.answers import PAIRS
 
     rng = np.random.default_rng(0)
     n = PAIRS["relation"].size

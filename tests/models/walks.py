@@ -21,8 +21,7 @@ from phase_ppl.world.scene import LANDMARK_CENTRES, Scene
 from tests.world.examples import walls
 
 needs_torch = pytest.mark.skipif(
-    importlib.util.find_spec("torch") is None,
-    reason="PyTorch, the extra neural, is not installed",
+    importlib.util.find_spec("torch") is None, reason="PyTorch, the extra neural, is not installed"
 )
 
 START = np.array([[14.0, 11.0, 0.3], [18.0, 13.0, -2.0], [12.0, 12.5, 0.0], [20.0, 12.5, 0.0]])

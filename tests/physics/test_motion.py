@@ -10,13 +10,7 @@ import numpy as np
 import pytest
 
 from phase_ppl.physics import compiled, constants
-from phase_ppl.physics.actions import (
-    ACTION_NAMES,
-    DIRECTIONS,
-    N_ACTIONS,
-    NO_ACTION,
-    Action,
-)
+from phase_ppl.physics.actions import ACTION_NAMES, DIRECTIONS, N_ACTIONS, NO_ACTION, Action
 from phase_ppl.physics.flat import ANGLE
 from phase_ppl.physics.pymunk_world import PymunkWorld, mean_pose
 from phase_ppl.physics.welds import turn_frame

@@ -25,10 +25,7 @@ def with_value(array: object, where: tuple[int, ...], value: object) -> np.ndarr
 
 BAD_SCENES = {
     "start_nan": ({"start": np.where(np.eye(4, 3), math.nan, START)}, "scene.start[0, 0] is nan"),
-    "start_infinite": (
-        {"start": np.array(START) * [1, math.inf, 1]},
-        "scene.start[0, 1] is inf",
-    ),
+    "start_infinite": ({"start": np.array(START) * [1, math.inf, 1]}, "scene.start[0, 1] is inf"),
     "start_three_entities": ({"start": START[:3]}, "scene.start has shape (3, 3), expected (4, 3)"),
     "start_without_angle": (
         {"start": [row[:2] for row in START]},

@@ -28,9 +28,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-PAPERS_PARTICLES: Final = 10
-"""K in the figure of the paper."""
-
+PAPERS_PARTICLES: Final = 10  # K in the figure of the paper
 _DARK: Final = 0.35
 _FAINT: Final = 0.55
 _MOST_PARTICLES: Final = 1000
@@ -39,17 +37,11 @@ _APART: Final = 4.0
 
 
 class Belief(NamedTuple):
-    """What an agent sees and believes in a frame.
+    """What an agent sees and believes in a frame."""
 
-    Attributes:
-        visible: (cells,) in view, row after row from the top left.
-        observed: (entity,) whether the agent sees or feels it.
-        particles: (particle, entity, coord) x, y [units], angle [rad].
-    """
-
-    visible: BoolArray
-    observed: BoolArray
-    particles: FloatArray
+    visible: BoolArray  # (cells,) in view, row after row from the top left
+    observed: BoolArray  # (entity,) whether the agent sees or feels it
+    particles: FloatArray  # (particle, entity, coord) x, y [units], angle [rad]
 
 
 def beliefs_of(event: Event, agent: int, particles: int, seed: int = 0) -> Iterator[Belief]:
@@ -57,12 +49,6 @@ def beliefs_of(event: Event, agent: int, particles: int, seed: int = 0) -> Itera
 
     It is what the simulator's agents believe, given the true states as far as they can be read
     off the observation; in between the agent is taken to coast.
-
-    Args:
-        event: what happens.
-        agent: 0 red, 1 green.
-        particles: K.
-        seed: of the particles.
     """
     from phase_ppl.agents.beliefs import Perception
     from phase_ppl.agents.config import PlannerConfig

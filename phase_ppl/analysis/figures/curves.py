@@ -134,8 +134,7 @@ def _mean_curve(
 
 # --- a posterior under other priors -------------------------------------------------------------
 
-_LINES: Final = 5
-"""Labels that are drawn, those that are ever the most probable first."""
+_LINES: Final = 5  # labels that are drawn, those that are ever the most probable first
 
 
 @figure_of(Posterior, StepwisePosterior)

@@ -30,8 +30,7 @@ HERE: Final = "#0072b2"
 BESIDE: Final = "#b4b4b4"
 """Colours: of the set, of the other."""
 
-LONGEST_LABEL: Final = 22
-"""Characters of a label at most."""
+LONGEST_LABEL: Final = 22  # characters of a label at most
 
 GOAL_TYPE_NAMES: Final = {
     "LMO+": "item to landmark",
@@ -53,8 +52,7 @@ _SPEED_MARKS: Final = {"mean": ("mean", "o"), "p99": ("99 %", "|"), "max": ("mos
 _SPEED_TEXT: Final = SPEED_EDGES[-1] + 7.0
 """Where the columns of numbers begin, units/s."""
 
-_ROW: Final = 3.2
-"""Height of a row of panels, inches."""
+_ROW: Final = 3.2  # height of a row of panels, inches
 
 _WIDTHS: Final = ((2.2, 2.2, 4), (2.1, 2, 3, 1.7), (4.4, 2.75, 2))
 """Per row, the widths of the panels beside each other."""

@@ -50,8 +50,7 @@ _MOST_BINS: Final = 20
 _FEW: Final = len(COLOURS)
 """Chains that have a colour each."""
 
-_MOST_LINES: Final = 60
-"""Rows of a map, at most, that lines keep apart."""
+_MOST_LINES: Final = 60  # rows of a map, at most, that lines keep apart
 
 
 @figure_of(Posterior)

@@ -18,9 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-FORMATS: Final = (".png", ".pdf", ".svg")
-"""File name endings a figure can be written with."""
-
+FORMATS: Final = (".png", ".pdf", ".svg")  # file name endings a figure can be written with
 INK: Final = "#222222"
 GREY: Final = "#666666"
 """Colours of text: of what is shown, of what explains it."""
@@ -93,11 +91,7 @@ def figure_of(*kinds: type) -> Callable[[Callable[P, Figure]], Callable[P, Figur
 
 
 def written(figure: Figure, path: str | os.PathLike[str] | None) -> Figure:
-    """Return the figure, written to ``path`` as well if there is one.
-
-    Raises:
-        OutputError: it cannot be written there, or the ending is none of :data:`FORMATS`.
-    """
+    """Return the figure, written to ``path`` as well if there is one."""
     if path is not None:
         with atomic_output(path, FORMATS) as part:
             figure.savefig(part, dpi=200)

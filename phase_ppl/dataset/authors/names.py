@@ -23,9 +23,7 @@ Goal = tuple[str, int, int, int]
 """Type "LMO" (item, landmark), "LMA" (agent, landmark) or "TE" (agent, agent); entity; target;
 sign 1 (to) or -1 (away from)."""
 
-ALPHA: Final = 10.0
-"""Weight of the other's goal, in names."""
-
+ALPHA: Final = 10.0  # weight of the other's goal, in names
 _LONGEST: Final = 1000
 _PLACE: Final = re.compile(
     r"(?P<stamp>.*?)_?(?P<switch>\d)_\d_[FI]\d_E(?P<layout>\d+)(?:\.(?P<copy>[0-3]))?(?=_|$)"
@@ -41,15 +39,11 @@ _SUFFIXES: Final = re.compile(r"\.(mp4|pik|pkl|pickle)$")
 
 
 class Place(NamedTuple):
-    """Where something was recorded.
+    """Where something was recorded."""
 
-    Attributes:
-        layout: number of the layout before any reflection.
-        copy: number of the reflection, 0 up-down, 1 left-right, 2 about y = x, 3 about y = -x;
-            None for an original.
-    """
-
-    layout: int
+    layout: int  # number of the layout before any reflection
+    # number of the reflection, 0 up-down, 1 left-right, 2 about y = x, 3 about y = -x; None for an
+    # original
     copy: int | None
 
     @property
@@ -62,17 +56,11 @@ class Place(NamedTuple):
 
 
 class Recorded(NamedTuple):
-    """What a file name says.
+    """What a file name says."""
 
-    Attributes:
-        id: time stamp and place, or, in names that the authors did not give, what comes first.
-        place: None where the name does not say.
-        truth: goals and strengths; None where the name does not say.
-    """
-
-    id: str
-    place: Place | None
-    truth: Truth | None
+    id: str  # time stamp and place, or, in names that the authors did not give, what comes first
+    place: Place | None  # None where the name does not say
+    truth: Truth | None  # goals and strengths; None where the name does not say
 
 
 def parse_name(name: str) -> Recorded:
@@ -151,12 +139,7 @@ def place_in_id(id: str) -> Place | None:
 
 
 def file_name(id: str, place: Place, truth: Truth | None, n_frames: int) -> str:
-    """Return a name that :func:`parse_name` takes apart again.
-
-    Raises:
-        InvalidEventError: no name says so: an id of another kind, a strength that is none of the
-            original world's, a relation or scenario that does not follow from the goals.
-    """
+    """Return a name that :func:`parse_name` takes apart again."""
     found = _ID.fullmatch(id)
     head = f"{found[1]}{found[2]}_0" if found and place == place_in_id(id) else f"{id}_0_0"
     name = f"{head}_F8_{place}{_parameters(truth)}_A0_0_C0_0_MCTS_L{n_frames - 1}"

@@ -27,14 +27,9 @@ from numpy.typing import NDArray
 from phase_ppl.dataset.documents import reading_bytes, too_large
 from phase_ppl.world.errors import InvalidEventError, shown
 
-MAX_BYTES: Final = 256 * 2**20
-"""Largest file that is read."""
-
-MAX_OPCODES: Final = 2_000_000
-"""Opcodes that are read, which takes some ten seconds at most."""
-
-MAX_NESTING: Final = 64
-"""How deep lists, tuples and dicts may lie in each other."""
+MAX_BYTES: Final = 256 * 2**20  # largest file that is read
+MAX_OPCODES: Final = 2_000_000  # opcodes that are read, which takes some ten seconds at most
+MAX_NESTING: Final = 64  # how deep lists, tuples and dicts may lie in each other
 
 MAX_SIZE: Final = 20_000_000
 """Values, numbers in arrays and characters in all, where what is shared counts every time."""
@@ -46,9 +41,7 @@ MAX_DIMENSIONS: Final = 8
 MAX_LENGTH: Final = 2**31
 """Longest dimension of an array."""
 
-_LONGEST_KEY: Final = 9
-"""Longest tuple that is the key of a dict."""
-
+_LONGEST_KEY: Final = 9  # longest tuple that is the key of a dict
 _PROTOCOL: Final = 5
 _DTYPE: Final = re.compile(r"[<>|=]?(f[248]|[iu][1248]|b1)")
 _NO_NUMBERS: Final = "holds an array of something else than plain numbers"
@@ -56,12 +49,7 @@ _NO_KEY: Final = "has a dict whose keys are no texts or whole numbers"
 
 
 def read_pickle(path: str | os.PathLike[str]) -> Any:
-    """Return what the pickle in the file ``path`` describes.
-
-    Raises:
-        InvalidEventError: no such file, too large, damaged, or it holds or asks for anything else
-            than dicts, lists, tuples, texts, numbers and arrays of numbers.
-    """
+    """Return what the pickle in the file ``path`` describes."""
     with reading_bytes("a pickle"), open(path, "rb") as file:
         content = file.read(MAX_BYTES + 1)
     return unpickled(content)
@@ -180,9 +168,6 @@ def _check_opcodes(content: bytes) -> None:
     tuple of such, more for other tuples, for lists and for dicts. Keys of dicts are hashed while a
     pickle is loaded, which takes for ever for tuples of tuples of the same tuple, and overflows the
     stack of C for deep ones: keys must be of 0 or 1.
-
-    Raises:
-        InvalidEventError: too many opcodes, one that is refused, another kind of key, or damaged.
     """
     stack: list[int] = []
     marks: list[int] = []  # how long the stack was
@@ -239,8 +224,7 @@ def _check_argument(name: str, argument: Any) -> None:
 
 # --- what stands in for what it asks for -----------------------------------------------------
 
-_NDARRAY: Final = object()
-"""Stands for the class of arrays."""
+_NDARRAY: Final = object()  # stands for the class of arrays
 
 
 class _Unpickler(pickle.Unpickler):

@@ -79,9 +79,6 @@ def read(path: str | os.PathLike[str]) -> Entries:
     """Return the videos of the pickle ``path``, in memory, each still to be checked.
 
     Two videos whose stamp and place are the same go by their whole names.
-
-    Raises:
-        InvalidEventError: it is no pickle of videos that can be read without running code.
     """
     content = read_pickle(path)
     if isinstance(content, dict):
@@ -236,9 +233,6 @@ def bodies_by_colour(code: Mapping[Any, Any]) -> tuple[int, ...]:
     Recordings number their bodies: agents 0 and 1, items 2 and 3. ``entity_color_code`` maps bodies
     to colours (0 red, 1 green, 2 blue, 3 pink), but counts items from 3 on; where the colours of
     the agents were not shuffled it has lost agent 1, whose number an item took.
-
-    Raises:
-        InvalidEventError: the code is none of the known forms.
     """
     bodies = _BODIES_OF_KEYS.get(frozenset(code))
     if bodies is None or any(type(colour) is not int for colour in code.values()):
@@ -266,11 +260,8 @@ _ROUNDING: Final = 1e-6
 _MISFIT: Final = 4.0
 """How much worse it is to be a radian off the cut than to turn by a radian."""
 
-_PASS: Final = 0.1
-"""Cost of passing the cut, rad^2."""
-
-_BACK: Final = 3.0
-"""Cost of passing it forth and back within two frames, rad^2."""
+_PASS: Final = 0.1  # cost of passing the cut, rad^2
+_BACK: Final = 3.0  # cost of passing it forth and back within two frames, rad^2
 
 _JUMPS: Final = np.array([0, -1, 1])
 """Cuts that may be passed between two frames; first what wins a tie."""
@@ -423,11 +414,7 @@ def video(event: Event) -> dict[str, Any]:
 
 
 def _place(event: Event) -> Place:
-    """Return a layout, reflected or not, with the event's walls: that of its id if it fits.
-
-    Raises:
-        InvalidEventError: there is none.
-    """
+    """Return a layout, reflected or not, with the event's walls: that of its id if it fits."""
     lengths = event.scene.rooms.wall_length
     in_id = place_in_id(event.id)
     copies = (None, *range(len(_COPIES)))

@@ -34,15 +34,10 @@ MOST_CHANGES: Final = max(map(len, LAYOUTS_OF_A_KIND)) - 1 + len(STEPS)
 
 
 class Change(NamedTuple):
-    """What differs from the situation that was drawn first.
+    """What differs from the situation that was drawn first."""
 
-    Attributes:
-        layout: number of the layout.
-        ids: by how much all ids of sizes and strengths are moved: 0, 1 or -1.
-    """
-
-    layout: int
-    ids: int = 0
+    layout: int  # number of the layout
+    ids: int = 0  # by how much all ids of sizes and strengths are moved: 0, 1 or -1
 
     @property
     def name(self) -> str:
@@ -57,11 +52,6 @@ def changed(
     """Return all situations that are a situation in another layout, or with ids moved by one.
 
     Goals, alpha and all places and angles at the start are those of the first.
-
-    Args:
-        family: that drew it.
-        variant: of the family.
-        situation: as it was drawn.
     """
     kinds = [kind for kind in LAYOUTS_OF_A_KIND if situation.layout in kind]
     changes = [

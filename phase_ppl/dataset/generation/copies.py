@@ -22,35 +22,25 @@ from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.names import AGENTS, BLUE_ITEM, ENTITIES, LANDMARKS, NOTHING, Predicate
 from phase_ppl.world.scene import Scene, Turning
 
-AT_REST: Final = 0.02
-"""Units per frame below which nothing is said to move."""
+AT_REST: Final = 0.02  # units per frame below which nothing is said to move
 
 AFTER_MOTION: Final = 8
 """Frames kept after the last motion, as in the original recordings: 2 s of video."""
 
-SHORTEST: Final = 33
-"""Frames that are always kept: the shortest original recording."""
+SHORTEST: Final = 33  # frames that are always kept: the shortest original recording
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Recording:
-    """A simulated situation.
+    """A simulated situation."""
 
-    Attributes:
-        scene: what was known at the start.
-        hypothesis: stated goals, alpha, strengths.
-        layout: number of the layout, before any reflection.
-        trajectory: (time, entity, coord) x, y [units], angle [rad].
-        actions: (time, agent) action that led to the frame, ``NO_ACTION`` at the start.
-        held: (time, agent) item held when that action was chosen, or ``NOTHING``.
-    """
-
-    scene: Scene
-    hypothesis: Hypothesis
-    layout: int
-    trajectory: FloatArray
+    scene: Scene  # what was known at the start
+    hypothesis: Hypothesis  # stated goals, alpha, strengths
+    layout: int  # number of the layout, before any reflection
+    trajectory: FloatArray  # (time, entity, coord) x, y [units], angle [rad]
+    # (time, agent) action that led to the frame, ``NO_ACTION`` at the start
     actions: NDArray[np.int64]
-    held: NDArray[np.int64]
+    held: NDArray[np.int64]  # (time, agent) item held when that action was chosen, or ``NOTHING``
 
 
 def record(situation: Situation, simulator: JointSimulator, frames: int, seed: int) -> Recording:
@@ -92,15 +82,10 @@ def after_motion(trajectory: FloatArray) -> int:
 
 
 class Reflection(NamedTuple):
-    """A reflection of the arena about a line through its centre.
+    """A reflection of the arena about a line through its centre."""
 
-    Attributes:
-        matrix: (2, 2) of offsets from the centre.
-        offset: angle a becomes ``offset`` - a, rad.
-    """
-
-    matrix: FloatArray
-    offset: float
+    matrix: FloatArray  # (2, 2) of offsets from the centre
+    offset: float  # angle a becomes ``offset`` - a, rad
 
 
 REFLECTIONS: Final = {

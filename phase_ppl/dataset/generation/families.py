@@ -36,29 +36,20 @@ from phase_ppl.world.registry import Registry
 from phase_ppl.world.rooms import ROOMS_OF_RAY
 from phase_ppl.world.scene import Turning
 
-_TRIES: Final = 200
-"""Draws that a layout may refuse before the family is said to be impossible."""
+_TRIES: Final = 200  # draws that a layout may refuse before the family is said to be impossible
 
 
 @dataclasses.dataclass(frozen=True)
 class Family:
-    """A family of events.
+    """A family of events."""
 
-    Attributes:
-        name: as users call it.
-        function: ``function(draw)`` or, with variants, ``function(draw, variant)``.
-        scenario: what its events show; the relation follows from it.
-        layouts: numbers of the layouts it can be drawn in.
-        variants: names of its variants; empty where there are none.
-        summary: first line of the function's documentation.
-    """
-
-    name: str
+    name: str  # as users call it
+    # ``function(draw)`` or, with variants, ``function(draw, variant)``
     function: Callable[..., Situation]
-    scenario: str
-    layouts: tuple[int, ...]
-    variants: tuple[str, ...]
-    summary: str
+    scenario: str  # what its events show; the relation follows from it
+    layouts: tuple[int, ...]  # numbers of the layouts it can be drawn in
+    variants: tuple[str, ...]  # names of its variants; empty where there are none
+    summary: str  # first line of the function's documentation
 
     @property
     def relation(self) -> str:
@@ -68,11 +59,7 @@ class Family:
     def draw(
         self, rng: np.random.Generator, variant: str | None = None, turning: Turning = "both"
     ) -> Situation:
-        """Return a situation in one of the layouts.
-
-        Raises:
-            InvalidSettingError: no layout allows it, or it is of another scenario than promised.
-        """
+        """Return a situation in one of the layouts."""
         for _ in range(_TRIES):
             draw = Draw(rng, self.layouts[int(rng.integers(len(self.layouts)))], turning)
             try:
@@ -85,12 +72,7 @@ class Family:
         )
 
     def drawn_with(self, draw: Draw, variant: str | None = None) -> Situation:
-        """Return the situation of one draw.
-
-        Raises:
-            CannotDraw: the draw does not allow it.
-            InvalidSettingError: it is of another scenario than promised.
-        """
+        """Return the situation of one draw."""
         drawn = self.function(draw) if variant is None else self.function(draw, variant)
         shown = scenario(*drawn.hypothesis.effective_goals)
         if shown != self.scenario:
@@ -141,11 +123,7 @@ def available_families() -> list[str]:
 
 
 def family_and_variant(cell: str) -> tuple[Family, str | None]:
-    """Return what "FAMILY" or "FAMILY:VARIANT" names.
-
-    Raises:
-        UnknownNameError: there is no such family or variant; the message names close matches.
-    """
+    """Return what "FAMILY" or "FAMILY:VARIANT" names."""
     name, colon, variant = cell.partition(":")
     family = FAMILIES[name]
     if not family.variants and not colon:

@@ -89,9 +89,8 @@ class DatasetBuilder:
                 raise OutputError(
                     f"{self.path} holds a data set already; resume it, or name another"
                 )
-            # sets were begun before there were re-planned copies, and before versions were kept
-            stored = {"replans": 0, **read_json(target)}
-            made_by = stored.pop("versions", None) or [{}]
+            stored = read_json(target)
+            made_by = stored.pop("versions", [{}])
             apart = differences(stored, record)
             if apart:
                 raise OutputError(
@@ -148,9 +147,9 @@ class DatasetBuilder:
         """Return what is kept of a slot (InvalidEventError: it is damaged)."""
         source = self._part(slot)
         content = read_json(source)
-        digest = content.pop("sha256", None)  # parts had none once
+        digest = content.pop("sha256", None)
         try:
-            if digest not in (None, _digest(content)):
+            if digest != _digest(content):
                 raise InvalidEventError("its content is not what sha256 says")
             if content["name"] != slot.name:
                 raise InvalidEventError(f"it holds {shown(content['name'])}")
@@ -158,10 +157,8 @@ class DatasetBuilder:
             entries, refused = list(content["entries"]), []
             for draw in content["rejected"]:
                 event = event_from_record(draw["event"]) if "event" in draw else None
-                known = {"replanned": False, "measures": None, **draw}
-                refused.append(
-                    ({key: known[key] for key in ("reason", "replanned", "measures")}, event)
-                )
+                kept = {key: draw[key] for key in ("reason", "replanned", "measures")}
+                refused.append((kept, event))
             if [event.id for event in events] != [entry["id"] for entry in entries]:
                 raise InvalidEventError("its events and entries are not the same")
             return _Part(events, entries, refused)

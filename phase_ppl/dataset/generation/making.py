@@ -23,23 +23,13 @@ from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.names import AGENTS, BLUE_ITEM, ENTITIES, ITEMS
 from phase_ppl.world.observation import Observation
 
-NEAR: Final = 1.5
-"""Agents this near, in units of the sum of their sizes, are said to have met."""
-
-MAX_STUCK: Final = 36
-"""Frames (3 s simulated) for which an agent may push without any effect."""
-
+NEAR: Final = 1.5  # agents this near, in units of the sum of their sizes, are said to have met
+MAX_STUCK: Final = 36  # frames (3 s simulated) for which an agent may push without any effect
 Measures = Mapping[str, Any]
 
 
 def reason_against(scenario: str, hypothesis: Hypothesis, found: Measures) -> str | None:
-    """Return why a recording does not show its scenario; None where it does.
-
-    Args:
-        scenario: what it was drawn to show.
-        hypothesis: under which it was simulated.
-        found: its :func:`measures`.
-    """
+    """Return why a recording does not show its scenario; None where it does."""
     positive = [
         goal_literal(goal, agent).positive for agent, goal in enumerate(hypothesis.effective_goals)
     ]
@@ -128,51 +118,31 @@ def longest_run(flags: NDArray[np.bool_]) -> int:
 
 # --- making ----------------------------------------------------------------------------------
 
-REPLAN_TRIES: Final = 3
-"""Simulations of a changed situation after which it is given up."""
+REPLAN_TRIES: Final = 3  # simulations of a changed situation after which it is given up
 
 
 class Rejected(NamedTuple):
-    """A simulation that did not show what it should.
+    """A simulation that did not show what it should."""
 
-    Attributes:
-        id: of it as an event.
-        reason: why it was not kept.
-        recording: of it.
-        found: its measures.
-        replanned: whether it was to be a re-planned copy.
-    """
-
-    id: str
-    reason: str
-    recording: Recording
-    found: dict[str, Any]
-    replanned: bool
+    id: str  # of it as an event
+    reason: str  # why it was not kept
+    recording: Recording  # of it
+    found: dict[str, Any]  # its measures
+    replanned: bool  # whether it was to be a re-planned copy
 
 
 class Made(NamedTuple):
-    """What became of a slot.
+    """What became of a slot."""
 
-    Attributes:
-        slot: what was wanted.
-        events: the event and its copies; empty where every draw was rejected.
-        entries: per event what the manifest says about it.
-        rejected: draws before the one that was kept, and failed attempts at re-planned copies.
-    """
-
-    slot: Slot
-    events: list[Event]
-    entries: list[dict[str, Any]]
+    slot: Slot  # what was wanted
+    events: list[Event]  # the event and its copies; empty where every draw was rejected
+    entries: list[dict[str, Any]]  # per event what the manifest says about it
+    # draws before the one that was kept, and failed attempts at re-planned copies
     rejected: list[Rejected]
 
 
 def make(plan: Plan, slot: Slot) -> Made:
-    """Draw and simulate situations of a slot until one shows what it should.
-
-    Args:
-        plan: of the whole set.
-        slot: what is to be made.
-    """
+    """Draw and simulate situations of a slot until one shows what it should."""
     family, variant = family_and_variant(slot.cell)
     simulator = JointSimulator(plan.planner)
     made = Made(slot, [], [], [])

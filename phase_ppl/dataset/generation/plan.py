@@ -60,30 +60,19 @@ MAX_TRIES: Final = 200
 
 
 class Look(NamedTuple):
-    """How a recording is shown.
+    """How a recording is shown."""
 
-    Attributes:
-        reflection: a name of :data:`REFLECTION_SHARES`.
-        agents, items: whether the colours of the agents, of the items are exchanged.
-    """
-
-    reflection: str
-    agents: bool
+    reflection: str  # a name of ``REFLECTION_SHARES``
+    agents: bool  # whether the colours of the agents, of the items are exchanged
     items: bool
 
 
 class Slot(NamedTuple):
-    """An event to be made, with its copies.
+    """An event to be made, with its copies."""
 
-    Attributes:
-        number: of the slot, from 0.
-        cell: FAMILY or FAMILY:VARIANT.
-        split: name of the split that it and its copies belong to.
-    """
-
-    number: int
-    cell: str
-    split: str
+    number: int  # of the slot, from 0
+    cell: str  # FAMILY or FAMILY:VARIANT
+    split: str  # name of the split that it and its copies belong to
 
     @property
     def name(self) -> str:
@@ -95,36 +84,28 @@ class Slot(NamedTuple):
 class Plan:
     """What is to be generated.
 
-    Attributes:
-        cells: FAMILY or FAMILY:VARIANT -> number of events.
-        splits: name -> share, in any unit.
-        copies: further copies of each event, with other reflections and colours; they stay in
-            its split.
-        replans: re-planned copies of each event at most: its situation simulated anew in a layout
-            of the same kind, or with all sizes and strengths one id further; in its split too.
-        reflect, recolour: whether events are reflected, and colours exchanged, at random.
-        turning: which way agents can turn before any reflection; the original ones only "ccw".
-        frames: length before the cut after the last motion.
-        planner: "fast", "paper" or a ``PlannerConfig``.
-        seed: of everything random.
-        max_tries: draws after which a slot is given up.
-
     Raises:
         UnknownNameError: an unknown family, variant, turning or planner.
         InvalidSettingError: a number that is not allowed.
     """
 
+    # FAMILY or FAMILY:VARIANT -> number of events
     cells: Mapping[str, int] = dataclasses.field(default_factory=lambda: dict(PHASE500))
+    # name -> share, in any unit
     splits: Mapping[str, float] = dataclasses.field(default_factory=lambda: dict(SPLITS))
+    # further copies of each event, with other reflections and colours; they stay in its split
     copies: int = 0
+    # re-planned copies of each event at most: its situation simulated anew in a layout of the same
+    # kind, or with all sizes and strengths one id further; in its split too
     replans: int = 0
-    reflect: bool = True
+    reflect: bool = True  # whether events are reflected, and colours exchanged, at random
     recolour: bool = True
+    # which way agents can turn before any reflection; the original ones only "ccw"
     turning: Turning = "both"
-    frames: int = FRAMES
-    planner: str | PlannerConfig = "fast"
-    seed: int = 0
-    max_tries: int = MAX_TRIES
+    frames: int = FRAMES  # length before the cut after the last motion
+    planner: str | PlannerConfig = "fast"  # "fast", "paper" or a ``PlannerConfig``
+    seed: int = 0  # of everything random
+    max_tries: int = MAX_TRIES  # draws after which a slot is given up
 
     def __post_init__(self) -> None:
         for given in ("cells", "splits"):

@@ -31,8 +31,7 @@ the original files; those that are missing were never used."""
 LAYOUTS_OF_A_KIND: Final = ((4, 8, 17), (12, 13, 18), (14, 19), (15, 20))
 """Layouts in which the same doors are narrow: a situation of one can be planned in another."""
 
-SIZES: Final = (0.8, 1.2, 1.6, 1.01)
-"""Sizes R by the original ids, units."""
+SIZES: Final = (0.8, 1.2, 1.6, 1.01)  # sizes R by the original ids, units
 
 SPOTS: Final[tuple[tuple[tuple[float, float], ...], ...]] = (
     ((8, 20), (8, 14), (14, 16), (14, 20)),
@@ -63,40 +62,27 @@ def walls_of_lengths(lengths: Sequence[float]) -> NDArray[np.float64]:
     return np.array(walls, np.float64).reshape(-1, 2, 2)
 
 
-_ARRANGEMENTS: Final = 50
-"""Tries at places and angles without an overlap before a draw is given up."""
-
+_ARRANGEMENTS: Final = 50  # tries at places and angles without an overlap before a draw is given up
 NUMBER: Final = "number"
 SIZE: Final = "size"
 STRENGTH: Final = "strength"
 
 
 class Choice(NamedTuple):
-    """One of the choices that a situation is made of.
+    """One of the choices that a situation is made of."""
 
-    Attributes:
-        kind: :data:`NUMBER` (of a room, landmark or the like), :data:`SIZE` or :data:`STRENGTH`.
-        value: the number, or the original id of the size or strength.
-    """
-
-    kind: str
-    value: int
+    kind: str  # ``NUMBER`` (of a room, landmark or the like), ``SIZE`` or ``STRENGTH``
+    value: int  # the number, or the original id of the size or strength
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Situation:
-    """What is to be simulated.
+    """What is to be simulated."""
 
-    Attributes:
-        scene: layout, sizes and start.
-        hypothesis: stated goals, alpha, strengths.
-        layout: number of the layout.
-        choices: that its family made, in order; places and angles are not among them.
-    """
-
-    scene: Scene
-    hypothesis: Hypothesis
-    layout: int
+    scene: Scene  # layout, sizes and start
+    hypothesis: Hypothesis  # stated goals, alpha, strengths
+    layout: int  # number of the layout
+    # that its family made, in order; places and angles are not among them
     choices: tuple[Choice, ...] = ()
 
 
@@ -163,11 +149,7 @@ class Draw:
         return tuple(order)
 
     def sides_of(self, door: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
-        """Return the rooms on either side of a door, which is the only way between them.
-
-        Raises:
-            CannotDraw: there is another way.
-        """
+        """Return the rooms on either side of a door, which is the only way between them."""
         chain = self.chain
         cut = sorted(chain.index(room) for room in ROOMS_OF_RAY[door])
         if cut[1] - cut[0] != 1 or self.rooms.door_width.all():
@@ -215,9 +197,6 @@ class Draw:
             sizes: R of each of the four entities, units.
             strengths: of red and green, newtons.
             at: entity -> fixed place, units.
-
-        Raises:
-            CannotDraw: no arrangement without an overlap was found.
         """
         radius = np.array(sizes, np.float64)
         for start in self._arrangements(rooms, at or {}):

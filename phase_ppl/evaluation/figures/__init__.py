@@ -1,7 +1,7 @@
 """Figures of an evaluation or of a comparison of models, for an article.
 
-They show who is right and who agrees with people. Every function takes a folder of results or of a
-comparison (or its path), or a comparison itself, draws on no global state and returns a matplotlib
+They show who is right and who agrees with people. Every function takes an evaluation or a
+comparison, or the folder of one, draws on no global state and returns a matplotlib
 figure, written to ``path`` (.png, .pdf, .svg) as well where one is given. Where the results lack
 what a figure is about, it raises :class:`NothingToDrawError`.
 """
@@ -16,10 +16,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeVar
 
 from phase_ppl.analysis.figures.style import written
 from phase_ppl.evaluation.comparison import ModelComparison
-from phase_ppl.evaluation.figures import doubt as _doubt
 from phase_ppl.evaluation.figures import grids as _grids
 from phase_ppl.evaluation.figures import rows as _rows
-from phase_ppl.evaluation.figures import studies as _studies
 from phase_ppl.evaluation.figures.layout import NothingToDrawError, Results, Source
 from phase_ppl.evaluation.likeness import MARGIN, Likeness, load_likeness
 from phase_ppl.evaluation.tags import MAJORITY, Tags, load_tags
@@ -36,19 +34,12 @@ FOLDER: Final = "figures"
 
 
 class Drawing(NamedTuple):
-    """A kind of figure.
+    """A kind of figure."""
 
-    Attributes:
-        title: what it shows, in a few words.
-        alt: what stands in its place for those who do not see it.
-        draw: draws it.
-        compares: whether it is one of comparisons of models only.
-    """
-
-    title: str
-    alt: str
-    draw: Callable[[Results], Figure]
-    compares: bool = False
+    title: str  # what it shows, in a few words
+    alt: str  # what stands in its place for those who do not see it
+    draw: Callable[[Results], Figure]  # draws it
+    compares: bool = False  # whether it is one of comparisons of models only
 
 
 DRAWINGS: Final = {
@@ -82,7 +73,7 @@ DRAWINGS: Final = {
         "Doubt: models against people",
         "Points: probabilities of relations against people's shares, as they are and given the "
         "truth; bars: both correlations, beside what people reach among themselves.",
-        _doubt.people,
+        _rows.people,
     ),
     "film_strips": Drawing(
         "An event of every scenario",
@@ -116,8 +107,7 @@ def draw_figures(source: Source, folder: Path, *, progress: bool = True) -> list
     """Write all figures that the results allow into ``figures/``, as PNG; return the files.
 
     Args:
-        source: the folder of an evaluation, with metrics.json, or they are computed from the
-            finished events; or a comparison of models.
+        source: an evaluation or a comparison of models, or the folder of one.
         folder: to which ``figures/`` belongs.
         progress: say on the standard error output which are left out, and why.
 
@@ -201,7 +191,7 @@ def tags(
         InvalidSettingError: ``source`` is neither labels nor a file, or ``majority`` no share.
         InvalidEventError: the file holds no labels; the message names file and line.
     """
-    return written(_studies.tags(_read(source, Tags, load_tags), majority), path)
+    return written(_rows.tags(_read(source, Tags, load_tags), majority), path)
 
 
 def likeness(
@@ -221,4 +211,4 @@ def likeness(
         InvalidSettingError: ``source`` is neither ratings nor a file, or ``margin`` not positive.
         InvalidEventError: the file holds no ratings; the message names file and line.
     """
-    return written(_studies.likeness(_read(source, Likeness, load_likeness), margin), path)
+    return written(_rows.likeness(_read(source, Likeness, load_likeness), margin), path)

@@ -41,13 +41,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_WIDTH: Final = 7.2
-"""Inches: both columns of a journal's page."""
-
+_WIDTH: Final = 7.2  # inches: both columns of a journal's page
 _PANELS: Final = 6
-
-_DARK: Final = 0.65
-"""Share of a row from which on its number is white."""
+_DARK: Final = 0.65  # share of a row from which on its number is white
 
 _HIGHER, _LOWER = "#1b6ca8", "#b5482a"
 
@@ -72,7 +68,7 @@ def confusion(results: Results) -> Figure:
     Raises:
         NothingToDrawError: nobody answered the goals of events whose truth is known.
     """
-    shown = [(o, counts) for o in results.measured if (counts := _counts(o, results)).any()]
+    shown = [(o, counts) for o in results.source.measured if (counts := _counts(o, results)).any()]
     if not shown:
         raise NothingToDrawError("nobody answered the goals of an event whose truth is known")
     n_columns = min(len(shown), 3 if len(shown) <= 6 else 4)
@@ -147,8 +143,8 @@ def scatter_relations(results: Results) -> Figure:
 
 def _scatter(results: Results, kind: str, what: str) -> Figure:
     """Draw a row per model, a column per true scenario."""
-    people = next((o for o in results.measured if o.kind == "people"), None)
-    models = [] if people is None else [o for o in results.measured if o.kind != "people"]
+    people = next((o for o in results.source.measured if o.kind == "people"), None)
+    models = [] if people is None else [o for o in results.source.measured if o.kind != "people"]
     clouds = [(o, _clouds(o, people, results, kind)) for o in models if people is not None]
     clouds = [(o, points) for o, points in clouds if points]
     if people is None or not clouds:
@@ -223,7 +219,7 @@ def costs(results: Results) -> Figure:
     kinds = {
         kind: [
             o
-            for o in results.measured
+            for o in results.source.measured
             if o.metrics.get(f"{kind}_accuracy")
             and _positive(o.metrics.get("cpu_seconds"), "value")
         ]
@@ -240,7 +236,7 @@ def costs(results: Results) -> Figure:
         axes.set_title(KIND_TITLES[kind], loc="left", fontsize=NORMAL + 1, fontweight="bold")
         _costs(axes, shown, kind)
         axes.set_ylabel("share right" if column == 0 else "", fontsize=NORMAL, color=INK)
-        for o in results.measured:
+        for o in results.source.measured:
             found = o.metrics.get(f"{kind}_accuracy") if o.kind == "people" else None
             if found is not None:
                 axes.axhline(found["value"], color=o.colour, lw=1.1, ls=(0, (4, 2)), zorder=1)
@@ -320,7 +316,7 @@ def differences(results: Results) -> Figure:
     against = comparison.settings["against"]
     grids = {}
     for kind, found in kinds.items():
-        named = [o for o in results.answers if any(o.name in pair for pair in found)]
+        named = [o for o in results.source.answers if any(o.name in pair for pair in found)]
         rows = [o for o in named if o.name != against]
         grids[kind] = rows, named if against is None else [o for o in named if o.name == against]
     # the slanted names of the columns reach up
@@ -375,7 +371,7 @@ def _differences(
 def film_strips(results: Results) -> Figure:
     """Draw the first event of every true scenario as a film strip; without truth, the first."""
     first: dict[str, Event] = {}
-    for event in results.events:
+    for event in results.source.events:
         first.setdefault(results.scenarios.get(event.id, ""), event)
     chosen = {name: first[name] for name in SCENARIOS if name in first} or first
     strips = [

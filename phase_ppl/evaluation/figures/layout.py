@@ -13,20 +13,20 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 import numpy as np
 
 from phase_ppl.analysis.figures.style import INK, NORMAL, SMALL, new_figure
-from phase_ppl.evaluation.answer_sets import AnswerSet, answer_sets, measured
+from phase_ppl.evaluation.answer_sets import AnswerSet
 from phase_ppl.evaluation.comparison import ModelComparison
-from phase_ppl.evaluation.folder import COMPARISON, ResultsFolder
+from phase_ppl.evaluation.evaluation import Evaluation
+from phase_ppl.evaluation.folder import COMPARISON
 from phase_ppl.evaluation.tables import KINDS
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError
-from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import SCENARIOS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Source: TypeAlias = ResultsFolder | ModelComparison | str | os.PathLike[str]
+Source: TypeAlias = Evaluation | ModelComparison | str | os.PathLike[str]
 
 KIND_TITLES: Final = {"goal": "Goals", "relation": "Relations"}
 
@@ -37,11 +37,8 @@ SCENARIO_COLOURS: Final = dict(
 )
 """To be told apart without seeing red and green apart."""
 
-_CHARACTER: Final = 0.6
-"""Mean width of a character, as a share of its size."""
-
-_WIDEST: Final = 2.2
-"""Inches that names of rows take at most; longer ones are written smaller."""
+_CHARACTER: Final = 0.6  # mean width of a character, as a share of its size
+_WIDEST: Final = 2.2  # inches that names of rows take at most; longer ones are written smaller
 
 
 class NothingToDrawError(InvalidSettingError):
@@ -53,54 +50,30 @@ class Results:
     """Who answered what about which events, read once for all figures.
 
     Args:
-        source: the folder of an evaluation, finished or not, or a comparison of models.
+        source: an evaluation, finished or not, or a comparison of models.
     """
 
-    source: ResultsFolder | ModelComparison
+    source: Evaluation | ModelComparison
 
     @classmethod
     def of(cls, source: Source) -> Results:
         """Open the folder of an evaluation or of a comparison, where it is none of them itself."""
         if not isinstance(source, str | os.PathLike):
             return cls(source)
-        if (Path(source) / COMPARISON).is_file():
-            return cls(ModelComparison.load(source))
-        return cls(ResultsFolder.open(source))
+        comparison = (Path(source) / COMPARISON).is_file()
+        return cls((ModelComparison if comparison else Evaluation).load(source))
 
     @property
     def comparison(self) -> ModelComparison:
-        """The comparison of models.
-
-        Raises:
-            NothingToDrawError: the results are of an evaluation.
-        """
-        if isinstance(self.source, ResultsFolder):
+        """The comparison of models (NothingToDrawError: the results are of an evaluation)."""
+        if not isinstance(self.source, ModelComparison):
             raise NothingToDrawError("the results are of an evaluation, not of a comparison")
         return self.source
-
-    @property
-    def events(self) -> Sequence[Event]:
-        """All events."""
-        return self.source.events
-
-    @functools.cached_property
-    def answers(self) -> list[AnswerSet]:
-        """All answers about all events, without metrics."""
-        if isinstance(self.source, ResultsFolder):
-            return answer_sets(self.source)
-        return self.source.answers
-
-    @functools.cached_property
-    def measured(self) -> list[AnswerSet]:
-        """All answers, with metrics."""
-        if isinstance(self.source, ResultsFolder):
-            return measured(self.source)
-        return self.source.measured
 
     @functools.cached_property
     def scenarios(self) -> dict[str, str]:
         """Event -> true scenario, of the events whose truth is known."""
-        return {e.id: e.truth.scenario for e in self.events if e.truth is not None}
+        return {e.id: e.truth.scenario for e in self.source.events if e.truth is not None}
 
     def count(self, answers: AnswerSet, kind: str, scenario: str | None = None) -> int:
         """Return how many answers can be right or wrong, of one true scenario or of all."""

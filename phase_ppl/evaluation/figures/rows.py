@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
-from phase_ppl.analysis.figures.style import INK, NORMAL, SMALL, bare
+import numpy as np
+
+from phase_ppl.analysis.figures.style import COLOURS, INK, NORMAL, SMALL, bare
+from phase_ppl.analysis.figures.style import GREY as TEXT_GREY
 from phase_ppl.evaluation.answer_sets import AnswerSet
 from phase_ppl.evaluation.cells import number
 from phase_ppl.evaluation.figures.layout import (
     GREY,
     KIND_TITLES,
+    SCENARIO_COLOURS,
     NothingToDrawError,
     Results,
+    fitting,
     head,
     in_words,
     laid_out,
@@ -21,15 +27,18 @@ from phase_ppl.evaluation.figures.layout import (
     title_row,
     width_of,
 )
+from phase_ppl.evaluation.likeness import MARGIN, RATINGS, Likeness
 from phase_ppl.evaluation.metrics import at
-from phase_ppl.world.hypothesis import SCENARIOS
+from phase_ppl.evaluation.tables import facts, said
+from phase_ppl.evaluation.tags import MAJORITY, Tags
+from phase_ppl.world.arrays import FloatArray, IntArray
+from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Blocks = Mapping[str, Sequence[AnswerSet]]
-"""Kind of question -> the rows about it."""
+Blocks = Mapping[str, Sequence[AnswerSet]]  # kind of question -> the rows about it
 
 _CORRELATIONS: Final = {
     "goal_r": ("Goals", "goal_split_half_r"),
@@ -46,7 +55,7 @@ def accuracy(results: Results) -> Figure:
         NothingToDrawError: no answer can be right or wrong.
     """
     blocks = {
-        kind: [o for o in results.measured if o.metrics.get(f"{kind}_accuracy") is not None]
+        kind: [o for o in results.source.measured if o.metrics.get(f"{kind}_accuracy") is not None]
         for kind in KIND_TITLES
     }
     present = [name for name in SCENARIOS if name in results.scenarios.values()]
@@ -78,7 +87,7 @@ def equivalence(results: Results) -> Figure:
     comparison = results.comparison
     found = {(r["model"], r["measure"], r["scenario"]): r for r in comparison.equivalence}
     blocks = {
-        kind: [o for o in results.answers if (o.name, f"{kind}_accuracy", None) in found]
+        kind: [o for o in results.source.answers if (o.name, f"{kind}_accuracy", None) in found]
         for kind in KIND_TITLES
     }
     ends = [r[k] for r in found.values() for k in ("value", "ci_low", "ci_high")]
@@ -196,7 +205,7 @@ def correlation(results: Results) -> Figure:
     Raises:
         NothingToDrawError: nobody judged what a model gives probabilities for.
     """
-    models = [o for o in results.measured if o.kind != "people"]
+    models = [o for o in results.source.measured if o.kind != "people"]
     found = {name: [at(o.metrics, ("human", name)) for o in models] for name in _CORRELATIONS}
     panels = [name for name, values in found.items() if any(values)]
     if not panels:
@@ -235,3 +244,213 @@ def _people_line(axes: Axes, people: Mapping[str, Any]) -> None:
         ha="right" if value > 0.5 else "left", fontsize=SMALL, color="#3c3c3c",
         annotation_clip=False,
     )  # fmt: skip
+
+
+# --- what people say of videos --------------------------------------------------------------------
+
+PathLike = str | os.PathLike[str]
+
+_LABEL_WIDTH: Final = 2.6
+_FAINT: Final = "#e6e6e6"
+
+
+def tags(given: Tags, majority: float = MAJORITY) -> Figure:
+    """Draw the percentage of videos that have each label as a category."""
+    found = given.summary(majority)
+    order = list(found.index)[::-1]
+    fewest, most = given.viewers.min(), given.viewers.max()
+    each = f"{most} each" if fewest == most else f"{fewest} to {most} each"
+    note = (
+        f"Percentage of the {len(given.viewers)} videos for which at least {100 * majority:g} % of "
+        f"their viewers ({each}) chose the label. Hollow: chosen by somebody, in no video by that "
+        "many."
+    )
+    figure = laid_out(_LABEL_WIDTH + 3.8, 0.9 + 0.19 * len(order), note)
+    axes = figure.subplots()
+    percent = found.loc[order, "percent"].to_numpy(float)
+    axes.barh(range(len(order)), percent, color=COLOURS[0], height=0.68)
+    for place, (label, value) in enumerate(zip(order, percent, strict=True)):
+        if value == 0 and found.loc[label, "used"]:
+            axes.plot(0, place, "o", ms=3.5, mfc="white", mec=COLOURS[0], clip_on=False, zorder=3)
+        axes.annotate(
+            f"{value:.0f}", (value, place), xytext=(5, 0), textcoords="offset points",
+            va="center", fontsize=SMALL, color=TEXT_GREY,
+        )  # fmt: skip
+    bare(axes)
+    axes.set_yticks(range(len(order)), order, fontsize=NORMAL)
+    axes.set_ylim(-0.6, len(order) - 0.4)
+    axes.set_xlim(0, max(10.0, 1.12 * float(percent.max(initial=0))))
+    axes.set_xlabel("videos, %", fontsize=NORMAL, color=INK)
+    axes.grid(axis="x", color=_FAINT, lw=0.6)
+    axes.set_axisbelow(True)
+    return figure
+
+
+def likeness(given: Likeness, margin: float = MARGIN) -> Figure:
+    """Draw the ratings of both groups, mean ratings of their videos, and the difference."""
+    found = given.summary()
+    test = given.equivalence(margin)
+    shown = "shown" if test["equivalent"] else "not shown"
+    note = (
+        "Left: share of each rating. Middle: mean rating of each video, and mean over videos. "
+        "Right: difference of the mean ratings of participants with its 90 % interval, beside the "
+        f"margin; equivalence is {shown} (two one-sided tests, p = {test['p']:.2g})."
+    )
+    figure = laid_out(7.2, 2.7, note)
+    shares, means, difference = figure.subplots(1, 3, width_ratios=(1.3, 1.0, 1.0))
+    for index, group in enumerate(given.groups):
+        ratings = given.table.loc[given.table["group"] == group, "rating"]
+        share = [float((ratings == rating).mean()) for rating in RATINGS]
+        places = np.array(RATINGS) + 0.4 * (index - 0.5)
+        shares.bar(places, share, width=0.38, color=COLOURS[index], label=group)
+        _points(means, index, given.means("videos")[group], COLOURS[index])
+    bare(shares)
+    shares.set_xticks(RATINGS)
+    shares.set_xlabel("rating", fontsize=NORMAL, color=INK)
+    shares.set_ylabel("share", fontsize=NORMAL, color=INK)
+    shares.legend(frameon=False, fontsize=SMALL, loc="upper left")
+    bare(means)
+    means.set_xticks(
+        [0, 1],
+        [f"{g}\n{r['mean']:.2f} ± {r['sd_videos']:.2f}" for g, r in found.iterrows()],
+        fontsize=SMALL,
+    )
+    means.set_xlim(-0.5, 1.5)
+    means.set_ylim(0.9, 5.1)
+    means.set_yticks(RATINGS)
+    low, high = test["ci_low"], test["ci_high"]
+    difference.axhspan(-margin, margin, color=_FAINT)
+    difference.axhline(0, color="#999999", lw=0.7)
+    difference.plot([0, 0], [low, high], color=INK, lw=2.2)
+    face = INK if test["equivalent"] else "white"
+    difference.plot(0, test["difference"], "o", ms=5, mfc=face, mec=INK)
+    bare(difference)
+    reach = 1.2 * max(margin, abs(low), abs(high))
+    difference.set(xlim=(-1, 1), ylim=(-reach, reach))
+    first, second = given.groups
+    difference.set_xticks([0], [f"{first} \N{MINUS SIGN}\n{second}"], fontsize=SMALL)
+    return figure
+
+
+def _points(axes: Axes, place: int, values: np.ndarray, colour: str) -> None:
+    """Draw points side by side, those with the same value beside each other, and their mean."""
+    rounded = np.round(values, 1)
+    for value in np.unique(rounded):
+        here = values[rounded == value]
+        aside = (np.arange(len(here)) - (len(here) - 1) / 2) * min(0.05, 0.8 / max(1, len(here)))
+        axes.plot(place + aside, here, "o", ms=2.6, color=colour, alpha=0.6, mew=0)
+    axes.plot([place - 0.25, place + 0.25], [values.mean()] * 2, color=INK, lw=1.5)
+
+
+# --- doubt ----------------------------------------------------------------------------------------
+
+_MARKS: Final = dict(zip(RELATIONS, ("o", "s", "^"), strict=True))
+_MOST: Final = 6
+_PARTS: Final = ("relation_r", "relation_r_given_truth")
+
+
+def people(results: Results) -> Figure:
+    """Draw models' probabilities of relations against people's shares, and how near r can come.
+
+    For each model a row: probabilities against shares; the same less the mean over events of the
+    same true relation; and both correlations with their intervals over events and raters, beside
+    what halves of the people reach, as they are (grey line) and for all raters (dashed).
+
+    Raises:
+        NothingToDrawError: nobody judged relations to which a model gives probabilities.
+    """
+    shown = [
+        one for one in results.source.measured if one.kind != "people" and one.metrics.get("doubt")
+    ]
+    if not shown:
+        raise NothingToDrawError("nobody judged relations to which a model gives probabilities")
+    shown = shown[:_MOST]
+    note = (
+        "Marks: an answer to a video, circles friendly, squares neutral, triangles adversarial; "
+        "colours: true scenario. Given the truth: less the mean of the videos with the same true "
+        "relation. Right: 95 % intervals over videos and raters; line: halves of the people, "
+        "dashed: of all people, by Spearman and Brown."
+    )
+    figure = laid_out(7.2, 0.7 + 2.15 * len(shown), note)
+    for (left, middle, right), answers in zip(
+        figure.subplots(len(shown), 3, squeeze=False, width_ratios=(1, 1, 0.8)), shown, strict=True
+    ):
+        p, shares, truth, colours = _probabilities(answers, results)
+        _scatter(left, p, shares, colours, (0.0, 1.0))
+        left.set_ylabel("people", fontsize=NORMAL, color=INK)
+        left.set_title(
+            answers.label, loc="left", color=answers.colour, fontweight="bold", parse_math=False,
+            fontsize=fitting([answers.label], 2.0),
+        )  # fmt: skip
+        known = truth >= 0
+        _scatter(
+            middle,
+            _given_truth(p[known], truth[known]),
+            _given_truth(shares[known], truth[known]),
+            [colour for colour, is_known in zip(colours, known, strict=True) if is_known],
+            (-1.0, 1.0),
+        )
+        middle.set_title("given the truth", loc="left", fontsize=NORMAL, color=GREY)
+        _correlation_bars(right, answers.metrics["doubt"], answers.colour)
+    for axes in figure.axes[-3:-1]:
+        axes.set_xlabel("model", fontsize=NORMAL, color=INK)
+    return figure
+
+
+def _probabilities(
+    answers: AnswerSet, results: Results
+) -> tuple[FloatArray, FloatArray, IntArray, list[str]]:
+    """Return probabilities and shares (event, answer), true relations, and colours of events."""
+    events = [event for event in results.source.events if event.id in answers.predictions]
+    known, model = facts(events), said(events, answers.predictions)
+    p, shares = model.probabilities["relation"][:, 0], known.people["relation"][:, 0]
+    there = ~np.isnan(p[:, 0]) & ~np.isnan(shares[:, 0])
+    names = [results.scenarios.get(events[i].id, "") for i in np.flatnonzero(there)]
+    colours = [SCENARIO_COLOURS.get(name, GREY) for name in names]
+    return p[there], shares[there], known.truth["relation"][there, 0], colours
+
+
+def _given_truth(values: FloatArray, truth: IntArray) -> FloatArray:
+    found = values.copy()
+    for group in np.unique(truth):
+        found[truth == group] -= values[truth == group].mean(axis=0)
+    return found
+
+
+def _scatter(
+    axes: Axes, x: FloatArray, y: FloatArray, colours: list[str], ends: tuple[float, float]
+) -> None:
+    bare(axes)
+    axes.plot(ends, ends, color="#bbbbbb", lw=0.7, zorder=0)
+    style: dict[str, Any] = {"s": 13, "alpha": 0.65, "linewidths": 0, "clip_on": False}
+    for answer, mark in enumerate(_MARKS.values()):
+        axes.scatter(x[:, answer], y[:, answer], c=colours, marker=mark, **style)
+    ticks = sorted({*ends, 0.0})
+    axes.set(xlim=ends, ylim=ends, xticks=ticks, yticks=ticks)
+    axes.set_aspect("equal", adjustable="box")
+
+
+def _correlation_bars(axes: Axes, doubt: dict[str, Any], colour: str) -> None:
+    """Draw both correlations with their intervals, and the ceilings."""
+    bare(axes)
+    for place, name in enumerate(_PARTS):
+        found = doubt[name]
+        if found is None:
+            continue
+        axes.bar(place, found["value"], width=0.55, color=colour, alpha=0.85)
+        if found["ci_low"] is not None:
+            axes.plot([place, place], [found["ci_low"], found["ci_high"]], color=INK, lw=1.1)
+        suffix = name.removeprefix("relation_r")
+        for ceiling, line in ((f"split_half_r{suffix}", "-"), (f"spearman_brown{suffix}", "--")):
+            value = doubt["ceiling"].get(ceiling)
+            if value is not None:
+                ends = [place - 0.38, place + 0.38]
+                axes.plot(ends, [value, value], line, color=GREY, lw=1.3)
+        axes.annotate(
+            f"{found['value']:.2f}", (place, 0), xytext=(9, 3), textcoords="offset points",
+            ha="center", fontsize=SMALL, color="white" if found["value"] > 0.2 else INK,
+        )  # fmt: skip
+    axes.axhline(0, color=INK, lw=0.6)
+    axes.set_xticks([0, 1], ["r", "r given\nthe truth"], fontsize=SMALL)
+    lowest = min(found["ci_low"] or 0.0 for found in map(doubt.get, _PARTS) if found)
+    axes.set(xlim=(-0.6, 1.6), ylim=(min(lowest, 0.0), 1.0))

@@ -21,15 +21,10 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PredicateInversePlanning:
-    """The model with its options, ready to be asked.
+    """The model with its options, ready to be asked."""
 
-    Attributes:
-        prior: name of the prior over pairs of effective goals.
-        log_prior: (goal of red, goal of green).
-    """
-
-    prior: str
-    log_prior: NDArray[np.float64]
+    prior: str  # name of the prior over pairs of effective goals
+    log_prior: NDArray[np.float64]  # (goal of red, goal of green)
     thresholds: Thresholds
     rationality: Rationality
 
@@ -71,17 +66,9 @@ def predicate(
             its uniform P(g), "independent", and the thresholds of SIMPLE's planner.
         **options: fields of :class:`~phase_ppl.models.predicate.Thresholds` and of
             :class:`~phase_ppl.models.predicate.Rationality`.
-
-    Raises:
-        InvalidSettingError, UnknownNameError: one of them cannot be used.
     """
     from phase_ppl.inference.presets import preset as check_preset
-    from phase_ppl.models.predicate import (
-        AS_THE_PAPER,
-        Rationality,
-        Thresholds,
-        log_prior_of_pairs,
-    )
+    from phase_ppl.models.predicate import AS_THE_PAPER, Rationality, Thresholds, log_prior_of_pairs
 
     check_preset(preset)
     usual = AS_THE_PAPER if preset != "default" else {}

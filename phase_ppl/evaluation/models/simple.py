@@ -28,16 +28,11 @@ _NOT_OPTIONS: Final = ("checkpoint", "event", "executor", "progress", "seed", "w
 
 @dataclasses.dataclass(frozen=True)
 class Simple:
-    """A model of this package with its options, ready to be asked.
+    """A model of this package with its options, ready to be asked."""
 
-    Attributes:
-        model: prior, simulator and likelihood.
-        weights: of the draws; None: the run's default.
-        options: for :func:`phase_ppl.infer`, kernel options included.
-    """
-
-    model: Model
-    weights: str | None = None
+    model: Model  # prior, simulator and likelihood
+    weights: str | None = None  # of the draws; None: the run's default
+    # for ``infer``, kernel options included
     options: dict[str, Any] = dataclasses.field(default_factory=dict)
 
     def __call__(self, scene: Scene, observation: Observation, seed: int) -> Answer:
@@ -87,9 +82,6 @@ def _of_simple(given: Mapping[str, Any]) -> list[str] | None:
 
     Args:
         given: all options; ``kernel`` decides.
-
-    Raises:
-        InvalidSettingError, UnknownNameError: there is no such kernel.
     """
     from phase_ppl.inference.infer import infer
     from phase_ppl.inference.presets import SETTINGS
@@ -129,9 +121,6 @@ def simple(
         **options: for :func:`phase_ppl.infer`: ``kernel`` and its options, ``chains``,
             ``iterations`` or ``budget``, ``on_failure``, ``settings``; or fields of the settings
             by name, such as ``proposal="paper"``.
-
-    Raises:
-        InvalidSettingError, UnknownNameError: one of them cannot be used.
     """
     from phase_ppl.analysis.weights import WEIGHTINGS
     from phase_ppl.inference.presets import completed
@@ -184,21 +173,13 @@ def stepwise(
         sharpness, lapse, weight, planner_seeds: of the
             :class:`phase_ppl.StepwiseLikelihood`.
         strengths, noise: of its :class:`phase_ppl.Tracking`.
-
-    Raises:
-        InvalidSettingError, UnknownNameError: one of them cannot be used.
     """
     from phase_ppl.closed_loop.hidden_state import Tracking
     from phase_ppl.models.model import Model
     from phase_ppl.models.stepwise import StepwiseLikelihood
 
     tracking = Tracking(**_given(strengths=strengths, noise=noise))
-    given = _given(
-        sharpness=sharpness,
-        lapse=lapse,
-        weight=weight,
-        planner_seeds=planner_seeds,
-    )
+    given = _given(sharpness=sharpness, lapse=lapse, weight=weight, planner_seeds=planner_seeds)
     likelihood = StepwiseLikelihood(tracking=tracking, **given)
     return Simple(Model(prior=prior, planner=planner, likelihood=likelihood))
 

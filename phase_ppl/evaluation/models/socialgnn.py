@@ -21,15 +21,10 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class SocialGNNModel:
-    """Trained networks, ready to be asked.
+    """Trained networks, ready to be asked."""
 
-    Attributes:
-        trained: the networks whose probabilities are averaged.
-        n_threads: of PyTorch.
-    """
-
-    trained: Trained
-    n_threads: int = 1
+    trained: Trained  # the networks whose probabilities are averaged
+    n_threads: int = 1  # of PyTorch
 
     def __call__(self, scene: Scene, observation: Observation, seed: int) -> Prediction:
         """Return what the networks say; nothing in it is random."""
@@ -81,10 +76,6 @@ def socialgnn(
         weights: an npz file, or the folder that training wrote, instead of those of the package.
         member: the answers of this network alone, from 0, instead of the mean over all seeds.
         threads: of PyTorch.
-
-    Raises:
-        InvalidSettingError, UnknownNameError: one of them cannot be used; or the file of weights
-            is missing or damaged.
     """
     from phase_ppl.models.socialgnn.graphs import checked_variant
     from phase_ppl.models.socialgnn.store import load, shipped

@@ -100,11 +100,7 @@ class Store:
         return self.path / f"{hashlib.sha256(text.encode()).hexdigest()[:20]}-{seed}.json"
 
     def find(self, request: Mapping[str, Any], seed: int) -> dict[str, Any] | None:
-        """Return the record of a request; None where there is none.
-
-        Raises:
-            InvalidEventError: the file is damaged, or of another request.
-        """
+        """Return the record of a request; None where there is none."""
         source = self.file_of(request, seed)
         if not source.exists():
             return None
@@ -139,11 +135,7 @@ class Store:
         return any(self.path.glob(f"{key}-*.json"))
 
     def keep(self, record: Mapping[str, Any]) -> None:
-        """Write a record, in place of the one before.
-
-        Raises:
-            OutputError: it cannot be written.
-        """
+        """Write a record, in place of the one before."""
         try:
             self.path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -153,27 +145,17 @@ class Store:
 
 @dataclasses.dataclass(frozen=True)
 class Vlm:
-    """A vision-language model, ready to be asked.
+    """A vision-language model, ready to be asked."""
 
-    Attributes:
-        client: answers.
-        named: what of the client determines its answers: ``client``, ``model`` and settings.
-        pictures: how many frames there are to see, at most.
-        store: keeps the answers, if they are to be kept.
-        replay: whether stored answers are all there is.
-        retries: how often an event is asked about again, at most.
-        remaining: what becomes of probability that an answer gives to no goal.
-        text: of the question, see :data:`phase_ppl.evaluation.vlm.request.TEXT`.
-    """
-
-    client: Client
+    client: Client  # answers
+    # what of the client determines its answers: ``client``, ``model`` and settings
     named: Mapping[str, Any]
-    pictures: int
-    store: Store | None
-    replay: bool
-    retries: int
-    remaining: str
-    text: str = TEXT
+    pictures: int  # how many frames there are to see, at most
+    store: Store | None  # keeps the answers, if they are to be kept
+    replay: bool  # whether stored answers are all there is
+    retries: int  # how often an event is asked about again, at most
+    remaining: str  # what becomes of probability that an answer gives to no goal
+    text: str = TEXT  # of the question, see ``TEXT``
 
     def __call__(self, scene: Scene, observation: Observation, seed: int) -> Answer:
         """Return what the model answers, or has answered to the same request and seed before."""
@@ -337,11 +319,6 @@ def vlm(
         remaining: "spread" or "zero" (:data:`phase_ppl.evaluation.vlm.request.REMAINING`).
         prompt: a text file with a prompt of one's own, in which ``{goals}`` stands for the names of
             the goals; by default :data:`phase_ppl.evaluation.vlm.request.TEXT`.
-
-    Raises:
-        InvalidSettingError, UnknownNameError: one of them cannot be used, or the client's
-            library is not installed.
-        OutputError: ``store`` is no folder.
     """
     if client is None:
         raise InvalidSettingError(

@@ -20,25 +20,15 @@ from phase_ppl.analysis._arviz import arviz_groups, pareto_smoothed
 from phase_ppl.dataset.documents import read_json
 from phase_ppl.evaluation.observers.answers import Answers, expected, people
 from phase_ppl.evaluation.prediction import Prediction
-from phase_ppl.models.observer.observers import (
-    OBSERVERS,
-    Evidence,
-    Program,
-    observer_named,
-)
+from phase_ppl.models.observer.observers import OBSERVERS, Evidence, Program, observer_named
 from phase_ppl.models.observer.perception import Perception
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
 from phase_ppl.world.files import write_json
 
 SCHEMA: Final = "phase-ppl-observer-1"
-
-KEPT: Final = 200
-"""Draws of the parameters that a file keeps: a mean over them is off by little."""
-
-UNRELIABLE: Final = 0.7
-"""Pareto k from which on what is left out is left out by fitting again."""
-
+KEPT: Final = 200  # draws of the parameters that a file keeps: a mean over them is off by little
+UNRELIABLE: Final = 0.7  # Pareto k from which on what is left out is left out by fitting again
 _NOT_PARAMETERS: Final = ("log_likelihood", "rater", "own_pace")
 _AT_A_TIME: Final = 50
 
@@ -293,9 +283,6 @@ def chosen_inside(fits: Sequence[PeopleFit]) -> tuple[dict[str, Prediction], dic
     So the choice of an observer sees nothing of the video it is judged by: for each video, draws
     are reweighted to leave it out, and of these each other video in turn.
 
-    Args:
-        fits: of the same people and videos.
-
     Returns:
         Event id -> prediction, and event id -> place of the fit that was chosen.
     """
@@ -322,12 +309,7 @@ def _elpd_without(fit: PeopleFit) -> FloatArray:
 
 
 def as_observer(given: str | Program) -> tuple[Program, str]:
-    """Return an observer given by name or as a program, and its name, "" of one's own.
-
-    Raises:
-        UnknownNameError: there is no ready-made observer of that name.
-        InvalidSettingError: it is no program.
-    """
+    """Return an observer given by name or as a program, and its name, "" of one's own."""
     if isinstance(given, str):
         return observer_named(given), given
     if not callable(given):

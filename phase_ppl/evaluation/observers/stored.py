@@ -9,7 +9,7 @@ import os
 from importlib import resources
 from typing import Any, Final
 
-from phase_ppl.evaluation.observers.evidence import Made, evidence_of
+from phase_ppl.evaluation.observers.answers import Made, evidence_of
 from phase_ppl.evaluation.observers.fit import FittedObserver
 from phase_ppl.evaluation.prediction import Prediction, as_prediction
 from phase_ppl.evaluation.registry import Answer, Predict, ReadyModel
@@ -31,10 +31,6 @@ def observer_of(given: str | os.PathLike[str] | FittedObserver, model: str) -> F
     Args:
         given: one; the file of one; or "people", what comes with the package for this model.
         model: name of the model whose evidence the observer goes by.
-
-    Raises:
-        InvalidEventError: there is no such file, or a damaged one.
-        InvalidSettingError: none comes with the package for this model.
     """
     if isinstance(given, FittedObserver):
         return given
@@ -89,11 +85,7 @@ class Observed:
 
 
 def observed(model: ReadyModel, given: str | os.PathLike[str] | FittedObserver) -> ReadyModel:
-    """Return a model seen through an observer.
-
-    Raises:
-        As :func:`observer_of`.
-    """
+    """Return a model seen through an observer."""
     observer = observer_of(given, model.name)
     digest = hashlib.sha256(json.dumps(observer.to_dict()).encode()).hexdigest()
     record: dict[str, Any] = {**model.record, "observer": observer.name, "observer_digest": digest}

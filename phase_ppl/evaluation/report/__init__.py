@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 from typing import Final
 
-from phase_ppl.evaluation.folder import COMPARISON, POSTERIOR, SETTINGS, ResultsFolder
+from phase_ppl.evaluation.folder import COMPARISON, POSTERIOR, SETTINGS
 from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.files import as_path, check_output, write_bytes
 
@@ -48,11 +48,11 @@ def report(
             f"{SETTINGS}) nor a comparison (it has no {COMPARISON})"
         )
     check_output(target, (".html",))
+    from phase_ppl.evaluation.evaluation import Evaluation
     from phase_ppl.evaluation.report import contents
 
     if of_evaluation:
-        opened = ResultsFolder.open(source)
-        text = contents.evaluation_page(opened, videos=videos, progress=progress)
+        text = contents.evaluation_page(Evaluation.load(source), videos=videos, progress=progress)
     elif of_comparison:
         from phase_ppl.evaluation.comparison import ModelComparison
 
@@ -63,10 +63,6 @@ def report(
 
 
 def write_page(text: str, path: str | os.PathLike[str]) -> Path:
-    """Write a page, whole or not at all; return its path.
-
-    Raises:
-        OutputError: it cannot be written there, or its name does not end in .html.
-    """
+    """Write a page, whole or not at all; return its path."""
     write_bytes(path, (".html",), text.encode())
     return Path(path)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -14,12 +14,13 @@ from phase_ppl.analysis import plots
 from phase_ppl.analysis.hypotheses import HDI_PROBABILITY
 from phase_ppl.analysis.posterior import Posterior, load_posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-from phase_ppl.evaluation.answer_sets import MODEL_COLOUR, AnswerSet, answer_sets, label_of
+from phase_ppl.evaluation.answer_sets import MODEL_COLOUR, AnswerSet, label_of
 from phase_ppl.evaluation.cells import number
 from phase_ppl.evaluation.comparison import ModelComparison
+from phase_ppl.evaluation.evaluation import Evaluation
 from phase_ppl.evaluation.figures import drawings_of
 from phase_ppl.evaluation.figures.layout import NothingToDrawError, Results
-from phase_ppl.evaluation.folder import POSTERIOR, ResultsFolder
+from phase_ppl.evaluation.folder import POSTERIOR
 from phase_ppl.evaluation.metrics import at
 from phase_ppl.evaluation.paper import NO_REPRODUCTION, NOT_DRAWN, VERDICTS, Reproduction
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
@@ -44,8 +45,7 @@ from phase_ppl.world.hypothesis import ALPHA_WORDS, ALPHAS, RELATIONS, SCENARIOS
 from phase_ppl.world.names import AGENTS
 from phase_ppl.world.scene import Scene
 
-REPLAY: Final = "replay.mp4"
-"""The film in the folder of a run."""
+REPLAY: Final = "replay.mp4"  # the film in the folder of a run
 
 ASKED: Final = {
     "goal_red": "Goal of the red agent",
@@ -54,12 +54,8 @@ ASKED: Final = {
 }
 """Question -> how it is put to a reader."""
 
-MAX_ROWS: Final = 6
-"""Most goals that are shown of an agent."""
-
-_WORTH_A_ROW: Final = 0.02
-"""Probability from which on a goal is."""
-
+MAX_ROWS: Final = 6  # most goals that are shown of an agent
+_WORTH_A_ROW: Final = 0.02  # probability from which on a goal is
 _PANELS: Final = 6
 _STRIP_WIDTH: Final = 1200
 """Pixels."""
@@ -147,17 +143,12 @@ def event_page(event: Event, shown: Sequence[AnswerSet], post: Posterior | None 
     return page("event.html", title=event.id, truth=truth, item=_item(event, shown, post))
 
 
-def page_in_folder(folder: ResultsFolder, event_id: str) -> str:
-    """Return the page of an event of an evaluation.
-
-    Raises:
-        UnknownNameError: the evaluation has no such event.
-        InvalidEventError: a file of the event is damaged.
-    """
-    event = next((event for event in folder.events if event.id == event_id), None)
+def page_of(evaluation: Evaluation, event_id: str) -> str:
+    """Return the page of an event of an evaluation."""
+    event = next((event for event in evaluation.events if event.id == event_id), None)
     if event is None:
-        raise unknown_name("event", event_id, [event.id for event in folder.events])
-    return event_page(event, answer_sets(folder, [event]), _posterior(folder, event_id))
+        raise unknown_name("event", event_id, [event.id for event in evaluation.events])
+    return event_page(event, evaluation.answers, _posterior(evaluation, event_id))
 
 
 def rows_of(question: str, shown: Sequence[AnswerSet], event: Event) -> list[str]:
@@ -184,10 +175,7 @@ def rows_of(question: str, shown: Sequence[AnswerSet], event: Event) -> list[str
 
 
 def _item(
-    event: Event,
-    everybody: Sequence[AnswerSet],
-    post: Posterior | None = None,
-    film: bool = False,
+    event: Event, everybody: Sequence[AnswerSet], post: Posterior | None = None, film: bool = False
 ) -> dict[str, Any]:
     """Return what pages show of an event: ``right`` are those right in all they answered.
 
@@ -248,10 +236,11 @@ def _film(event: Event, replay: FloatArray | None) -> tuple[str, str]:
         return embedded(path.read_bytes(), "video/mp4"), f"{words}."
 
 
-def _posterior(folder: ResultsFolder, event_id: str) -> Posterior | None:
+def _posterior(evaluation: Evaluation, event_id: str) -> Posterior | None:
     """Return what was sampled of an event, if that is how it was predicted."""
-    source = folder.folder_of(event_id) / POSTERIOR
-    post = load_posterior(source) if source.is_file() else None
+    folder = evaluation.folder
+    source = None if folder is None else folder.folder_of(event_id) / POSTERIOR
+    post = load_posterior(source) if source is not None and source.is_file() else None
     return post if isinstance(post, Posterior) else None
 
 
@@ -259,11 +248,7 @@ def _posterior(folder: ResultsFolder, event_id: str) -> Posterior | None:
 
 
 def run_page(folder: Path) -> str:
-    """Return the page of the run of inference in ``folder``.
-
-    Raises:
-        InvalidEventError: its posterior is damaged, or its film cannot be read.
-    """
+    """Return the page of the run of inference in ``folder``."""
     post = load_posterior(folder / POSTERIOR)
     strips = [_strip("Observed", post.observed(), post.scene, post.event_id)]
     shown: dict[str, Any] = {"decided": None}
@@ -364,49 +349,37 @@ def _summary(shown: Sequence[AnswerSet]) -> dict[str, Any]:
 
 
 def evaluation_page(
-    folder: ResultsFolder, *, videos: bool = False, progress: bool | None = None
+    evaluation: Evaluation, *, videos: bool = False, progress: bool | None = None
 ) -> str:
-    """Return the page of an evaluation.
-
-    Args:
-        folder: of the evaluation, finished or not.
-        videos: film every event.
-        progress: show a bar over the events; None: where stderr is a terminal.
-
-    Raises:
-        InvalidEventError, UnknownNameError: a file in the folder is damaged.
-    """
-    results = Results(folder)
-    metrics = folder.metrics()
-    n, finished = len(folder.events), sum(folder.is_finished(event.id) for event in folder.events)
-    state = f"{finished} of {n} events predicted"
-    if finished < n and metrics is None:
+    """Return the page of an evaluation."""
+    results = Results(evaluation)
+    state = f"{len(evaluation.predictions)} of {len(evaluation.events)} events predicted"
+    if not evaluation.finished:
         state += "; not finished: tables and figures are about these"
-    cost = (metrics or {}).get("cost")
     drawn, left_out = _figures(results)
     present = {name: name for name in SCENARIOS if name in results.scenarios.values()}
     items = []
-    for event in counted(results.events, progress, "event", "showing"):
-        shown = [one for one in results.answers if event.id in one.predictions]
+    for event in counted(results.source.events, progress, "event", "showing"):
+        shown = [one for one in results.source.answers if event.id in one.predictions]
         own = next((o.predictions[event.id] for o in shown if o.kind == "model"), None)
-        post = None if own is None else _posterior(folder, event.id)
+        post = None if own is None else _posterior(evaluation, event.id)
         items.append({**_item(event, shown, post, videos), **_outcome(event, own)})
     return page(
         "evaluation.html",
-        title=f"Evaluation of {label_of(str(folder.settings.get('model', 'model')))}",
+        title=f"Evaluation of {label_of(evaluation.name)}",
         state=f"{state}.",
-        summary=_summary(results.measured),
+        summary=_summary(results.source.measured),
         drawn=drawn,
         left_out=left_out,
-        failures=[(event_id, in_words(what)) for event_id, what in folder.failures().items()],
+        failures=[(event_id, in_words(what)) for event_id, what in evaluation.failures.items()],
         menus=[
             ("scenario", "Scenario", {"": "all", **present}),
             ("outcome", "Answers", {"": "all", **_OUTCOMES}),
             ("order", "Order", _ORDERS),
         ],
         items=items,
-        cost=cost if isinstance(cost, Mapping) else {},
-        settings=folder.settings,
+        cost=evaluation.cost,
+        settings=evaluation.settings,
     )
 
 
@@ -453,14 +426,9 @@ def _figures(results: Results) -> tuple[list[tuple[str, Picture]], list[str]]:
 
 
 def comparison_page(comparison: ModelComparison, *, progress: bool | None = None) -> str:
-    """Return the page of a comparison of models.
-
-    Args:
-        comparison: of models.
-        progress: show a bar over the events; None: where stderr is a terminal.
-    """
+    """Return the page of a comparison of models."""
     results = Results(comparison)
-    shown = {answers.name: answers for answers in results.answers}
+    shown = {answers.name: answers for answers in results.source.answers}
     drawn, left_out = _figures(results)
     settings = {one.name: {"folder": one.folder, **one.settings} for one in comparison.entries}
     return page(
@@ -469,7 +437,7 @@ def comparison_page(comparison: ModelComparison, *, progress: bool | None = None
         # a model that predicts nothing has no answers
         names=[shown[n].label if n in shown else label_of(n) for n in comparison.models],
         notes=comparison.notes,
-        summary=_summary(results.measured),
+        summary=_summary(results.source.measured),
         answers=shown,
         measures=_MEASURES,
         differences=[
@@ -482,7 +450,7 @@ def comparison_page(comparison: ModelComparison, *, progress: bool | None = None
         drawn=drawn,
         left_out=left_out,
         items=[
-            _item(event, results.answers)
+            _item(event, results.source.answers)
             for event in counted(comparison.events, progress, "event", "showing")
         ],
         settings=comparison.settings,
@@ -494,12 +462,7 @@ def comparison_page(comparison: ModelComparison, *, progress: bool | None = None
 
 
 def reproduction_page(made: Reproduction, *, progress: bool | None = None) -> str:
-    """Return the page of a reproduction.
-
-    Args:
-        made: what came out.
-        progress: show a bar over the events; None: where stderr is a terminal.
-    """
+    """Return the page of a reproduction."""
     results = Results(made.comparison)
     drawn, left_out = _figures(results)
     for title, alt, draw in made.drawn:
@@ -518,11 +481,11 @@ def reproduction_page(made: Reproduction, *, progress: bool | None = None) -> st
             for place, rows in itertools.groupby(made.cells, lambda one: one.printed.place)
         ],
         counts=[(kind, sum(one.verdict == kind for one in made.cells)) for kind in VERDICTS],
-        summary=_summary(results.measured),
+        summary=_summary(results.source.measured),
         drawn=drawn,
         left_out=[*left_out, f"{NOT_DRAWN}."],
         items=[
-            _item(event, results.answers)
+            _item(event, results.source.answers)
             for event in counted(made.comparison.events, progress, "event", "showing")
         ],
         settings_of_models=list(flat(given)),

@@ -27,8 +27,7 @@ if TYPE_CHECKING:
 COLOURS: Final = 256
 """Colours of pictures of events, flat areas and a few thin lines; fewer change those of items."""
 
-LEAST: Final = 0.005
-"""Probability below which it is 0 to a reader."""
+LEAST: Final = 0.005  # probability below which it is 0 to a reader
 
 _SCREEN: Final = 104
 """Pixels on the screen for an inch of a figure: its small print can just be read."""

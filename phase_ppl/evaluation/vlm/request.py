@@ -34,16 +34,13 @@ from phase_ppl.world.names import AGENTS, ITEMS, LANDMARKS
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 
-N_NAMED: Final = 10
-"""Goals that an answer names for each agent."""
+N_NAMED: Final = 10  # goals that an answer names for each agent
 
 REMAINING: Final = ("spread", "zero")
 """What becomes of probability that an answer gives to no goal: spread evenly over the goals that it
 does not name, or left out, those named being scaled to sum 1."""
 
-_EXCERPT: Final = 200
-"""Characters of a line about a request, at most."""
-
+_EXCERPT: Final = 200  # characters of a line about a request, at most
 _SUM_TOLERANCE: Final = 0.05
 _SUM_EXACT: Final = 1e-6
 _FENCE: Final = re.compile(r"```[ \t]*(?:\w+[ \t]*)?\r?\n(.*?)```", re.DOTALL)
@@ -219,24 +216,17 @@ class Request:
 class Reply:
     """What came back.
 
-    Attributes:
-        text: as it came; empty where there is none.
-        finish: why the text ends there, in the service's words.
-        model: what answered, in the service's words, such as a version.
-        tokens_in, tokens_out: as the service counts them; None where it does not say, or
-            something that is no whole number.
-        requests: how many were made until it came.
-
     Raises:
         AnswerError: ``text`` is no text.
     """
 
-    text: str
-    finish: str | None = None
-    model: str | None = None
+    text: str  # as it came; empty where there is none
+    finish: str | None = None  # why the text ends there, in the service's words
+    model: str | None = None  # what answered, in the service's words, such as a version
+    # as the service counts them; None where it does not say, or something that is no whole number
     tokens_in: int | None = None
     tokens_out: int | None = None
-    requests: int = 1
+    requests: int = 1  # how many were made until it came
 
     def __post_init__(self) -> None:
         # servers send what they like, and one field of another type must not cost the answer
@@ -285,27 +275,14 @@ def in_a_line(text: str) -> str:
 
 
 class Parsed(NamedTuple):
-    """A readable answer.
+    """A readable answer."""
 
-    Attributes:
-        probabilities: question -> probabilities in label order, sum 1.
-        repairs: what was done to read it, a line each.
-    """
-
-    probabilities: Mapping[str, FloatArray]
-    repairs: tuple[str, ...]
+    probabilities: Mapping[str, FloatArray]  # question -> probabilities in label order, sum 1
+    repairs: tuple[str, ...]  # what was done to read it, a line each
 
 
 def parse(text: str, remaining: str = REMAINING[0]) -> Parsed:
-    """Return the probabilities that an answer gives.
-
-    Args:
-        text: the answer.
-        remaining: one of :data:`REMAINING`.
-
-    Raises:
-        AnswerError: it cannot be read without guessing; the message says why.
-    """
+    """Return the probabilities that an answer gives."""
     repairs: list[str] = []
     body = _without_fence(text, repairs)
     try:

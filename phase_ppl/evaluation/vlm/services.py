@@ -28,14 +28,9 @@ from phase_ppl.evaluation.vlm.request import NoReply, Reply, Request, in_a_line
 from phase_ppl.world.checks import number_or_nan
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 
-SERVICES: Final = {"google": "google.genai", "openai": "openai"}
-"""Name -> the module that it needs."""
-
-MAX_REPLY: Final = 8 * 2**20
-"""Largest answer that is read, bytes; a good one has a few thousand."""
-
-LONGEST_WAIT: Final = 120.0
-"""Seconds that a library waits before it makes a request again, at most."""
+SERVICES: Final = {"google": "google.genai", "openai": "openai"}  # name -> the module that it needs
+MAX_REPLY: Final = 8 * 2**20  # largest answer that is read, bytes; a good one has a few thousand
+LONGEST_WAIT: Final = 120.0  # seconds that a library waits before it makes a request again, at most
 
 _FIRST_WAIT: Final = 4.0
 """Seconds, doubled every time: of Google's library, which does not heed Retry-After."""
@@ -67,33 +62,21 @@ _HEADERS: Final = {"Accept-Encoding": "identity"}  # an answer is as large as wh
 
 @dataclasses.dataclass(frozen=True)
 class Service:
-    """A service that is asked over the network through its library.
+    """A service that is asked over the network through its library."""
 
-    Attributes:
-        name: one of :data:`SERVICES`.
-        model, base_url, show, timeout, temperature, video_fps: as of the model ``vlm``; None leaves
-            the last two to the service.
-        variables: the environment variables that may hold the key, the first that does counts.
-        needs_key: whether it is an error if there is none.
-    """
-
-    name: str
-    model: str
+    name: str  # one of ``SERVICES``
+    model: str  # as of the model ``vlm``; None leaves the last two to the service
     base_url: str
+    # the environment variables that may hold the key, the first that does counts
     variables: tuple[str, ...]
     show: str
     timeout: float = 300.0
     temperature: float | None = None
     video_fps: float | None = None
-    needs_key: bool = True
+    needs_key: bool = True  # whether it is an error if there is none
 
     def __call__(self, request: Request, retries: int = 0) -> Reply:
-        """Return the answer to a request, made again by the library up to ``retries`` times.
-
-        Raises:
-            NoReply: none came; its ``again`` says whether to try again.
-            InvalidSettingError: there is no key, it is refused, or there is no such model.
-        """
+        """Return the answer to a request, made again by the library up to ``retries`` times."""
         guard = _Guard(self._key(), self.timeout)
         _ = request.video if self.show == "video" else request.pictures  # before the clock starts
         box: queue.SimpleQueue[Reply | Exception] = queue.SimpleQueue()
@@ -337,18 +320,7 @@ class _Guard:
 def make_service(
     name: object, model: str | None, show: str | None, given: Mapping[str, Any], to_be_asked: bool
 ) -> Service:
-    """Return a service, ready to be asked.
-
-    Args:
-        name: one of :data:`SERVICES`.
-        model, show: as of the model ``vlm``.
-        given: those of ``base_url``, ``key_env``, ``temperature``, ``video_fps`` and ``timeout``
-            that are not to be as usual.
-        to_be_asked: whether its library is needed.
-
-    Raises:
-        InvalidSettingError, UnknownNameError: one of them cannot be used.
-    """
+    """Return a service, ready to be asked."""
     if not isinstance(name, str) or name not in SERVICES:
         raise unknown_name("client", name, SERVICES)
     settings: dict[str, Any] = dict(_USUAL[name])

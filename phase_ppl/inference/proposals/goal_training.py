@@ -27,9 +27,15 @@ from numpy.typing import NDArray
 from tqdm.auto import tqdm
 
 from phase_ppl.dataset.generation.situation import agent_to, approach, item_to
-from phase_ppl.inference.proposals.goal_features import FEATURES, GOAL_PARTS, KINDS, goal_features
 from phase_ppl.inference.proposals.strength_training import draw_scene, in_processes
-from phase_ppl.inference.proposals.tables import WEIGHTS_FILE, window_length
+from phase_ppl.inference.proposals.tables import (
+    FEATURES,
+    GOAL_PARTS,
+    KINDS,
+    WEIGHTS_FILE,
+    goal_features,
+    window_length,
+)
 from phase_ppl.models import priors
 from phase_ppl.models.effective import log_prior_of_effective
 from phase_ppl.models.sites import IMPOSSIBLE

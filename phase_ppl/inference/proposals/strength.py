@@ -29,15 +29,11 @@ _GRID = np.linspace(*STRENGTH_RANGE, 901)
 
 
 class StrengthEstimates(NamedTuple):
-    """Normal distributions of the agents' strengths, to be cut to the range of strengths.
+    """Normal distributions of the agents' strengths, to be cut to the range of strengths."""
 
-    Attributes:
-        mean: (window, agent) newtons; NaN where there is no estimate, which means the prior.
-        sd: (window, agent) newtons; NaN where ``mean`` is.
-    """
-
+    # (window, agent) newtons; NaN where there is no estimate, which means the prior
     mean: FloatArray
-    sd: FloatArray
+    sd: FloatArray  # (window, agent) newtons; NaN where ``mean`` is
 
 
 class Estimator(Protocol):
@@ -52,22 +48,14 @@ class Estimator(Protocol):
 
 
 class Quality(NamedTuple):
-    """How good estimates are, as proposals from normal distributions cut to the range.
+    """How good estimates are, as proposals from normal distributions cut to the range."""
 
-    Attributes:
-        share: of estimates among all.
-        rmse: of the proposals' mean, newtons; of the prior's mean where there is no estimate.
-        log_density: mean log density of the true strength; without an estimate that of the
-            uniform prior, -6.11.
-        log_mixture: the same, of a mixture with a tenth of the prior, as in SIMPLE's proposal.
-        coverage: share of the estimates that are no farther off than their standard deviation;
-            nan without any.
-    """
-
-    share: float
-    rmse: float
+    share: float  # of estimates among all
+    rmse: float  # of the proposals' mean, newtons; of the prior's mean where there is no estimate
+    # mean log density of the true strength; without an estimate that of the uniform prior, -6.11
     log_density: float
-    log_mixture: float
+    log_mixture: float  # the same, of a mixture with a tenth of the prior, as in SIMPLE's proposal
+    # share of the estimates that are no farther off than their standard deviation; nan without any
     coverage: float
 
 
@@ -93,14 +81,12 @@ def quality(estimates: StrengthEstimates, strength: FloatArray) -> Quality:
     )
 
 
-TOLERANCE: Final = 0.01
-"""Relative deviation from a level that still counts as a hit."""
+TOLERANCE: Final = 0.01  # relative deviation from a level that still counts as a hit
 
 MAX_OFF_HEADING: Final = 0.05
 """Angle between the driving force and the agent's heading that still counts as forward, rad."""
 
-MIN_SPEED: Final = 0.3
-"""Below this the direction of the friction is uncertain, units per second."""
+MIN_SPEED: Final = 0.3  # below this the direction of the friction is uncertain, units per second
 
 VALIDATION_SD: Final = 40.0
 """Root mean square error of the rule on the 50 development videos, newtons: 39 on whole videos
@@ -177,8 +163,7 @@ def _force_from_rest(track: FloatArray, agent_mass: float) -> tuple[FloatArray, 
     return np.where(even, force[1:], 0.0), heading
 
 
-HIDDEN: Final = 64
-"""Units of each of the two hidden layers, as in the paper."""
+HIDDEN: Final = 64  # units of each of the two hidden layers, as in the paper
 
 SHAPES: Final[dict[str, tuple[int, ...]]] = {
     "centre": (N_FEATURES,),
@@ -229,11 +214,7 @@ class StrengthNetwork:
 
     @classmethod
     def load(cls, file: str | Path) -> StrengthNetwork:
-        """Return the network with the weights of an npz file.
-
-        Raises:
-            InvalidSettingError: there is no such file, or it is damaged.
-        """
+        """Return the network with the weights of an npz file."""
         try:
             # from memory: NumPy leaves a damaged file open
             with np.load(io.BytesIO(Path(file).read_bytes()), allow_pickle=False) as kept:
@@ -297,12 +278,7 @@ DEFAULT_ESTIMATOR: Final = "network"
 
 
 def strength_estimator(strength: str | Estimator) -> Estimator:
-    """Return the estimator of that name, or ``strength`` itself if it is one.
-
-    Raises:
-        UnknownNameError: no estimator has that name.
-        InvalidSettingError: neither a name nor an estimator.
-    """
+    """Return the estimator of that name, or ``strength`` itself if it is one."""
     if isinstance(strength, str):
         if strength not in ESTIMATORS:
             raise unknown_name("estimator of strengths", strength, ESTIMATORS)
@@ -315,22 +291,9 @@ def strength_estimator(strength: str | Estimator) -> Estimator:
 
 
 def estimated_strengths(
-    strength: str | Estimator,
-    scene: Scene,
-    observation: Observation,
-    windows: NDArray[np.int64],
+    strength: str | Estimator, scene: Scene, observation: Observation, windows: NDArray[np.int64]
 ) -> StrengthEstimates:
-    """Return what an estimator says of each window.
-
-    Args:
-        strength: the name of an estimator, or one.
-        scene, observation: what was seen.
-        windows: (window, 2) first and last frame of each.
-
-    Raises:
-        UnknownNameError, InvalidSettingError: no such estimator, or an answer that is of another
-            shape or no normal distribution.
-    """
+    """Return what an estimator says of each window."""
     found = strength_estimator(strength)(scene, observation, windows)
     mean, sd = (np.asarray(part, float) for part in found)
     wanted = (len(windows), len(AGENTS))

@@ -18,12 +18,8 @@ from phase_ppl.physics.constants import FLOOR_FRICTION, STEP, mass
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.names import AGENTS, BLUE_ITEM, PINK_ITEM
 
-REACHES: Final = (1, 2, 3)
-"""Frames to either side that a parabola is fitted to."""
-
-BINS: Final = np.linspace(100.0, 650.0, 12)
-"""Centres of the histogram of forces, newtons; 50 apart."""
-
+REACHES: Final = (1, 2, 3)  # frames to either side that a parabola is fitted to
+BINS: Final = np.linspace(100.0, 650.0, 12)  # centres of the histogram of forces, newtons; 50 apart
 FORCE_UNIT: Final = 300.0
 SPEED_UNIT: Final = 10.0
 
@@ -31,12 +27,9 @@ N_FEATURES: Final = 8 + len(REACHES) * (1 + 6 * 3) + 2 + len(BINS)
 """Eight of the whole window; for each reach the noise and three statistics of six channels; the
 largest steady force; the histogram of steady forces."""
 
-_STILL: Final = 0.3
-"""Below this the direction of the friction is uncertain, units per second."""
-_NEAR: Final = 0.3
-"""Gap between two bodies' circles below which they may touch, units."""
-_ROUNDING: Final = 0.002
-"""Jitter that is not told from none, units and radians."""
+_STILL: Final = 0.3  # below this the direction of the friction is uncertain, units per second
+_NEAR: Final = 0.3  # gap between two bodies' circles below which they may touch, units
+_ROUNDING: Final = 0.002  # jitter that is not told from none, units and radians
 _QUARTILE: Final = 0.3186 * np.sqrt(2)
 _DECILE: Final = 0.1257 * np.sqrt(2)
 """Lower quartile and decile of the absolute difference of two standard normal numbers."""
@@ -59,26 +52,18 @@ def observed_jitter(trajectory: FloatArray) -> Jitter:
     steps = np.abs(np.diff(trajectory, axis=0))
     positions, angles = steps[..., :2], steps[:, : len(AGENTS), 2]
     return Jitter(
-        float(np.quantile(positions, 0.25) / _QUARTILE),
-        float(np.quantile(angles, 0.1) / _DECILE),
+        float(np.quantile(positions, 0.25) / _QUARTILE), float(np.quantile(angles, 0.1) / _DECILE)
     )
 
 
 class Motion(NamedTuple):
-    """Motion of all entities by parabolas of one reach; the first entry is of frame ``reach``.
+    """Motion of all entities by parabolas of one reach; the first entry is of frame ``reach``."""
 
-    Attributes:
-        reach: frames to either side.
-        velocity, acceleration: (time - 2 reach, entity, 2) units and seconds.
-        friction: (time - 2 reach, entity, 2) force that the floor friction takes, newtons.
-        noise: standard deviation of the acceleration's components by the jitter.
-    """
-
-    reach: int
-    velocity: FloatArray
+    reach: int  # frames to either side
+    velocity: FloatArray  # (time - 2 reach, entity, 2) units and seconds
     acceleration: FloatArray
-    friction: FloatArray
-    noise: float
+    friction: FloatArray  # (time - 2 reach, entity, 2) force that the floor friction takes, newtons
+    noise: float  # standard deviation of the acceleration's components by the jitter
 
 
 def fitted_motion(positions: FloatArray, reach: int, jitter: float) -> Motion:

@@ -71,17 +71,11 @@ its own."""
 
 
 class Simulated(NamedTuple):
-    """Simulated events of equal length.
+    """Simulated events of equal length."""
 
-    Attributes:
-        trajectory: (event, time, entity, coord) x, y [units], angle [rad].
-        radius: (event, entity) sizes, units.
-        strength: (event, agent) newtons.
-    """
-
-    trajectory: NDArray[np.float32]
-    radius: FloatArray
-    strength: FloatArray
+    trajectory: NDArray[np.float32]  # (event, time, entity, coord) x, y [units], angle [rad]
+    radius: FloatArray  # (event, entity) sizes, units
+    strength: FloatArray  # (event, agent) newtons
 
 
 def draw_scene(rng: np.random.Generator) -> Scene:
@@ -148,11 +142,7 @@ def simulate_events(n: int, frames: int, seed: int, workers: int = 1) -> Simulat
 
 
 def cached_events(file: Path, n: int, frames: int, seed: int, workers: int = 1) -> Simulated:
-    """Return drawn events, from a file if they are there, else simulated and written to it.
-
-    Raises:
-        InvalidSettingError: the file holds others.
-    """
+    """Return drawn events, from a file if they are there, else simulated and written to it."""
     wanted: dict[str, Any] = {"events": n, "frames": frames, "seed": seed}
     if file.exists():
         with np.load(file) as kept:
@@ -168,8 +158,7 @@ def cached_events(file: Path, n: int, frames: int, seed: int, workers: int = 1) 
 
 # --- examples: windows of events, blurred and cut ------------------------------------------------
 
-LARGEST_JITTER: Final = 0.35
-"""Of the positions in the training, units."""
+LARGEST_JITTER: Final = 0.35  # of the positions in the training, units
 
 ANGLE_SHARE: Final = 0.2
 """Jitter of the angles, rad, for a unit of that of the positions: an agent of size 1 whose rim
@@ -183,19 +172,12 @@ VALIDATION_LENGTHS: Final = (1, 2, 5, 10, 20, 0)
 
 
 class Examples(NamedTuple):
-    """One window and one agent each.
+    """One window and one agent each."""
 
-    Attributes:
-        features: (example, feature).
-        strength: (example,) newtons.
-        jitter: (example,) of the positions, units.
-        length: (example,) steps of the window; 0 where it is the whole event.
-    """
-
-    features: NDArray[np.float32]
-    strength: NDArray[np.float32]
-    jitter: FloatArray
-    length: NDArray[np.int64]
+    features: NDArray[np.float32]  # (example, feature)
+    strength: NDArray[np.float32]  # (example,) newtons
+    jitter: FloatArray  # (example,) of the positions, units
+    length: NDArray[np.int64]  # (example,) steps of the window; 0 where it is the whole event
 
 
 def blurred(
@@ -274,11 +256,7 @@ def _drawn_windows(n_frames: int, rng: np.random.Generator) -> NDArray[np.int64]
 
 
 def _of_windows(
-    events: Simulated,
-    index: int,
-    trajectory: FloatArray,
-    windows: NDArray[np.int64],
-    jitter: float,
+    events: Simulated, index: int, trajectory: FloatArray, windows: NDArray[np.int64], jitter: float
 ) -> Examples:
     features = window_features(trajectory, events.radius[index], windows)
     n = len(windows) * len(AGENTS)
@@ -293,36 +271,22 @@ def _of_windows(
 # --- training -----------------------------------------------------------------------------------
 
 _HALF_LOG_2PI: Final = 0.5 * np.log(2 * np.pi)
-
-SMALLEST_SCALE: Final = 0.05
-"""Features that hardly vary in the training are not blown up."""
+SMALLEST_SCALE: Final = 0.05  # features that hardly vary in the training are not blown up
 
 
 @dataclasses.dataclass(frozen=True)
 class TrainingSettings:
-    """How the network is made.
+    """How the network is made."""
 
-    Attributes:
-        events: number of simulated events; a tenth of them validates.
-        frames: length of each.
-        rounds: how often each event is blurred and cut anew.
-        epochs: passes over all examples; the best by validation counts.
-        batch: examples per step.
-        learning_rate: at the start; it falls to zero along a cosine.
-        weight_decay: of the weights.
-        dropout: share of hidden units left out in each step.
-        seed: of everything random.
-    """
-
-    events: int = 1500
-    frames: int = 61
-    rounds: int = 6
-    epochs: int = 20
-    batch: int = 512
-    learning_rate: float = 2e-3
-    weight_decay: float = 1e-2
-    dropout: float = 0.2
-    seed: int = 0
+    events: int = 1500  # number of simulated events; a tenth of them validates
+    frames: int = 61  # length of each
+    rounds: int = 6  # how often each event is blurred and cut anew
+    epochs: int = 20  # passes over all examples; the best by validation counts
+    batch: int = 512  # examples per step
+    learning_rate: float = 2e-3  # at the start; it falls to zero along a cosine
+    weight_decay: float = 1e-2  # of the weights
+    dropout: float = 0.2  # share of hidden units left out in each step
+    seed: int = 0  # of everything random
 
     def __post_init__(self) -> None:
         for name, least in (("events", 10), ("frames", 12), ("rounds", 1), ("epochs", 1)):

@@ -2,7 +2,7 @@
 
 Computed once per event, in NumPy, in one of two forms.
 
-"learned". Goals are scored by :mod:`~phase_ppl.inference.proposals.goal_features`, which also see
+"learned". Goals are scored by :mod:`~phase_ppl.inference.proposals.tables`, which also see
 what the agent itself did, and proposed together with alpha
 (:func:`joint_logits`). The weights of the features were learned from
 simulated events. Strengths are estimated from the whole observation.
@@ -26,8 +26,8 @@ from typing import Any, Final, Literal, NamedTuple, get_args
 
 import jax
 import numpy as np
+from numpy.typing import NDArray
 
-from phase_ppl.inference.proposals.goal_features import GOAL_PARTS, goal_features
 from phase_ppl.inference.proposals.strength import DEFAULT_ESTIMATOR, Estimator, estimated_strengths
 from phase_ppl.models.sites import IMPOSSIBLE, SELF_REFERRING
 from phase_ppl.world.arrays import FloatArray, IntArray
@@ -58,19 +58,16 @@ def window_count(n_frames: int, window: int) -> int:
 
 
 class BottomUpTables(NamedTuple):
-    """What each window says; the last entry is about the whole observation.
+    """What each window says; the last entry is about the whole observation."""
 
-    Attributes:
-        goal_logits: (window + 1, agent, goal) unnormalised log probabilities of stated goals; or
-            (window + 1, alpha, agent, goal), given alpha.
-        strength: (window + 1, agent) estimate, newtons; NaN where there is none.
-        strength_sd: (window + 1, agent) its standard deviation, newtons; NaN likewise.
-        alpha_logits: (window + 1, alpha) beside the prior's; None: alpha as in the prior.
-    """
-
+    # (window + 1, agent, goal) unnormalised log probabilities of stated goals; or (window + 1,
+    # alpha, agent, goal), given alpha
     goal_logits: FloatArray | jax.Array
+    # (window + 1, agent) estimate, newtons; NaN where there is none
     strength: FloatArray | jax.Array
+    # (window + 1, agent) its standard deviation, newtons; NaN likewise
     strength_sd: FloatArray | jax.Array
+    # (window + 1, alpha) beside the prior's; None: alpha as in the prior
     alpha_logits: FloatArray | jax.Array | None = None
 
 
@@ -184,3 +181,167 @@ def goal_distances(scene: Scene, observation: Observation) -> FloatArray:
                 apart if literal.positive else np.maximum(0.0, farthest - apart)
             )
     return distance
+
+
+# --- features of motion that speak for goals ------------------------------------------------------
+
+FEATURES: Final = (
+    "constant",
+    "distance at the end",
+    "distance at the start",
+    "achieved at the end",
+    "achieved at the start",
+    "in the room at the end",
+    "in the room at the start",
+    "agent's gap to the subject at the end",
+    "agent's smallest gap to the subject",
+    "share of time touching the subject",
+    "progress",
+    "agent's way towards the subject",
+    "agent's way towards the place",
+    "the same, while at the subject",
+    "agent's path",
+    "progress while touching the subject",
+)
+"""Of a goal in a stretch of time; lengths in units of 10, ways in units of 3."""
+
+KINDS: Final = ("item", "not item", "self", "not self", "other", "not other", "touch", "not touch")
+"""What a goal is about, and whether it is to be so or not; kinds have weights of their own."""
+
+TOUCHING: Final = 0.4
+"""Gap below which two bodies count as touching, units; frames are means over a step."""
+
+_TOUCHED: Final = 0.6
+"""Gap of the agents below which "get to" counts as achieved at that moment, units."""
+
+_FAR: Final = 10.0
+_LENGTH, _WAY = 10.0, 3.0
+
+
+class _Goals(NamedTuple):
+    """(agent, goal) what the goals are about."""
+
+    kind: IntArray  # index into ``KINDS``
+    subject: IntArray  # entity
+    about_agent: NDArray[np.bool_]  # whether the place is an agent instead of a landmark
+    agent: IntArray  # the place; 0 where it is of the other sort
+    landmark: IntArray
+
+
+def _goals() -> _Goals:
+    rows = []
+    for holder in range(len(AGENTS)):
+        for goal in range(N_GOALS):
+            literal = goal_literal(goal, holder)
+            touch = literal.predicate is Predicate.TOUCH
+            if touch:
+                about = "touch"
+            elif literal.subject >= len(AGENTS):
+                about = "item"
+            else:
+                about = "self" if literal.subject == holder else "other"
+            number = KINDS.index(about) + (not literal.positive)
+            place = (literal.target, 0) if touch else (0, literal.target)
+            rows.append((number, literal.subject, touch, *place))
+    columns = np.array(rows).reshape(len(AGENTS), N_GOALS, -1)
+    kind, subject, about_agent, agent, landmark = (columns[..., i] for i in range(5))
+    return _Goals(kind, subject, about_agent.astype(bool), agent, landmark)
+
+
+GOAL_PARTS: Final = _goals()
+
+
+def goal_features(
+    scene: Scene, observation: Observation, first: IntArray, last: IntArray
+) -> FloatArray:
+    """Return (stretch, agent, goal, feature), in the order of ``FEATURES``.
+
+    Args:
+        scene, observation: what was seen.
+        first, last: (stretch,) first and last frame of each stretch.
+    """
+    tracks = _Tracks(scene, observation)
+    columns = [
+        _features_of(tracks, agent, np.asarray(first), np.asarray(last))
+        for agent in range(len(AGENTS))
+    ]
+    return np.stack(columns, axis=1)
+
+
+class _Tracks:
+    """What is read off all frames once, with sums over time up to each frame."""
+
+    def __init__(self, scene: Scene, observation: Observation) -> None:
+        position, places = observation.positions, scene.landmark_centres
+        to_place = places[None, None] - position[:, :, None]
+        apart = position[:, None] - position[:, :, None]
+        self.distance_to_landmark = np.linalg.norm(to_place, axis=-1)
+        self.distance_to_entity = np.linalg.norm(apart, axis=-1)
+        self.gap = self.distance_to_entity - scene.radius[:, None] - scene.radius
+        self.on: NDArray[np.bool_] = np.all(np.abs(to_place) < scene.landmark_half_width, axis=-1)
+        self.room = scene.rooms.room_of(position.reshape(-1, 2)).reshape(position.shape[:2])
+        self.room_of_landmark = scene.rooms.room_of(places)
+        agents = slice(0, len(AGENTS))
+        step = np.diff(position[:, agents], axis=0)[:, :, None]
+        self.way_to_landmark = _summed((step * _unit(to_place[:-1, agents])).sum(axis=-1))
+        self.way_to_entity = _summed((step * _unit(apart[:-1, agents])).sum(axis=-1))
+        self.path = _summed(np.linalg.norm(step[:, :, 0], axis=-1))
+        self.touching = _summed((self.gap < TOUCHING).astype(float))
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-6)
+
+
+def _summed(values: FloatArray) -> FloatArray:
+    """Return (time + 1, ...) the sums of all values before each time."""
+    return np.concatenate([np.zeros_like(values[:1]), np.cumsum(values, axis=0)])
+
+
+def _features_of(tracks: _Tracks, agent: int, first: IntArray, last: IntArray) -> FloatArray:
+    """Return (stretch, goal, feature) of one agent."""
+    _, subject, about_agent, named, landmark = (part[agent] for part in GOAL_PARTS)
+    own = subject == agent
+
+    def of_place(of_agents: NDArray[Any], of_landmarks: NDArray[Any]) -> FloatArray:
+        return np.where(about_agent, of_agents, of_landmarks).astype(float)
+
+    distance = of_place(
+        tracks.distance_to_entity[:, subject, named],
+        tracks.distance_to_landmark[:, subject, landmark],
+    )
+    achieved = of_place(tracks.gap[:, subject, named] < _TOUCHED, tracks.on[:, subject, landmark])
+    in_room = of_place(
+        tracks.room[:, subject] == tracks.room[:, named],
+        tracks.room[:, subject] == tracks.room_of_landmark[landmark],
+    )
+    gap = np.minimum(tracks.gap[:, agent, subject], _FAR)
+    nearest = np.stack([gap[a : b + 1].min(axis=0) for a, b in zip(first, last, strict=True)])
+    touching = tracks.touching[last + 1] - tracks.touching[first]
+    share = touching[:, agent, subject] / (last - first + 1)[:, None]
+    to_entity = (tracks.way_to_entity[last] - tracks.way_to_entity[first])[:, agent]
+    to_landmark = (tracks.way_to_landmark[last] - tracks.way_to_landmark[first])[:, agent]
+    to_place = of_place(to_entity[:, named], to_landmark[:, landmark]) / _WAY
+    path = (tracks.path[last] - tracks.path[first])[:, agent, None] / _WAY
+    progress = (distance[first] - distance[last]) / _WAY
+    share = np.where(own, 0.0, share)
+    at_subject = ~own & (gap[last] < TOUCHING)
+    columns = (
+        np.ones_like(progress),
+        distance[last] / _LENGTH,
+        distance[first] / _LENGTH,
+        achieved[last],
+        achieved[first],
+        in_room[last],
+        in_room[first],
+        np.where(own, 0.0, gap[last] / _LENGTH),
+        np.where(own, 0.0, nearest / _LENGTH),
+        share,
+        progress,
+        np.where(own, 0.0, to_entity[:, subject] / _WAY),
+        to_place,
+        np.where(at_subject, to_place, 0.0),
+        np.broadcast_to(path, progress.shape),
+        share * progress,
+    )
+    return np.stack(columns, axis=-1)

@@ -18,15 +18,7 @@ from phase_ppl.dataset.authors.pickles import read_pickle, unpickled
 from phase_ppl.world.errors import InvalidEventError, PhasePPLError
 from tests.dataset.authors.pickles import name_of, processed, record
 from tests.dataset.authors.test_unpickle import OLD, OLD_BINARY, PROTOCOLS
-from tests.dataset.authors.traps import (
-    EMPTY,
-    F8,
-    SPRUNG,
-    array,
-    complaint,
-    is_sprung,
-    refused,
-)
+from tests.dataset.authors.traps import EMPTY, F8, SPRUNG, array, complaint, is_sprung, refused
 
 # --- small files that become large -----------------------------------------------------------
 

@@ -16,16 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from phase_ppl.dataset.authors.pickles import unpickled
-from tests.dataset.authors.traps import (
-    EIGHT,
-    EMPTY,
-    F8,
-    SPRUNG,
-    Trap,
-    array,
-    is_sprung,
-    refused,
-)
+from tests.dataset.authors.traps import EIGHT, EMPTY, F8, SPRUNG, Trap, array, is_sprung, refused
 
 PROTOCOLS = range(pickle.HIGHEST_PROTOCOL + 1)
 

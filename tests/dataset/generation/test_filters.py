@@ -102,8 +102,7 @@ def test_an_agent_that_pushes_a_wall_for_long_is_stuck() -> None:
 
 
 @pytest.mark.parametrize(
-    ("flags", "length"),
-    [([], 0), ([0, 0], 0), ([1], 1), ([1, 1, 0, 1], 2), ([0, 1, 1, 1], 3)],
+    ("flags", "length"), [([], 0), ([0, 0], 0), ([1], 1), ([1, 1, 0, 1], 2), ([0, 1, 1, 1], 3)]
 )
 def test_longest_run(flags: list[int], length: int) -> None:
     assert longest_run(np.array(flags, bool)) == length

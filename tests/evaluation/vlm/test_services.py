@@ -137,13 +137,7 @@ def test_google_gets_pictures_on_request_and_its_own_settings_else(google: Asked
     google.server.behaviours = [sends(google.envelope("{}"))]
     google.service(show="pictures")(request())
     parts = google.server.seen[0].body["contents"][0]["parts"]
-    assert [part.get("text") for part in parts] == [
-        "0 s",
-        None,
-        "0.5 s",
-        None,
-        request().prompt,
-    ]
+    assert [part.get("text") for part in parts] == ["0 s", None, "0.5 s", None, request().prompt]
     assert "image/png" in parts[1]["inlineData"].values()
     json_asked = {"responseMimeType": "application/json"}
     assert google.server.seen[0].body["generationConfig"] == json_asked
@@ -158,13 +152,7 @@ def test_openai_gets_pictures_with_their_times_then_the_question(openai: Asked) 
     assert set(seen.body) == {"model", "messages", "stream", "response_format"}
     assert seen.body["response_format"] == {"type": "json_object"}
     parts = seen.body["messages"][0]["content"]
-    assert [part.get("text") for part in parts] == [
-        "0 s",
-        None,
-        "0.5 s",
-        None,
-        request().prompt,
-    ]
+    assert [part.get("text") for part in parts] == ["0 s", None, "0.5 s", None, request().prompt]
     first = parts[1]["image_url"]["url"]
     assert first == "data:image/png;base64," + base64.b64encode(b"first").decode()
 
