@@ -16,9 +16,13 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 from nbclient import NotebookClient
 from nbconvert import MarkdownExporter
+from traitlets.config import Config
 
 LONGEST = 900
 """Seconds that a cell may take."""
+
+LOCAL = Config({"KernelManager": {"transport": "ipc"}})
+"""Talks to kernels over no network."""
 
 _compiled = tempfile.TemporaryDirectory()
 
@@ -36,7 +40,11 @@ def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: 
     notebook = jupytext.reads(markdown, fmt="md")
     with tempfile.TemporaryDirectory() as folder:
         where = {"metadata": {"path": folder}}
-        NotebookClient(notebook, timeout=LONGEST, kernel_name="python3", resources=where).execute()
+        NotebookClient(
+            notebook, timeout=LONGEST, kernel_name="python3", resources=where, config=LOCAL
+        ).execute()
+    for cell in notebook.cells:  # without progress bars
+        cell.outputs = [one for one in cell.get("outputs", ()) if one.get("name") != "stderr"]
     name = Path(page.file.src_uri).stem
     key = {"unique_key": name, "output_files_dir": posixpath.join("outputs", name)}
     text, found = MarkdownExporter().from_notebook_node(notebook, resources=key)
