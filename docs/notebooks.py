@@ -16,13 +16,9 @@ from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
 from nbclient import NotebookClient
 from nbconvert import MarkdownExporter
-from traitlets.config import Config
 
 LONGEST = 900
-"""Seconds that a cell may take."""
-
-LOCAL = Config({"KernelManager": {"transport": "ipc"}})
-"""Talks to kernels over no network."""
+"""Seconds that a cell may take, or a kernel to start."""
 
 _compiled = tempfile.TemporaryDirectory()
 
@@ -40,16 +36,16 @@ def on_page_markdown(markdown: str, *, page: Page, config: MkDocsConfig, files: 
     notebook = jupytext.reads(markdown, fmt="md")
     with tempfile.TemporaryDirectory() as folder:
         where = {"metadata": {"path": folder}}
-        NotebookClient(
-            notebook, timeout=LONGEST, kernel_name="python3", resources=where, config=LOCAL
-        ).execute()
-    for cell in notebook.cells:  # without progress bars
-        cell.outputs = [one for one in cell.get("outputs", ()) if one.get("name") != "stderr"]
+        limits = {"timeout": LONGEST, "startup_timeout": LONGEST}
+        NotebookClient(notebook, kernel_name="python3", resources=where, **limits).execute()
+    for cell in notebook.cells:
+        if cell.cell_type == "code":  # without progress bars
+            cell.outputs = [one for one in cell.outputs if one.get("name") != "stderr"]
     name = Path(page.file.src_uri).stem
     key = {"unique_key": name, "output_files_dir": posixpath.join("outputs", name)}
     text, found = MarkdownExporter().from_notebook_node(notebook, resources=key)
     copies = {**found["outputs"], f"{name}.ipynb": nbformat.writes(notebook)}
     for uri, content in copies.items():
         files.append(File.generated(config, uri, content=content))
-    title, rest = text.split("\n", 1)
+    title, rest = text.strip().split("\n", 1)
     return f"{title}\n\n*All that is shown here was run: [the notebook]({name}.ipynb).*\n{rest}"
