@@ -66,6 +66,9 @@ PROFILES: Final = ("quick", "paper", "full")
 ASKED, RESULT, PAGE = "asked.json", "reproduction.json", "reproduction.html"
 MODELS, GENERATED, COMPARED = "models", "generated", "comparison"
 
+ADDED: Final = ("judgments", "vlm_store", "tags", "likeness")
+"""What may be added when it is resumed: none of it changes an answer that is there."""
+
 _QUICK_SET, _WHOLE_SET = 20, 100
 """Generated events where there are no real videos."""
 
@@ -177,7 +180,8 @@ def reproduce(
         tags, likeness: CSV files of what people said in the paper's other two experiments.
         seed: of the models.
         workers: processes, at most; by default one per usable core.
-        resume: go on with what is in ``out``.
+        resume: go on with what is in ``out``, by the same arguments; judgments, answers, tags and
+            likeness may be added where there were none.
         progress: whether to show bars; by default where stderr is a terminal.
         say: takes lines about what is done, an estimate of the time before it begins among them.
 
@@ -194,8 +198,10 @@ def reproduce(
     rated = None if likeness is None else load_likeness(likeness)
     folder = writable_folder(out)
     with locked(folder):
+        files = {"videos": videos, "judgments": judgments, "vlm_store": vlm_store,
+                 "tags": tags, "likeness": likeness}  # fmt: skip
         given = {
-            "videos": None if videos is None else str(Path(videos).resolve()),
+            **{name: file and str(Path(file).resolve()) for name, file in files.items()},
             **{"profile": profile, "seed": seed},
         }
         _same_as_before(folder / ASKED, given, resume)
@@ -243,7 +249,9 @@ def _same_as_before(file: Path, given: Mapping[str, Any], resume: bool) -> None:
         return
     if not resume:
         raise OutputError(f"{file.parent} holds a reproduction already; resume it, or name another")
-    apart = differences(read_json(file), given)
+    before = read_json(file)
+    before |= {name: given[name] for name in ADDED if before.get(name) is None}
+    apart = differences(before, given)
     if apart:
         raise InvalidSettingError(f"{file.parent} was begun with others: {'; '.join(apart)}")
 

@@ -62,7 +62,8 @@ class Film(os.PathLike[str]):
         data = base64.b64encode(self.path.read_bytes()).decode("ascii")
         if self.path.suffix.lower() == ".gif":
             return f'<img src="data:image/gif;base64,{data}" alt="an animation">'
-        return f'<video controls loop src="data:video/mp4;base64,{data}"></video>'
+        source = f"data:video/mp4;base64,{data}"
+        return f'<video controls loop style="max-width: 100%" src="{source}"></video>'
 
 
 def encode_mp4(frames: Iterable[Image.Image], path: Path, fps: float) -> None:

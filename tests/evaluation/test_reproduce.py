@@ -162,6 +162,22 @@ def test_it_goes_on_with_what_is_finished_and_refuses_another(
     assert after == before, "nothing is predicted twice"
 
 
+def test_what_people_said_can_be_added_but_not_changed_or_left_out(
+    cheap: None, videos: Path, tmp_path: Path
+) -> None:
+    one, two = tmp_path / "one.csv", tmp_path / "two.csv"
+    for file in (one, two):
+        file.write_text(TAGS)
+    again = {"workers": 1, "resume": True, "progress": False, "say": lambda line: None}
+    ppl.reproduce(tmp_path / "out", videos, **again)
+    made = ppl.reproduce(tmp_path / "out", videos, tags=one, **again)
+    assert cells(made)["labels", "labels that are a category"].ours["value"] == 2
+    with pytest.raises(InvalidSettingError, match=r"tags is '.*two.csv', was '.*one.csv'"):
+        ppl.reproduce(tmp_path / "out", videos, tags=two, **again)
+    with pytest.raises(InvalidSettingError, match=r"tags is None, was '.*one.csv'"):
+        ppl.reproduce(tmp_path / "out", videos, **again)
+
+
 def test_what_cannot_be_read_loses_nothing(
     cheap: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
