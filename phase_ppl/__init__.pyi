@@ -87,6 +87,7 @@ from phase_ppl.models.stepwise import StepwiseLikelihood as StepwiseLikelihood
 from phase_ppl.render.explain import explain as explain
 from phase_ppl.simulator.joint import JointSimulator as JointSimulator
 from phase_ppl.simulator.joint import simulate as simulate
+from phase_ppl.world import worlds as worlds
 from phase_ppl.world.errors import PhasePPLError as PhasePPLError
 from phase_ppl.world.errors import QueryError as QueryError
 from phase_ppl.world.errors import SimulationError as SimulationError
@@ -98,6 +99,7 @@ from phase_ppl.world.hypothesis import Hypothesis as Hypothesis
 from phase_ppl.world.names import AGENTS as AGENTS
 from phase_ppl.world.observation import Observation as Observation
 from phase_ppl.world.scene import Scene as Scene
+from phase_ppl.world.scene import World as World
 
 __version__: str
 plot = _plots

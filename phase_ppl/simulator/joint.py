@@ -240,7 +240,7 @@ def simulate(
     seed = whole_number("seed", seed, 0)
     frames = whole_number("frames", frames, MIN_FRAMES)
     check_memory(f"frames={frames}", _FRAME_BYTES * frames)
-    what, depth = deepest_overlap(scene.start, scene.radius, scene.walls, scene.arena)
+    what, depth = deepest_overlap(scene)
     if depth > _OVERLAP and not overlapping:
         raise InvalidEventError(
             f"{what} overlap by {depth:.2f} units at the start, {_OVERLAP:g} at most: they would "

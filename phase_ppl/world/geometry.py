@@ -8,12 +8,12 @@ an agent's centre of mass lies at local (0, -R / 6).
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.names import AGENTS, ENTITIES
+from phase_ppl.world.names import AGENTS
 
 UNIT_TRAPEZOID: Final = np.array([[-1.5, -1.0], [-0.5, 1.0], [0.5, 1.0], [1.5, -1.0]])
 """Corners of an agent of size 1 in its body frame, clockwise from the back left."""
@@ -42,14 +42,16 @@ def heading(angle: float) -> FloatArray:
     return np.array([-math.sin(angle), math.cos(angle)])
 
 
-def is_agent(entity: int) -> bool:
-    """Whether the entity index is that of an agent."""
-    return entity < len(AGENTS)
+def is_agent(entity: int, n_agents: int = len(AGENTS)) -> bool:
+    """Whether the entity index is that of an agent; agents come first."""
+    return entity < n_agents
 
 
-def centre_of_mass(position: FloatArray, angle: float, radius: float, entity: int) -> FloatArray:
+def centre_of_mass(
+    position: FloatArray, angle: float, radius: float, entity: int, n_agents: int = len(AGENTS)
+) -> FloatArray:
     """Return the centre of mass of an entity whose body origin is at ``position``."""
-    if not is_agent(entity):
+    if not is_agent(entity, n_agents):
         return np.asarray(position, float)
     return np.asarray(position, float) + CENTRE_OF_MASS_Y * radius * heading(angle)
 
@@ -94,30 +96,34 @@ def shapes_meet(
     radii: FloatArray,
     enlarge_first: float = 1.0,
     enlarge_second: float = 1.0,
+    n_agents: int = len(AGENTS),
 ) -> bool:
     """Whether the (enlarged) shapes of two entities overlap.
 
     Args:
         first, second: entity indices.
-        poses: (4, 3) x, y, angle of all entities.
-        radii: (4,) sizes R.
+        poses: (entity, 3) x, y, angle of all entities.
+        radii: (entity,) sizes R.
         enlarge_first, enlarge_second: factors about each shape's centre.
+        n_agents: of the entities, so many are agents.
     """
-    if not is_agent(first) and is_agent(second):
+    if not is_agent(first, n_agents) and is_agent(second, n_agents):
         first, second = second, first
         enlarge_first, enlarge_second = enlarge_second, enlarge_first
-    if not is_agent(first):
+    if not is_agent(first, n_agents):
         reach = radii[first] * enlarge_first + radii[second] * enlarge_second
         return bool(np.linalg.norm(poses[first, :2] - poses[second, :2]) <= reach)
     outline = agent_outline(poses[first], radii[first], enlarge_first)
-    if is_agent(second):
+    if is_agent(second, n_agents):
         return _polygons_meet(outline, agent_outline(poses[second], radii[second], enlarge_second))
     return _polygon_meets_disc(outline, poses[second, :2], radii[second] * enlarge_second)
 
 
-def touches(entity: int, other: int, poses: FloatArray, radii: FloatArray) -> bool:
+def touches(
+    entity: int, other: int, poses: FloatArray, radii: FloatArray, n_agents: int = len(AGENTS)
+) -> bool:
     """TOUCH(entity, other): the shape of ``entity`` meets that of ``other`` enlarged 1.2 times."""
-    return shapes_meet(entity, other, poses, radii, 1.0, TOUCH_ENLARGEMENT)
+    return shapes_meet(entity, other, poses, radii, 1.0, TOUCH_ENLARGEMENT, n_agents)
 
 
 def is_on(position: FloatArray, landmark_centre: FloatArray, half_width: float) -> bool:
@@ -145,34 +151,30 @@ def penetration(first: FloatArray, second: FloatArray, rounding: float = 0.0) ->
     return max(0.0, rounding if np.isinf(depth) else float(depth))
 
 
-def deepest_overlap(
-    poses: FloatArray, radii: FloatArray, walls: FloatArray, arena: tuple[float, ...]
-) -> tuple[str, float]:
-    """Return what overlaps most, in words, and by how much, units; "" and 0 where nothing does.
+def deepest_overlap(scene: Any) -> tuple[str, float]:
+    """Return what overlaps most at the start of a :class:`phase_ppl.Scene`, and by how much.
 
-    Args:
-        poses: (4, 3) x, y, angle of all entities.
-        radii: (4,) sizes R.
-        walls: (n, 2, 2) inner walls.
-        arena: x_min, x_max, y_min, y_max.
+    Returns:
+        What it is, in words, and units; "" and 0 where nothing does.
     """
+    n_agents, radii, arena = len(scene.world.agents), scene.radius, scene.arena
     shapes = [
-        agent_outline(pose, r) if is_agent(e) else pose[None, :2]
-        for e, (pose, r) in enumerate(zip(poses, radii, strict=True))
+        agent_outline(pose, r) if is_agent(e, n_agents) else pose[None, :2]
+        for e, (pose, r) in enumerate(zip(scene.start, radii, strict=True))
     ]
-    rounding = [0.0 if is_agent(e) else float(r) for e, r in enumerate(radii)]
+    rounding = [0.0 if is_agent(e, n_agents) else float(r) for e, r in enumerate(radii)]
     found = {"": 0.0}
     for e, shape in enumerate(shapes):
-        name = f"the {ENTITIES[e]}"
+        name = f"the {scene.world.entities[e]}"
         beyond = [arena[0] - shape[:, 0], shape[:, 0] - arena[1]]
         beyond += [arena[2] - shape[:, 1], shape[:, 1] - arena[3]]
         found[f"{name} and the arena's border"] = float(np.max(beyond)) + rounding[e]
-        for wall in walls:
+        for wall in scene.walls:
             inside = penetration(shape, wall, rounding[e])
             found[f"{name} and an inner wall"] = max(
                 inside, found.get(f"{name} and an inner wall", 0.0)
             )
         for other in range(e):
             depth = penetration(shape, shapes[other], rounding[e] + rounding[other])
-            found[f"the {ENTITIES[other]} and {name}"] = depth
+            found[f"the {scene.world.entities[other]} and {name}"] = depth
     return max(found.items(), key=lambda item: item[1])

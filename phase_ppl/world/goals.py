@@ -7,76 +7,74 @@ other's (hindering, alpha < 0).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import unknown_name
 from phase_ppl.world.geometry import is_on, touches
-from phase_ppl.world.names import AGENTS, ENTITIES, GREEN, LANDMARKS, RED, Literal, Predicate
-from phase_ppl.world.scene import Scene
+from phase_ppl.world.names import RED, Literal, Predicate
+from phase_ppl.world.scene import PHASE, Scene, World
 
-_ALPHABETICAL = ("blue item", "green agent", "pink item", "red agent")
-
-GOALS: Final[tuple[str, ...]] = tuple(
-    [
-        f"Get {entity} {way} {landmark}"
-        for entity in _ALPHABETICAL
-        for way in ("to", "away from")
-        for landmark in LANDMARKS
-    ]
-    + [f"get {way} {agent}" for way in ("away from", "to") for agent in sorted(AGENTS)]
-)
+GOALS: Final = PHASE.goals
 """The goal space of the paper, in the order of its data: 32 about landmarks, 4 about agents."""
 
 N_GOALS: Final = len(GOALS)
-_INDEX: Final = {goal: index for index, goal in enumerate(GOALS)}
-_INDEX_LOWER: Final = {goal.lower(): index for index, goal in enumerate(GOALS)}
 
 
-def goal_index(goal: str | int) -> int:
-    """Return the index of ``goal`` in :data:`GOALS`.
+def goal_index(goal: str | int, world: World = PHASE) -> int:
+    """Return the index of ``goal`` in the goals of a world.
 
     Raises:
         UnknownNameError: ``goal`` is no goal; the message names close matches.
     """
-    if isinstance(goal, str):
-        index = _INDEX_LOWER.get(" ".join(goal.split()).lower())
-        if index is None:
-            raise unknown_name("goal", goal, GOALS)
-        return index
-    try:
-        index = int(goal)
-    except (TypeError, ValueError, OverflowError):
-        index = -1
-    if isinstance(goal, bool) or not 0 <= index < N_GOALS or index != goal:
-        raise unknown_name("goal", goal, [f"0..{N_GOALS - 1}"])
-    return index
+    return world.goal_index(goal)
 
 
-def goal_literal(goal: str | int, holder: int) -> Literal:
-    """Return the literal that makes ``goal`` true for the agent ``holder`` (0 red, 1 green).
+def goal_literal(goal: str | int, holder: int, world: World = PHASE) -> Literal:
+    """Return the literal that makes ``goal`` true for the agent ``holder``.
 
     A goal that names its own holder ("get to red agent" held by red) has subject = target.
     """
-    words = GOALS[goal_index(goal)]
-    if words.startswith("get"):
-        positive = words.startswith("get to")
-        named = AGENTS.index(words.removeprefix("get to ").removeprefix("get away from "))
-        return Literal(Predicate.TOUCH, holder, named, positive)
+    words = world.goals[world.goal_index(goal)]
     positive = " away from " not in words
-    entity, landmark = words.removeprefix("Get ").split(" to " if positive else " away from ")
-    return Literal(Predicate.ON, ENTITIES.index(entity), LANDMARKS.index(landmark), positive)
+    # "Get ball to home", or "get to red agent" without a subject
+    subject, target = words[len("get") :].split(" to " if positive else " away from ")
+    if target in world.landmark_names:
+        place = world.landmark_names.index(target)
+        return Literal(Predicate.ON, world.entity(subject.strip()), place, positive)
+    one, other = world.entity(subject.strip()) if subject else holder, world.entity(target)
+    if holder == other:  # who takes part in it is the subject
+        one, other = other, one if subject else other
+    return Literal(Predicate.TOUCH, one, other, positive)
 
 
-def literal_goal(literal: Literal) -> int:
-    """Return the goal index whose literal is ``literal`` (inverse of :func:`goal_literal`)."""
-    if literal.predicate is Predicate.ON:
-        way = "to" if literal.positive else "away from"
-        return _INDEX[f"Get {ENTITIES[literal.subject]} {way} {LANDMARKS[literal.target]}"]
-    if literal.predicate is Predicate.TOUCH and literal.target in (RED, GREEN):
-        way = "to" if literal.positive else "away from"
-        return _INDEX[f"get {way} {AGENTS[literal.target]}"]
-    raise unknown_name("goal literal", literal, GOALS)
+def literal_goal(literal: Literal, holder: int | None = None, world: World = PHASE) -> int:
+    """Return the goal index whose literal is ``literal`` (inverse of :func:`goal_literal`).
+
+    Args:
+        literal: ON an entity and a landmark, or TOUCH.
+        holder: whose goal it is; None: the subject's.
+        world: whose goals.
+
+    Raises:
+        UnknownNameError: no goal says that.
+    """
+    predicate, subject, target, positive = literal
+    way = "to" if positive else "away from"
+    words = ""
+    if predicate is Predicate.ON:
+        words = f"Get {world.entities[subject]} {way} {world.landmark_names[target]}"
+    elif predicate is Predicate.TOUCH and holder in (None, subject):
+        words = f"get {way} {world.entities[target]}"
+    elif predicate is Predicate.TOUCH:
+        ends = [world.entities[subject], world.entities[target]]
+        if target < len(world.agents):
+            ends.sort()
+        words = f"Get {ends[0]} {way} {ends[1]}"
+    if words not in world.goals:
+        raise unknown_name("goal literal", world.words(literal), world.goals)
+    return world.goals.index(words)
 
 
 def is_true(literal: Literal, poses: FloatArray, scene: Scene) -> bool:
@@ -89,17 +87,24 @@ def is_true(literal: Literal, poses: FloatArray, scene: Scene) -> bool:
     """
     subject, target = literal.subject, literal.target
     if literal.predicate is Predicate.TOUCH:
-        found = touches(subject, target, poses, scene.radius)
+        found = touches(subject, target, poses, scene.radius, len(scene.world.agents))
     else:
-        centre = scene.landmark_centres[target]
-        found = is_on(poses[subject, :2], centre, scene.landmark_half_width)
+        centre, half_width = scene.landmark_centres[target], scene.half_widths[target]
+        found = is_on(poses[subject, :2], centre, float(half_width))
     return bool(found) is literal.positive
 
 
-def is_self_referring(goal: str | int, holder: int) -> bool:
-    """Whether ``goal`` names its own holder as the agent to approach or avoid (prior mass 0)."""
-    literal = goal_literal(goal, holder)
-    return literal.predicate is Predicate.TOUCH and literal.subject == literal.target
+def is_self_referring(goal: str | int, holder: int, world: World = PHASE) -> bool:
+    """Whether ``goal`` is none that ``holder`` can have (prior mass 0).
+
+    It names its own holder as the agent to approach or avoid; or it is of an agent and another
+    entity, one of which is the holder, who has a goal of its own for that.
+    """
+    literal = goal_literal(goal, holder, world)
+    own = world.goals[world.goal_index(goal)].startswith("get ")
+    return literal.predicate is Predicate.TOUCH and (
+        literal.subject == literal.target if own else literal.subject == holder
+    )
 
 
 def neighbouring_goals(goal: str | int) -> tuple[int, ...]:
@@ -126,28 +131,42 @@ def _parts(index: int) -> tuple[int, int | None, bool]:
     return literal.subject, literal.target, literal.positive
 
 
-def shared_goal(goal: str | int, owner: int) -> int:
-    """Return the goal that the other agent has when it helps ``owner`` with ``goal``.
+def shared_goal(
+    goal: str | int, owner: int, helper: int | None = None, world: World = PHASE
+) -> int:
+    """Return the goal that ``helper`` has when it helps ``owner`` with ``goal``.
 
-    The same goal, but for "get to" and "get away from", whose literal is seen from the other side.
+    The same goal, but for touching, which a helper who takes part in it sees from the other side.
+
+    Args:
+        goal: of the owner.
+        owner, helper: agents; None: the other one of two.
+        world: whose goals.
     """
-    index = goal_index(goal)
-    literal = goal_literal(index, owner)
+    helper = 1 - owner if helper is None else helper
+    literal = goal_literal(goal, owner, world)
     if literal.predicate is not Predicate.TOUCH:
-        return index
-    return literal_goal(literal._replace(subject=1 - owner, target=owner))
+        return goal_index(goal, world)
+    if literal.target == helper:
+        literal = literal._replace(subject=helper, target=literal.subject)
+    elif literal.subject == literal.target:  # the owner's goal names itself
+        literal = literal._replace(subject=helper)
+    return literal_goal(literal, helper, world)
 
 
-def opposed_goal(goal: str | int, owner: int) -> int:
-    """Return the goal that the other agent has when it hinders ``owner`` in ``goal``."""
-    helping = goal_literal(shared_goal(goal, owner), 1 - owner)
-    return literal_goal(helping.negated())
+def opposed_goal(
+    goal: str | int, owner: int, rival: int | None = None, world: World = PHASE
+) -> int:
+    """Return the goal that ``rival`` has when it hinders ``owner`` in ``goal``."""
+    rival = 1 - owner if rival is None else rival
+    helping = goal_literal(shared_goal(goal, owner, rival, world), rival, world)
+    return literal_goal(helping.negated(), rival, world)
 
 
 def effective_goals(
     goal_red: str | int, goal_green: str | int, alpha: tuple[int, int]
 ) -> tuple[int, int]:
-    """Return the effective goals of (red, green).
+    """Return the effective goals of (red, green) in PHASE.
 
     Args:
         goal_red: stated goal of the red agent.
@@ -155,11 +174,27 @@ def effective_goals(
         alpha: signs of (alpha red -> green, alpha green -> red); 0 means the agent pursues
             its own goal, > 0 the other's, < 0 the negation of the other's.
     """
+    stated = [goal_index(goal_red), goal_index(goal_green)]
+    red, green = (
+        effective_goal(stated, agent, None if not sign else (1 - agent, sign))
+        for agent, sign in enumerate(alpha)
+    )
+    return red, green
 
-    def effective(own: int, sign: int, other: int, owner: int) -> int:
-        if sign == 0:
-            return own
-        return (shared_goal if sign > 0 else opposed_goal)(other, owner)
 
-    red, green = goal_index(goal_red), goal_index(goal_green)
-    return effective(red, alpha[0], green, GREEN), effective(green, alpha[1], red, RED)
+def effective_goal(
+    stated: Sequence[int], agent: int, towards: tuple[int, int] | None, world: World = PHASE
+) -> int:
+    """Return what an agent acts on, an index into the goals of a world.
+
+    Args:
+        stated: goals of all agents.
+        agent: whose.
+        towards: another agent, and 1 where it is helped, -1 where it is hindered; None: the agent
+            pursues its own goal.
+        world: whose goals.
+    """
+    if towards is None:
+        return stated[agent]
+    other, sign = towards
+    return (shared_goal if sign > 0 else opposed_goal)(stated[other], other, agent, world)

@@ -18,7 +18,7 @@ import numpy as np
 from phase_ppl import __version__
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.event import Event
-from phase_ppl.world.scene import Scene
+from phase_ppl.world.scene import PHASE, Scene
 
 LIBRARIES: Final = ("numpyro", "jax", "numpy", "xarray", "pymunk", "numba")
 """Those whose versions can change a number."""
@@ -48,7 +48,9 @@ def event_digest(event: Event) -> str:
 
 def physics_rules(scene: Scene) -> bytes:
     """Return what the rules of a scene's world, beside its numbers, contribute to a hash."""
-    return f"{scene.turning}{' resets velocity' if scene.resets_velocity else ''}".encode()
+    world = "" if scene.world == PHASE else f" {scene.world.entities} {scene.world.landmark_names}"
+    resets = " resets velocity" if scene.resets_velocity else ""
+    return f"{scene.turning}{resets}{world}".encode()
 
 
 def source_hash(thing: Callable[..., Any] | None) -> str | None:

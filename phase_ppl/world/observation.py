@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.world.errors import InvalidEventError
-from phase_ppl.world.names import AGENTS, ENTITIES, NOTHING
+from phase_ppl.world.names import NOTHING
 from phase_ppl.world.scene import Scene, finite_array
 
 
@@ -18,11 +18,11 @@ class State:
     """Poses, velocities and holds of all entities.
 
     Attributes:
-        pose: (4, 3) x, y of the body origin [units], angle [rad].
-        velocity: (4, 2) velocity of the centre of mass, units per simulated second.
-        spin: (4,) angular velocity, rad per simulated second.
-        held: (2,) entity index of the item each agent holds, or ``NOTHING``.
-        weld: (2, 3) while an agent holds an item: where the item's centre is kept in the
+        pose: (entity, 3) x, y of the body origin [units], angle [rad].
+        velocity: (entity, 2) velocity of the centre of mass, units per simulated second.
+        spin: (entity,) angular velocity, rad per simulated second.
+        held: (agent,) entity index of the item each agent holds, or ``NOTHING``.
+        weld: (agent, 3) while an agent holds an item: where the item's centre is kept in the
             agent's frame about its centre of mass [units], and the kept relative angle [rad].
     """
 
@@ -35,7 +35,7 @@ class State:
     @classmethod
     def at_start(cls, scene: Scene) -> State:
         """Return the start state of ``scene``: at rest, holding nothing."""
-        n, n_agents = len(ENTITIES), len(AGENTS)
+        n, n_agents = len(scene.world.entities), len(scene.world.agents)
         return cls(
             pose=scene.start.copy(),
             velocity=np.zeros((n, 2)),
@@ -58,7 +58,7 @@ MIN_FRAMES: Final = 2
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Observation:
-    """Observed trajectories of all four entities.
+    """Observed trajectories of all entities of a world.
 
     Attributes:
         trajectory: (time, entity, coord) with coord = x, y [units], angle [rad, unwrapped];
@@ -71,7 +71,7 @@ class Observation:
     trajectory: NDArray[np.float64]
 
     def __post_init__(self) -> None:
-        trajectory = finite_array("trajectory", self.trajectory, (None, len(ENTITIES), 3))
+        trajectory = finite_array("trajectory", self.trajectory, (None, None, 3))
         if len(trajectory) < MIN_FRAMES:
             raise InvalidEventError(
                 f"trajectory has {len(trajectory)} frame(s), expected at least {MIN_FRAMES}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -31,7 +32,54 @@ TRAIL_COLOURS: Final[tuple[Colour, ...]] = (
     (215, 100, 110),
 )
 
+COLOURS: Final[dict[str, Colour]] = {
+    "blue": (60, 90, 230),
+    "green": (0, 170, 0),
+    "red": (230, 40, 40),
+    "yellow": (225, 190, 0),
+    "purple": (150, 60, 220),
+    "orange": (245, 130, 20),
+    "brown": (140, 90, 50),
+    "grey": (130, 130, 130),
+}
+"""By name, of what has no other."""
+
+AGENT_COLOURS: Final = {
+    "red": ENTITY_COLOURS[0],
+    "green": ENTITY_COLOURS[1],
+    "purple": COLOURS["purple"],
+    "orange": COLOURS["orange"],
+} | {name: colour for name, colour in COLOURS.items() if name not in ("red", "green")}
+ITEM_COLOURS: Final = {
+    "blue": ENTITY_COLOURS[2],
+    "pink": ENTITY_COLOURS[3],
+    "yellow": (250, 225, 90),
+    "brown": (190, 140, 95),
+    "grey": (180, 180, 180),
+    "green": (150, 220, 120),
+}
+_TRAILS: Final = dict(zip(ENTITY_COLOURS, TRAIL_COLOURS, strict=True))
+_DARKER: Final = 0.7
+_PALER: Final = 0.45
+
 _PIXELS: Final = 260
+
+
+def first_colour(name: str, palette: Mapping[str, Colour]) -> Colour | None:
+    """Return the colour that a name begins with, such as that of "red agent", if any."""
+    return palette.get(name.split()[0].lower())
+
+
+def floor_colour(colour: Colour) -> Colour:
+    """Return the colour as a landmark has it, dull, so that entities stand out on it."""
+    red, green, blue = (round(part + _PALER * (165 - part)) for part in colour)
+    return red, green, blue
+
+
+def trail_colour(colour: Colour) -> Colour:
+    """Return the colour of the way of an entity of this colour: darker."""
+    red, green, blue = (round(_DARKER * part) for part in colour)
+    return _TRAILS.get(colour, (red, green, blue))
 
 
 def preformatted(what: Any) -> str:
@@ -47,28 +95,32 @@ def drawn(scene: Any, trajectory: FloatArray | None = None, caption: str = "") -
         trajectory: (time, entity, coord) of the way.
         caption: a line below it.
     """
-    x0, x1, _, y1 = scene.arena
-    half, parts = scene.landmark_half_width, []
-    for (x, y), colour in zip(scene.landmark_centres, LANDMARK_COLOURS, strict=True):
+    x0, x1, y0, y1 = scene.arena
+    world, parts = scene.world, []
+    for (x, y), half, one in zip(
+        scene.landmark_centres, scene.half_widths, world.landmarks, strict=True
+    ):
         box = f'x="{x - half:g}" y="{y - half:g}" width="{2 * half:g}" height="{2 * half:g}"'
-        parts.append(f'<rect {box} fill="rgb{colour}" opacity="0.5"/>')
+        parts.append(f'<rect {box} fill="rgb{one.colour}" opacity="0.5"/>')
     if trajectory is not None:
-        for entity, colour in enumerate(TRAIL_COLOURS):
+        for entity, colour in enumerate(world.entity_colours):
             line = _points(trajectory[:, entity, :2])
-            parts.append(f'<polyline points="{line}" fill="none" stroke="rgb{colour}"/>')
+            stroke = f'stroke="rgb{trail_colour(colour)}"'
+            parts.append(f'<polyline points="{line}" fill="none" {stroke}/>')
     for entity, (pose, radius) in enumerate(zip(scene.start, scene.radius, strict=True)):
-        if is_agent(entity):
+        if is_agent(entity, len(world.agents)):
             shape = f'<polygon points="{_points(agent_outline(pose, radius))}"'
         else:
             shape = f'<circle cx="{pose[0]:.2f}" cy="{pose[1]:.2f}" r="{radius:g}"'
-        parts.append(f'{shape} fill="rgb{ENTITY_COLOURS[entity]}" stroke="#222"/>')
+        parts.append(f'{shape} fill="rgb{world.entity_colours[entity]}" stroke="#222"/>')
     for wall in (*scene.border, *scene.walls):
         parts.append(f'<polyline points="{_points(wall)}" stroke="black" stroke-width="0.25"/>')
-    width = x1 - x0
-    view = f"{x0 - 0.5:g} {-y1 - 0.5:g} {width + 1:g} {width + 1:g}"
+    width, height = x1 - x0 + 1, y1 - y0 + 1
+    view = f"{x0 - 0.5:g} {-y1 - 0.5:g} {width:g} {height:g}"
+    scale = _PIXELS / max(width, height)
     return (
-        f'<svg width="{_PIXELS}" height="{_PIXELS}" viewBox="{view}" stroke-width="0.12" '
-        f'role="img"><g transform="scale(1,-1)">{"".join(parts)}</g></svg>'
+        f'<svg width="{scale * width:g}" height="{scale * height:g}" viewBox="{view}" '
+        f'stroke-width="0.12" role="img"><g transform="scale(1,-1)">{"".join(parts)}</g></svg>'
         f"<div>{html.escape(caption)}</div>"
     )
 

@@ -1,8 +1,13 @@
-"""Rooms, doors and path distances of a scene.
+"""Rooms, doors and path distances of a floor plan.
 
-The arena is a square cut into four rooms (quadrants) by walls on four rays from its centre.
-Rooms carry the ids of their landmarks: 0 top left, 1 top right, 2 bottom right, 3 bottom left.
-A ray's gap, between the end of its wall and the arena's border, is the door between two rooms.
+Walls run along x or y. The lines on which they stand cut the arena into rectangular rooms, and
+what they leave open between two rooms are doors, each with a width: all of the border where there
+is no wall. In the world PHASE the lines are those through the arena's centre, from which all its
+walls run, so that the rooms are its quadrants whichever walls there are.
+
+Rooms are numbered row by row from the top, to and fro: 0 top left, 1 top right, 2 bottom right,
+3 bottom left where there are four. Doors are numbered counter-clockwise about the arena's centre,
+from the top.
 """
 
 from __future__ import annotations
@@ -10,7 +15,9 @@ from __future__ import annotations
 import dataclasses
 import functools
 import itertools
-from typing import Final
+import math
+from collections.abc import Iterator, Sequence
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -20,79 +27,156 @@ from phase_ppl.world.errors import InvalidEventError
 UP, LEFT, DOWN, RIGHT = range(4)
 RAY_DIRECTIONS: Final = np.array([[0, 1], [-1, 0], [0, -1], [1, 0]], float)
 ROOMS_OF_RAY: Final = ((0, 1), (0, 3), (2, 3), (1, 2))
-"""The two rooms that the door on each ray (up, left, down, right) joins."""
+"""In PHASE, the two rooms that the door on each ray (up, left, down, right) joins."""
 
 N_ROOMS: Final = 4
+"""Of PHASE."""
+
+MOST_ROOMS: Final = 36
 UNREACHABLE: Final = 282.8
 """Path distance between places that no route joins, units."""
 
 _TOLERANCE = 1e-6
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Rooms:
-    """The room graph of a scene.
+class Door(NamedTuple):
+    """A gap between two rooms; of a border without one there is a closed door.
 
     Attributes:
-        centre: (2,) where the rays start, units.
-        half_width: half the side of the arena, units.
-        wall_length: (4,) length of the wall on each ray, 0 for none, units.
+        rooms: ids of the two.
+        x, y: its middle, units; of a closed one the border's end, far from the arena's centre.
+        width: units; 0 for closed.
+        walled: length of the walls on the border, units.
     """
 
-    centre: FloatArray
-    half_width: float
-    wall_length: FloatArray
+    rooms: tuple[int, int]
+    x: float
+    y: float
+    width: float
+    walled: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Rooms:
+    """The room graph of a floor plan.
+
+    Attributes:
+        columns, rows: x and y, ascending, of the lines that cut the arena, its borders included.
+        doors: between neighbouring rooms.
+        is_open: there are no inner walls at all, so that every path is straight.
+    """
+
+    columns: FloatArray
+    rows: FloatArray
+    doors: tuple[Door, ...]
+    is_open: bool
 
     @classmethod
-    def from_walls(cls, walls: FloatArray, centre: FloatArray, half_width: float) -> Rooms:
-        """Read the rays' walls off inner wall segments of shape (n, 2, 2).
+    def from_walls(
+        cls, walls: FloatArray, arena: Sequence[float], quadrants: bool = False
+    ) -> Rooms:
+        """Find rooms and doors.
+
+        Args:
+            walls: (n, 2, 2) end points of the inner walls, units.
+            arena: x_min, x_max, y_min, y_max, units.
+            quadrants: the rooms are the arena's quadrants, and all walls run from its centre.
 
         Raises:
-            InvalidEventError: a wall that does not start at the centre and follow a ray.
+            InvalidEventError: a wall that is slanted, has no length or leaves the arena, or does
+                not run from the centre; more rooms than ``MOST_ROOMS``.
         """
-        lengths = np.zeros(4)
-        for wall in np.asarray(walls, float).reshape(-1, 2, 2):
-            ends = wall - centre
-            order = np.argsort(np.abs(ends).sum(axis=1))
-            near, far = ends[order[0]], ends[order[1]]
-            along = RAY_DIRECTIONS @ far
-            ray = int(np.argmax(along))
-            off_ray = np.abs(far - along[ray] * RAY_DIRECTIONS[ray]).sum()
-            if np.abs(near).sum() > _TOLERANCE or off_ray > _TOLERANCE:
-                raise InvalidEventError(
-                    f"wall {wall.tolist()} does not run from the arena's centre "
-                    f"{centre.tolist()} straight up, left, down or right"
-                )
-            if along[ray] < _TOLERANCE:
-                raise InvalidEventError(f"wall {wall.tolist()} has no length")
-            if along[ray] > half_width + _TOLERANCE:
-                raise InvalidEventError(f"wall {wall.tolist()} leaves the arena")
-            lengths[ray] = max(lengths[ray], along[ray])
-        return cls(np.asarray(centre, float), float(half_width), lengths)
+        x0, x1, y0, y1 = map(float, arena)
+        walls = np.asarray(walls, float).reshape(-1, 2, 2)
+        centre = np.array([(x0 + x1) / 2, (y0 + y1) / 2])
+        for wall in walls:
+            _check_wall(wall, (x0, x1, y0, y1), centre if quadrants else None)
+        upright = np.abs(walls[:, 0, 0] - walls[:, 1, 0]) < _TOLERANCE
+        columns = _lines(x0, x1, centre[:1] if quadrants else walls[upright, 0, 0])
+        rows = _lines(y0, y1, centre[1:] if quadrants else walls[~upright, 0, 1])
+        n_rooms = (len(columns) - 1) * (len(rows) - 1)
+        if n_rooms > MOST_ROOMS:
+            raise InvalidEventError(
+                f"the walls cut the arena into {n_rooms} rooms, at most {MOST_ROOMS}"
+            )
+        ids = _numbers(len(rows) - 1, len(columns) - 1)
+        found: list[tuple[float, float, Door]] = []
+        for flip, across, along, standing in (
+            (False, columns, rows, walls[upright]),
+            (True, rows, columns, walls[~upright][..., ::-1]),
+        ):
+            for line, part in itertools.product(range(1, len(across) - 1), range(len(along) - 1)):
+                # a border: the line at across[line], from along[part] to along[part + 1]
+                on_line = np.abs(standing[:, 0, 0] - across[line]) < _TOLERANCE
+                border = float(along[part]), float(along[part + 1])
+                cells = [(part, line - 1), (part, line)]
+                one, other = sorted(int(ids[cell[::-1] if flip else cell]) for cell in cells)
+                walled, gaps = _gaps(np.sort(standing[on_line, :, 1], axis=1), *border)
+                at_middle = np.array([across[line], sum(border) / 2])
+                angle = _turn((at_middle[::-1] if flip else at_middle) - centre)
+                far = max(border, key=lambda end: abs(end - float(centre[0 if flip else 1])))
+                for low, high in gaps or [(far, far)]:
+                    place = float(across[line]), (low + high) / 2
+                    x, y = place[::-1] if flip else place
+                    door = Door((one, other), x, y, high - low, walled)
+                    found.append((angle, math.dist((x, y), centre.tolist()), door))
+        doors = tuple(door for _, _, door in sorted(found))
+        return cls(columns, rows, doors, not len(walls))
+
+    def __len__(self) -> int:
+        return int(self.ids.size)
+
+    @functools.cached_property
+    def ids(self) -> IntArray:
+        """(row from the bottom, column) number of the room."""
+        return _numbers(len(self.rows) - 1, len(self.columns) - 1)
 
     @functools.cached_property
     def door_width(self) -> FloatArray:
-        """(4,) free width of the door on each ray; 0 where the wall closes it."""
-        width = self.half_width - self.wall_length
-        return np.where(width < _TOLERANCE, 0.0, width)
+        """(door,) free width of each door; 0 where walls close it."""
+        return np.array([door.width for door in self.doors], float)
 
     @functools.cached_property
     def door_position(self) -> FloatArray:
-        """(4, 2) middle of the gap on each ray."""
-        middle = (self.wall_length + self.half_width) / 2
-        return self.centre + middle[:, None] * RAY_DIRECTIONS
+        """(door, 2) middle of each gap."""
+        return np.array([(door.x, door.y) for door in self.doors], float).reshape(-1, 2)
 
-    @property
-    def is_open(self) -> bool:
-        """Whether there are no inner walls at all, so that every path is straight."""
-        return not self.wall_length.any()
+    @functools.cached_property
+    def wall_length(self) -> FloatArray:
+        """(door,) length of the walls on the border that the door is in, units."""
+        return np.array([door.walled for door in self.doors], float)
+
+    def points(self, inset: float) -> FloatArray:
+        """Return (room, 2) points that stand for the rooms.
+
+        They are ``inset`` from the arena's border where the room lies at it, else in the middle.
+        """
+
+        def along(lines: FloatArray) -> list[float]:
+            middle = ((lines[:-1] + lines[1:]) / 2).tolist()
+            if len(middle) > 1:
+                middle[0], middle[-1] = float(lines[0]) + inset, float(lines[-1]) - inset
+            return middle
+
+        found = np.empty((len(self), 2))
+        for (row, column), room in np.ndenumerate(self.ids):
+            found[room] = along(self.columns)[column], along(self.rows)[row]
+        return found
+
+    def exits(self, room: int) -> list[tuple[int, int]]:
+        """Return (door, room behind it) of the open doors of a room."""
+        return [
+            (number, sum(door.rooms) - room)
+            for number, door in enumerate(self.doors)
+            if room in door.rooms and door.width > 0
+        ]
 
     def room_of(self, position: FloatArray) -> IntArray:
         """Return the room id of each position of shape (..., 2)."""
         position = np.asarray(position, float)
-        left = position[..., 0] < self.centre[0]
-        top = position[..., 1] > self.centre[1]
-        return np.where(top, np.where(left, 0, 1), np.where(left, 3, 2))
+        column = np.searchsorted(self.columns[1:-1], position[..., 0], side="right")
+        row = np.searchsorted(self.rows[1:-1], position[..., 1], side="left")
+        return np.asarray(self.ids[row, column])
 
     def route(self, start: int, end: int, width: float = 0.0) -> tuple[int, ...] | None:
         """Return the doors on the way from room to room, or None where there is no way.
@@ -114,30 +198,28 @@ class Rooms:
         return {}
 
     def _find_route(self, start: int, end: int, width: float) -> tuple[int, ...] | None:
-        for count in range(N_ROOMS):
-            ways = [
-                doors
-                for doors in itertools.permutations(range(4), count)
-                if self._joins(start, end, doors, width)
-            ]
-            if ways:
-                return min(ways, key=self._way_order)
-        return None
+        away, frontier = {end: 0}, [end]  # doors from each room to the end
+        for room in frontier:
+            for door, following in self.exits(room):
+                if following not in away and self.doors[door].width > width:
+                    away[following] = away[room] + 1
+                    frontier.append(following)
+
+        def ways(room: int) -> Iterator[tuple[int, ...]]:
+            if room == end:
+                yield ()
+            for door, following in self.exits(room):
+                nearer = away.get(following, len(away)) == away[room] - 1
+                if nearer and self.doors[door].width > width:
+                    yield from ((door, *rest) for rest in ways(following))
+
+        return min(ways(start), key=self._way_order) if start in away else None
 
     def _way_order(self, doors: tuple[int, ...]) -> tuple[float, tuple[int, ...]]:
         """Sort key of a way; equally long ways are told apart alike in both directions."""
         points = self.door_position[list(doors)]
         length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
         return length, min(doors, doors[::-1])
-
-    def _joins(self, start: int, end: int, doors: tuple[int, ...], width: float) -> bool:
-        room = start
-        for door in doors:
-            sides = ROOMS_OF_RAY[door]
-            if room not in sides or not self.door_width[door] > width:
-                return False
-            room = sides[1] if room == sides[0] else sides[0]
-        return room == end
 
     def narrowest(self, start: int, end: int) -> float:
         """Return the width of the narrowest door on the way; inf in one room, 0 without a way."""
@@ -163,11 +245,79 @@ class Rooms:
 
     @functools.cached_property
     def route_table(self) -> IntArray:
-        """(4, 4, 4): per pair of rooms the number of doors (-1: no way), then the doors' rays."""
-        table = np.full((N_ROOMS, N_ROOMS, 4), -1, np.int64)
-        for start, end in itertools.product(range(N_ROOMS), repeat=2):
+        """(room, room, room): per pair the number of doors (-1: no way), then the doors."""
+        n = len(self)
+        table = np.full((n, n, n), -1, np.int64)
+        for start, end in itertools.product(range(n), repeat=2):
             doors = self.route(start, end)
             if doors is not None:
                 table[start, end, 0] = len(doors)
                 table[start, end, 1 : 1 + len(doors)] = doors
         return table
+
+
+def _check_wall(
+    wall: FloatArray, arena: tuple[float, float, float, float], centre: FloatArray | None
+) -> None:
+    """Raise InvalidEventError for a wall that cannot be; from ``centre``, if there is one."""
+    (ax, ay), (bx, by) = wall.tolist()
+    dx, dy = abs(bx - ax), abs(by - ay)
+    if centre is not None:
+        off = np.abs(wall - centre)
+        starts_there = off.sum(axis=1).min() <= _TOLERANCE
+        if not starts_there or min(dx, dy) > _TOLERANCE:
+            raise InvalidEventError(
+                f"wall {wall.tolist()} does not run from the arena's centre "
+                f"{centre.tolist()} straight up, left, down or right"
+            )
+    elif min(dx, dy) > _TOLERANCE:
+        raise InvalidEventError(
+            f"wall {wall.tolist()} is slanted: rooms are found from walls along x or y"
+        )
+    if max(dx, dy) < _TOLERANCE:
+        raise InvalidEventError(f"wall {wall.tolist()} has no length")
+    x0, x1, y0, y1 = arena
+    slack = _TOLERANCE
+    if (
+        min(ax, bx) < x0 - slack
+        or max(ax, bx) > x1 + slack
+        or min(ay, by) < y0 - slack
+        or max(ay, by) > y1 + slack
+    ):
+        raise InvalidEventError(
+            f"wall {wall.tolist()} leaves the arena x {x0:g}..{x1:g}, y {y0:g}..{y1:g}"
+        )
+
+
+def _lines(low: float, high: float, between: FloatArray) -> FloatArray:
+    """Return the borders and what lies between them, ascending and apart."""
+    found = [low]
+    for line in sorted(between.tolist()):
+        if found[-1] + _TOLERANCE < line < high - _TOLERANCE:
+            found.append(line)
+    return np.array([*found, high])
+
+
+def _numbers(rows: int, columns: int) -> IntArray:
+    """Return (row from the bottom, column) numbers, to and fro from the top left."""
+    ids = np.arange(rows * columns).reshape(rows, columns)
+    ids[1::2] = ids[1::2, ::-1].copy()
+    return ids[::-1].copy()
+
+
+def _gaps(walls: FloatArray, low: float, high: float) -> tuple[float, list[tuple[float, float]]]:
+    """Return how much of low..high the (n, 2) walls cover, and what they leave open."""
+    gaps, covered, reached = [], 0.0, low
+    for start, end in sorted(walls.clip(low, high).tolist()):
+        if start - reached > _TOLERANCE:
+            gaps.append((reached, start))
+        covered += max(0.0, end - max(start, reached))
+        reached = max(reached, end)
+    if high - reached > _TOLERANCE:
+        gaps.append((reached, high))
+    return covered, gaps
+
+
+def _turn(offset: FloatArray) -> float:
+    """Return the angle of an offset, counter-clockwise from straight up, in [0, 2 pi)."""
+    return float(np.arctan2(-offset[0], offset[1]) % (2 * np.pi))

@@ -1,19 +1,35 @@
-"""The part of the world that everybody knows: arena, walls, landmarks, sizes, start state."""
+"""Worlds, and the part of an event that everybody knows: who is there, where, and the floor plan.
+
+A world is a cast and a place: agents, items, landmarks, an arena with inner walls, and with these
+the goals that can be had in it. A scene belongs to a world and adds where everybody starts, sizes,
+and the walls, if they are others. All names come from the world.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import functools
 import math
-from typing import Final, Literal
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.checks import number_or_nan
-from phase_ppl.world.errors import InvalidEventError, shown, unknown_name
-from phase_ppl.world.names import ENTITIES, LANDMARKS
-from phase_ppl.world.picture import drawn
+from phase_ppl.world.checks import instance_of, number_or_nan, whole_number
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown, unknown_name
+from phase_ppl.world.geometry import deepest_overlap
+from phase_ppl.world.names import AGENTS, ITEMS, LANDMARKS, Predicate
+from phase_ppl.world.picture import (
+    AGENT_COLOURS,
+    COLOURS,
+    ITEM_COLOURS,
+    LANDMARK_COLOURS,
+    Colour,
+    drawn,
+    first_colour,
+    floor_colour,
+)
 from phase_ppl.world.rooms import Rooms
 
 Turning = Literal["both", "ccw", "cw"]
@@ -24,11 +40,24 @@ ARENA: Final = (6.0, 26.0, 2.0, 22.0)
 
 LANDMARK_CENTRES: Final = np.array([[8.5, 19.5], [23.5, 19.5], [23.5, 4.5], [8.5, 4.5]])
 LANDMARK_HALF_WIDTH: Final = 2.5
+SIZES: Final = (0.8, 1.01, 1.2, 1.6)
+"""Sizes R of the original world's entities, units."""
+
 MIN_RADIUS: Final = 0.01
 """Smallest size of an entity, units: masses and inertias of smaller ones are next to nothing."""
 
 OUTSIDE_TOLERANCE: Final = 0.25
 """How far beyond the border a body's origin may lie before it counts as outside, units."""
+
+MOST_AGENTS: Final = 4
+MOST_ITEMS: Final = 6
+MOST_LANDMARKS: Final = 8
+SIDES: Final = (4.0, 60.0)
+"""Shortest and longest side of an arena, units."""
+
+_TRIES: Final = 1000
+_READ_AS: Final = (" to ", " away from ")
+"""What stands between the two names of a goal, and so in no name."""
 
 
 def finite_array(name: str, value: object, shape: tuple[int | None, ...]) -> FloatArray:
@@ -64,20 +93,376 @@ def finite_array(name: str, value: object, shape: tuple[int | None, ...]) -> Flo
     return array
 
 
+class Landmark(NamedTuple):
+    """A square on the floor.
+
+    Attributes:
+        name: its name.
+        x, y: its centre, units.
+        half_width: half its side, units.
+        colour: red, green and blue, 0..255.
+    """
+
+    name: str
+    x: float
+    y: float
+    half_width: float
+    colour: Colour
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class World:
+    """Who and what there is: agents, items, landmarks and a floor plan, and the goals in it.
+
+    Example:
+        ``ppl.World(["red agent", "green agent"], ["ball"], {"home": (4, 4), "field": (30, 12)},
+        arena=(0, 36, 0, 24), walls=[((12, 0), (12, 16))])``
+
+    Args:
+        agents: names of 1 to 4 agents.
+        items: names of up to 6 items.
+        landmarks: 1 to 8 names -> centre (x, y) or (x, y, half the side of the square), units.
+        arena: x_min, x_max, y_min, y_max; each side 4 to 60 units long.
+        walls: inner walls ((x, y), (x, y)), along x or y.
+        colours: name -> (red, green, blue); of others, the colour that is in their names, or one
+            that is free.
+        half_width: of landmarks for which none is given, units.
+        name: of the world.
+        touchable: names of what goals of touching can be about; None: all agents and items.
+        quadrants: rooms are the arena's quadrants, and walls run from its centre, as in PHASE;
+            else rooms are found from the walls.
+
+    Attributes:
+        entities: names of agents, then items: the order of every array.
+        landmark_names: their names.
+
+    Raises:
+        InvalidSettingError: something that cannot be; the message names it.
+        InvalidEventError: a wall that cannot be.
+    """
+
+    agents: Sequence[str]
+    items: Sequence[str]
+    landmarks: Any
+    arena: Sequence[float] = ARENA
+    walls: Any = ()
+    colours: Any = None
+    half_width: float = LANDMARK_HALF_WIDTH
+    name: str = "a world of one's own"
+    touchable: Sequence[str] | None = None
+    quadrants: bool = False
+
+    def __post_init__(self) -> None:
+        set_field = functools.partial(object.__setattr__, self)
+        set_field("agents", _names("agents", self.agents, 1, MOST_AGENTS))
+        set_field("items", _names("items", self.items, 0, MOST_ITEMS))
+        instance_of("name", self.name, str, "a text")
+        instance_of("quadrants", self.quadrants, bool, "True or False")
+        arena = tuple(_numbers("arena", self.arena, (4,)))
+        set_field("arena", arena)
+        sides = arena[1] - arena[0], arena[3] - arena[2]
+        if not all(SIDES[0] <= side <= SIDES[1] for side in sides):
+            raise InvalidSettingError(
+                f"arena={arena}, expected x_min, x_max, y_min, y_max with sides of "
+                f"{SIDES[0]:g} to {SIDES[1]:g} units"
+            )
+        given = dict(self.colours or {})
+        places = self.landmarks
+        if not isinstance(places, Mapping):  # those of another world
+            given = {one.name: one.colour for one in places} | given
+            places = {one.name: one[1:4] for one in places}
+        places = {name: self._place(name, place) for name, place in places.items()}
+        names = _names("landmarks", list(places), 1, MOST_LANDMARKS)
+        everybody = [name.lower() for name in (*self.agents, *self.items, *names)]
+        twice = next((name for name in everybody if everybody.count(name) > 1), None)
+        if twice is not None:
+            raise InvalidSettingError(f"two of agents, items and landmarks are called {twice!r}")
+        colours = self._colours(given, names)
+        set_field("colours", tuple((name, colours[name]) for name in self.entities))
+        landmarks = [Landmark(name, *places[name], colours[name]) for name in names]
+        set_field("landmarks", tuple(landmarks))
+        touchable = self.entities if self.touchable is None else tuple(self.touchable)
+        for name in touchable:
+            self.entity(name)
+        set_field("touchable", touchable)
+        walls = finite_array("walls", self.walls, (None, 2, 2))
+        set_field("walls", tuple(tuple(map(tuple, wall)) for wall in walls.tolist()))
+        Rooms.from_walls(walls, arena, self.quadrants)
+
+    def _place(self, name: str, place: object) -> tuple[float, float, float]:
+        """Return x, y and half-width of a landmark."""
+        n = len(place) if isinstance(place, Sequence) else 2
+        x, y, *half = _numbers(f"landmark {name!r}", place, (3 if n == 3 else 2,))
+        x0, x1, y0, y1 = self.arena
+        if not (x0 <= x <= x1 and y0 <= y <= y1):
+            raise InvalidSettingError(
+                f"landmark {name!r} is at ({x:g}, {y:g}), outside the arena x {x0:g}..{x1:g}, "
+                f"y {y0:g}..{y1:g}"
+            )
+        half_width = number_or_nan(half[0] if half else self.half_width)
+        most = min(x1 - x0, y1 - y0) / 4
+        if not 0 < half_width <= most:
+            raise InvalidSettingError(
+                f"landmark {name!r} has the half-width {half_width:g}, expected one in "
+                f"(0, {most:g}]"
+            )
+        return x, y, half_width
+
+    def _colours(self, given: Mapping[str, Any], landmarks: Sequence[str]) -> dict[str, Colour]:
+        """Return the colour of everybody and everything by name."""
+        everything = (*self.entities, *landmarks)
+        found: dict[str, Colour] = {}
+        for name, colour in given.items():
+            if name not in everything:
+                raise unknown_name("name with a colour", name, everything)
+            values = tuple(colour) if isinstance(colour, (tuple, list)) else ()
+            if len(values) != 3:
+                raise InvalidSettingError(
+                    f"the colour of {name!r} is {shown(colour)}, expected (red, green, blue)"
+                )
+            red, green, blue = (whole_number(f"the colour of {name!r}", v, 0, 255) for v in values)
+            found[name] = red, green, blue
+        for names, palette, tone in (
+            (self.agents, AGENT_COLOURS, lambda colour: colour),
+            (self.items, ITEM_COLOURS, lambda colour: colour),
+            (landmarks, COLOURS, floor_colour),
+        ):
+            tones = [tone(colour) for colour in palette.values()]
+            # those whose names say a colour first
+            for name in sorted(names, key=lambda name: first_colour(name, palette) is None):
+                said = first_colour(name, palette)
+                free = (colour for colour in tones if colour not in found.values())
+                found.setdefault(name, next(free, tones[0]) if said is None else tone(said))
+        return found
+
+    @property
+    def entities(self) -> tuple[str, ...]:
+        """Names of agents, then items: the order of every array."""
+        return (*self.agents, *self.items)
+
+    @property
+    def landmark_names(self) -> tuple[str, ...]:
+        """Names of the landmarks."""
+        return tuple(one.name for one in self.landmarks)
+
+    @property
+    def entity_colours(self) -> tuple[Colour, ...]:
+        """Of the entities."""
+        return tuple(colour for _, colour in self.colours)
+
+    def entity(self, name: str) -> int:
+        """Return the index of an agent or item. UnknownNameError: there is none of that name."""
+        if name not in self.entities:
+            raise unknown_name("agent or item", name, self.entities)
+        return self.entities.index(name)
+
+    def agent(self, name: str) -> int:
+        """Return the index of an agent. UnknownNameError: there is none of that name."""
+        if name not in self.agents:
+            raise unknown_name("agent", name, self.agents)
+        return self.agents.index(name)
+
+    @functools.cached_property
+    def goals(self) -> tuple[str, ...]:
+        """All goals as strings, see :mod:`phase_ppl.world.goals`.
+
+        Each entity to and away from each landmark; the agent itself to and away from what can be
+        touched; where there are three agents or more, one agent to and away from another entity.
+        """
+        ways, touchable = ("to", "away from"), sorted(self.touchable or ())
+        to_landmarks = [
+            f"Get {entity} {way} {landmark}"
+            for entity in sorted(self.entities)
+            for way in ways
+            for landmark in self.landmark_names
+        ]
+        other = [one for one in touchable if one not in self.agents or len(self.agents) > 1]
+        own = [f"get {way} {entity}" for way in reversed(ways) for entity in other]
+        third = [
+            f"Get {agent} {way} {entity}"
+            for agent in sorted(self.agents)
+            for way in ways
+            for entity in touchable
+            if len(self.agents) > 2 - (entity in self.items)
+            and (entity in self.items or agent < entity)
+        ]
+        return (*to_landmarks, *own, *third)
+
+    @functools.cached_property
+    def _places(self) -> dict[str, int]:
+        return {goal.lower(): index for index, goal in enumerate(self.goals)}
+
+    def goal_index(self, goal: str | int) -> int:
+        """Return the index of a goal, a string or an index, in ``goals``.
+
+        Strings are read in natural words: "ball to home", "get the ball away from home",
+        "touch green agent", "avoid green agent", in any case and spacing.
+
+        Raises:
+            UnknownNameError: there is no such goal; the message names close matches.
+        """
+        if isinstance(goal, str):
+            index = self._places.get(_plain(goal))
+            if index is None:
+                raise unknown_name("goal", goal, self.goals)
+            return index
+        try:
+            index = int(goal)
+        except (TypeError, ValueError, OverflowError):
+            index = -1
+        if isinstance(goal, bool) or not 0 <= index < len(self.goals) or index != goal:
+            raise unknown_name("goal", goal, [f"0..{len(self.goals) - 1}"])
+        return index
+
+    def words(self, literal: Any) -> str:
+        """Return a literal in names, such as "not ON(ball, home)"."""
+        predicate, subject, target, positive = literal
+        if predicate is Predicate.STOP:
+            return "STOP"
+        if predicate is Predicate.ON:
+            name = self.landmark_names[target]
+        elif predicate is Predicate.CLOSE:
+            rooms = len(Rooms.from_walls(self.walls, self.arena, self.quadrants))
+            name = f"room {target}" if target < rooms else f"door {target - rooms}"
+        else:
+            name = self.entities[target]
+        return f"{'' if positive else 'not '}{predicate.name}({self.entities[subject]}, {name})"
+
+    def scene(
+        self,
+        start: Mapping[str, Sequence[float]],
+        size: Mapping[str, float] | float = 1.0,
+        walls: Any = None,
+        turning: Turning = "both",
+    ) -> Scene:
+        """Return a scene of this world.
+
+        Args:
+            start: name of every entity -> (x, y) or (x, y, angle), units and radians.
+            size: name -> size R, or one for all, units; of those not named 1.
+            walls: inner walls; None: those of the world.
+            turning: which way agents can turn by themselves.
+
+        Raises:
+            UnknownNameError: a name that is none of an agent or item.
+            InvalidEventError: somebody has no start, or something that cannot be.
+        """
+        instance_of("start", start, Mapping, "a mapping of names to (x, y) or (x, y, angle)")
+        sizes = dict(size) if isinstance(size, Mapping) else dict.fromkeys(self.entities, size)
+        for name in (*start, *sizes):
+            self.entity(name)
+        missing = [name for name in self.entities if name not in start]
+        if missing:
+            raise InvalidEventError(f"start has no place for the {missing[0]}")
+        rows = []
+        for name in self.entities:
+            place = start[name]
+            n = len(place) if isinstance(place, (Sequence, np.ndarray)) else 0
+            row = finite_array(f"start of the {name}", place, (3 if n == 3 else 2,))
+            rows.append([*row.tolist(), 0.0][:3])
+        radius = [sizes.get(name, 1.0) for name in self.entities]
+        return Scene(
+            np.array(rows), radius, self.walls if walls is None else walls, turning, world=self
+        )
+
+    def random_scene(self, seed: int, walls: Any = None) -> Scene:
+        """Return a scene with everybody somewhere, of some size of the original world's.
+
+        Nobody overlaps anybody or a wall, and items lie where an agent can get.
+
+        Args:
+            seed: the same seed gives the same scene.
+            walls: inner walls; None: those of the world.
+
+        Raises:
+            InvalidSettingError: no place is found.
+        """
+        rng = np.random.default_rng(whole_number("seed", seed, 0))
+        n, n_agents = len(self.entities), len(self.agents)
+        x0, x1, y0, y1 = self.arena
+        walls = finite_array("walls", self.walls if walls is None else walls, (None, 2, 2))
+        Rooms.from_walls(walls, self.arena, self.quadrants)  # refuses impossible ones
+        sizes = [size for size in SIZES if size <= min(x1 - x0, y1 - y0) / 4]
+        for _ in range(_TRIES):
+            start = np.column_stack(
+                [rng.uniform(x0, x1, n), rng.uniform(y0, y1, n), rng.uniform(-np.pi, np.pi, n)]
+            )
+            start[n_agents:, 2] = 0.0
+            try:
+                scene = Scene(start, rng.choice(sizes, n), walls, world=self)
+            except InvalidEventError:  # an item in a closed room
+                continue
+            if not deepest_overlap(scene)[1]:
+                return scene
+        raise InvalidSettingError(f"no place was found for everybody in {_TRIES} tries")
+
+    def __repr__(self) -> str:
+        return (
+            f"<world {self.name}: {len(self.agents)} agents, {len(self.items)} items, "
+            f"{len(self.landmarks)} landmarks, {len(self.goals)} goals>"
+        )
+
+
+def _names(what: str, names: object, least: int, most: int) -> tuple[str, ...]:
+    """Return names, checked. InvalidSettingError: too few, too many, or one that cannot be."""
+    found = tuple(names) if isinstance(names, (list, tuple)) else ()
+    if isinstance(names, str) or (not isinstance(names, (list, tuple))):
+        raise InvalidSettingError(f"{what}={shown(names)}, expected a list of names")
+    if not least <= len(found) <= most:
+        raise InvalidSettingError(f"{len(found)} {what}, expected {least} to {most}")
+    for name in found:
+        plain = isinstance(name, str) and name == " ".join(name.split()) != ""
+        if not plain or any(word in f" {name.lower()} " for word in _READ_AS):
+            raise InvalidSettingError(
+                f"{what} has the name {shown(name)}, expected words without 'to' and 'away from'"
+            )
+    return found
+
+
+def _numbers(name: str, value: object, shape: tuple[int, ...]) -> list[float]:
+    """Return finite numbers. InvalidSettingError: they are none, or more or fewer."""
+    try:
+        return finite_array(name, value, shape).tolist()  # type: ignore[no-any-return]
+    except InvalidEventError as error:
+        raise InvalidSettingError(str(error)) from None
+
+
+def _plain(goal: str) -> str:
+    """Return a goal as people say it in the words of ``World.goals``, in lower case."""
+    words = " ".join(word for word in goal.lower().split() if word != "the")
+    for said, meant in (("touch ", "get to "), ("avoid ", "get away from ")):
+        if words.startswith(said):
+            return meant + words.removeprefix(said)
+    return words if words.startswith("get ") else f"get {words}"
+
+
+PHASE: Final = World(
+    AGENTS,
+    ITEMS,
+    dict(zip(LANDMARKS, LANDMARK_CENTRES.tolist(), strict=True)),
+    colours=dict(zip(LANDMARKS, LANDMARK_COLOURS, strict=True)),
+    name="PHASE",
+    touchable=AGENTS,
+    quadrants=True,
+)
+"""The world of the paper; its walls are of scenes."""
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Scene:
     """Everything about an event that is known before anybody moves.
 
     Attributes:
-        start: (4, 3) x, y [units], angle [rad] of each entity at rest, holding nothing.
-        radius: (4,) size R of each entity, units.
+        start: (entity, 3) x, y [units], angle [rad] of each entity at rest, holding nothing.
+        radius: (entity,) size R of each entity, units.
         walls: (n, 2, 2) end points of the inner walls; the arena's border is a wall too.
         turning: which way agents can turn by themselves: "both", "ccw" or "cw".
         arena: x_min, x_max, y_min, y_max, units.
-        landmark_centres: (4, 2) centres of the landmarks' squares, units.
-        landmark_half_width: half the side of the squares, units.
+        landmark_centres: (landmark, 2) centres of the landmarks' squares, units.
+        landmark_half_width: half the side of the squares, of all or (landmark,) of each, units.
         resets_velocity: whether agents stand still after each planner step, as where people steer
             them (paper, Appendix A.2); items go on.
+        world: whom and what the scene has; walls, arena and landmarks are the world's unless given.
 
     Raises:
         InvalidEventError: a value that is not finite, has the wrong shape or lies outside.
@@ -85,22 +470,32 @@ class Scene:
 
     start: FloatArray
     radius: FloatArray
-    walls: FloatArray = dataclasses.field(default_factory=lambda: np.empty((0, 2, 2)))
+    walls: FloatArray = None  # type: ignore[assignment]  # here and below: the world's
     turning: Turning = "both"
-    arena: tuple[float, float, float, float] = ARENA
-    landmark_centres: FloatArray = dataclasses.field(default_factory=lambda: LANDMARK_CENTRES)
-    landmark_half_width: float = LANDMARK_HALF_WIDTH
+    arena: tuple[float, float, float, float] = None  # type: ignore[assignment]
+    landmark_centres: FloatArray = None  # type: ignore[assignment]
+    landmark_half_width: Any = None
     resets_velocity: bool = False
+    world: World = PHASE
 
     def __post_init__(self) -> None:
-        n = len(ENTITIES)
+        instance_of("world", self.world, World, "a phase_ppl.World")
+        n, places = len(self.world.entities), self.world.landmarks
         set_field = functools.partial(object.__setattr__, self)
+        for name, value in (
+            ("walls", self.world.walls),
+            ("arena", self.world.arena),
+            ("landmark_centres", [(one.x, one.y) for one in places]),
+            ("landmark_half_width", _one_or_all([one.half_width for one in places])),
+        ):
+            if getattr(self, name) is None:
+                set_field(name, value)
         set_field("start", finite_array("scene.start", self.start, (n, 3)))
         set_field("radius", finite_array("scene.radius", self.radius, (n,)))
         set_field("walls", finite_array("scene.walls", self.walls, (None, 2, 2)))
         set_field(
             "landmark_centres",
-            finite_array("scene.landmark_centres", self.landmark_centres, (len(LANDMARKS), 2)),
+            finite_array("scene.landmark_centres", self.landmark_centres, (len(places), 2)),
         )
         arena = finite_array("scene.arena", self.arena, (4,))
         set_field("arena", tuple(float(v) for v in arena))
@@ -111,26 +506,42 @@ class Scene:
                 f"scene.resets_velocity is {shown(self.resets_velocity)}, expected true or false"
             )
         width, height = arena[1] - arena[0], arena[3] - arena[2]
-        if width <= 0 or abs(width - height) > 1e-6:
+        if width <= 0 or height <= 0 or (self.world == PHASE and abs(width - height) > 1e-6):
             raise InvalidEventError(f"scene.arena {self.arena} is not a square x0, x1, y0, y1")
-        if (self.radius < MIN_RADIUS).any() or (self.radius > width / 4).any():
+        most = min(width, height) / 4
+        if (self.radius < MIN_RADIUS).any() or (self.radius > most).any():
             raise InvalidEventError(
-                f"scene.radius {self.radius.tolist()}: sizes must lie in [{MIN_RADIUS:g}, "
-                f"{width / 4:g}]"
+                f"scene.radius {self.radius.tolist()}: sizes must lie in [{MIN_RADIUS:g}, {most:g}]"
             )
         check_inside(self.start[None], self, "scene.start")
-        rooms = self.rooms  # refuses impossible walls now, not during a run
-        if list(rooms.room_of(self.landmark_centres)) != list(range(len(LANDMARKS))):
-            raise InvalidEventError(
-                f"scene.landmark_centres {self.landmark_centres.tolist()}: expected "
-                f"{', '.join(LANDMARKS)} top left, top right, bottom right, bottom left"
-            )
-        half_width = float(finite_array("scene.landmark_half_width", self.landmark_half_width, ()))
-        if not 0 < half_width <= width / 4:
-            raise InvalidEventError(
-                f"scene.landmark_half_width is {half_width:g}, expected one in (0, {width / 4:g}]"
-            )
-        set_field("landmark_half_width", half_width)
+        self._check_rooms()
+        each = np.ndim(self.landmark_half_width) == 1
+        half_width = finite_array(
+            "scene.landmark_half_width", self.landmark_half_width, (len(places),) if each else ()
+        )
+        for one in half_width.flat:
+            if not 0 < one <= most:
+                raise InvalidEventError(
+                    f"scene.landmark_half_width is {one:g}, expected one in (0, {most:g}]"
+                )
+        set_field("landmark_half_width", half_width if each else float(half_width))
+
+    def _check_rooms(self) -> None:
+        """Refuse impossible walls now, not during a run."""
+        rooms, world = self.rooms, self.world
+        numbers = rooms.room_of(self.landmark_centres)
+        if world == PHASE:
+            if list(numbers) != list(range(len(LANDMARKS))):
+                raise InvalidEventError(
+                    f"scene.landmark_centres {self.landmark_centres.tolist()}: expected "
+                    f"{', '.join(LANDMARKS)} top left, top right, bottom right, bottom left"
+                )
+            return
+        starts = rooms.room_of(self.start[:, :2]).tolist()
+        n_agents = len(world.agents)
+        for name, room in zip(world.items, starts[n_agents:], strict=True):
+            if all(rooms.route(start, room) is None for start in starts[:n_agents]):
+                raise InvalidEventError(f"the {name} is in a room that walls close to every agent")
 
     def _repr_html_(self) -> str:
         return drawn(self)
@@ -142,7 +553,14 @@ class Scene:
 
     @functools.cached_property
     def rooms(self) -> Rooms:
-        return Rooms.from_walls(self.walls, self.centre, (self.arena[1] - self.arena[0]) / 2)
+        return Rooms.from_walls(self.walls, self.arena, self.world.quadrants)
+
+    @functools.cached_property
+    def half_widths(self) -> FloatArray:
+        """(landmark,) half the side of each landmark's square, units."""
+        return np.broadcast_to(
+            np.asarray(self.landmark_half_width, float), len(self.landmark_centres)
+        )
 
     @functools.cached_property
     def border(self) -> FloatArray:
@@ -155,12 +573,23 @@ class Scene:
 def check_inside(trajectory: FloatArray, scene: Scene, name: str) -> None:
     """Raise InvalidEventError if a body of a (time, entity, coord) trajectory is outside."""
     x0, x1, y0, y1 = scene.arena
+    n = len(scene.world.entities)
+    if trajectory.shape[1] != n:
+        raise InvalidEventError(
+            f"{name} has {trajectory.shape[1]} entities, expected the {n} of {scene.world.name}"
+        )
     x, y = trajectory[..., 0], trajectory[..., 1]
     slack = OUTSIDE_TOLERANCE
     outside = (x < x0 - slack) | (x > x1 + slack) | (y < y0 - slack) | (y > y1 + slack)
     if outside.any():
         frame, entity = (int(i) for i in np.argwhere(outside)[0])
         raise InvalidEventError(
-            f"{name}: the {ENTITIES[entity]} is at ({x[frame, entity]:g}, {y[frame, entity]:g}) "
-            f"in frame {frame}, outside the arena x {x0:g}..{x1:g}, y {y0:g}..{y1:g}"
+            f"{name}: the {scene.world.entities[entity]} is at ({x[frame, entity]:g}, "
+            f"{y[frame, entity]:g}) in frame {frame}, outside the arena "
+            f"x {x0:g}..{x1:g}, y {y0:g}..{y1:g}"
         )
+
+
+def _one_or_all(values: Sequence[float]) -> float | list[float]:
+    """Return the value that all have, or all of them."""
+    return values[0] if len(set(values)) == 1 else list(values)

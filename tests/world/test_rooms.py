@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.rooms import DOWN, LEFT, RIGHT, ROOMS_OF_RAY, UNREACHABLE, UP, Rooms
-from tests.world.examples import CENTRE, walls
+from phase_ppl.world.scene import ARENA
+from tests.world.examples import walls
 
 TOP_LEFT, TOP_RIGHT, BOTTOM_RIGHT, BOTTOM_LEFT = range(4)
 
@@ -33,7 +34,7 @@ points = st.tuples(st.floats(6, 26), st.floats(2, 22)).map(np.array)
 def rooms_of(up: float = 0, left: float = 0, down: float = 0, right: float = 0) -> Rooms:
     given_walls = {"up": up, "left": left, "down": down, "right": right}
     present = {name: length for name, length in given_walls.items() if length}
-    return Rooms.from_walls(walls(**present), np.array(CENTRE), 10.0)
+    return Rooms.from_walls(walls(**present), ARENA, quadrants=True)
 
 
 def test_rooms_carry_the_ids_of_their_landmarks() -> None:
@@ -201,7 +202,7 @@ def test_a_detour_is_never_shorter_where_every_way_is_unique(
 )
 def test_walls_that_are_not_on_a_ray_from_the_centre_are_refused(segment: list) -> None:
     with pytest.raises(InvalidEventError, match="does not run from the arena's centre"):
-        Rooms.from_walls(np.array([segment], float), np.array(CENTRE), 10.0)
+        Rooms.from_walls(np.array([segment], float), ARENA, quadrants=True)
 
 
 def test_a_wall_that_leaves_the_arena_is_refused() -> None:
@@ -211,7 +212,7 @@ def test_a_wall_that_leaves_the_arena_is_refused() -> None:
 
 def test_a_wall_may_be_given_from_either_end() -> None:
     backwards = walls(left=5)[:, ::-1]
-    rooms = Rooms.from_walls(backwards, np.array(CENTRE), 10.0)
+    rooms = Rooms.from_walls(backwards, ARENA, quadrants=True)
     assert rooms.wall_length.tolist() == [0, 5, 0, 0]
     assert rooms.wall_length[UP] == 0
 

@@ -126,7 +126,6 @@ def test_at_the_start_everything_rests_and_nothing_is_held() -> None:
     [
         (make_trajectory(1), "trajectory has 1 frame(s), expected at least 2"),
         ([], "trajectory has 0 frame(s)"),
-        (make_trajectory()[:, :3], "trajectory has shape (4, 3, 3), expected ('n', 4, 3)"),
         (make_trajectory()[0], "trajectory has shape (4, 3)"),
         (
             np.where(np.arange(4)[:, None, None] == 2, math.nan, make_trajectory()),
@@ -134,11 +133,14 @@ def test_at_the_start_everything_rests_and_nothing_is_held() -> None:
         ),
     ],
 )
-def test_an_observation_needs_two_finite_frames_of_four_entities(
-    trajectory: object, message: str
-) -> None:
+def test_an_observation_needs_two_finite_frames(trajectory: object, message: str) -> None:
     with pytest.raises(InvalidEventError, match=re.escape(message)):
         Observation(trajectory)  # type: ignore[arg-type]
+
+
+def test_an_event_needs_a_trajectory_of_all_of_its_world() -> None:
+    with pytest.raises(InvalidEventError, match="has 3 entities, expected the 4 of PHASE"):
+        Event(make_scene(), Observation(make_trajectory()[:, :3]))
 
 
 def test_an_observation_knows_positions_and_angles() -> None:

@@ -107,7 +107,7 @@ class Draw:
         self.layout = layout
         self.turning: Turning = turning
         self.walls = walls_of(layout)
-        self.rooms = Rooms.from_walls(self.walls, np.array([16.0, 12.0]), 10.0)
+        self.rooms = Rooms.from_walls(self.walls, ARENA, quadrants=True)
         self._choices: list[Choice] = []
 
     def one_of(self, options: Iterable[int]) -> int:

@@ -1,0 +1,51 @@
+"""Ready-made worlds: that of the paper, and two of other casts and floor plans."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from phase_ppl.world.errors import unknown_name
+from phase_ppl.world.scene import PHASE, World
+
+SOLO: Final = World(
+    ["red agent"],
+    ["ball", "box"],
+    {"home": (4.0, 4.0), "field": (20.0, 4.0), "barn": (20.0, 14.0)},
+    arena=(0.0, 24.0, 0.0, 18.0),
+    walls=[((12, 0), (12, 5)), ((12, 10), (12, 18))],
+    name="solo",
+)
+"""One agent and two items, of which one is none of its business; two rooms and a door."""
+
+TRIO: Final = World(
+    ["red agent", "green agent", "purple agent"],
+    ["blue ball", "pink ball"],
+    {
+        "home": (4.0, 4.0),
+        "field": (32.0, 20.0),
+        "barn": (4.0, 20.0),
+        "pond": (32.0, 4.0, 2.0),
+    },
+    arena=(0.0, 36.0, 0.0, 24.0),
+    walls=[
+        *[((12, 0), (12, 3)), ((12, 8), (12, 16)), ((12, 21), (12, 24))],
+        *[((24, 0), (24, 3)), ((24, 8), (24, 16)), ((24, 21), (24, 24))],
+        *[((0, 12), (4, 12)), ((9, 12), (27, 12)), ((32, 12), (36, 12))],
+    ],
+    name="trio",
+)
+"""Three agents and two items in an oblong arena of six rooms, three above three."""
+
+_READY: Final = {world.name: world for world in (PHASE, SOLO, TRIO)}
+
+
+def available() -> dict[str, World]:
+    """Return the worlds that are ready-made, by name."""
+    return dict(_READY)
+
+
+def named(name: str) -> World:
+    """Return the ready-made world of that name. UnknownNameError: there is none."""
+    if name not in _READY:
+        raise unknown_name("world", name, _READY)
+    return _READY[name]
