@@ -47,7 +47,8 @@ def test_a_preset_is_ones_own_to_change() -> None:
          {"planner": "fast", "weights": "importance"}, set()),
         ({"budget": 30}, {"budget": 30}, {"iterations"}),
         ({"kernel": "local_mh", "rule": "exact"}, {"rule": "exact"}, set()),
-        ({"kernel": "prior_mh"}, {"kernel": "prior_mh"}, {"rule", "weights", "iterations"}),
+        ({"kernel": "prior_mh"}, {"kernel": "prior_mh"},
+         {"rule", "weights", "iterations", "chains"}),
         ({"beta": 0.1},
          {"settings": ppl.SimpleSettings(proposal="paper", sign="printed", beta=0.1)}, set()),
         ({"settings": ppl.SimpleSettings()}, {"settings": ppl.SimpleSettings()}, set()),
@@ -100,10 +101,11 @@ def test_predicates_as_printed_have_a_uniform_prior_and_the_planners_thresholds(
 def test_compare_takes_presets_for_kernels() -> None:
     found = entries(list(PRESETS), 7, ppl.SimpleSettings())
     assert [one.label for one in found] == list(PRESETS)
-    assert [one.info.name for one in found] == ["local_mh"] * 3
-    printed, _, default = found
+    assert [one.info.name for one in found] == ["local_mh"] * 3 + ["racing"]
+    printed, _, default, raced = found
     assert (printed.options, printed.chains, printed.settings) == ({"rule": "paper"}, 15, PRINTED)
     assert (default.options, default.chains) == ({}, 7)
+    assert raced.chains == 30
     assert not printed.length
 
 

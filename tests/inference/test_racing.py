@@ -61,19 +61,20 @@ def pairs_of(post: ppl.Posterior) -> list[tuple[int, int]]:
 
 @pytest.fixture(scope="module")
 def long_run() -> ppl.Posterior:
-    return raced(60, seed=1)
+    return raced(120, seed=1)
 
 
 @pytest.mark.parametrize("weights", ["stratified", "count"])
 def test_the_posterior_is_the_enumerated_one(long_run: ppl.Posterior, weights: str) -> None:
     joint = ppl.Posterior(long_run.tree, weights).joint("goal_red", "goal_green").values
-    assert total_variation(np.array([joint[pair] for pair in PAIRS]), exact()) < 0.08
+    assert total_variation(np.array([joint[pair] for pair in PAIRS]), exact()) < 0.11
 
 
-def test_the_first_simulations_are_of_different_pairs() -> None:
-    post = raced(1, chains=12, seed=0)
-    first = array(post.tree, "simulations", "iteration") == 0
-    tried = [pair for pair, here in zip(pairs_of(post), first, strict=True) if here]
+def test_the_first_simulations_of_those_that_race_are_of_different_pairs() -> None:
+    post = raced(1, chains=24, seed=0)
+    simulated = post.tree["simulations"]
+    race = (simulated["iteration"].values == 0) & (simulated["chain"].values % 2 == 1)
+    tried = [pair for pair, here in zip(pairs_of(post), race, strict=True) if here]
     assert len(tried) == 12
     assert len(set(tried)) == len(PAIRS)  # of which there are fewer, and one comes again
 

@@ -1,14 +1,16 @@
-r"""Racing: simulations go where the posterior is decided.
+r"""Racing: SIMPLE's chains, and as many simulations again that go where the posterior is decided.
 
 Simulators of agents that search are noisy: two simulations of one hypothesis may differ by nats
 in their log likelihood, so that a posterior over pairs of effective goals (g_i, g_j) stands and
 falls with how well the mean likelihoods of the few pairs that lead, or could lead, are known.
-Each iteration gives its simulations, one a particle, to
+Every other particle, the first one too, is a chain of SIMPLE's
+(:mod:`~phase_ppl.inference.kernels.local_mh`), which refines what it has found where its
+simulation fails. The others take their simulations, one an iteration, to
 
-1. *new pairs*, a fifth of the particles: those never simulated that promise most, by
+1. *new pairs*, a fifth of them: those never simulated that promise most, by
    Q(pair) / P(pair)^(1/2). Q is the bottom-up proposal of the whole observation; half of the
    prior is taken out of it again, so that what is rare but fits, such as rivals, is tried as well.
-   The first iteration simulates new pairs only: as many different ones as there are particles.
+   Their first simulations are of new pairs only, all different.
 2. *second chances*, two fifths: pairs that were tried before, in proportion to the root of what
    they promise, however they fared. One simulation says little: agents may get stuck in it.
 3. *leaders*, two fifths: each particle draws, for every pair that was tried, what its
@@ -17,7 +19,8 @@ Each iteration gives its simulations, one a particle, to
    25:285; for finding the best of several, Russo 2020, Operations Research 68:1625).
 
 Everything else about a hypothesis, such as strengths, is drawn from Q given its pair. What is so
-unlikely that it can neither lead nor count is not simulated to its end.
+unlikely that it can neither lead nor count, nor be accepted by its chain, is not simulated to its
+end.
 
 Whatever was chosen, the simulations of a pair are independent draws of its likelihood, and the
 prior says what each pair weighs: the weights "stratified" make the posterior of them, which is
@@ -35,7 +38,14 @@ from jax import random
 from jax.scipy.special import logsumexp
 from numpyro.util import is_prng_key
 
-from phase_ppl.inference.kernels.particle import EventKernel, as_batch_of_one, chosen
+from phase_ppl.inference.kernels.local_mh import LocalMH
+from phase_ppl.inference.kernels.metropolis import MHState, log_ratio
+from phase_ppl.inference.kernels.particle import (
+    EventKernel,
+    as_batch_of_one,
+    chosen,
+    log_uniform,
+)
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.density import NO_DENSITY, Program, Sites, log_density
@@ -51,7 +61,7 @@ POOL: Final = 4096
 
 NEW: Final = 1 / 5
 AGAIN: Final = 2 / 5
-"""Shares of the particles that try a new pair, and that give one a second chance."""
+"""Shares of the racing particles that try a new pair, and that give one a second chance."""
 
 PRIOR_POWER: Final = 0.5
 """Of the prior, taken out of the proposal for the order in which pairs are tried first."""
@@ -61,7 +71,7 @@ NEGLIGIBLE: Final = 12.0
 
 
 class RacingState(NamedTuple):
-    """State of a particle; all particles race together.
+    """State of a particle; all particles know of all simulations.
 
     Attributes:
         z: the hypothesis simulated last with any further sites; an earlier one where the last
@@ -69,6 +79,7 @@ class RacingState(NamedTuple):
         accepted: whether it was.
         n_of_pair: (pair,) this particle's simulations of each pair of effective goals.
         log_sum_of_pair: (pair,) log of their summed likelihoods, less that of no error.
+        chain: SIMPLE's, of every other particle; of the others it is not used.
     """
 
     i: jax.Array
@@ -78,6 +89,7 @@ class RacingState(NamedTuple):
     n_accepted: jax.Array
     n_of_pair: jax.Array
     log_sum_of_pair: jax.Array
+    chain: MHState
     rng_key: jax.Array
 
 
@@ -90,7 +102,7 @@ class RacingState(NamedTuple):
     any_length=True,
 )
 class Racing(EventKernel[RacingState]):
-    """Simulations go to the pairs of goals that lead, or could lead; the module says how.
+    """SIMPLE's chains beside simulations of the pairs of goals that lead, or could lead.
 
     Args:
         sigma: standard deviation of the log likelihood over simulator seeds that is reckoned
@@ -125,35 +137,65 @@ class Racing(EventKernel[RacingState]):
         zeros = jnp.zeros(n, jnp.int32)
         nothing = jnp.full((n, N_GOALS**2), -jnp.inf, jnp.float32)
         n_of_pair = jnp.zeros(nothing.shape, jnp.int32)
-        before = jax.vmap(self.model.draw_prior)(keys)  # for the types of its sites
-        state = RacingState(zeros - 1, before, zeros, zeros > 0, zeros, n_of_pair, nothing, keys)
+        first = jax.vmap(lambda key: self.draw_guide(key, self.n_windows))(keys)
+        if given is not None:
+            first = {name: given[name].astype(value.dtype) for name, value in first.items()}
+        memo = jax.vmap(self._local.memo)(first)
+        log_prior = jax.vmap(self.model.log_prior)(first)
+        chain = MHState(
+            zeros, first, zeros, log_prior, memo,
+            jnp.full((n, self.model.n_frames), jnp.nan, jnp.float32),
+            log_prior, zeros - 1, zeros > 0, zeros, keys,
+        )  # fmt: skip
+        state = RacingState(
+            zeros - 1, first, zeros, zeros > 0, zeros, n_of_pair, nothing, chain, keys
+        )
         return self._step(state, given)
 
+    @property
+    def _local(self) -> LocalMH:
+        return LocalMH(self._program, self._guide, self.settings)
+
     def _step(self, state: RacingState, given: dict[str, jax.Array] | None = None) -> RacingState:
-        """Choose a pair of goals for each particle, draw the rest, and simulate."""
-        program = self.model
-        keys = jax.vmap(lambda key: random.split(key, 3))(state.rng_key)
+        """Propose for the chains, choose a pair of goals for the others, and simulate."""
+        program, begins = self.model, state.i < 0
+        keys = jax.vmap(lambda key: random.split(key, 6))(state.rng_key)
         log_prior_of_pair = self._log_prior_of_pairs()
         tried = state.n_of_pair.sum(axis=0)
         log_mean = logsumexp(state.log_sum_of_pair, axis=0) - jnp.log(jnp.maximum(tried, 1))
         log_mass = jnp.where(tried > 0, log_prior_of_pair + log_mean, -jnp.inf)
-        sites = given
-        if sites is None:
-            sites = self._chosen(keys[:, 0], state.i[0], tried, log_mass, log_prior_of_pair)
+        place = jnp.arange(len(keys))
+        window, sites = jax.vmap(self._local.propose_locally)(keys[:, 3], keys[:, 4], state.chain)
+        sites = jax.vmap(chosen)(begins, state.chain.z, sites)
+        from_whole = begins
+        if given is None and len(keys) > 1:
+            raced = self._chosen(keys[1::2, 0], state.i[0], tried, log_mass, log_prior_of_pair)
+            sites = {name: values.at[1::2].set(raced[name]) for name, values in sites.items()}
+            from_whole |= place % 2 == 1
         pair = _pair_of(sites)
         log_prior = jax.vmap(program.log_prior)(sites)
-        log_proposal = jax.vmap(lambda one: log_density(self.guide, one, self.n_windows))(sites)
+        log_proposal = jnp.where(
+            from_whole,
+            jax.vmap(lambda one: log_density(self.guide, one, self.n_windows))(sites),
+            jax.vmap(lambda *move: self._local.local_move(*move).log_proposal)(
+                window, sites, state.chain
+            ),
+        )
         seed = jax.vmap(program.simulator_seed)(keys[:, 1], sites)
-        log_floor = log_mass.max() - NEGLIGIBLE - log_prior_of_pair[pair]
         without_error = program.log_likelihood(jnp.zeros(program.n_frames)).sum()
+        log_floor = log_mass.max() - NEGLIGIBLE - log_prior_of_pair[pair] + without_error
+        log_u = jax.vmap(log_uniform)(keys[:, 5])
+        accepts_from = jax.vmap(self._accepts_from)(state.chain, sites, window, log_u)
+        accepts_from = jnp.where(begins, -jnp.inf, accepts_from)
+        log_floor = jnp.where(place % 2 == 0, jnp.minimum(log_floor, accepts_from), log_floor)
         errors = jax.vmap(program.simulate)(
-            sites, log_prior, seed, self.error_ceiling(log_floor + without_error), log_proposal
+            sites, log_prior, seed, self.error_ceiling(log_floor), log_proposal
         )
         completed = jnp.isfinite(errors).all(axis=-1)
         found = jax.vmap(program.relative_log_likelihood)(errors)
         # what was stopped has reached the floor at best
-        found = jnp.where(completed, found, log_floor)
-        place = jnp.arange(len(pair)), pair
+        found = jnp.where(completed, found, log_floor - without_error)
+        chain = jax.vmap(self._moved)(state.chain, sites, seed, window, errors, log_u, begins)
         sums = state.log_sum_of_pair
         z, sim_seed = jax.vmap(chosen)(completed, (sites, seed), (state.z, state.sim_seed))
         return RacingState(
@@ -162,9 +204,46 @@ class Racing(EventKernel[RacingState]):
             sim_seed,
             completed,
             state.n_accepted + completed,
-            state.n_of_pair.at[place].add(1),
-            sums.at[place].set(jnp.logaddexp(sums[place], found)),
+            state.n_of_pair.at[place, pair].add(1),
+            sums.at[place, pair].set(jnp.logaddexp(sums[place, pair], found)),
+            chain,
             keys[:, 2],
+        )
+
+    def _accepts_from(
+        self, chain: MHState, sites: dict[str, jax.Array], window: jax.Array, log_u: jax.Array
+    ) -> jax.Array:
+        """Return the log likelihood that a chain's proposal needs at least to be accepted."""
+        move = self._local.local_move(window, sites, chain)
+        current = self.model.log_likelihood(chain.step_error).sum()
+        return log_u - move.log_known - move.log_bound + current
+
+    def _moved(
+        self,
+        chain: MHState,
+        sites: dict[str, jax.Array],
+        seed: jax.Array,
+        window: jax.Array,
+        errors: jax.Array,
+        log_u: jax.Array,
+        begins: jax.Array,
+    ) -> MHState:
+        """Return a chain after a simulation of what it proposed; before the first it has none."""
+        program, move = self.model, self._local.local_move(window, sites, chain)
+        current, proposed = map(program.log_likelihood, (chain.step_error, errors))
+        ratio = log_ratio(move.log_known, current, proposed, move.log_after(errors))
+        # not a number, where both failed: rejected
+        return chosen(
+            begins | (log_u < ratio),
+            chain._replace(
+                z=sites,
+                sim_seed=seed,
+                log_prior=move.log_prior,
+                memo=move.memo,
+                step_error=errors,
+                log_joint=move.log_prior + proposed.sum(),
+            ),
+            chain,
         )
 
     def _chosen(
@@ -178,7 +257,7 @@ class Racing(EventKernel[RacingState]):
         """Return what to simulate.
 
         Args:
-            keys: (particle,).
+            keys: of the particles that race.
             i: iterations so far; -1 for the first simulations, of new pairs only.
             tried: (pair,) simulations so far.
             log_mass: (pair,) log P(pair) mean L, -inf for what was not tried.
