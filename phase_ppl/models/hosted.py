@@ -18,7 +18,7 @@ from jax.extend import core
 
 from phase_ppl.models import kept
 from phase_ppl.models.bridge import answered, request_p
-from phase_ppl.models.density import compiled_quickly
+from phase_ppl.models.density import compiled_quickly, on_cpu
 
 _CALLS: Final = ("jit", "pjit")
 """Names of the primitive that calls a function compiled on its own, new and old."""
@@ -61,7 +61,7 @@ class _Outline:
 
 
 class Hosted:
-    """A function like ``jax.jit(function)``, left at each simulation.
+    """A function like ``jax.jit(function)`` on the processor, left at each simulation.
 
     Where it asks for simulations in a loop or on a condition, it is compiled as a whole and calls
     the simulator from within.
@@ -83,9 +83,10 @@ class Hosted:
     def __call__(self, *args: Any) -> Any:
         leaves, treedef = jax.tree.flatten(args)
         kind = treedef, tuple(map(jax.typeof, leaves))
-        if kind not in self._made:
-            self._made[kind] = self._remembered(kind) or self._make(args, kind)
-        return self._made[kind](*args)
+        with on_cpu():
+            if kind not in self._made:
+                self._made[kind] = self._remembered(kind) or self._make(args, kind)
+            return self._made[kind](*args)
 
     def _name(self, kind: Any) -> str | None:
         return None if self._identity is None else kept.outline_name(f"{self._identity} {kind}")
@@ -160,7 +161,7 @@ def _run(outline: _Outline, codes: Sequence[Callable[..., Any]], *args: Any) -> 
         values.update(zip(piece.outputs, found, strict=True))
         if piece.request is not None:
             number, asked, params = piece.request
-            values[number] = answered(*known(asked), **params)
+            values[number] = jax.device_put(answered(*known(asked), **params))
     return jax.tree.unflatten(jax.tree.structure(outline.blank), known(outline.outputs))
 
 

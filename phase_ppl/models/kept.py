@@ -67,7 +67,9 @@ def read_code(name: str, n_inputs: int, n_outputs: int) -> Callable[..., Any] | 
     return _read(
         name,
         lambda content: serialize_executable.deserialize_and_load(
-            content, given, results, backend="cpu"
+            content,
+            *(given, results, "cpu"),
+            execution_devices=jax.local_devices(backend="cpu")[:1],
         ),
     )
 
