@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import jax
 import numpy as np
@@ -24,6 +24,13 @@ _CALLS: Final = ("jit", "pjit")
 """Names of the primitive that calls a function compiled on its own, new and old."""
 
 
+_Given: TypeAlias = tuple[int | None, Any]
+"""Number of a value; or None, and the value itself."""
+
+_Request: TypeAlias = tuple[int, tuple[_Given, ...], dict[str, Any]]
+"""Number of the errors of a simulation, what it is asked for with, and the parameters of that."""
+
+
 @dataclasses.dataclass(frozen=True)
 class _Piece:
     """What a program computes up to a simulation, or to its end.
@@ -31,14 +38,13 @@ class _Piece:
     Attributes:
         code: name under which it is kept.
         inputs, outputs: numbers of values.
-        request: of the simulation that comes after: the number of its errors, what it is asked
-            with, and the parameters of the request; None: the end.
+        request: for the simulation that comes after; None: the end.
     """
 
     code: str
     inputs: tuple[int, ...]
     outputs: tuple[int, ...]
-    request: tuple[int, tuple[_Given, ...], dict[str, Any]] | None
+    request: _Request | None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -95,8 +101,13 @@ class Hosted:
         """Return what an earlier process has made, if it is still there."""
         if (name := self._name(kind)) is None or (outline := kept.read_outline(name)) is None:
             return None
-        codes = [kept.read_code(p.code, len(p.inputs), len(p.outputs)) for p in outline.pieces]
-        return None if None in codes else functools.partial(_run, outline, codes)
+        codes = []
+        for piece in outline.pieces:
+            code = kept.read_code(piece.code, len(piece.inputs), len(piece.outputs))
+            if code is None:
+                return None
+            codes.append(code)
+        return functools.partial(_run, outline, codes)
 
     def _make(self, args: tuple[Any, ...], kind: Any) -> Callable[..., Any]:
         traced, shapes = jax.make_jaxpr(self._function, return_shape=True)(*args)
@@ -108,17 +119,17 @@ class Hosted:
         def numbered(variables: Iterable[core.Var]) -> tuple[int, ...]:
             return tuple(numbers.setdefault(variable, len(numbers)) for variable in variables)
 
-        def given(atoms: Iterable[Any]) -> tuple[_Given, ...]:
-            return tuple(
-                (None, _plain(a.val, a)) if isinstance(a, core.Literal) else (*numbered([a]), None)
-                for a in atoms
-            )
+        def one(atom: Any) -> _Given:
+            if isinstance(atom, core.Literal):
+                return None, _plain(atom.val, atom)
+            return numbered([atom])[0], None
 
         pieces, codes = [], []
         for inputs, outputs, lowered, request in _pieces(program.jaxpr):
-            after = None
+            after: _Request | None = None
             if request is not None:
-                after = *numbered(request.outvars), given(request.invars), request.params
+                (errors,) = numbered(request.outvars)
+                after = errors, tuple(map(one, request.invars)), request.params
             code = kept.code_name(lowered)
             pieces.append(_Piece(code, numbered(inputs), numbered(outputs), after))
             if (compiled := kept.read_code(code, len(inputs), len(outputs))) is None:
@@ -131,7 +142,7 @@ class Hosted:
             numbered(program.jaxpr.invars),
             dict(zip(numbered(variables), constants, strict=True)),
             tuple(pieces),
-            given(program.jaxpr.outvars),
+            tuple(map(one, program.jaxpr.outvars)),
             jax.tree.map(lambda _: 0, shapes),
         )
         if (name := self._name(kind)) is not None:
@@ -139,11 +150,7 @@ class Hosted:
         return functools.partial(_run, outline, codes)
 
 
-_Given = tuple[int | None, Any]
-"""Number of a value; or None, and the value itself."""
-
-
-def _plain(value: Any, atom: core.Var | core.Literal) -> Any:
+def _plain(value: Any, atom: Any) -> Any:
     """Return a constant as an array of NumPy, but for keys."""
     kind = atom.aval.dtype
     is_key = jax.dtypes.issubdtype(kind, jax.dtypes.prng_key)
@@ -243,7 +250,8 @@ def _pieces(
         outputs = [v for e in equations[::-1] for v in e.outvars if v in wanted]
         part = program.replace(constvars=[], invars=inputs, outvars=outputs, eqns=equations[::-1])
         piece = core.jaxpr_as_fun(core.ClosedJaxpr(part, []))
-        lowered = compiled_quickly(piece).lower(*map(_blank, inputs))
+        quick: Any = compiled_quickly(piece)
+        lowered = quick.lower(*map(_blank, inputs))
         yield inputs, outputs, lowered, request
 
 
@@ -252,6 +260,6 @@ def _variables(atoms: Iterable[Any]) -> set[core.Var]:
 
 
 def _blank(variable: core.Var) -> jax.ShapeDtypeStruct:
-    kind = variable.aval
+    kind: Any = variable.aval
     weak = getattr(kind, "weak_type", False)
     return jax.ShapeDtypeStruct(kind.shape, kind.dtype, weak_type=weak)

@@ -37,7 +37,8 @@ _DIGEST: Final = hashlib.sha256().digest_size
 
 def folder() -> Path | None:
     """Return where programs are kept; None: nowhere, or where JAX is told to keep them itself."""
-    return None if jax.config.jax_compilation_cache_dir else cache_folder()
+    config: Any = jax.config
+    return None if config.jax_compilation_cache_dir else cache_folder()
 
 
 def code_name(lowered: jax.stages.Lowered) -> str:

@@ -23,11 +23,16 @@ LENGTH = 6
 """Of the arrays of frames; the observation has fewer."""
 
 
+def kept_by_jax() -> Any:
+    config: Any = jax.config
+    return config.jax_compilation_cache_dir
+
+
 @pytest.fixture(autouse=True)
 def _folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Has programs kept in a folder, and not by JAX, whose own files cannot be kept once more."""
     monkeypatch.setattr(kept, "folder", lambda: tmp_path)
-    before = jax.config.jax_compilation_cache_dir
+    before = kept_by_jax()
     jax.config.update("jax_compilation_cache_dir", None)
     compilation_cache.reset_cache()
     yield

@@ -239,10 +239,8 @@ def compiled(recipe: Recipe) -> tuple[Hosted, Hosted]:
         return kernel.sample(state, (), {})
 
     identity = _identity(recipe)
-    return tuple(
-        Hosted(function, identity and f"{function.__name__} of {identity}")
-        for function in (init, step)
-    )
+    names = (None, None) if identity is None else (f"init of {identity}", f"step of {identity}")
+    return Hosted(init, names[0]), Hosted(step, names[1])
 
 
 def _identity(recipe: Recipe) -> str | None:
