@@ -30,6 +30,9 @@ from phase_ppl.world.identity import event_digest, source_hash, stable
 
 _KEPT_PROGRAMS: Final = 16
 _OURS: Final = "phase_ppl."
+_BY_FRAME: Final = (RadialLikelihood, InNats)
+"""Likelihoods for which it does not matter where in the video a frame is."""
+
 
 Kernel: TypeAlias = str | Factory | MCMCKernel
 """A kernel as users give it: by name, as what makes one for an event, or as an instance."""
@@ -135,8 +138,7 @@ class Run:
     @property
     def _is_padded(self) -> bool:
         # a likelihood of one's own may depend on where a frame is
-        ours = isinstance(self.model.error_likelihood, RadialLikelihood | InNats)
-        return self.info.any_length and ours
+        return self.info.any_length and type(self.model.error_likelihood) in _BY_FRAME
 
     @property
     def _length(self) -> int:
@@ -252,7 +254,7 @@ def _identity(recipe: Recipe) -> str | None:
         return None
     prior = next((name for name, known in priors.PRIORS.items() if known is model.prior), None)
     likelihood = model.error_likelihood
-    ours = type(likelihood) is RadialLikelihood or type(likelihood) is InNats
+    ours = type(likelihood) in _BY_FRAME
     if prior is None or not model.prior.__module__.startswith(_OURS) or not ours:
         return None
     numbers = settings.eta, settings.window, settings.prior_share
