@@ -52,6 +52,9 @@ warm_up()
 WITHOUT_KERNELS = ("models", "analysis")
 """Folders of tests that hardly need them, and take longer than compiling them."""
 
+WITH_KERNELS = ("test_what_if.py", "test_plots.py")
+"""Files in these folders that do, and would compile them a second time."""
+
 
 def pytest_configure(config: pytest.Config) -> None:
     """Do once what several processes would do at the same time, to the same files."""
@@ -73,8 +76,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     Then comes what takes longest, so that no process is left alone with it at the end.
     """
     items.sort(key=lambda item: item.path.name not in LONGEST)
-    first = [item for item in items if item.path.parent.name in WITHOUT_KERNELS]
-    then = [item for item in items if item.path.parent.name not in WITHOUT_KERNELS]
+    first, then = [], []
+    for item in items:
+        without = item.path.parent.name in WITHOUT_KERNELS and item.path.name not in WITH_KERNELS
+        (first if without else then).append(item)
     n = getattr(config, "workerinput", {}).get("workercount", 1)
     items[:] = [
         item

@@ -81,7 +81,7 @@ def strengths_apart(prior: Prior) -> bool:
 @remembered(_PRIORS_KEPT)
 def _density(prior: Prior, names: tuple[str, ...]) -> Callable[[dict[str, jax.Array]], jax.Array]:
     has_own = any(not upstream(prior)[name] <= set(names) for name in names)
-    keys = jax.random.split(jax.random.key(0), _OWN_DRAWS if has_own else 1)
+    n_draws = _OWN_DRAWS if has_own else 1
 
     def given(key: jax.Array, z: dict[str, jax.Array]) -> jax.Array:
         # own sites are drawn given the hypothesis sites before them and weighted by those after
@@ -90,7 +90,8 @@ def _density(prior: Prior, names: tuple[str, ...]) -> Callable[[dict[str, jax.Ar
         return trace_log_density({name: trace[name] for name in names})
 
     def marginal(z: dict[str, jax.Array]) -> jax.Array:
-        return logsumexp(jax.vmap(given, in_axes=(0, None))(keys, z)) - math.log(len(keys))
+        keys = jax.random.split(jax.random.key(0), n_draws)
+        return logsumexp(jax.vmap(given, in_axes=(0, None))(keys, z)) - math.log(n_draws)
 
     density: Callable[[dict[str, jax.Array]], jax.Array] = Hosted(jax.vmap(marginal))
     return density

@@ -8,32 +8,78 @@ asks for. The pieces are compiled without them, and kept; the simulations are ru
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import Any, Final
+import functools
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any, Final, TypeAlias
 
 import jax
+import numpy as np
 from jax.extend import core
 
+from phase_ppl.models import kept
 from phase_ppl.models.bridge import answered, request_p
-from phase_ppl.models.density import compiled_quickly
-from phase_ppl.models.kept import compiled_or_kept
+from phase_ppl.models.density import compiled_quickly, on_cpu
 
 _CALLS: Final = ("jit", "pjit")
 """Names of the primitive that calls a function compiled on its own, new and old."""
 
 
+_Given: TypeAlias = tuple[int | None, Any]
+"""Number of a value; or None, and the value itself."""
+
+_Request: TypeAlias = tuple[int, tuple[_Given, ...], dict[str, Any]]
+"""Number of the errors of a simulation, what it is asked for with, and the parameters of that."""
+
+
+@dataclasses.dataclass(frozen=True)
+class _Piece:
+    """What a program computes up to a simulation, or to its end.
+
+    Attributes:
+        code: name under which it is kept.
+        inputs, outputs: numbers of values.
+        request: for the simulation that comes after; None: the end.
+    """
+
+    code: str
+    inputs: tuple[int, ...]
+    outputs: tuple[int, ...]
+    request: _Request | None
+
+
+@dataclasses.dataclass(frozen=True)
+class _Outline:
+    """How pieces of compiled code make a program; plain data.
+
+    Attributes:
+        inputs: numbers of the leaves of the arguments.
+        constants: number -> value.
+        pieces: in order.
+        outputs: leaves of the result.
+        blank: a result with other leaves.
+    """
+
+    inputs: tuple[int, ...]
+    constants: dict[int, Any]
+    pieces: tuple[_Piece, ...]
+    outputs: tuple[_Given, ...]
+    blank: Any
+
+
 class Hosted:
-    """A function like ``jax.jit(function)``, left at each simulation.
+    """A function like ``jax.jit(function)`` on the processor, left at each simulation.
 
     Where it asks for simulations in a loop or on a condition, it is compiled as a whole and calls
     the simulator from within.
 
     Args:
         function: of trees of arrays.
+        identity: what tells it from any other function of this package's code, so that it need not
+            even be traced where it has been before; None: nothing can.
     """
 
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self._function = function
+    def __init__(self, function: Callable[..., Any], identity: str | None = None) -> None:
+        self._function, self._identity = function, identity
         self._made: dict[Any, Callable[..., Any]] = {}
 
     def shapes(self, *args: Any) -> Any:
@@ -43,55 +89,87 @@ class Hosted:
     def __call__(self, *args: Any) -> Any:
         leaves, treedef = jax.tree.flatten(args)
         kind = treedef, tuple(map(jax.typeof, leaves))
-        if kind not in self._made:
-            self._made[kind] = self._make(args)
-        return self._made[kind](*args)
+        with on_cpu():
+            if kind not in self._made:
+                self._made[kind] = self._remembered(kind) or self._make(args, kind)
+            return self._made[kind](*args)
 
-    def _make(self, args: tuple[Any, ...]) -> Callable[..., Any]:
+    def _name(self, kind: Any) -> str | None:
+        return None if self._identity is None else kept.outline_name(f"{self._identity} {kind}")
+
+    def _remembered(self, kind: Any) -> Callable[..., Any] | None:
+        """Return what an earlier process has made, if it is still there."""
+        if (name := self._name(kind)) is None or (outline := kept.read_outline(name)) is None:
+            return None
+        codes = []
+        for piece in outline.pieces:
+            code = kept.read_code(piece.code, len(piece.inputs), len(piece.outputs))
+            if code is None:
+                return None
+            codes.append(code)
+        return functools.partial(_run, outline, codes)
+
+    def _make(self, args: tuple[Any, ...], kind: Any) -> Callable[..., Any]:
         traced, shapes = jax.make_jaxpr(self._function, return_shape=True)(*args)
         program = _written_out(traced)
         if program is None:
             return compiled_quickly(self._function)
-        pieces = list(_pieces(program.jaxpr))
-        constants = dict(zip(program.jaxpr.constvars, program.consts, strict=True))
-        treedef = jax.tree.structure(shapes)
+        numbers: dict[core.Var, int] = {}
 
-        def run(*args: Any) -> Any:
-            given = zip(program.jaxpr.invars, jax.tree.leaves(args), strict=True)
-            values = constants | dict(given)
-            for piece in pieces:
-                piece.run(values)
-            return jax.tree.unflatten(treedef, _values(program.jaxpr.outvars, values))
+        def numbered(variables: Iterable[core.Var]) -> tuple[int, ...]:
+            return tuple(numbers.setdefault(variable, len(numbers)) for variable in variables)
 
-        return run
+        def one(atom: Any) -> _Given:
+            if isinstance(atom, core.Literal):
+                return None, _plain(atom.val, atom)
+            return numbered([atom])[0], None
 
-
-@dataclasses.dataclass(frozen=True)
-class _Piece:
-    """What a program computes up to a simulation, or to its end.
-
-    Attributes:
-        inputs, outputs: variables.
-        compiled: the values of the one -> those of the other.
-        request: the simulation that comes after; None: the end.
-    """
-
-    inputs: Sequence[core.Var]
-    outputs: Sequence[core.Var]
-    compiled: Callable[..., Sequence[Any]]
-    request: core.JaxprEqn | None
-
-    def run(self, values: dict[core.Var, Any]) -> None:
-        """Compute the outputs and what the simulation gives, into the values."""
-        found = self.compiled(*_values(self.inputs, values))
-        values.update(zip(self.outputs, found, strict=True))
-        if self.request is not None:
-            errors = answered(*_values(self.request.invars, values), **self.request.params)
-            values[self.request.outvars[0]] = errors
+        pieces, codes = [], []
+        for inputs, outputs, lowered, request in _pieces(program.jaxpr):
+            after: _Request | None = None
+            if request is not None:
+                (errors,) = numbered(request.outvars)
+                after = errors, tuple(map(one, request.invars)), request.params
+            code = kept.code_name(lowered)
+            pieces.append(_Piece(code, numbered(inputs), numbered(outputs), after))
+            if (compiled := kept.read_code(code, len(inputs), len(outputs))) is None:
+                compiled = lowered.compile()
+                kept.write_code(code, compiled)
+            codes.append(compiled)
+        variables = program.jaxpr.constvars
+        constants = map(_plain, program.consts, variables)
+        outline = _Outline(
+            numbered(program.jaxpr.invars),
+            dict(zip(numbered(variables), constants, strict=True)),
+            tuple(pieces),
+            tuple(map(one, program.jaxpr.outvars)),
+            jax.tree.map(lambda _: 0, shapes),
+        )
+        if (name := self._name(kind)) is not None:
+            kept.write_outline(name, outline)
+        return functools.partial(_run, outline, codes)
 
 
-def _values(atoms: Iterable[Any], values: Mapping[core.Var, Any]) -> list[Any]:
-    return [a.val if isinstance(a, core.Literal) else values[a] for a in atoms]
+def _plain(value: Any, atom: Any) -> Any:
+    """Return a constant as an array of NumPy, but for keys."""
+    kind = atom.aval.dtype
+    is_key = jax.dtypes.issubdtype(kind, jax.dtypes.prng_key)
+    return value if is_key else np.asarray(value, kind)
+
+
+def _run(outline: _Outline, codes: Sequence[Callable[..., Any]], *args: Any) -> Any:
+    values = outline.constants | dict(zip(outline.inputs, jax.tree.leaves(args), strict=True))
+
+    def known(given: Iterable[_Given]) -> list[Any]:
+        return [value if number is None else values[number] for number, value in given]
+
+    for piece, code in zip(outline.pieces, codes, strict=True):
+        found = code(*(values[number] for number in piece.inputs))
+        values.update(zip(piece.outputs, found, strict=True))
+        if piece.request is not None:
+            number, asked, params = piece.request
+            values[number] = jax.device_put(answered(*known(asked), **params))
+    return jax.tree.unflatten(jax.tree.structure(outline.blank), known(outline.outputs))
 
 
 def _written_out(traced: core.ClosedJaxpr) -> core.ClosedJaxpr | None:
@@ -146,8 +224,13 @@ def _requests(equation: core.JaxprEqn) -> bool:
     return any(_requests(inner) for jaxpr in jaxprs for inner in jaxpr.eqns)
 
 
-def _pieces(program: core.Jaxpr) -> Iterator[_Piece]:
-    """Yield the pieces, compiled; what nobody needs is left out."""
+def _pieces(
+    program: core.Jaxpr,
+) -> Iterator[tuple[list[core.Var], list[core.Var], jax.stages.Lowered, core.JaxprEqn | None]]:
+    """Yield the pieces: inputs, outputs, what computes them, and the request that comes after.
+
+    What nobody needs is left out.
+    """
     needed = _variables(program.outvars)
     cut: list[tuple[list[core.JaxprEqn], set[core.Var], core.JaxprEqn | None]] = [
         ([], needed, None)
@@ -167,8 +250,9 @@ def _pieces(program: core.Jaxpr) -> Iterator[_Piece]:
         outputs = [v for e in equations[::-1] for v in e.outvars if v in wanted]
         part = program.replace(constvars=[], invars=inputs, outvars=outputs, eqns=equations[::-1])
         piece = core.jaxpr_as_fun(core.ClosedJaxpr(part, []))
-        lowered = compiled_quickly(piece).lower(*map(_blank, inputs))
-        yield _Piece(inputs, outputs, compiled_or_kept(lowered), request)
+        quick: Any = compiled_quickly(piece)
+        lowered = quick.lower(*map(_blank, inputs))
+        yield inputs, outputs, lowered, request
 
 
 def _variables(atoms: Iterable[Any]) -> set[core.Var]:
@@ -176,6 +260,6 @@ def _variables(atoms: Iterable[Any]) -> set[core.Var]:
 
 
 def _blank(variable: core.Var) -> jax.ShapeDtypeStruct:
-    kind = variable.aval
+    kind: Any = variable.aval
     weak = getattr(kind, "weak_type", False)
     return jax.ShapeDtypeStruct(kind.shape, kind.dtype, weak_type=weak)

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
+import json
 import os
+import pickle
 import warnings
 import zlib
 from collections.abc import Callable
@@ -19,11 +22,12 @@ from jax.experimental import serialize_executable
 from phase_ppl.physics.jit import cache_folder
 from phase_ppl.world.errors import OutputError
 from phase_ppl.world.files import write_bytes
+from phase_ppl.world.identity import versions
 
 SUFFIX: Final = ".xla"
 
 MOST: Final = 400
-"""Programs on disk, some 100 kB each; beyond that the one goes that was not used for longest."""
+"""Files; beyond that the one goes that was not used for longest."""
 
 _LEVEL: Final = 3
 """Of compression: as good as any for machine code, and fast."""
@@ -31,53 +35,90 @@ _LEVEL: Final = 3
 _DIGEST: Final = hashlib.sha256().digest_size
 
 
-def compiled_or_kept(lowered: jax.stages.Lowered) -> Callable[..., Any]:
-    """Return the compiled program, from the disk where it has been compiled before.
-
-    Where JAX keeps what it compiles (``jax_compilation_cache_dir``) that is left to JAX.
-
-    Args:
-        lowered: for the processor, and without calls of the host.
-    """
-    folder = None if jax.config.jax_compilation_cache_dir else cache_folder()
-    if folder is None:
-        return lowered.compile()
-    path = folder / f"{_name(lowered)}{SUFFIX}"
-    try:
-        return _read(path, lowered)
-    except FileNotFoundError:
-        pass
-    except Exception as error:  # whatever a damaged file makes the reader stumble over
-        warnings.warn(f"compiled anew, as {path} is damaged: {error!r}", RuntimeWarning, 2)
-    compiled = lowered.compile()
-    # what cannot be serialised, or written, is compiled again in the next process
-    with contextlib.suppress(NotImplementedError, ValueError, OutputError, OSError):
-        content = zlib.compress(serialize_executable.serialize(compiled)[0], _LEVEL)
-        write_bytes(path, (SUFFIX,), hashlib.sha256(content).digest() + content)
-        _forget_oldest(folder)
-    return compiled
+def folder() -> Path | None:
+    """Return where programs are kept; None: nowhere, or where JAX is told to keep them itself."""
+    config: Any = jax.config
+    return None if config.jax_compilation_cache_dir else cache_folder()
 
 
-def _name(lowered: jax.stages.Lowered) -> str:
-    """Return what identifies a program: what it computes, what compiles it, and for what."""
+def code_name(lowered: jax.stages.Lowered) -> str:
+    """Return what identifies a compiled program: what it computes, and for what machine."""
+    return _hash(lowered.as_text())
+
+
+def outline_name(identity: str) -> str:
+    """Return what identifies the making of a program: what is said of it, and all code."""
+    return _hash(identity, json.dumps([versions(), jax.config.values], default=str, sort_keys=True))
+
+
+def _hash(*parts: str) -> str:
+    return hashlib.sha256("\0".join((*parts, *_target())).encode()).hexdigest()[:40]
+
+
+@functools.cache
+def _target() -> tuple[str, ...]:
     compiler = (jax.__version__, jaxlib.__version__, os.environ.get("XLA_FLAGS", ""))
-    machine = (llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten())
-    parts = (lowered.as_text(), *compiler, *machine)
-    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:40]
+    return (*compiler, llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten())
 
 
-def _read(path: Path, lowered: jax.stages.Lowered) -> Callable[..., Any]:
-    content = path.read_bytes()
-    if hashlib.sha256(content[_DIGEST:]).digest() != content[:_DIGEST]:
-        raise ValueError("its checksum is another")
-    with contextlib.suppress(OSError):
-        os.utime(path)
-    return serialize_executable.deserialize_and_load(
-        zlib.decompress(content[_DIGEST:]), lowered.in_tree, lowered.out_tree, backend="cpu"
+def read_code(name: str, n_inputs: int, n_outputs: int) -> Callable[..., Any] | None:
+    """Return a compiled program from the disk, of flat arguments and results; None: not there."""
+    given = jax.tree.structure(((0,) * n_inputs, {}))
+    results = jax.tree.structure([0] * n_outputs)
+    return _read(
+        name,
+        lambda content: serialize_executable.deserialize_and_load(
+            content,
+            *(given, results, "cpu"),
+            execution_devices=jax.local_devices(backend="cpu")[:1],
+        ),
     )
 
 
-def _forget_oldest(folder: Path) -> None:
-    kept = sorted(folder.glob(f"*{SUFFIX}"), key=lambda path: path.stat().st_mtime)
-    for path in kept[:-MOST]:
-        path.unlink(missing_ok=True)
+def write_code(name: str, compiled: jax.stages.Compiled) -> None:
+    """Keep a compiled program, where it can be serialised and written."""
+    with contextlib.suppress(NotImplementedError, ValueError):
+        _write(name, serialize_executable.serialize(compiled)[0])
+
+
+def read_outline(name: str) -> Any:
+    """Return what :func:`write_outline` was given; None: not there."""
+    return _read(name, pickle.loads)
+
+
+def write_outline(name: str, outline: Any) -> None:
+    """Keep what says how pieces of compiled code go together."""
+    with contextlib.suppress(TypeError, AttributeError, pickle.PicklingError):
+        _write(name, pickle.dumps(outline))
+
+
+def _read(name: str, understood: Callable[[bytes], Any]) -> Any:
+    if (place := folder()) is None:
+        return None
+    path = place / f"{name}{SUFFIX}"
+    try:
+        content = path.read_bytes()
+        if hashlib.sha256(content[_DIGEST:]).digest() != content[:_DIGEST]:
+            raise ValueError("its checksum is another")
+        with contextlib.suppress(OSError):
+            os.utime(path)
+        return understood(zlib.decompress(content[_DIGEST:]))
+    except OSError:
+        return None
+    except Exception as error:  # whatever a damaged file makes the reader stumble over
+        warnings.warn(f"compiled anew, as {path} is damaged: {error!r}", RuntimeWarning, 2)
+        return None
+
+
+def _write(name: str, content: bytes) -> None:
+    if (place := folder()) is None:
+        return
+    packed = zlib.compress(content, _LEVEL)
+    # what cannot be written is compiled again by the next process
+    with contextlib.suppress(OutputError, OSError):
+        place.mkdir(parents=True, exist_ok=True)
+        path = place / f"{name}{SUFFIX}"
+        write_bytes(path, (SUFFIX,), hashlib.sha256(packed).digest() + packed)
+        kept = sorted(place.glob(f"*{SUFFIX}"), key=lambda path: path.stat().st_mtime)
+        for old in kept[:-MOST]:
+            old.unlink(missing_ok=True)

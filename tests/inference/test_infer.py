@@ -159,6 +159,10 @@ def test_kernel_by_name_or_instance(kernel: Any) -> None:
     assert (found.tree["sample_stats"]["window"] == -1).all()
 
 
+def test_room_for_more_frames_changes_no_draw() -> None:
+    runs.assert_same_draws(infer(kernel="prior_mh").tree, infer(kernel=PriorMH()).tree)
+
+
 def test_printed_rule_is_recorded_as_approximate() -> None:
     found = infer(rule="paper")
     assert found.tree.attrs["validity"] == "approximate"

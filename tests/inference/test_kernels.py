@@ -26,13 +26,65 @@ from phase_ppl.inference.kernels.local_mh import (
     log_window_choice,
 )
 from phase_ppl.inference.kernels.metropolis import log_ratio
+from phase_ppl.inference.runs.run import Run
 from phase_ppl.models import priors
 from phase_ppl.models.likelihood import RadialLikelihood
+from phase_ppl.models.model import Model
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
-from tests.inference.toy import TableRunner, run, table_errors, table_program, total_variation
+from tests.inference.toy import (
+    SETTINGS,
+    TableRunner,
+    run,
+    table_errors,
+    table_program,
+    total_variation,
+    walkers,
+    walking_event,
+)
 
 ERRORS = table_errors()
 KEYS = random.split(random.key(0), 2)
+
+
+# --- arrays that are longer than the observation ----------------------------------------------
+
+
+def made(n_frames: int, **changes: Any) -> Run:
+    given = {"model": Model(simulator=walkers), "kernel": "local_mh", **changes}
+    return Run(walking_event(n_frames), options={}, settings=SETTINGS, chains=4, seed=0, **given)
+
+
+def recipe(n_frames: int) -> Any:
+    return made(n_frames).recipe
+
+
+def test_events_of_all_lengths_share_a_program() -> None:
+    assert recipe(20) == recipe(90) == recipe(128)
+    assert recipe(5) == recipe(14) != recipe(20)
+    assert recipe(129)[-1] == recipe(200)[-1] == 256
+
+
+class Fading(RadialLikelihood):
+    """Of which a frame counts the less, the later it is."""
+
+    def log_prob(self, errors: Any) -> Any:
+        return super().log_prob(errors) * jnp.linspace(1.0, 0.5, 20)
+
+
+def test_likelihoods_and_kernels_of_ones_own_get_arrays_as_long_as_the_observation() -> None:
+    own = made(20, kernel="prior_mh", model=Model(simulator=walkers, likelihood=Fading()))
+    own.check(1, None)
+    assert own.recipe[-1] == made(20, kernel=PriorMH()).recipe[-1] == 20
+
+
+def test_windows_that_there_are_not_are_never_chosen() -> None:
+    errors = np.random.default_rng(3).gamma(2.0, 3.0, 20).astype(np.float32)
+    exact = log_window_choice(jnp.asarray(errors), 0.3, 4)
+    longer = log_window_choice(jnp.asarray(np.pad(errors, (0, 44))), 0.3, 4, len(exact))
+    np.testing.assert_array_equal(longer[: len(exact)], exact)
+    assert np.isneginf(longer[len(exact) :]).all()
+    for key in random.split(KEYS[0], 20):
+        assert random.categorical(key, longer) == random.categorical(key, exact)
 
 
 # --- the rules, on a chain so small that its transition matrix can be written down ---------------

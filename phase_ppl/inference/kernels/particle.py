@@ -137,7 +137,8 @@ class EventKernel(MCMCKernel, Generic[State]):
         floor = log_floor - _SLACK - _RELATIVE_SLACK * jnp.abs(log_floor)
         # without a floor, as before a first completed simulation, there is no ceiling either
         floor = jnp.where(jnp.isfinite(floor), floor, -jnp.inf)
-        return self.model.likelihood.max_total_error(floor, self.model.observed)
+        n_frames: Any = self.model.observed  # perhaps known only inside compiled code
+        return self.model.likelihood.max_total_error(floor, n_frames)
 
     @property
     def n_windows(self) -> Any:

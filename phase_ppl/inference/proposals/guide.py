@@ -79,6 +79,7 @@ def _local_program(
         )
         assert logits is not None
         assert strength is not None
+        assert strength_sd is not None
         known = ~jnp.isnan(strength)
         estimate = jnp.where(known, strength, float(np.mean(STRENGTH_RANGE)))
         sd = jnp.where(known, strength_sd, 1.0)

@@ -78,7 +78,9 @@ def padded(tables: BottomUpTables, n_windows: int) -> BottomUpTables:
         beyond = [(0, n_windows + 1 - len(table)), *[(0, 0)] * (np.ndim(table) - 1)]
         return np.pad(np.asarray(table, np.float32), beyond, mode="edge")
 
-    return BottomUpTables(*(None if table is None else longer(table) for table in tables))
+    goal, strength, strength_sd, alpha = tables
+    social = None if alpha is None else longer(alpha)
+    return BottomUpTables(longer(goal), longer(strength), longer(strength_sd), social)
 
 
 def bottom_up_tables(

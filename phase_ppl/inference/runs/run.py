@@ -14,7 +14,7 @@ from numpyro.infer.mcmc import MCMCKernel
 
 from phase_ppl.inference.proposals.guide import bottom_up_guide
 from phase_ppl.inference.proposals.tables import BottomUpTables, padded, window_count
-from phase_ppl.inference.registry import Factory, KernelInfo, described
+from phase_ppl.inference.registry import KERNELS, Factory, KernelInfo, described
 from phase_ppl.inference.runs.length import run_length
 from phase_ppl.inference.settings import Budget, SimpleSettings
 from phase_ppl.models import priors
@@ -29,6 +29,10 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.identity import event_digest, source_hash, stable
 
 _KEPT_PROGRAMS: Final = 16
+_OURS: Final = "phase_ppl."
+_BY_FRAME: Final = (RadialLikelihood, InNats)
+"""Likelihoods for which it does not matter where in the video a frame is."""
+
 
 Kernel: TypeAlias = str | Factory | MCMCKernel
 """A kernel as users give it: by name, as what makes one for an event, or as an instance."""
@@ -134,8 +138,7 @@ class Run:
     @property
     def _is_padded(self) -> bool:
         # a likelihood of one's own may depend on where a frame is
-        ours = isinstance(self.model.error_likelihood, RadialLikelihood | InNats)
-        return self.info.any_length and ours
+        return self.info.any_length and type(self.model.error_likelihood) in _BY_FRAME
 
     @property
     def _length(self) -> int:
@@ -237,4 +240,24 @@ def compiled(recipe: Recipe) -> tuple[Hosted, Hosted]:
             jax.eval_shape(lambda keys: kernel.init(keys, 0, None, (), {}), state.rng_key)
         return kernel.sample(state, (), {})
 
-    return Hosted(init), Hosted(step)
+    identity = _identity(recipe)
+    names = (None, None) if identity is None else (f"init of {identity}", f"step of {identity}")
+    return Hosted(init, names[0]), Hosted(step, names[1])
+
+
+def _identity(recipe: Recipe) -> str | None:
+    """Return what tells a recipe from others, if all of its code is this package's; else None."""
+    info, options, model, settings, length = recipe
+    plain = _plain(dict(options))
+    known = KERNELS.entries.get(info.name) is info and info.factory.__module__.startswith(_OURS)
+    if plain is None or not known:
+        return None
+    prior = next((name for name, known in priors.PRIORS.items() if known is model.prior), None)
+    likelihood = model.error_likelihood
+    ours = type(likelihood) in _BY_FRAME
+    if prior is None or not model.prior.__module__.startswith(_OURS) or not ours:
+        return None
+    numbers = settings.eta, settings.window, settings.prior_share
+    parts = info.name, plain, prior, model.noise, numbers, length
+    kind = likelihood if isinstance(likelihood, RadialLikelihood) else "nats"
+    return f"{parts!r} {kind!r}"

@@ -186,7 +186,9 @@ def _open_runner(what: Run, options: RunOptions) -> Runner | TableRunner:
     )
 
 
-_keys: Final = Hosted(lambda number, chain: random.split(random.key(number), len(chain)))
+_keys: Final = Hosted(
+    lambda number, chain: random.split(random.key(number), len(chain)), "keys of chains"
+)
 """The keys of so many chains."""
 
 

@@ -150,7 +150,9 @@ def test_options_of_sampling_are_refused(options: Any) -> None:
         ppl.infer(short(3), MODEL, **options)
 
 
-@pytest.mark.parametrize("prior", ["strength_levels", "uniform"])
+@pytest.mark.parametrize(
+    "prior", [pytest.param("strength_levels", marks=pytest.mark.slow), "uniform"]
+)
 @pytest.mark.parametrize(
     ("kernel", "chains", "iterations"),
     [("importance", 400, 40), pytest.param("prior_mh", 40, 2000, marks=pytest.mark.slow)],

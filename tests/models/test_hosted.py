@@ -1,0 +1,165 @@
+"""Compiled programs that are left at each simulation, and kept on disk."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import lax, random
+from jax.experimental.compilation_cache import compilation_cache
+
+from phase_ppl.models import kept
+from phase_ppl.models.bridge import SimulatorBridge, request_errors
+from phase_ppl.models.hosted import Hosted
+from tests.models.test_bridge import N_FRAMES, Counting, sites_of
+
+LENGTH = 6
+"""Of the arrays of frames; the observation has fewer."""
+
+
+def kept_by_jax() -> Any:
+    config: Any = jax.config
+    return config.jax_compilation_cache_dir
+
+
+@pytest.fixture(autouse=True)
+def _folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Has programs kept in a folder, and not by JAX, whose own files cannot be kept once more."""
+    monkeypatch.setattr(kept, "folder", lambda: tmp_path)
+    before = kept_by_jax()
+    jax.config.update("jax_compilation_cache_dir", None)
+    compilation_cache.reset_cache()
+    yield
+    jax.config.update("jax_compilation_cache_dir", before)
+    compilation_cache.reset_cache()
+
+
+def simulated(handle: Any, seed: Any) -> jax.Array:
+    sites = {name: values[0] for name, values in sites_of(1).items()}
+    return request_errors(handle, LENGTH, sites, jnp.float32(0.0), seed)
+
+
+def chain(keys: jax.Array, handle: Any) -> dict[str, jax.Array]:
+    """Two simulations one after the other, the second with a seed that the first decides."""
+
+    @jax.jit
+    def one(key: jax.Array) -> dict[str, jax.Array]:
+        key, key_seed = random.split(key)
+        first = simulated(handle, random.randint(key_seed, (), 0, 100))
+        second = simulated(handle, first.sum().astype(jnp.int32) + 1)
+        return {"key": key, "first": first, "both": first + 2 * second}
+
+    return jax.vmap(one)(keys)
+
+
+def in_a_loop(n: jax.Array, handle: Any) -> jax.Array:
+    def step(i: jax.Array, total: jax.Array) -> jax.Array:
+        return total + simulated(handle, i)
+
+    return lax.fori_loop(0, n, step, jnp.zeros(LENGTH))
+
+
+def called(function: Callable[..., Any], *args: Any) -> tuple[Any, Counting]:
+    runner = Counting()
+    bridge = SimulatorBridge(runner, N_FRAMES)
+    found = jax.block_until_ready(function(*args, bridge.handle))
+    return jax.tree.map(_bits, found), runner
+
+
+def _bits(leaf: jax.Array) -> Any:
+    is_key = jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+    return np.asarray(random.key_data(leaf) if is_key else leaf).tolist()
+
+
+KEYS = random.split(random.key(3), 5)
+
+
+def test_cut_at_its_simulations_a_program_computes_what_it_does_as_a_whole(tmp_path: Path) -> None:
+    whole, _ = called(jax.jit(chain), KEYS)
+    cut, runner = called(Hosted(chain), KEYS)
+    assert cut == whole
+    assert [len(batch) for batch in runner.batches] == [5, 5]
+    assert list(tmp_path.glob(f"*{kept.SUFFIX}"))
+
+
+def test_errors_beyond_the_observation_are_0() -> None:
+    found, _ = called(Hosted(lambda seed, handle: simulated(handle, seed)), jnp.int32(7))
+    assert found == [7.0] * N_FRAMES + [0.0] * (LENGTH - N_FRAMES)
+
+
+def test_simulations_in_a_loop_are_run_from_within(tmp_path: Path) -> None:
+    found, runner = called(Hosted(in_a_loop), jnp.int32(4))
+    assert found[:N_FRAMES] == [6.0] * N_FRAMES
+    assert len(runner.batches) == 4
+    assert not list(tmp_path.glob(f"*{kept.SUFFIX}"))
+
+
+def test_what_was_compiled_once_is_not_compiled_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    first, _ = called(Hosted(chain), KEYS)
+    monkeypatch.setattr(jax.stages.Lowered, "compile", None)
+    assert called(Hosted(chain), KEYS)[0] == first
+
+
+def test_what_is_identified_is_not_even_traced_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    first, _ = called(Hosted(chain, "a chain"), KEYS)
+    monkeypatch.setattr(jax, "make_jaxpr", None)
+    assert called(Hosted(chain, "a chain"), KEYS)[0] == first
+    for other in (Hosted(chain, "another"), Hosted(chain)):
+        with pytest.raises(TypeError):
+            called(other, KEYS)
+    with pytest.raises(TypeError):  # other arguments
+        called(Hosted(chain, "a chain"), KEYS[:3])
+
+
+def test_code_of_another_version_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    called(Hosted(chain, "a chain"), KEYS)
+    monkeypatch.setattr(kept, "versions", lambda: {"source": "another"})
+    monkeypatch.setattr(jax, "make_jaxpr", None)
+    with pytest.raises(TypeError):
+        called(Hosted(chain, "a chain"), KEYS)
+
+
+@pytest.mark.parametrize("damage", [b"", b"x" * 100, None])
+def test_a_damaged_file_is_reported_and_made_anew(damage: bytes | None, tmp_path: Path) -> None:
+    first, _ = called(Hosted(chain, "a chain"), KEYS)
+    for file in tmp_path.glob(f"*{kept.SUFFIX}"):
+        file.write_bytes(file.read_bytes()[:-1] if damage is None else damage)
+    with pytest.warns(RuntimeWarning, match="compiled anew"):
+        again, _ = called(Hosted(chain, "a chain"), KEYS)
+    assert again == first
+    assert called(Hosted(chain, "a chain"), KEYS)[0] == first  # without a warning
+
+
+def test_the_files_not_used_for_longest_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(kept, "MOST", 3)
+    for number in range(5):
+        kept.write_outline(f"{number}", number)
+        kept.read_outline("0")
+    names = {file.stem for file in tmp_path.iterdir()}
+    assert len(names) == 3
+    assert "4" in names
+
+
+def test_a_folder_that_cannot_be_written_changes_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first, _ = called(Hosted(chain), KEYS)
+    (tmp_path / "file").write_text("in the way")
+    for place in (None, tmp_path / "file" / "folder"):
+        monkeypatch.setattr(kept, "folder", functools.partial(lambda p: p, place))
+        assert called(Hosted(chain, "a chain"), KEYS)[0] == first
+
+
+def test_what_jax_keeps_itself_is_left_to_it(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.undo()
+    assert kept.folder() == kept.cache_folder()
+    jax.config.update("jax_compilation_cache_dir", str(tmp_path))
+    assert kept.folder() is None
