@@ -299,7 +299,7 @@ def _check_several(
 def _show_again(options: argparse.Namespace) -> int:
     """Show an evaluation that is there."""
     given = cli.given(options, *_OF_WORK)
-    of_work = [f"--{name}" for name, value in given.items() if value not in ([], False)]
+    of_work = [f"--{name}" for name, v in given.items() if v is not False and v != []]
     if options.out is None or of_work:
         needed = f" with {', '.join(of_work)}" if of_work else ""
         raise InvalidSettingError(
