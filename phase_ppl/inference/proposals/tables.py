@@ -183,10 +183,11 @@ def goal_distances(scene: Scene, observation: Observation) -> FloatArray:
 
 
 # --- features of motion that speak for goals ------------------------------------------------------
-# A goal is about a subject (the agent itself, the other one, an item) and a place: a landmark, or the
-# other agent. Its features say where the subject is, whether it has come nearer, and what the agent
-# itself did: whether it went to the subject, touched it, moved towards the place. They are computed
-# from positions alone, so that they hold for any scene and are blind to which landmark or item it is.
+# A goal is about a subject (the agent itself, the other one, an item) and a place: a landmark, or
+# the other agent. Its features say where the subject is, whether it has come nearer, and what the
+# agent itself did: whether it went to the subject, touched it, moved towards the place. They are
+# computed from positions alone, so that they hold for any scene and are blind to which landmark or
+# item it is.
 
 FEATURES: Final = (
     "constant",
