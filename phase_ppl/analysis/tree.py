@@ -238,10 +238,12 @@ def scene_dataset(scene: Scene) -> xr.Dataset:
 
 def kept_scene(kept: xr.Dataset) -> Scene:
     """Return the scene that :func:`scene_dataset` wrote into a dataset."""
-    names = ("start", "radius", "walls", "landmark_centres")
     x0, x1, y0, y1 = (float(v) for v in kept["arena"].values)
     return Scene(
-        **{name: kept[name].values for name in names},
+        start=kept["start"].values,
+        radius=kept["radius"].values,
+        walls=kept["walls"].values,
+        landmark_centres=kept["landmark_centres"].values,
         turning=kept.attrs["turning"],
         resets_velocity=bool(kept.attrs.get("resets_velocity", 0)),
         arena=(x0, x1, y0, y1),
