@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import pickle
 import re
 import signal
 import subprocess
@@ -280,23 +279,6 @@ def test_bad_input_is_one_line(
     monkeypatch.chdir(tmp_path)
     Path("file").write_bytes(b"PK\x03\x04 and no more")
     assert message in fails(capsys, *arguments)
-
-
-def test_a_pickle_is_refused_unread(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    trap, path = tmp_path / "sprung", tmp_path / "event.json"
-
-    class Trap:
-        def __reduce__(self) -> tuple[object, tuple[object, ...]]:
-            return Path.touch, (trap,)
-
-    path.write_bytes(pickle.dumps(Trap()))
-    assert "pickle" in fails(capsys, "infer", str(path))
-    assert not trap.exists()
-
-
-def test_a_posterior_is_no_event(capsys: pytest.CaptureFixture[str], results: Path) -> None:
-    error = fails(capsys, "infer", str(results / "posterior.nc"))
-    assert "posterior.nc: is a posterior, not an event" in error
 
 
 class TestQuery:

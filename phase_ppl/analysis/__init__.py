@@ -7,8 +7,8 @@ Numbers, each built on those before it:
 * ``estimate``: statistics of such a table with their errors; ``query``: questions in words.
 * ``hypotheses``: what one can ask a table; ``posterior`` and ``stepwise_posterior`` (with
   ``stepwise_table``) are such tables, which print themselves by means of ``summary``.
-* ``measures`` and ``comparison``: posteriors against a reference and each other; ``data_table``:
-  statistics of a set of events beside another's.
+* ``comparison``: posteriors against a reference and each other; ``data_table``: statistics of a set
+  of events beside another's.
 
 ``diagnostics`` says whether a posterior can be trusted, ``_arviz`` hands draws to ArviZ. ``plots``
 lists the figures, which are in ``figures/``.

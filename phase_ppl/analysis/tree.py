@@ -15,6 +15,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from phase_ppl.dataset.events_json import LABELS
 from phase_ppl.dataset.hdf5 import netcdf_bytes, read_netcdf
 from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.files import check_output, existing_file, write_bytes
@@ -216,12 +217,33 @@ def read_tree(path: str | os.PathLike[str]) -> xr.DataTree:
     return tree
 
 
+def scene_dataset(scene: Scene) -> xr.Dataset:
+    """Return a scene as a dataset, its arrays as variables and the rest as attributes."""
+    return xr.Dataset(
+        {
+            "start": (("entity", "coord"), scene.start),
+            "radius": (("entity",), scene.radius),
+            "walls": (("wall", "end", "xy"), scene.walls),
+            "arena": (("bound",), np.array(scene.arena)),
+            "landmark_centres": (("landmark", "xy"), scene.landmark_centres),
+        },
+        {dim: list(LABELS[dim]) for dim in ("entity", "coord", "landmark", "bound")},
+        {
+            "turning": scene.turning,
+            "resets_velocity": int(scene.resets_velocity),
+            "landmark_half_width": float(scene.landmark_half_width),
+        },
+    )
+
+
 def kept_scene(kept: xr.Dataset) -> Scene:
-    """Return the scene of a dataset with its arrays as variables and the rest as attributes."""
-    names = ("start", "radius", "walls", "landmark_centres")
+    """Return the scene that :func:`scene_dataset` wrote into a dataset."""
     x0, x1, y0, y1 = (float(v) for v in kept["arena"].values)
     return Scene(
-        **{name: kept[name].values for name in names},
+        start=kept["start"].values,
+        radius=kept["radius"].values,
+        walls=kept["walls"].values,
+        landmark_centres=kept["landmark_centres"].values,
         turning=kept.attrs["turning"],
         resets_velocity=bool(kept.attrs.get("resets_velocity", 0)),
         arena=(x0, x1, y0, y1),

@@ -25,13 +25,11 @@ def add_to(commands: Any) -> None:
         "phase-ppl compare collaborate --kernels local_mh,local_mh:rule=paper,prior_mh "
         "--budget 500 --repeats 8 --out out",
     )
-    cli.add(
-        parser,
-        "--kernels A,B",
+    says = (
         "names, with options as NAME:OPTION=VALUE:OPTION=VALUE; as_printed, as_intended and "
-        "default are SIMPLE by a preset, on this planner and these weights",
-        required=True,
+        "default are SIMPLE by a preset, on this planner and these weights"
     )
+    cli.add(parser, "--kernels A,B", says, required=True)
     cli.add(
         parser, "--budget B", f"{cli.BUDGET}; default 500", cli.budget, phase_ppl.simulations(500)
     )
@@ -39,12 +37,11 @@ def add_to(commands: Any) -> None:
     cli.add(parser, "--chains M", "default 15", cli.whole(1), 15)
     cli.add(parser, "--prior NAME", "default uniform; or FILE.py:NAME", default="uniform")
     cli.add_planner(parser)
-    cli.add(
-        parser,
-        "--reference R",
+    says = (
         "a posterior's .nc file, 'enumeration' (more precise: enumeration:per_pair=16) or a "
-        "kernel, with options as in --kernels; default: what is affordable",
+        "kernel, with options as in --kernels; default: what is affordable"
     )
+    cli.add(parser, "--reference R", says)
     cli.add(parser, "--weights NAME", "default count", default="count")
     cli.add_workers(parser)
     cli.add(parser, "--checkpoint FILE", ".json; keeps and takes up finished runs", Path)

@@ -50,41 +50,32 @@ def add_to(commands: Any) -> None:
         "Without EVENTS, the evaluation in --out is read and shown again, to be compared by "
         "--against.",
     )
-    cli.add(
-        parser,
-        "events EVENTS",
-        "an event file, a folder of event files, or a bundled event's name",
-        nargs="?",
-    )
-    cli.add(
-        parser,
-        "--model NAME",
+    says = "an event file, a folder of event files, or a bundled event's name"
+    cli.add(parser, "events EVENTS", says, nargs="?")
+    says = (
         "simple (the default), last_frame or another; given several times, all are evaluated, "
-        "each in a folder of its name in --out, and compared; LABEL=NAME gives another name",
-        action="append",
+        "each in a folder of its name in --out, and compared; LABEL=NAME gives another name"
     )
+    cli.add(parser, "--model NAME", says, action="append")
     cli.add(parser, "--out DIR", "for predictions, metrics, figures and pages", Path)
     cli.add(
         parser, "--resume", "go on with what is in --out; events may have been added at the end"
     )
-    cli.add(
-        parser,
-        "--observer NAME",
-        "through whom the model is seen: people, who come with the package, or a file of "
-        "fit-people",
+    says = (
+        "through whom the model is seen: people, who come with the package, or a file of fit-people"
     )
+    cli.add(parser, "--observer NAME", says)
     cli.add(parser, "--split NAME", "of a generated set, such as test")
     cli.add(parser, "--limit N", "the first N events only", cli.whole(1))
     cli.add_workers(parser)
     cli.add(parser, "--seed N", "default 0", cli.whole(0))
     cli.add(parser, "--judgments FILE", "people's judgments, a .csv file", Path)
-    cli.add(
-        parser,
-        "--against DIR",
+    says = (
         "results of another model, or a model whose predictions the events carry, for "
         f"paired differences; written to {AGAINST}. With several models: the one of them from "
-        "which the others' differences are wanted; default: every pair",
+        "which the others' differences are wanted; default: every pair"
     )
+    cli.add(parser, "--against DIR", says)
     add_references(parser)
     model = parser.add_argument_group(
         "options of the model; of several models, of all that take them"
@@ -95,12 +86,11 @@ def add_to(commands: Any) -> None:
     cli.add(model, "--budget B", cli.BUDGET, cli.budget)
     cli.add(model, "--weights NAME")
     cli.add(model, "--prior NAME")
-    cli.add_options(
-        model,
+    says = (
         "any other, such as chains=15 or rule=paper, or of one of several models, such as "
-        "simple.chains=15; may be given several times",
-        _option,
+        "simple.chains=15; may be given several times"
     )
+    cli.add_options(model, says, _option)
     cli.add(parser, "--no-figures", "draw no figures and pages")
     cli.add_progress(parser)
 
@@ -299,7 +289,7 @@ def _check_several(
 def _show_again(options: argparse.Namespace) -> int:
     """Show an evaluation that is there."""
     given = cli.given(options, *_OF_WORK)
-    of_work = [f"--{name}" for name, value in given.items() if value not in ([], False)]
+    of_work = [f"--{name}" for name, v in given.items() if v is not False and v != []]
     if options.out is None or of_work:
         needed = f" with {', '.join(of_work)}" if of_work else ""
         raise InvalidSettingError(
@@ -354,21 +344,13 @@ def _add_compare_models(commands: Any) -> None:
         "accuracy, agreement with people, paired differences with Holm's correction, equivalence "
         "with people, cost.",
     )
-    cli.add(
-        parser,
-        "folders DIR",
-        "written by evaluate --out, of one model or of several; NAME=DIR gives it a name",
-        nargs="+",
-    )
+    says = "written by evaluate --out, of one model or of several; NAME=DIR gives it a name"
+    cli.add(parser, "folders DIR", says, nargs="+")
     add_references(parser)
     cli.add(parser, "--against NAME", "differences from this model only; default: every pair")
     cli.add(parser, "--common", "compare on the events that all folders share")
-    cli.add(
-        parser,
-        "--margin M",
-        "difference of shares up to which a model and people are equivalent; default 0.1",
-        float,
-    )
+    says = "difference of shares up to which a model and people are equivalent; default 0.1"
+    cli.add(parser, "--margin M", says, float)
     cli.add(parser, "--seed N", "of the resamples; default 0", cli.whole(0))
     cli.add(parser, "--resamples N", "of the events, default 10000", cli.whole(1))
     cli.add(parser, "--out DIR", "for tables, figures and pages", Path)
@@ -378,14 +360,11 @@ def _add_compare_models(commands: Any) -> None:
 
 def add_references(parser: argparse.ArgumentParser) -> None:
     """Add the option that names reference models."""
-    cli.add(
-        parser,
-        "--stored NAME",
+    says = (
         "a reference model, whose answers the events carry, to be compared too, or all; may "
-        "be given several times",
-        action="append",
-        default=[],
+        "be given several times"
     )
+    cli.add(parser, "--stored NAME", says, action="append", default=[])
 
 
 def _compare_models(options: argparse.Namespace) -> int:

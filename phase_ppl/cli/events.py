@@ -146,12 +146,8 @@ def _add_describe(commands: Any) -> None:
         parser, "events EVENTS", "a generated set, an event file, or a folder of event files", Path
     )
     cli.add(parser, "--beside EVENTS", "another set to compare with, not PHASE", Path)
-    cli.add(
-        parser,
-        "--out DIR",
-        "write statistics.json, data_card.png and contact_sheet.png there",
-        Path,
-    )
+    says = "write statistics.json, data_card.png and contact_sheet.png there"
+    cli.add(parser, "--out DIR", says, Path)
     cli.add(parser, "--json", "print JSON, not a table")
     cli.add_progress(parser)
 
@@ -194,13 +190,8 @@ def _add_export(commands: Any) -> None:
         "phase-ppl export collaborate compete --to phase-test --out two.json",
     )
     cli.add(parser, "events EVENTS", "files of events, or bundled events' names", nargs="+")
-    cli.add(
-        parser,
-        "--from",
-        "the files are pickles of PHASE's authors; plain data are read, no code is run",
-        dest="source",
-        choices=(PHASE_PICKLE,),
-    )
+    says = "the files are pickles of PHASE's authors; plain data are read, no code is run"
+    cli.add(parser, "--from", says, dest="source", choices=(PHASE_PICKLE,))
     cli.add(parser, "--to", choices=tuple(EXPORTS), required=True)
     cli.add(parser, "--out FILE", type=Path, required=True)
 

@@ -23,13 +23,11 @@ def add_to(commands: Any) -> None:
     cli.add(parser, "events EVENTS", "an event file or a folder of event files")
     cli.add(parser, "--judgments FILE", "a .csv file; default: those in the events", Path)
     cli.add(parser, "--observer NAME", "default company; of several, the best", action="append")
-    cli.add(
-        parser,
-        "--source MODEL|DIR",
+    says = (
         "the model whose evidence observers go by, or the folder of its evaluation, which is "
-        "not computed again; cues: surface cues alone",
-        default="stepwise",
+        "not computed again; cues: surface cues alone"
     )
+    cli.add(parser, "--source MODEL|DIR", says, default="stepwise")
     cli.add(parser, "--out FILE", "a .json file", Path, required=True)
     cli.add_workers(parser)
     cli.add_seed(parser)

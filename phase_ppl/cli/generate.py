@@ -42,45 +42,24 @@ def add_to(commands: Any) -> None:
     size = parser.add_mutually_exclusive_group()
     cli.add(size, "--n N", "events, in the paper's proportions", cli.whole(1))
     cli.add(size, "--preset", "the paper's 500 events; default", choices=tuple(PRESETS))
-    cli.add(
-        size,
-        "--cell FAMILY=N",
-        "events of a family, such as chasing=10 or hinder:LMA=5; may be given several times",
-        _cell,
-        action="append",
-    )
+    says = "events of a family, such as chasing=10 or hinder:LMA=5; may be given several times"
+    cli.add(size, "--cell FAMILY=N", says, _cell, action="append")
     cli.add(parser, "--out DIR", type=Path, required=True)
     cli.add_planner(parser)
     cli.add_seed(parser)
-    cli.add(
-        parser,
-        "--copies K",
-        "of each event, with other reflections and colours; default 0",
-        cli.whole(0),
-        0,
-    )
-    cli.add(
-        parser,
-        "--replans K",
+    says = "of each event, with other reflections and colours; default 0"
+    cli.add(parser, "--copies K", says, cli.whole(0), 0)
+    says = (
         "copies of each event simulated anew in a layout of the same kind, or with sizes and "
-        "strengths moved by one, as far as its family allows; default 0",
-        cli.whole(0),
-        0,
+        "strengths moved by one, as far as its family allows; default 0"
     )
-    cli.add(
-        parser,
-        "--turning",
-        "which way agents can turn, before any reflection; default both",
-        choices=TURNINGS,
-        default="both",
-    )
+    cli.add(parser, "--replans K", says, cli.whole(0), 0)
+    says = "which way agents can turn, before any reflection; default both"
+    cli.add(parser, "--turning", says, choices=TURNINGS, default="both")
     cli.add_workers(parser)
     cli.add(parser, "--keep-rejected", "keep the draws that were not good enough")
-    cli.add(
-        parser,
-        "--videos",
-        "film every event, rejected draws too if they are kept, and draw all on one picture",
-    )
+    says = "film every event, rejected draws too if they are kept, and draw all on one picture"
+    cli.add(parser, "--videos", says)
     cli.add(parser, "--resume", "go on with what DIR holds")
     cli.add_progress(parser)
     cli.add_other_versions(parser)

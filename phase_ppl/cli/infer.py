@@ -43,25 +43,15 @@ def add_to(commands: Any) -> None:
     cli.add_planner(infer)
     infer.set_defaults(planner=None)  # the preset's
     cli.add(infer, "--preset NAME", cli.PRESET, default="default")
-    cli.add(
-        infer,
-        "--prior NAME",
-        "default uniform; FILE.py:NAME takes one of your own, and runs that file",
-        default="uniform",
-    )
-    cli.add(
-        infer,
-        "--model",
+    says = "default uniform; FILE.py:NAME takes one of your own, and runs that file"
+    cli.add(infer, "--prior NAME", says, default="uniform")
+    says = (
         "simple: whole simulations, sampled (the default); stepwise: every frame given those "
-        "before it, over all hypotheses",
-        choices=("simple", "stepwise"),
-        default="simple",
+        "before it, over all hypotheses"
     )
-    cli.add(
-        infer,
-        "--watch",
-        "of the stepwise model: show what it believes as the video plays, and film it",
-    )
+    cli.add(infer, "--model", says, choices=("simple", "stepwise"), default="simple")
+    says = "of the stepwise model: show what it believes as the video plays, and film it"
+    cli.add(infer, "--watch", says)
     cli.add(infer, "--kernel NAME", "default local_mh; of the stepwise model none, no sampling")
     cli.add(infer, "--chains M", "default 15", cli.whole(1))
     cli.add_options(
@@ -93,31 +83,18 @@ def _add_run_options(parser: argparse.ArgumentParser) -> None:
     cli.add(length, "--iterations L", "default 6, or as before", cli.whole(1))
     cli.add(length, "--budget B", cli.BUDGET, cli.budget)
     cli.add_workers(parser)
-    cli.add(
-        parser,
-        "--on-failure",
-        "what becomes of a failed simulation; default reject, or as before",
-        choices=("reject", "raise", "retry"),
-    )
+    says = "what becomes of a failed simulation; default reject, or as before"
+    cli.add(parser, "--on-failure", says, choices=("reject", "raise", "retry"))
     cli.add(parser, "--retries N", "of retry; default 3", cli.whole(1))
-    cli.add(
-        parser,
-        "--burn-in N",
+    says = (
         "draws at the beginning of each chain that do not count; default a quarter of 20 "
-        "iterations or more, else none",
-        cli.whole(0),
+        "iterations or more, else none"
     )
-    cli.add(
-        parser,
-        "--weights NAME",
-        "of the posterior; default: those that are valid for the kernel and the length",
-    )
-    cli.add(
-        parser,
-        "--simulation-seconds S",
-        "a simulation that takes longer has failed; default: none has",
-        float,
-    )
+    cli.add(parser, "--burn-in N", says, cli.whole(0))
+    says = "of the posterior; default: those that are valid for the kernel and the length"
+    cli.add(parser, "--weights NAME", says)
+    says = "a simulation that takes longer has failed; default: none has"
+    cli.add(parser, "--simulation-seconds S", says, float)
     cli.add(
         parser, "--keep-checkpoint", f"keep {CHECKPOINT} when the run is complete, to extend it"
     )

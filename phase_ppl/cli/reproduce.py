@@ -24,14 +24,11 @@ def add_to(commands: Any) -> None:
     )
     cli.add(parser, "--videos FILE", "phase-test JSON or the authors' release", Path)
     cli.add(parser, "--out DIR", type=Path, required=True)
-    cli.add(
-        parser,
-        "--profile",
+    says = (
         "quick (the default): few simulations, the fast planner; paper: as the paper has it; "
-        "full: and all lesions, and what is beyond the paper",
-        choices=PROFILES,
-        default=PROFILES[0],
+        "full: and all lesions, and what is beyond the paper"
     )
+    cli.add(parser, "--profile", says, choices=PROFILES, default=PROFILES[0])
     cli.add(parser, "--judgments FILE", "people's judgments, a .csv file", Path)
     cli.add(parser, "--vlm-store DIR", "stored answers of a vision-language model", Path)
     cli.add(parser, "--tags FILE", "people's labels, a .csv file", Path)

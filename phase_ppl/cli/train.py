@@ -28,13 +28,8 @@ def add_to(commands: Any) -> None:
         "whose answers are averaged. Needs the extra neural (PyTorch).",
     )
     cli.add(parser, "model", choices=("socialgnn",))
-    cli.add(
-        parser,
-        "--data SET",
-        "the folder of a generated set, with the splits train and validation",
-        Path,
-        required=True,
-    )
+    says = "the folder of a generated set, with the splits train and validation"
+    cli.add(parser, "--data SET", says, Path, required=True)
     cli.add(parser, "--out DIR", type=Path, required=True)
     cli.add(parser, "--seeds K", "networks; default 5", cli.whole(1), 5)
     cli.add(parser, "--seed N", "first one; default 0", cli.whole(0), 0)

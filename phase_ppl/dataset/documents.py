@@ -10,7 +10,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, NoReturn, TypeVar
+from typing import Any, Final, NoReturn, TypeVar, cast
 
 from phase_ppl.world.errors import (
     InvalidEventError,
@@ -148,6 +148,14 @@ def _finite(token: str) -> float:
 _WORDS = {dict: "an object", list: "a list", str: "a string", int: "a whole number"}
 
 
+def of_kind(path: str, value: object, kind: type[T]) -> T:
+    """Return a value of a file, which must be of a type; ``path`` is where it stands."""
+    fits = isinstance(value, Mapping if kind is dict else kind) and not isinstance(value, bool)
+    if not fits:
+        raise InvalidEventError(f"{path} is {shown(value)}, expected {_WORDS[kind]}")
+    return cast("T", value)
+
+
 def require(record: Mapping[str, Any], name: str, kind: type[T], where: str = "") -> T:
     """Return ``record[name]``, which must be there and of type ``kind``: dict, list, str or int.
 
@@ -156,10 +164,7 @@ def require(record: Mapping[str, Any], name: str, kind: type[T], where: str = ""
     path = f"{where}.{name}" if where else name
     if name not in record:
         raise InvalidEventError(f"has no {path}")
-    value = record[name]
-    if not isinstance(value, kind) or isinstance(value, bool):
-        raise InvalidEventError(f"{path} is {shown(value)}, expected {_WORDS[kind]}")
-    return value
+    return of_kind(path, record[name], kind)
 
 
 def optional(record: Mapping[str, Any], name: str, kind: type[T], where: str = "") -> T | None:

@@ -9,12 +9,12 @@ import os
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from phase_ppl.analysis.summary import plain
-from phase_ppl.dataset.documents import read_json
+from phase_ppl.dataset.documents import of_kind, read_json
 from phase_ppl.dataset.load import load_events, save_events
 from phase_ppl.evaluation import differences
 from phase_ppl.evaluation.answer_sets import PEOPLE, AnswerSet, colours_of, label_of, people_answers
@@ -52,8 +52,6 @@ SCHEMA: Final = "phase-ppl-model-comparison-1"  # value of ``schema`` in compari
 MARGIN: Final = 0.1
 RESAMPLES: Final = 10_000
 """Resamples for differences: with 1000 no p is below 0.002, which many pairs make useless."""
-
-_Kind = TypeVar("_Kind")
 
 _COSTS: Final = ("cpu_seconds", "seconds")
 
@@ -195,7 +193,7 @@ class ModelComparison:
                 raise InvalidEventError(
                     f"its schema is {shown(record.get('schema'))}, not {SCHEMA!r}"
                 )
-            read = [_entry(one) for one in _of_kind(list, "models", record["models"])]
+            read = [_entry(one) for one in of_kind("models", record["models"], list)]
             ids = {event.id for event in events}
             for one in read:
                 unknown = [name for name in one.predictions if name not in ids]
@@ -203,8 +201,8 @@ class ModelComparison:
                     raise InvalidEventError(
                         f"{one.name} predicts {shown(unknown[0])}, which is no event of {EVENTS}"
                     )
-            settings = _of_kind(dict, "settings", record["settings"])
-            notes = tuple(map(str, _of_kind(list, "notes", record["notes"])))
+            settings = of_kind("settings", record["settings"], dict)
+            notes = tuple(map(str, of_kind("notes", record["notes"], list)))
             return cls(events, read, _checked(settings, read), notes)
         except (PhasePPLError, KeyError) as error:
             reason = f"it has no {error}" if isinstance(error, KeyError) else str(error)
@@ -306,24 +304,16 @@ def _record(one: Entry) -> dict[str, Any]:
 
 
 def _entry(record: object) -> Entry:
-    given = _of_kind(dict, "a model", record)
+    given = of_kind("a model", record, dict)
     fields = {field.name: given[field.name] for field in dataclasses.fields(Entry)}
     for name in ("settings", "failures"):
-        _of_kind(dict, f"{name} of a model", fields[name])
+        of_kind(f"{name} of a model", fields[name], dict)
     predictions = [
-        Prediction.from_dict(_of_kind(dict, "a prediction", one))
-        for one in _of_kind(list, "predictions of a model", fields["predictions"])
+        Prediction.from_dict(of_kind("a prediction", one, dict))
+        for one in of_kind("predictions of a model", fields["predictions"], list)
     ]
     by_id = {prediction.event_id: prediction for prediction in predictions}
     return Entry(**{**fields, "predictions": by_id})
-
-
-def _of_kind(kind: type[_Kind], name: str, value: object) -> _Kind:
-    """Return a value of a file, which is a list or an object."""
-    if not isinstance(value, kind):
-        what = "a list" if kind is list else "an object"
-        raise InvalidEventError(f"{name} is {shown(value)}, expected {what}")
-    return value
 
 
 def _costs(one: Entry, seed: int) -> dict[str, Figure | None]:

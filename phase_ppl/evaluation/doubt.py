@@ -258,6 +258,8 @@ def agreement(
 
 
 # --- how well probabilities agree with people's answers, and people with each other ---------------
+# Arrays are (event, question, answer), NaN where nothing is known; people's are the shares of their
+# answers (paper, Appendix 5).
 
 LAPSE: Final = 0.01
 """Share of answers that the log score takes to be given at random, alike for all answers.

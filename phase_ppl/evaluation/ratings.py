@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from phase_ppl.dataset.documents import of_kind
 from phase_ppl.evaluation.prediction import GOAL_QUESTIONS, QUESTIONS
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.errors import InvalidEventError, PhasePPLError, shown, unknown_name
@@ -168,7 +169,7 @@ def _counts(record: Mapping[str, Any]) -> dict[str, IntArray]:
     given: dict[str, object] = {}
     goals = record.get("goal_counts")
     if goals is not None:
-        for agent in _mapping("goal_counts", goals):
+        for agent in of_kind("goal_counts", goals, dict):
             if agent not in AGENTS:
                 raise unknown_name("agent in goal_counts", agent, AGENTS)
         given = {GOAL_QUESTIONS[agent]: ratings for agent, ratings in goals.items()}
@@ -177,7 +178,7 @@ def _counts(record: Mapping[str, Any]) -> dict[str, IntArray]:
     for question, ratings in given.items():
         if ratings is not None:
             values = np.zeros(len(QUESTIONS[question]), np.int64)
-            for answer, n in _mapping(f"the counts of {question}", ratings).items():
+            for answer, n in of_kind(f"the counts of {question}", ratings, dict).items():
                 place = QUESTIONS[question].index(checked_answer(question, answer))
                 values[place] += _people(f"{question}: {answer!r}", n)
             if values.sum() > MAX_RATINGS:
@@ -200,11 +201,9 @@ def _n_raters(record: Mapping[str, Any], totals: Sequence[int]) -> int | None:
 
 
 def _responses(listed: object) -> dict[str, dict[str, str]]:
-    if not isinstance(listed, list):
-        raise InvalidEventError(f"responses is {shown(listed)}, expected a list")
     rows: dict[str, dict[str, str]] = {}
-    for index, entry in enumerate(listed):
-        row = dict(_mapping(f"responses[{index}]", entry))
+    for index, entry in enumerate(of_kind("responses", listed, list)):
+        row = dict(of_kind(f"responses[{index}]", entry, dict))
         who = row.pop("participant", None)
         if not isinstance(who, str) or not who.strip():
             raise InvalidEventError(f"responses[{index}] has the participant {shown(who)}")
@@ -212,12 +211,6 @@ def _responses(listed: object) -> dict[str, dict[str, str]]:
             raise InvalidEventError(f"responses names the participant {shown(who)} twice")
         rows[who] = {question: answer for question, answer in row.items() if answer is not None}
     return rows
-
-
-def _mapping(name: str, value: object) -> Mapping[str, Any]:
-    if not isinstance(value, Mapping):
-        raise InvalidEventError(f"{name} is {shown(value)}, expected an object")
-    return value
 
 
 def _people(name: str, value: object) -> int:

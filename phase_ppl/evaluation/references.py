@@ -13,9 +13,10 @@ effective ones; of probabilities, answers of probability 0 may be left out.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, Final
 
+from phase_ppl.dataset.documents import of_kind
 from phase_ppl.evaluation.prediction import GOAL_QUESTIONS, Prediction, probabilities_of
 from phase_ppl.world.errors import InvalidEventError, PhasePPLError, shown, unknown_name
 from phase_ppl.world.event import Event
@@ -49,7 +50,8 @@ def reference_predictions(events: Sequence[Event]) -> dict[str, dict[str, Predic
 
 
 def _prediction(event_id: str, record: object) -> Prediction:
-    given = {name: value for name, value in _object("it", record).items() if value is not None}
+    fields = of_kind("it", record, dict)
+    given = {name: value for name, value in fields.items() if value is not None}
     own = any(name in given for name in ("probabilities", "answers"))
     allowed = _OWN_FIELDS if own else _FIELDS
     for name in given:
@@ -76,14 +78,8 @@ def _prediction(event_id: str, record: object) -> Prediction:
 
 def _per_agent(field: str, record: object) -> dict[str, Any]:
     """Return question -> value from agent -> value, without those that are null."""
-    values = {} if record is None else _object(field, record)
+    values = {} if record is None else of_kind(field, record, dict)
     for agent in values:
         if agent not in AGENTS:
             raise unknown_name(f"agent in {field}", agent, AGENTS)
     return {GOAL_QUESTIONS[agent]: value for agent, value in values.items() if value is not None}
-
-
-def _object(name: str, value: object) -> Mapping[str, Any]:
-    if not isinstance(value, Mapping):
-        raise InvalidEventError(f"{name} is {shown(value)}, expected an object")
-    return value

@@ -22,6 +22,7 @@ from phase_ppl.analysis.stepwise_table import (
     STRENGTHS,
     log_prior_of_pairs,
 )
+from phase_ppl.analysis.tree import scene_dataset
 from phase_ppl.closed_loop.goal_filter import Reading
 from phase_ppl.inference.progress import counted, is_shown
 from phase_ppl.models.model import Model
@@ -168,15 +169,8 @@ class Watch:
             "video_seconds": (n - 1) * SHOWN_SECONDS_PER_FRAME,
             "threads": self.threads,
         }
-        return xr.Dataset(
-            {
-                **{name: (DIMENSIONS[name], values) for name, values in columns.items()},
-                "start": (("entity", "coord"), scene.start),
-                "radius": ("entity", scene.radius),
-                "walls": (("wall", "end", "axis"), scene.walls),
-                "landmark_centres": (("landmark", "axis"), scene.landmark_centres),
-                "arena": ("border", np.array(scene.arena)),
-            },
+        found = xr.Dataset(
+            {name: (DIMENSIONS[name], values) for name, values in columns.items()},
             coords={
                 "time": ("time", np.arange(n) / FRAMES_PER_SECOND, {"units": "s"}),
                 **{name: list(GOALS) for name in _GOAL_DIMENSIONS},
@@ -184,8 +178,6 @@ class Watch:
                 **{name: list(likelihood.tracking.strengths) for name in STRENGTHS},
                 "agent": list(AGENTS),
                 "action": list(ACTION_NAMES),
-                "entity": list(ENTITIES),
-                "coord": ["x", "y", "angle"],
             },
             attrs={
                 "schema": SCHEMA,
@@ -193,12 +185,10 @@ class Watch:
                 "weight": float(likelihood.weight),
                 "settings": json.dumps(settings, default=repr),
                 "cost": json.dumps(cost),
-                "turning": scene.turning,
-                "resets_velocity": int(scene.resets_velocity),
-                "landmark_half_width": float(scene.landmark_half_width),
                 "version": phase_ppl.__version__,
             },
         )
+        return found.merge(scene_dataset(scene), combine_attrs="no_conflicts")
 
 
 def watch(

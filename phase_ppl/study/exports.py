@@ -25,30 +25,30 @@ _TITLE: Final = "# Export of a study"
 INCLUDE: Final = ("unfinished", "excluded", "flagged")
 """People who may be exported beside those who finished; flagged ones are unless left out."""
 
+_VIEWING: Final = {
+    "participant": "a random number, the same in all rows of one person",
+    "video": "id of the event in events.json",
+}
 _COLUMNS: Final[Mapping[str, Mapping[str, str]]] = {
     "judgments.csv": {
-        "participant": "a random number, the same in all rows of one person",
-        "video": "id of the event in events.json",
+        **_VIEWING,
         "goal_red": "what the red agent is after: one of the 36 goals",
         "goal_green": "what the green agent is after, likewise",
         "relation": "friendly, neutral or adversarial",
         "response_time": "seconds from when the page was shown until it was answered",
     },
     "tags.csv": {
-        "participant": "a random number, the same in all rows of one person",
-        "video": "id of the event in events.json",
+        **_VIEWING,
         "label": "a label that the participant chose for the video; a row each",
     },
     "likeness.csv": {
-        "participant": "a random number, the same in all rows of one person",
-        "video": "id of the event in events.json",
+        **_VIEWING,
         "group": "played, by people, or generated",
         "rating": "1 (very unlikely) to 5 (very likely): would people behave like this?",
         "pair": "the same for a played event and the generated one that belongs to it",
     },
     "viewings.csv": {
-        "participant": "a random number, the same in all rows of one person",
-        "video": "id of the event in events.json",
+        **_VIEWING,
         "role": "main, or check: an attention check",
         "position": "which of the participant's animations it was, from 1",
         "plays": "how often it was begun",
@@ -69,7 +69,7 @@ _COLUMNS: Final[Mapping[str, Mapping[str, str]]] = {
         "settings": "first characters of the hash of the study.toml that the participant saw",
     },
     "people.csv": {
-        "participant": "a random number, the same in all rows of one person",
+        "participant": _VIEWING["participant"],
         "age": "years",
         "gender": "as chosen",
     },

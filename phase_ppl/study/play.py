@@ -10,7 +10,6 @@ out; whom they left goes back to the waiting room.
 from __future__ import annotations
 
 import asyncio
-import collections
 import contextlib
 import json
 import random
@@ -27,7 +26,16 @@ from starlette.routing import BaseRoute, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from phase_ppl.study import plan
-from phase_ppl.study.room import KEYS, Controls, Message, PlaySettings, Room, Seat, settings_record
+from phase_ppl.study.room import (
+    KEYS,
+    Controls,
+    Message,
+    Outbox,
+    PlaySettings,
+    Room,
+    Seat,
+    settings_record,
+)
 from phase_ppl.study.store import COMPLETE, Participant
 from phase_ppl.study.web import MOST_MESSAGE, Site, same_origin
 from phase_ppl.world.names import BLUE_ITEM, NOTHING
@@ -48,31 +56,6 @@ def routes(site: Site) -> list[BaseRoute]:
     site.opening.append(lobby.open)
     site.closing.append(lobby.close)
     return [WebSocketRoute("/play/socket", lobby.socket)]
-
-
-class Outbox:
-    """Messages for one browser; one that is slow misses the oldest frames, and nothing else."""
-
-    MOST: Final = 20
-
-    def __init__(self) -> None:
-        self._messages: collections.deque[Message] = collections.deque()
-        self._waiting = asyncio.Event()
-
-    def put(self, message: Message) -> None:
-        """Send a message."""
-        frames = [old for old in self._messages if old["t"] == "frame"]
-        if message["t"] == "frame" and len(frames) >= self.MOST:
-            self._messages.remove(frames[0])
-        self._messages.append(message)
-        self._waiting.set()
-
-    async def get(self) -> Message:
-        """Return the next message, as soon as there is one."""
-        while not self._messages:
-            self._waiting.clear()
-            await self._waiting.wait()
-        return self._messages.popleft()
 
 
 # --- practice -------------------------------------------------------------------------------------

@@ -8,11 +8,12 @@ goes on later instead of hurrying.
 from __future__ import annotations
 
 import asyncio
+import collections
 import dataclasses
 import hashlib
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, Literal, NamedTuple, Protocol
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 
@@ -147,10 +148,29 @@ class Controls:
         return MOVES[held[-1]] if held else Action.NO_FORCE
 
 
-class Outbox(Protocol):
-    """Takes messages for a browser."""
+class Outbox:
+    """Messages for one browser; one that is slow misses the oldest frames, and nothing else."""
 
-    def put(self, message: Message, /) -> None: ...
+    MOST: Final = 20
+
+    def __init__(self) -> None:
+        self._messages: collections.deque[Message] = collections.deque()
+        self._waiting = asyncio.Event()
+
+    def put(self, message: Message) -> None:
+        """Send a message."""
+        frames = [old for old in self._messages if old["t"] == "frame"]
+        if message["t"] == "frame" and len(frames) >= self.MOST:
+            self._messages.remove(frames[0])
+        self._messages.append(message)
+        self._waiting.set()
+
+    async def get(self) -> Message:
+        """Return the next message, as soon as there is one."""
+        while not self._messages:
+            self._waiting.clear()
+            await self._waiting.wait()
+        return self._messages.popleft()
 
 
 class Seat:

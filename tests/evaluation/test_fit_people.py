@@ -21,7 +21,6 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import RELATIONS
 
 N = 40
-TRUE = {"weight": 1.0, "prior_friendly": 0.0, "prior_neutral": 0.0, "most_evidence": 3.0}
 DISTANCE = 3.0
 
 

@@ -15,8 +15,7 @@ import phase_ppl as ppl
 from phase_ppl.physics.actions import Action
 from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.render.frames import field_of_view
-from phase_ppl.study.play import Outbox
-from phase_ppl.study.room import Controls, PlaySettings, Room, Seat, outline
+from phase_ppl.study.room import Controls, Outbox, PlaySettings, Room, Seat, outline
 from phase_ppl.study.sessions import SLIPPED, driving, warnings
 from phase_ppl.study.settings import Settings, template
 from tests.agents.scenes import FULL_WALL_UP, HALF_WALL_LEFT, scene

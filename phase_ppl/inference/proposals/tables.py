@@ -2,9 +2,8 @@
 
 Computed once per event, in NumPy, in one of two forms.
 
-"learned". Goals are scored by :mod:`~phase_ppl.inference.proposals.tables`, which also see
-what the agent itself did, and proposed together with alpha
-(:func:`joint_logits`). The weights of the features were learned from
+"learned". Goals are scored by :func:`goal_features`, which also see what the agent itself did, and
+proposed together with alpha (:func:`joint_logits`). The weights of the features were learned from
 simulated events. Strengths are estimated from the whole observation.
 
 "paper". A goal is proposed for a window from t1 to t2 in proportion to
@@ -186,6 +185,11 @@ def goal_distances(scene: Scene, observation: Observation) -> FloatArray:
 
 
 # --- features of motion that speak for goals ------------------------------------------------------
+# A goal is about a subject (the agent itself, the other one, an item) and a place: a landmark, or
+# the other agent. Its features say where the subject is, whether it has come nearer, and what the
+# agent itself did: whether it went to the subject, touched it, moved towards the place. They are
+# computed from positions alone, so that they hold for any scene and are blind to which landmark or
+# item it is.
 
 FEATURES: Final = (
     "constant",

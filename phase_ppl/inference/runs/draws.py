@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.tree import SCHEMA, SIMULATED
+from phase_ppl.analysis.tree import SCHEMA, SIMULATED, scene_dataset
 from phase_ppl.analysis.weights import WEIGHTINGS, has_proposals
 from phase_ppl.inference.registry import KernelInfo
 from phase_ppl.models.bridge import Record, request_key
@@ -26,7 +26,7 @@ from phase_ppl.models.sites import (
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import effective_table
-from phase_ppl.world.names import ENTITIES, LANDMARKS
+from phase_ppl.world.names import ENTITIES
 from phase_ppl.world.observation import FRAMES_PER_SECOND
 
 Columns = dict[str, NDArray[Any]]
@@ -151,7 +151,7 @@ def build_tree(
             },
             {"time": time},
         ),
-        "constant_data": _scene_dataset(event).assign(
+        "constant_data": scene_dataset(event.scene).assign(
             prior_of_pairs=(("pair_red", "pair_green"), prior_of_pairs(model.prior))
         ),
     }
@@ -323,27 +323,3 @@ def _variable(name: str, dims: tuple[str, ...], values: NDArray[Any]) -> tuple[A
         attrs = {"units": "N"}
     own_dims = tuple(f"{name}_dim_{i}" for i in range(values.ndim - len(dims)))
     return (*dims, *own_dims), values, attrs
-
-
-def _scene_dataset(event: Event) -> xr.Dataset:
-    scene = event.scene
-    return xr.Dataset(
-        {
-            "start": (("entity", "coord"), scene.start),
-            "radius": (("entity",), scene.radius),
-            "walls": (("wall", "end", "xy"), scene.walls),
-            "arena": (("bound",), np.array(scene.arena)),
-            "landmark_centres": (("landmark", "xy"), scene.landmark_centres),
-        },
-        {
-            "entity": list(ENTITIES),
-            "coord": ["x", "y", "angle"],
-            "landmark": list(LANDMARKS),
-            "bound": ["x_min", "x_max", "y_min", "y_max"],
-        },
-        attrs={
-            "turning": scene.turning,
-            "resets_velocity": int(scene.resets_velocity),
-            "landmark_half_width": scene.landmark_half_width,
-        },
-    )

@@ -8,11 +8,27 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from phase_ppl.dataset import load_event, load_events
+from phase_ppl.dataset.authors.names import (
+    Place,
+    Recorded,
+    file_name,
+    goal_numbers,
+    goal_string,
+    parse_name,
+    place_in_id,
+)
+from phase_ppl.dataset.authors.videos import repaired
+from phase_ppl.dataset.motion import full_turn
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, PhasePPLError, UnknownNameError
-from phase_ppl.world.event import Event
+from phase_ppl.world.event import Event, Truth
+from phase_ppl.world.goals import GOALS, N_GOALS, is_self_referring
 from phase_ppl.world.goals import GOALS as ALL_GOALS
+from phase_ppl.world.hypothesis import STRENGTH_LEVELS
 from tests.dataset.authors.pickles import (
     FRAMES,
     KINDS,
@@ -25,7 +41,9 @@ from tests.dataset.authors.pickles import (
     name_of,
     processed,
     record,
+    wrapped,
 )
+from tests.world.examples import DEV, needs_dev
 
 
 def write(folder: Path, content: Any, name: str = "videos.pkl", protocol: int = 3) -> Path:
@@ -225,3 +243,210 @@ def test_all_tracks_may_be_one_array(tmp_path: Path) -> None:
     video["trajectories"] = np.stack([track[:FRAMES] for track in video["trajectories"]])
     (event,) = load(write(tmp_path, [video], protocol=5))
     assert_shows(event, 1)
+
+
+# --- names ----------------------------------------------------------------------------------------
+
+TRUTH = Truth(
+    "Get blue item to red lm", "get to red agent", strength_red=600.0, strength_green=150.0
+)
+
+
+def test_a_name_says_where_it_was_and_who_wanted_what() -> None:
+    recorded = Recorded("D082020_1817530_E8", Place(8, None), TRUTH)
+    for ending in ("", ".mp4", ".pik"):
+        assert parse_name(name_of(None) + ending) == recorded
+
+
+def test_a_reflected_copy_has_a_number_after_the_layout() -> None:
+    said = parse_name(name_of(3))
+    assert (said.id, said.place) == ("D082020_1817530_E8.3", Place(8, 3))
+    assert place_in_id(said.id) == said.place
+    assert place_in_id("collaborate") is None
+
+
+@pytest.mark.parametrize("name", ["mine", "x.y.mp4", "", "_E8_G[]", "E8"])
+def test_another_name_says_nothing(name: str) -> None:
+    assert parse_name(name) == Recorded(name.removesuffix(".mp4"), None, None)
+
+
+@pytest.mark.parametrize("between", [", ", ",", "_", " "])
+def test_goals_are_read_whatever_is_between_their_numbers(between: str) -> None:
+    name = name_of(None).replace(", ", between)
+    assert parse_name(name).truth == TRUTH
+
+
+GOAL_OF_NUMBERS = {
+    (("LMO", 0, 0, 1), 0): "Get blue item to blue lm",
+    (("LMO", 1, 3, -1), 1): "Get pink item away from yellow lm",
+    (("LMA", 0, 1, 1), 1): "Get red agent to green lm",
+    (("LMA", 1, 2, -1), 0): "Get green agent away from red lm",
+    (("TE", 0, 1, 1), 0): "get to green agent",
+    (("TE", 0, 1, -1), 1): "get away from red agent",
+    (("TE", 1, 0, 1), 1): "get to red agent",
+    (("TE", 1, 0, -1), 0): "get away from green agent",
+}
+
+
+@pytest.mark.parametrize(("given_", "string"), GOAL_OF_NUMBERS.items())
+def test_numbers_of_a_goal_stand_for_a_string_of_the_paper(given_: tuple, string: str) -> None:
+    goal, holder = given_
+    assert goal_string(goal, holder) == string
+    assert goal_numbers(string, holder) == goal
+
+
+@pytest.mark.parametrize("holder", [0, 1])
+@pytest.mark.parametrize("goal", range(N_GOALS))
+def test_every_goal_has_numbers_unless_it_names_its_holder(goal: int, holder: int) -> None:
+    if is_self_referring(goal, holder):
+        with pytest.raises(InvalidEventError, match="names its own holder"):
+            goal_numbers(GOALS[goal], holder)
+    else:
+        assert goal_string(goal_numbers(GOALS[goal], holder), holder) == GOALS[goal]
+
+
+places = st.builds(Place, st.integers(0, 99), st.sampled_from([None, 0, 1, 2, 3]))
+goals = st.sampled_from(GOALS[:32])
+strengths = st.sampled_from([None, *STRENGTH_LEVELS])
+truths = st.none() | st.builds(
+    Truth, goals, goals, strength_red=strengths, strength_green=strengths
+)
+ids = st.text(st.characters(codec="utf-8", categories=("L", "N", "P")), min_size=1, max_size=40)
+stamps = st.from_regex(r"D[0-9]{6}_[0-9]{7}_E[0-9]{1,2}(\.[0-3])?", fullmatch=True)
+
+
+@given(id=ids | stamps, place=places, truth=truths)
+def test_a_name_that_is_written_says_the_same_when_read(
+    id: str, place: Place, truth: Truth | None
+) -> None:
+    assert parse_name(file_name(id, place, truth, 40)) == Recorded(id, place, truth)
+
+
+def test_a_name_is_written_as_the_authors_write_it() -> None:
+    written = file_name("D082020_1817530_E8.3", Place(8, 3), TRUTH, 40)
+    assert written.startswith("D082020_1817530_0_F8_E8.3_G['LMO', 0, 2, 1]_['TE', 1, 0, 1]_ST3_0_")
+    assert written.endswith("_MCTS_L39_R0.0_0.0.mp4")
+
+
+@pytest.mark.parametrize(
+    ("red", "green", "alphas"),
+    [
+        ("get to green agent", "get away from red agent", "R0.0_-10.0"),
+        ("Get green agent away from red lm", "Get green agent to red lm", "R-10.0_0.0"),
+        ("Get blue item to red lm", "Get blue item to blue lm", "R0.0_0.0"),
+    ],
+)
+def test_who_hinders_has_a_negative_alpha(red: str, green: str, alphas: str) -> None:
+    assert f"_{alphas}.mp4" in file_name("x", Place(0, None), Truth(red, green), 40)
+
+
+@pytest.mark.parametrize(
+    ("id", "truth", "message"),
+    [
+        ("x", Truth(GOALS[0], GOALS[1], strength_red=400.0), "a strength is 400 N, expected one"),
+        ("x", Truth(GOALS[0], GOALS[1], relation="friendly"), "would not say all"),
+        ("x" * 990, None, "of more than 1000 characters"),
+    ],
+)
+def test_what_no_name_can_say_is_refused(id: str, truth: Truth | None, message: str) -> None:
+    with pytest.raises(InvalidEventError, match=message):
+        file_name(id, Place(8, None), truth, 40)
+
+
+# --- angles of copies -----------------------------------------------------------------------------
+
+SIZES = (0.8, 1.01, 1.2, 1.6)
+TURN = 2 * np.pi
+
+
+def spoiled(substeps: FloatArray) -> FloatArray:
+    """Return what the authors' processing makes of angles: the first, then means over five."""
+    angle = wrapped(substeps)
+    return np.concatenate([angle[:1], angle[1:].reshape(-1, 5).mean(axis=1)])
+
+
+def means(substeps: FloatArray) -> FloatArray:
+    return np.concatenate([substeps[:1], substeps[1:].reshape(-1, 5).mean(axis=1)])
+
+
+def turning(steps: list[int], radius: float, start: float) -> FloatArray:
+    """Return angles per substep of an agent that turns by -1, 0 or 1 full turns in each step.
+
+    Within a step the spin grows evenly, and is gone at its end.
+    """
+    part = np.arange(1, 6) / 15
+    moves = np.concatenate([sign * full_turn(radius) * part for sign in steps])
+    return np.concatenate([[start], start + np.cumsum(moves)])
+
+
+def assert_equal_but_for_whole_turns(got: FloatArray, wanted: FloatArray) -> None:
+    whole = np.round((got[0] - wanted[0]) / TURN) * TURN
+    np.testing.assert_allclose(got, wanted + whole, atol=1e-9)
+
+
+@pytest.mark.parametrize("radius", SIZES)
+@pytest.mark.parametrize("way", [1, -1])
+@pytest.mark.parametrize("part", np.arange(0, 1, 0.1).tolist())
+def test_an_agent_that_turns_round_and_round(radius: float, way: int, part: float) -> None:
+    angles = turning([0, 0, *[way] * 40, 0, 0], radius, -part * TURN)
+    assert_equal_but_for_whole_turns(repaired(spoiled(angles), radius), means(angles))
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    steps=st.lists(st.integers(1, 12), min_size=2, max_size=12),
+    radius=st.sampled_from(SIZES),
+    start=st.floats(-TURN, 0),
+    way=st.sampled_from([1, -1]),
+)
+def test_an_agent_that_turns_one_way_now_and_then(
+    steps: list[int], radius: float, start: float, way: int
+) -> None:
+    moves = [way * (block % 2) for block, length in enumerate(steps) for _ in range(length)]
+    angles = turning([0, 0, *moves, 0, 0], radius, start)
+    assert_equal_but_for_whole_turns(repaired(spoiled(angles), radius), means(angles))
+
+
+def test_frames_that_pass_the_cut_are_wrong_before() -> None:
+    angles = turning([1] * 10, 0.8, -1.0)
+    off = spoiled(angles) - means(angles)
+    assert ((off % TURN > 0.1) & (off % TURN < TURN - 0.1)).sum() == 2
+
+
+@pytest.mark.parametrize("angle", [0.0, -1e-12, -TURN, -TURN / 5, -4 * TURN / 5])
+def test_an_agent_at_rest_is_left_alone(angle: float) -> None:
+    given_ = np.full(20, angle)
+    np.testing.assert_array_equal(repaired(given_, 0.8), given_)
+
+
+def test_angles_beyond_the_cut_were_never_wrapped() -> None:
+    angles = np.array([-0.3, -0.1, 0.2, -5.0, -0.1])
+    np.testing.assert_array_equal(repaired(angles, 0.8), angles)
+
+
+@needs_dev
+def test_repaired_angles_are_left_alone() -> None:
+    for event in load_events(DEV):
+        for agent in range(2):
+            angles = event.observation.trajectory[:, agent, 2]
+            radius = float(event.scene.radius[agent])
+            np.testing.assert_array_equal(repaired(angles, radius), angles)
+
+
+@needs_dev
+def test_hardly_a_frame_of_the_real_tracks_is_repaired_wrongly() -> None:
+    """Tracks of all kinds, turned at random, wrapped and averaged; substeps by interpolation."""
+    rng = np.random.default_rng(0)
+    frames, wrong = 0, 0
+    for event in load_events(DEV):
+        for agent in range(2):
+            track = event.observation.trajectory[:, agent, 2] + rng.uniform(0, TURN)
+            at = np.arange(5 * (len(track) - 1)) / 5 + 0.6  # the middle of five is at a frame
+            angles = np.concatenate([track[:1], np.interp(at, np.arange(len(track)), track)])
+            radius = float(event.scene.radius[agent])
+            got, wanted = repaired(spoiled(angles), radius), means(angles)
+            whole = np.round((got[0] - wanted[0]) / TURN) * TURN
+            wrong += int((np.abs(got - wanted - whole) > 1e-6).sum())
+            frames += len(track)
+    assert frames > 5000
+    assert wrong < 0.002 * frames
