@@ -138,11 +138,13 @@ class Cell(NamedTuple):
 
     @property
     def loose(self) -> bool:
-        """Whether it is inside only because our interval is wide."""
-        if self.verdict != "inside" or self.ours is None or self.printed.below:
+        """Whether it is inside only because our interval is wide, or reaches below a bound."""
+        if self.verdict != "inside" or self.ours is None:
             return False
         value, low, high = (self.ours[name] for name in ("value", "ci_low", "ci_high"))
         p = self.printed
+        if value is not None and p.below:
+            return value >= p.value
         if value is None or low is None or high is None or high - low < LOOSE:
             return False
         return not (p.value if p.low is None else p.low) <= value <= (p.high or p.value)

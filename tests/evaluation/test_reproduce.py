@@ -69,6 +69,13 @@ def test_what_is_inside_of_a_wide_interval_only_is_so_loosely(
     assert Cell(printed, "simple", found, verdict(printed, found)).loose is loose
 
 
+def test_a_bound_that_only_the_interval_holds_is_held_loosely() -> None:
+    printed = Printed("here", "what", SIMPLE, "human.relation_r", 0.6, below=True)
+    for value, loose in ((0.7, True), (0.55, False)):
+        found = ours(value, 0.5, 0.8)
+        assert Cell(printed, "simple", found, verdict(printed, found)).loose is loose
+
+
 def test_every_printed_number_has_its_place_and_lies_in_its_interval() -> None:
     for one in PRINTED:
         assert one.place
