@@ -113,6 +113,9 @@ NO_REPRODUCTION: Final = (
 
 VERDICTS: Final = ("inside", "outside", "not computable")
 
+LOOSE: Final = 0.4
+"""Width of an interval of ours from which on to be inside of it says little."""
+
 
 class Cell(NamedTuple):
     """A number of the paper beside one of ours.
@@ -123,6 +126,7 @@ class Cell(NamedTuple):
         ours: with its interval; None: not computable.
         verdict: "inside", "outside" or "not computable".
         missing: what data it would take.
+        videos: of one type of scenario, on which ours rests.
     """
 
     printed: Printed
@@ -130,12 +134,27 @@ class Cell(NamedTuple):
     ours: Figure | None
     verdict: str
     missing: str = ""
+    videos: int | None = None
+
+    @property
+    def loose(self) -> bool:
+        """Whether it is inside only because our interval is wide, or reaches below a bound."""
+        if self.verdict != "inside" or self.ours is None:
+            return False
+        value, low, high = (self.ours[name] for name in ("value", "ci_low", "ci_high"))
+        p = self.printed
+        if value is not None and p.below:
+            return value >= p.value
+        if value is None or low is None or high is None or high - low < LOOSE:
+            return False
+        return not (p.value if p.low is None else p.low) <= value <= (p.high or p.value)
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain data."""
         return {
             **self.printed._asdict(), "label": self.label, "ours": self.ours,
-            "verdict": self.verdict, "missing": self.missing,
+            "verdict": self.verdict, "loose": self.loose, "missing": self.missing,
+            "videos": self.videos,
         }  # fmt: skip
 
 
@@ -164,7 +183,9 @@ class Reproduction(NamedTuple):
             p = cell.printed
             printed = {"value": p.value, "ci_low": p.low, "ci_high": p.high}
             text = ("< " if p.below else "") + figure_text(printed)
-            rows.append([f"{cell.label}: {p.what}", text, figure_text(cell.ours), cell.verdict])
+            ours = figure_text(cell.ours) + (f" of {cell.videos}" if cell.videos else "")
+            said = cell.verdict + ", loosely" * cell.loose
+            rows.append([f"{cell.label}: {p.what}", text, ours, said])
         head = [] if self.real else [NO_REPRODUCTION]
         return "\n".join([*head, *(f"note: {note}" for note in self.notes), "", *aligned(rows)])
 

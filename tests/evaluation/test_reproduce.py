@@ -11,7 +11,15 @@ import pytest
 import phase_ppl as ppl
 from phase_ppl.cli import main
 from phase_ppl.evaluation import reproduce as module
-from phase_ppl.evaluation.paper import NO_REPRODUCTION, PRINTED, SIMPLE, VERDICTS, Printed, verdict
+from phase_ppl.evaluation.paper import (
+    NO_REPRODUCTION,
+    PRINTED,
+    SIMPLE,
+    VERDICTS,
+    Cell,
+    Printed,
+    verdict,
+)
 from phase_ppl.evaluation.reproduce import Asked, expected_seconds, models_of
 from phase_ppl.world.errors import InvalidSettingError, OutputError, UnknownNameError
 from tests.evaluation.judged import COLLABORATIVE, COMPETING, INDEPENDENT, OPPOSING, make_event
@@ -43,6 +51,29 @@ def ours(value: float, low: float | None = None, high: float | None = None) -> d
 )
 def test_verdicts(printed: tuple[Any, ...], found: dict[str, Any], wanted: str) -> None:
     assert verdict(Printed("here", "what", SIMPLE, "goal_accuracy", *printed), found) == wanted
+
+
+@pytest.mark.parametrize(
+    ("found", "loose"),
+    [
+        (ours(0.0, 0.0, 0.71), True),  # it is inside as it could be anything
+        (ours(0.5, 0.1, 0.9), False),  # in the paper's interval, however wide ours is
+        (ours(0.8, 0.7, 0.9), False),
+        (ours(0.0, 0.0, 0.2), False),  # outside
+    ],
+)
+def test_what_is_inside_of_a_wide_interval_only_is_so_loosely(
+    found: dict[str, Any], loose: bool
+) -> None:
+    printed = Printed("here", "what", SIMPLE, "goal_accuracy", 0.59, 0.41, 0.77)
+    assert Cell(printed, "simple", found, verdict(printed, found)).loose is loose
+
+
+def test_a_bound_that_only_the_interval_holds_is_held_loosely() -> None:
+    printed = Printed("here", "what", SIMPLE, "human.relation_r", 0.6, below=True)
+    for value, loose in ((0.7, True), (0.55, False)):
+        found = ours(value, 0.5, 0.8)
+        assert Cell(printed, "simple", found, verdict(printed, found)).loose is loose
 
 
 def test_every_printed_number_has_its_place_and_lies_in_its_interval() -> None:
@@ -115,7 +146,9 @@ def test_real_videos_give_cells_figures_and_one_page(
     assert people.ours["value"] == pytest.approx(0.85)
     assert people.verdict == "inside"
     assert found["people", "goals right"].missing == "people's judgments of goals (--judgments)"
-    assert found["simple", "goals right, competing"].verdict in ("inside", "outside")
+    of_scenario = found["simple", "goals right, competing"]
+    assert of_scenario.verdict in ("inside", "outside")
+    assert of_scenario.videos == 3
     assert found["absent", "relations right, competing"].missing == "torch is not installed"
     assert "--vlm-store" in found["Gemini", "r with people, goals"].missing
     assert found["labels", "labels that are a category"].ours["value"] == 2

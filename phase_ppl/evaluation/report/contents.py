@@ -22,7 +22,13 @@ from phase_ppl.evaluation.figures import drawings_of
 from phase_ppl.evaluation.figures.layout import NothingToDrawError, Results
 from phase_ppl.evaluation.folder import POSTERIOR
 from phase_ppl.evaluation.metrics import at
-from phase_ppl.evaluation.paper import NO_REPRODUCTION, NOT_DRAWN, VERDICTS, Reproduction
+from phase_ppl.evaluation.paper import (
+    LOOSE,
+    NO_REPRODUCTION,
+    NOT_DRAWN,
+    VERDICTS,
+    Reproduction,
+)
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
 from phase_ppl.evaluation.report.html import (
     LEAST,
@@ -481,6 +487,7 @@ def reproduction_page(made: Reproduction, *, progress: bool | None = None) -> st
             for place, rows in itertools.groupby(made.cells, lambda one: one.printed.place)
         ],
         counts=[(kind, sum(one.verdict == kind for one in made.cells)) for kind in VERDICTS],
+        loose=LOOSE,
         summary=_summary(results.source.measured),
         drawn=drawn,
         left_out=[*left_out, f"{NOT_DRAWN}."],
