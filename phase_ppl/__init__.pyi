@@ -96,6 +96,7 @@ from phase_ppl.world.event import Truth as Truth
 from phase_ppl.world.goals import GOALS as GOALS
 from phase_ppl.world.hypothesis import ALPHAS as ALPHAS
 from phase_ppl.world.hypothesis import Hypothesis as Hypothesis
+from phase_ppl.world.hypothesis import Roles as Roles
 from phase_ppl.world.names import AGENTS as AGENTS
 from phase_ppl.world.observation import Observation as Observation
 from phase_ppl.world.scene import Scene as Scene

@@ -88,7 +88,7 @@ def _many() -> Callable[..., None]:
         for _ in range(rounds):
             for k in range(bodies.shape[0]):
                 body[:], hold[:], rod[:] = bodies[k], held[k], weld[k]
-                step(body, hold, rod, actions[k, 0], actions[k, 1], params, scratch)
+                step(body, hold, rod, actions[k], params, scratch)
 
     return many  # type: ignore[no-any-return]
 

@@ -53,7 +53,7 @@ def judge(task: tuple[dict[str, Any], Event, int]) -> list[tuple[str, bool, floa
     for t, start in enumerate(known[:-steps]):
         state = start.copy()
         for red, green in actions[t : t + steps]:
-            compiled.step_mean(*state, red, green, params, scratch, frame)
+            compiled.step_mean(*state, np.array([red, green]), params, scratch, frame)
         error = np.linalg.norm(frame[:, :2] - rows[t + steps], axis=1)
         real = np.linalg.norm(rows[t + steps] - rows[t], axis=1)
         ours = np.linalg.norm(frame[:, :2] - rows[t], axis=1)

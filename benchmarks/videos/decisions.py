@@ -96,7 +96,7 @@ def states(task: Task, params: compiled.Params) -> Iterator[tuple[State, tuple[i
     rows = np.array(video["rows"])
     for t, pair in enumerate(actions_of(video)):
         yield state.copy(), pair
-        compiled.step_mean(*state, *pair, params, scratch, frame)
+        compiled.step_mean(*state, np.array(pair), params, scratch, frame)
         off = rows[t + 1] - frame[:, :2]
         if np.abs(off).max() > LOST or t + 1 >= len(angles):
             return
@@ -117,7 +117,7 @@ def equivalent(
     for action in range(N_ACTIONS):
         trial = state.copy()
         red, green = (executed(action, "ccw") if a == agent else pair[a] for a in range(2))
-        compiled.step(*trial, red, green, params, scratch)
+        compiled.step(*trial, np.array([red, green]), params, scratch)
         ends[action], holds[action] = trial.bodies, trial.held
     off = np.abs(ends[:, None] - ends[None])
     same = (off[..., :3].max((2, 3)) < SAME_PLACE) & (off[..., 3:5].max((2, 3)) < SAME_VELOCITY)

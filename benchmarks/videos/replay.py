@@ -48,7 +48,7 @@ def compiled_frames(video: dict[str, Any], inner_steps: int) -> NDArray[np.float
     scratch = compiled.make_scratch()
     frames = np.empty((len(actions_of(video)), 4, 3))
     for frame, (red, green) in zip(frames, actions_of(video), strict=True):
-        compiled.step_mean(bodies, held, weld, red, green, params, scratch, frame)
+        compiled.step_mean(bodies, held, weld, np.array([red, green]), params, scratch, frame)
     return frames[..., :2]
 
 

@@ -4,9 +4,9 @@ Source: paper, Algorithm 1, the inner loop. Policy and dynamics are separate: ag
 in any true state; they never move the world.
 
 What an agent sees and believes does not depend on its goal, and a search depends on the subgoal,
-the particles that agree with it and the actions only. So :class:`Policies` of many pairs of goals
+the particles that agree with it and the actions only. So :class:`Policies` of many sets of goals
 have one filter of beliefs, and make each search once for all the goals that call for it. An
-:class:`Agent` is the same with one pair of goals, and acts.
+:class:`Agent` is the same with one set of goals, and acts.
 """
 
 from __future__ import annotations
@@ -29,8 +29,9 @@ from phase_ppl.agents.world_model import WorldModel
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import Action
 from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
-from phase_ppl.world.goals import N_GOALS, goal_literal, is_self_referring
+from phase_ppl.world.goals import goal_literal, is_self_referring
 from phase_ppl.world.names import AGENTS, NOTHING, STOP, Literal, Predicate
+from phase_ppl.world.scene import World
 
 NO_INTENT = -1
 """Stands for a pair of goals that is none."""
@@ -42,7 +43,7 @@ class Intent(NamedTuple):
     Attributes:
         subgoal: the literal that it serves.
         agreeing: indices of the particles that agree with it.
-        contested: whether the other agent wants the opposite, which allows more actions.
+        contested: whether another agent wants the opposite, which allows more actions.
     """
 
     subgoal: Literal
@@ -71,6 +72,7 @@ def best_subgoal(
     done: float,
     agent: int,
     config: PlannerConfig,
+    n_agents: int = len(AGENTS),
 ) -> Literal:
     """Return the subgoal of highest value V (paper, Algorithm 1).
 
@@ -82,6 +84,7 @@ def best_subgoal(
         done: share of the particles in which the agent's goal is reached.
         agent: who plans.
         config: settings of the planner.
+        n_agents: of the entities, so many are agents.
     """
     if len(agreeing) == 1:
         return next(iter(agreeing))
@@ -95,10 +98,11 @@ def best_subgoal(
     if not (done > 0.5 and len(agreeing.get(STOP, ())) > n / 2):
         candidates = [c for c in candidates if c != STOP]
     if config.touch_override:
-        # the authors' code prefers touching, items first, then the other agent
-        order = {2: 0, 3: 1, 1 - agent: 2}
+        # the authors' code prefers touching, items first, then other agents
         touching = [c for c in candidates if c.predicate is Predicate.TOUCH and c.positive]
-        candidates = sorted(touching, key=lambda c: order[c.target])[:1] or candidates
+        candidates = (
+            sorted(touching, key=lambda c: (c.target < n_agents, c.target))[:1] or candidates
+        )
     return max(candidates, key=value.__getitem__)
 
 
@@ -110,7 +114,7 @@ def reflex(
     Args:
         subgoal: what the agent is about.
         particle: one of the particles that agree with it.
-        agent: 0 red, 1 green.
+        agent: which one.
         beliefs, model: its own.
     """
     if subgoal == STOP:
@@ -128,52 +132,56 @@ def reflex(
 
 
 class _Alike(NamedTuple):
-    """A goal of an agent, and goals of the other towards which it then stands alike.
+    """A goal of an agent, and goals of another towards which it then stands alike.
 
     A subgoal depends on the other's goal only in whether it is the same, or the opposite; and,
     when helping the other to get somewhere, in whether that is reached.
     """
 
     own: int
+    literal: Literal
     towards: Stance
     others: list[int]
 
 
-def _alike(agent: int, pairs: Iterable[tuple[int, int]]) -> list[_Alike]:
-    """Return pairs (goal_red, goal_green) in classes that lead an agent to the same intent."""
-    classes: dict[tuple[int, Stance], list[int]] = defaultdict(list)
-    for pair in pairs:
-        own, other = pair[agent], pair[1 - agent]
-        literals = goal_literal(own, agent), goal_literal(other, 1 - agent)
-        classes[own, stance(agent, *literals)].append(other)
-    return [_Alike(own, towards, others) for (own, towards), others in classes.items()]
+def _alike(agent: int, goals: Iterable[tuple[int, ...]], world: World) -> list[_Alike]:
+    """Return goals of all agents in classes that lead one agent to the same intent."""
+    classes: dict[tuple[int, Literal, Stance], list[int]] = defaultdict(list)
+    literal = functools.cache(lambda goal, holder: goal_literal(goal, holder, world))
+    for each in goals:
+        literals = [literal(goal, holder) for holder, goal in enumerate(each)]
+        towards = stance(agent, literals)
+        other = agent if towards.other == NOTHING else towards.other
+        classes[each[agent], literals[agent], towards].append(each[other])
+    return [_Alike(*key, others) for key, others in classes.items()]
 
 
 @functools.cache
-def _all_alike(agent: int) -> list[_Alike]:
-    red, green = (
-        [goal for goal in range(N_GOALS) if not is_self_referring(goal, holder)]
-        for holder in range(len(AGENTS))
-    )
-    return sorted(_alike(agent, itertools.product(red, green)), key=lambda one: one.own)
+def _all_alike(agent: int, world: World) -> list[_Alike]:
+    possible = [
+        [goal for goal in range(len(world.goals)) if not is_self_referring(goal, holder, world)]
+        for holder in range(len(world.agents))
+    ]
+    return sorted(_alike(agent, itertools.product(*possible), world), key=lambda one: one.own)
 
 
 class Policies:
-    """One agent's beliefs, and its intents under pairs of effective goals.
+    """One agent's beliefs, and its intents under the effective goals that all may have.
 
     Args:
-        agent: 0 red, 1 green.
+        agent: which one.
         model: layout and imagined physics.
         config: settings of the planner.
         seed: of beliefs and searches. From a whole number, the step and the intent follows the
             seed of each search, whose result does not depend on what else is searched then. From
             a generator one search after the other takes its random numbers.
-        pairs: (goal_red, goal_green) that it can be asked for; None: all.
+        goals: of all agents, that it can be asked for; None: all, of two agents.
 
     Attributes:
         intents: those of the last observation.
         of_pair: (goal_red, goal_green) -> index into ``intents``, or ``NO_INTENT`` where this
-            agent's goal names itself, or the pair was not asked for.
+            agent's goal names itself, or the pair was not asked for. In other company: own goal,
+            goal of whom it concerns.
     """
 
     def __init__(
@@ -182,7 +190,7 @@ class Policies:
         model: WorldModel,
         config: PlannerConfig,
         seed: int | np.random.Generator,
-        pairs: Sequence[tuple[int, int]] | None = None,
+        goals: Sequence[tuple[int, ...]] | None = None,
     ) -> None:
         self.agent = agent
         self.config = config
@@ -191,21 +199,29 @@ class Policies:
         self._perception = Perception(agent, model, config, generator)
         self._planner = subgoal_planners(agent, model.abilities)
         self._search = pomcp.Search.of(config)
-        self._alike = _all_alike(agent) if pairs is None else _alike(agent, pairs)
-        asked = {(agent, own) for own, _, _ in self._alike}
-        asked |= {(1 - agent, other) for _, _, others in self._alike for other in others}
+        world = model.scene.world
+        self._counts = len(world.entities), len(world.agents)
+        self._alike = _all_alike(agent, world) if goals is None else _alike(agent, goals, world)
+        asked = {(agent, one.own) for one in self._alike}
+        asked |= {
+            (one.towards.other, other)
+            for one in self._alike
+            for other in one.others
+            if one.towards.other != NOTHING
+        }
         self._rows = {goal: row for row, goal in enumerate(sorted(asked))}
         self._codes = np.array(
-            [pomcp.subgoal_code(goal_literal(goal, holder)) for holder, goal in self._rows]
+            [pomcp.subgoal_code(goal_literal(goal, holder, world)) for holder, goal in self._rows]
         )
         particles = config.particles
-        self._facts = np.zeros((particles, symbols.N_FACTS), np.int8)
+        self._row = symbols.Facts(*self._counts)
+        self._facts = np.zeros((particles, self._row.size), np.int8)
         self._done = np.zeros((len(asked), particles), np.bool_)
         self._costs = np.zeros((len(asked), particles))
         self._groups: dict[bytes, list[tuple[symbols.SymbolicState, list[int]]]] = {}
         self._step = 0
         self.intents: list[Intent] = []
-        self.of_pair = np.full((N_GOALS, N_GOALS), NO_INTENT)
+        self.of_pair = np.full((len(world.goals),) * 2, NO_INTENT)
 
     @property
     def beliefs(self) -> Beliefs:
@@ -239,14 +255,15 @@ class Policies:
         self._perception.observe(bodies, held, weld)
         self._describe()
         found: dict[Intent, int] = {}
-        of_pair = self.of_pair if self.agent == 0 else self.of_pair.T
+        of_pair = self.of_pair.T if self.agent == 1 else self.of_pair
         of_pair[:] = NO_INTENT
-        asked = wanted if wanted is None or self.agent == 0 else wanted.T
-        for own, towards, others in self._alike:
+        asked = wanted if wanted is None or self.agent != 1 else wanted.T
+        for one in self._alike:
+            own, towards, others = one.own, one.towards, one.others
             chosen = others if asked is None else [other for other in others if asked[own, other]]
-            for same in self._by_done(chosen) if towards.helps_along else [chosen]:
+            for same in self._by_done(chosen, towards) if towards.helps_along else [chosen]:
                 if same:
-                    intent = self._intent(own, towards, same[0])
+                    intent = self._intent(one, same[0])
                     of_pair[own, same] = found.setdefault(intent, len(found))
         self.intents = list(found)
 
@@ -257,36 +274,38 @@ class Policies:
             *(beliefs.bodies, beliefs.held, self.agent, self._codes, model.params, model.layout),
             *(self._facts, self._done, self._costs),
         )
-        rows = self._facts.view(f"V{symbols.N_FACTS}").ravel().tolist()
+        rows = self._facts.view(f"V{self._row.size}").ravel().tolist()
         places: dict[bytes, int] = {}
         self._kind = np.array([places.setdefault(row, len(places)) for row in rows])
         self._facts_of_kind = list(places)
         self._observed = tuple(beliefs.observed.tolist())
         self._groups = {}
 
-    def _by_done(self, others: Iterable[int]) -> Iterable[list[int]]:
+    def _by_done(self, others: Iterable[int], towards: Stance) -> Iterable[list[int]]:
         """Return the other's goals in classes that are reached in the same particles."""
         classes: dict[bytes, list[int]] = defaultdict(list)
         for other in others:
-            classes[self._done[self._rows[1 - self.agent, other]].tobytes()].append(other)
+            classes[self._done[self._rows[towards.other, other]].tobytes()].append(other)
         return classes.values()
 
-    def _intent(self, own: int, towards: Stance, other: int) -> Intent:
+    def _intent(self, one: _Alike, other: int) -> Intent:
         """Return what the agent is about with its own goal and the other's."""
-        row = self._rows[self.agent, own]
+        row, towards = self._rows[self.agent, one.own], one.towards
         done = self._done[row]
         kinds = 4 * self._kind + 2 * done
         if towards.helps_along:
             # it matters whether the other is where it wants to be
-            kinds += self._done[self._rows[1 - self.agent, other]]
-        planner = self._planner(own, towards)
+            kinds += self._done[self._rows[towards.other, other]]
+        planner = self._planner(one.literal, towards)
         agreeing: dict[Literal, list[int]] = defaultdict(list)
         for state, members in self._grouped(kinds):
             agreeing[planner.subgoal(state, self._observed)] += members
         for members in agreeing.values():
             members.sort()
         share = np.count_nonzero(done) / len(done)
-        best = best_subgoal(agreeing, self._costs[row], share, self.agent, self.config)
+        best = best_subgoal(
+            *(agreeing, self._costs[row], share, self.agent, self.config, self._counts[1])
+        )
         return Intent(best, tuple(agreeing[best]), towards.contested)
 
     def _grouped(self, kinds: IntArray) -> list[tuple[symbols.SymbolicState, list[int]]]:
@@ -302,7 +321,9 @@ class Policies:
                 members[kind].append(particle)
             self._groups[key] = [
                 (
-                    symbols.unpack(self._facts_of_kind[kind >> 2], bool(kind & 2), bool(kind & 1)),
+                    self._row.unpack(
+                        self._facts_of_kind[kind >> 2], bool(kind & 2), bool(kind & 1)
+                    ),
                     particles,
                 )
                 for kind, particles in members.items()
@@ -317,17 +338,20 @@ class Policies:
             once = np.ones(1, np.int64)
             return RootStatistics(np.array([action]), once, np.full(1, np.nan), action)
         own_held = int(held[first, self.agent])
-        actions = pomcp.actions_for(intent.subgoal, self.agent, own_held, intent.contested)
+        actions = pomcp.actions_for(
+            intent.subgoal, self.agent, own_held, intent.contested, self._counts[1]
+        )
         return self._search_actions(intent, actions)
 
     def _search_actions(self, intent: Intent, actions: IntArray) -> RootStatistics:
         """Search for the best of some actions over the particles that agree with the subgoal."""
         beliefs, model = self.beliefs, self.model
-        tree = pomcp.make_tree(self.config.simulations)
+        tree = pomcp.make_tree(self.config.simulations, *self._counts)
         agreeing, code = np.array(intent.agreeing), pomcp.subgoal_code(intent.subgoal)
         best = pomcp.run(
             *(tree, beliefs.bodies, beliefs.held, beliefs.weld, agreeing, self.agent, code),
-            *(actions, self._search, model.params, model.layout, compiled.make_scratch()),
+            *(actions, self._search, model.params, model.layout),
+            compiled.make_scratch(*self._counts),
             self._rng(intent),
         )
         children = tree.child[0, : len(actions)]
@@ -366,11 +390,11 @@ class Decision(NamedTuple):
 
 
 class Agent(Policies):
-    """An agent with one pair of goals: it has one intent, and acts on it.
+    """An agent with given goals of all: it has one intent, and acts on it.
 
     Args:
-        agent: 0 red, 1 green.
-        goals: effective goals of (red, green), indices into ``GOALS``; both agents know both.
+        agent: which one.
+        goals: effective goals of all agents, indices into the world's; all agents know all.
         model, config: as of :class:`Policies`.
         generator: source of all randomness of this agent.
     """
@@ -378,7 +402,7 @@ class Agent(Policies):
     def __init__(
         self,
         agent: int,
-        goals: tuple[int, int],
+        goals: tuple[int, ...],
         model: WorldModel,
         config: PlannerConfig,
         generator: np.random.Generator,
@@ -407,8 +431,8 @@ class Agent(Policies):
         self.done(action)
 
 
-def both_agents(
-    goals: tuple[int, int], model: WorldModel, config: PlannerConfig, rng: np.random.Generator
+def all_agents(
+    goals: tuple[int, ...], model: WorldModel, config: PlannerConfig, rng: np.random.Generator
 ) -> list[Agent]:
-    """Return red and green, each with random numbers of its own; arguments as of the agent."""
-    return [Agent(agent, goals, model, config, rng.spawn(1)[0]) for agent in range(len(AGENTS))]
+    """Return all agents, each with random numbers of its own; arguments as of the agent."""
+    return [Agent(agent, goals, model, config, rng.spawn(1)[0]) for agent in range(len(goals))]

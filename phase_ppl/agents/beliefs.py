@@ -24,7 +24,7 @@ from phase_ppl.physics.compiled import Params, Scratch
 from phase_ppl.physics.jit import bare_kernel
 from phase_ppl.physics.welds import in_reach
 from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
-from phase_ppl.world.names import AGENTS, ENTITIES, NOTHING
+from phase_ppl.world.names import NOTHING
 from phase_ppl.world.observation import State
 
 OBSERVED_ENLARGEMENT: Final = 1.1
@@ -47,11 +47,12 @@ class Beliefs(NamedTuple):
     """The belief of one agent.
 
     Attributes:
-        bodies: (K, 4, 9) physical states, as in ``physics.compiled``.
-        held: (K, 2) held items; weld: (K, 2, 3) how they are held.
+        bodies: (K, entity, 9) physical states, as in ``physics.compiled``.
+        held: (K, agent) held items; weld: (K, agent, 3) how they are held.
         ever_seen: (cells,) cells that have ever been in view.
         visible: (cells,) cells in view now.
-        observed: (4,) entities observed now.
+        observed: (entity,) entities observed now.
+        actions: (agent,) what is imagined of the agents in a prediction.
         cells, open_cells: scratch.
     """
 
@@ -61,35 +62,43 @@ class Beliefs(NamedTuple):
     ever_seen: BoolArray
     visible: BoolArray
     observed: BoolArray
+    actions: IntArray
     cells: IntArray
     open_cells: IntArray
 
 
 def initial_beliefs(
-    truth: FloatArray, agent: int, n_particles: int, layout: Layout, generator: np.random.Generator
+    truth: FloatArray,
+    agent: int,
+    n_agents: int,
+    n_particles: int,
+    layout: Layout,
+    generator: np.random.Generator,
 ) -> Beliefs:
     """Return particles whose other entities lie uniformly on integer points, at rest.
 
     Args:
-        truth: (4, 9) true bodies; only the agent's own row is used.
-        agent: 0 red, 1 green.
+        truth: (entity, 9) true bodies; only the agent's own row is used.
+        agent: whose beliefs.
+        n_agents: of the entities, so many are agents.
         n_particles: K.
     """
-    n_cells = layout.size**2
-    bodies = np.zeros((n_particles, len(ENTITIES), truth.shape[1]))
-    x_points = np.arange(layout.origin[0] + START_INSET, layout.origin[0] + layout.size - 1)
-    y_points = np.arange(layout.origin[1] - layout.size + START_INSET, layout.origin[1] - 1)
+    n_cells = layout.rows * layout.columns
+    bodies = np.zeros((n_particles, *truth.shape))
+    x_points = np.arange(layout.origin[0] + START_INSET, layout.origin[0] + layout.columns - 1)
+    y_points = np.arange(layout.origin[1] - layout.rows + START_INSET, layout.origin[1] - 1)
     shape = bodies.shape[:2]
     bodies[..., 0] = generator.choice(x_points, size=shape)
     bodies[..., 1] = generator.choice(y_points, size=shape)
     bodies[:, agent] = truth[agent]
     return Beliefs(
         bodies=bodies,
-        held=np.full((n_particles, len(AGENTS)), NOTHING, np.int64),
-        weld=np.zeros((n_particles, len(AGENTS), 3)),
+        held=np.full((n_particles, n_agents), NOTHING, np.int64),
+        weld=np.zeros((n_particles, n_agents, 3)),
         ever_seen=np.zeros(n_cells, np.bool_),
         visible=np.zeros(n_cells, np.bool_),
-        observed=np.zeros(len(ENTITIES), np.bool_),
+        observed=np.zeros(len(truth), np.bool_),
+        actions=np.full(n_agents, NO_ACTION, np.int64),
         cells=np.zeros(MAX_OUTLINE_CELLS, np.int64),
         open_cells=np.zeros(n_cells, np.int64),
     )
@@ -110,7 +119,11 @@ def _consistent(
     Args:
         missed_by: the agent, if it has just tried to grab and holds nothing; else NOTHING.
     """
-    if entity >= 2 and missed_by >= 0 and in_reach(bodies, missed_by, entity, params):
+    if (
+        entity >= params.force.shape[0]
+        and missed_by >= 0
+        and in_reach(bodies, missed_by, entity, params)
+    ):
         return False
     n = outline_cells(bodies, entity, params, layout, beliefs.cells)
     off = (
@@ -122,7 +135,7 @@ def _consistent(
             return False
         if off and beliefs.visible[beliefs.cells[i]]:
             return False
-    for other in range(4):
+    for other in range(bodies.shape[0]):
         if beliefs.observed[other] and shapes_meet(
             bodies, entity, other, 1.0, OBSERVED_ENLARGEMENT, params
         ):
@@ -132,7 +145,7 @@ def _consistent(
 
 @bare_kernel
 def _overlaps(bodies: FloatArray, entity: int, settled: int, params: Params) -> bool:
-    for other in range(4):
+    for other in range(bodies.shape[0]):
         if (settled >> other) & 1 and shapes_meet(bodies, entity, other, 1.0, 1.0, params):
             return True
     return False
@@ -165,13 +178,13 @@ def _resample(
             bodies[entity, 2] = angle
             # the drawn corner is where the body origin goes
             cog = params.cog[entity]
-            bodies[entity, 0] = layout.origin[0] + cell % layout.size - math.sin(angle) * cog
-            bodies[entity, 1] = layout.origin[1] - cell // layout.size + math.cos(angle) * cog
+            bodies[entity, 0] = layout.origin[0] + cell % layout.columns - math.sin(angle) * cog
+            bodies[entity, 1] = layout.origin[1] - cell // layout.columns + math.cos(angle) * cog
             if _consistent(bodies, entity, truth, missed_by, beliefs, params, layout) and (
                 draw >= DRAWS_WITHOUT_OVERLAP or not _overlaps(bodies, entity, settled, params)
             ):
                 return
-            if entity >= 2:
+            if entity >= params.force.shape[0]:
                 break
 
 
@@ -216,50 +229,51 @@ def update(
         beliefs: with ``visible`` and ``observed`` already those of this step.
         truth, truth_held, truth_weld: true state; only observed entities are read.
         agent: whose beliefs.
-        own_action: the action it has just executed; the other agent is taken to coast.
+        own_action: the action it has just executed; other agents are taken to coast.
         predict: simulate one step first (not before the first action).
     """
-    other = 1 - agent
+    n_bodies, n_agents = truth.shape[0], truth_held.shape[0]
     for cell in range(beliefs.visible.shape[0]):
         if beliefs.visible[cell]:
             beliefs.ever_seen[cell] = True
     n_open = _list_open_cells(beliefs)
-    red_action = own_action if agent == 0 else NO_ACTION
-    green_action = own_action if agent == 1 else NO_ACTION
+    beliefs.actions[agent] = own_action
     grabbed_nothing = predict and own_action == _ATTACH and truth_held[agent] < 0
     missed_by = agent if grabbed_nothing else NOTHING
     all_observed = True
-    for entity in range(4):
+    for entity in range(n_bodies):
         all_observed = all_observed and beliefs.observed[entity]
     for k in range(beliefs.bodies.shape[0]):
         bodies, held, weld = beliefs.bodies[k], beliefs.held[k], beliefs.weld[k]
         if predict and not all_observed:
-            compiled.step(bodies, held, weld, red_action, green_action, params, scratch)
+            compiled.step(bodies, held, weld, beliefs.actions, params, scratch)
         settled = 0
-        for entity in range(4):
+        for entity in range(n_bodies):
             if not beliefs.observed[entity]:
                 continue
             settled |= 1 << entity
             for column in range(bodies.shape[1]):
                 bodies[entity, column] = truth[entity, column]
-            if entity < 2:
+            if entity < n_agents:
                 held[entity] = truth_held[entity]
                 for column in range(weld.shape[1]):
                     weld[entity, column] = truth_weld[entity, column]
-        if not beliefs.observed[other] and held[other] >= 0 and beliefs.observed[held[other]]:
-            held[other] = NOTHING
+        for other in range(n_agents):
+            if not beliefs.observed[other] and held[other] >= 0 and beliefs.observed[held[other]]:
+                held[other] = NOTHING
         # keep what agrees first, so that what must move can avoid it
         moved = 0
-        for entity in range(4):
+        for entity in range(n_bodies):
             if beliefs.observed[entity]:
                 continue
             if _consistent(bodies, entity, truth, missed_by, beliefs, params, layout):
                 settled |= 1 << entity
             else:
                 moved |= 1 << entity
-        if held[other] >= 0 and ((moved >> other) & 1 or (moved >> held[other]) & 1):
-            held[other] = NOTHING
-        for entity in range(4):
+        for other in range(n_agents):
+            if held[other] >= 0 and ((moved >> other) & 1 or (moved >> held[other]) & 1):
+                held[other] = NOTHING
+        for entity in range(n_bodies):
             if (moved >> entity) & 1:
                 _resample(
                     bodies, entity, settled, n_open, truth, missed_by, beliefs, params, layout, rng
@@ -271,7 +285,7 @@ class Perception:
     """The belief particles of one agent, kept up to date with what it sees, whatever its goal.
 
     Args:
-        agent: 0 red, 1 green.
+        agent: which one.
         model: layout and imagined physics; may be exchanged between observations.
         config: settings of the planner.
         generator: source of all randomness of this agent.
@@ -290,8 +304,11 @@ class Perception:
         self.config = config
         self.rng = make_rng(generator)
         bodies, _, _ = compiled.from_state(State.at_start(model.scene), model.scene.radius)
-        self.beliefs = initial_beliefs(bodies, agent, config.particles, model.layout, generator)
-        self.scratch = compiled.make_scratch()
+        n_agents = len(model.scene.world.agents)
+        self.beliefs = initial_beliefs(
+            bodies, agent, n_agents, config.particles, model.layout, generator
+        )
+        self.scratch = compiled.make_scratch(len(bodies), n_agents)
         self._last_action: Action | None = None
 
     def done(self, action: Action) -> None:

@@ -1,6 +1,6 @@
 """Symbolic operators with physical preconditions, and A* over them.
 
-Operators of both agents: go to a room, touch, attach, carry (one or both holders) to a room,
+Operators of agents: go to a room, touch, attach, carry (one or more holders) to a room,
 place on the landmark, let go, settle on a landmark, stand in a door. Preconditions come from
 the physics: door width against size, force of the holders against floor friction, who holds.
 Costs are path lengths between rooms. Source: paper, Appendix "Hierarchical Planner" (the paper
@@ -29,14 +29,14 @@ MAX_EXPANSIONS: Final = 4000
 class Node(NamedTuple):
     """A state of the search: rooms and holds change; ``near`` and ``placed`` are reached facts."""
 
-    rooms: tuple[int, int, int, int]
-    held: tuple[int, int]
-    near: tuple[int, int]
+    rooms: tuple[int, ...]
+    held: tuple[int, ...]
+    near: tuple[int, ...]
     """Entity each agent is at, within grab range; -1 for none."""
-    placed: tuple[bool, bool, bool, bool]
+    placed: tuple[bool, ...]
     """Whether each entity has been brought to the landmark of its room."""
-    clear: tuple[int, int]
-    """Door filled by the (blue, pink) item, or -1."""
+    clear: tuple[int, ...]
+    """Door filled by each item, or -1."""
 
 
 class Step(NamedTuple):
@@ -52,20 +52,27 @@ def _set(values: tuple, index: int, value: object) -> tuple:  # type: ignore[typ
     return (*values[:index], value, *values[index + 1 :])
 
 
-def start_node(
-    state: SymbolicState, done: tuple[bool, bool, bool, bool], targets: frozenset[int]
-) -> Node:
+def start_node(state: SymbolicState, done: tuple[bool, ...], targets: frozenset[int]) -> Node:
     """Return the search node of a symbolic state; only targets count as near."""
+    n_agents, n_items = len(state.held), len(state.door_filled_by)
     near = tuple(
-        next((2 + i for i in range(2) if state.in_reach[2 * a + i] and 2 + i in targets), NOTHING)
-        for a in range(2)
+        next(
+            (
+                n_agents + i
+                for i in range(n_items)
+                if state.in_reach[n_items * a + i] and n_agents + i in targets
+            ),
+            NOTHING,
+        )
+        for a in range(n_agents)
     )
-    return Node(state.rooms, state.held, near, done, state.door_filled_by)  # type: ignore[arg-type]
+    return Node(state.rooms, state.held, near, done, state.door_filled_by)
 
 
-def _door_free(node: Node, abilities: Abilities, ray: int, carried: int) -> bool:
+def _door_free(node: Node, abilities: Abilities, door: int, carried: int) -> bool:
     return not any(
-        node.clear[i] == ray and abilities.fills[i][ray] and 2 + i != carried for i in range(2)
+        filled == door and abilities.fills[i][door] and len(node.held) + i != carried
+        for i, filled in enumerate(node.clear)
     )
 
 
@@ -76,17 +83,16 @@ def moves(
 
     Args:
         node: the state.
-        agent: who acts, 0 red or 1 green.
+        agent: who acts.
         willing: agents that take part in the plan.
         targets: entities that matter; others are not touched, carried or placed.
         abilities: what the bodies can do.
     """
-    other = 1 - agent
-    item = node.held[agent]
+    n_agents, item = len(node.held), node.held[agent]
     room = node.rooms[agent]
     if item == NOTHING:
-        for ray, following in abilities.neighbours[room]:
-            if abilities.passes[agent][ray] and _door_free(node, abilities, ray, NOTHING):
+        for door, following in abilities.neighbours[room]:
+            if abilities.passes[agent][door] and _door_free(node, abilities, door, NOTHING):
                 yield Step(
                     (agent,),
                     Literal(Predicate.CLOSE, agent, following),
@@ -106,17 +112,18 @@ def moves(
                     node._replace(near=_set(node.near, agent, target)),
                 )
         target = node.near[agent]
-        if target >= 2 and target in targets:
+        if target >= n_agents and target in targets:
             yield Step(
                 (agent,),
                 Literal(Predicate.ATTACH, agent, target),
                 GRIP_COST,
                 node._replace(held=_set(node.held, agent, target)),
             )
-        if agent in targets and not node.placed[agent]:
+        landmark = abilities.landmark_in[room]
+        if agent in targets and not node.placed[agent] and landmark != NOTHING:
             yield Step(
                 (agent,),
-                Literal(Predicate.ON, agent, room),
+                Literal(Predicate.ON, agent, landmark),
                 PLACE_COST,
                 node._replace(placed=_set(node.placed, agent, True)),
             )
@@ -127,25 +134,20 @@ def moves(
         GRIP_COST,
         node._replace(held=_set(node.held, agent, NOTHING), near=_set(node.near, agent, item)),
     )
-    shared = node.held[other] == item
-    helpers = shared and other in willing
-    if shared:
-        able = abilities.carries_together if helpers else abilities.carries_against_hold[agent]
-    else:
-        able = abilities.carries_alone[agent]
-    if not able or item not in targets:
+    others = [a for a, held in enumerate(node.held) if a != agent and held == item]
+    actors = (agent, *(other for other in others if other in willing))
+    if not abilities.carries(*actors, holders=1 + len(others)) or item not in targets:
         return
-    movers = (agent, item, other) if shared else (agent, item)
-    actors = (agent, other) if helpers else (agent,)
-    for ray, following in abilities.neighbours[node.rooms[item]]:
+    movers = (agent, item, *others)
+    for door, following in abilities.neighbours[node.rooms[item]]:
         # a holder beyond the door need not pass it; one before it must also be with the item
         crossing = [e for e in movers if node.rooms[e] != following]
         passing = all(
-            abilities.passes[e][ray]
+            abilities.passes[e][door]
             and abilities.route((e,), node.rooms[e], node.rooms[item]) is not None
             for e in crossing
         )
-        if passing and _door_free(node, abilities, ray, item):
+        if passing and _door_free(node, abilities, door, item):
             rooms = node.rooms
             placed = node.placed
             for entity in movers:
@@ -155,18 +157,21 @@ def moves(
                 actors,
                 Literal(Predicate.CLOSE, item, following),
                 abilities.room_distance[node.rooms[item]][following],
-                node._replace(rooms=rooms, placed=placed, clear=_set(node.clear, item - 2, -1)),
+                node._replace(
+                    rooms=rooms, placed=placed, clear=_set(node.clear, item - n_agents, -1)
+                ),
             )
     together = all(
         abilities.route((e,), node.rooms[e], node.rooms[item]) is not None for e in movers
     )
-    if together and not node.placed[item]:
+    landmark = abilities.landmark_in[node.rooms[item]]
+    if together and not node.placed[item] and landmark != NOTHING:
         yield Step(
             actors,
-            Literal(Predicate.ON, item, node.rooms[item]),
+            Literal(Predicate.ON, item, landmark),
             PLACE_COST,
             node._replace(
-                placed=_set(node.placed, item, True), clear=_set(node.clear, item - 2, -1)
+                placed=_set(node.placed, item, True), clear=_set(node.clear, item - n_agents, -1)
             ),
         )
 

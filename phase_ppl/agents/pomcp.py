@@ -2,7 +2,7 @@
 
 Source: paper, Appendix "Hierarchical Planner"; Silver and Veness (2010); the PUCT variant of
 Silver et al. (2018). Each simulation draws a particle, walks down the tree of the agent's own
-actions (the other agent coasts), adds one node, and rolls out with random actions of both.
+actions (the others coast), adds one node, and rolls out with random actions of all.
 
 Ours is the pairing of simulations: the n-th one through each root action meets the same particle
 and random numbers, which compares the actions like with like and needs far fewer simulations.
@@ -23,8 +23,8 @@ from phase_ppl.physics.actions import N_ACTIONS, NO_ACTION, Action
 from phase_ppl.physics.compiled import Params, Scratch
 from phase_ppl.physics.jit import bare_kernel
 from phase_ppl.world.arrays import FloatArray, IntArray
-from phase_ppl.world.names import NOTHING, Literal, Predicate
-from phase_ppl.world.rooms import N_ROOMS, UNREACHABLE
+from phase_ppl.world.names import AGENTS, ENTITIES, NOTHING, Literal, Predicate
+from phase_ppl.world.rooms import UNREACHABLE
 
 SIDEWAYS_COST: Final = 0.02
 """Cost of each translation other than straight ahead."""
@@ -50,26 +50,33 @@ def subgoal_code(literal: Literal) -> IntArray:
     return np.array([literal.predicate, literal.subject, literal.target, sign], np.int64)
 
 
-def actions_for(literal: Literal, agent: int, held: int, contested: bool = False) -> IntArray:
+def actions_for(
+    literal: Literal,
+    agent: int,
+    held: int,
+    contested: bool = False,
+    n_agents: int = len(AGENTS),
+) -> IntArray:
     """Return the actions that ``agent`` considers for a subgoal, indices into ``Action``.
 
     Args:
         literal: the subgoal.
         agent: who plans.
         held: item it holds or ``NOTHING``.
-        contested: the other agent wants to keep it from the landmark it wants to be on.
+        contested: another agent wants to keep it from the landmark it wants to be on.
+        n_agents: of the entities, so many are agents.
     """
     predicate, subject = literal.predicate, literal.subject
     without: tuple[Action, ...]
-    if predicate is Predicate.TOUCH or (subject == agent and predicate is Predicate.CLOSE):
+    if subject == agent and predicate in (Predicate.TOUCH, Predicate.CLOSE):
         return np.array(_NAVIGATION, np.int64)
     if subject == agent and predicate is Predicate.ON and not contested:
         return np.array(_NAVIGATION, np.int64)
     if predicate is Predicate.ATTACH:
         without = () if held != NOTHING else (Action.DETACH,)
-    elif predicate is Predicate.ON and subject >= 2:
+    elif predicate is Predicate.ON and subject >= n_agents:
         without = (Action.DETACH,)
-    elif predicate is Predicate.CLOSE and subject >= 2:
+    elif predicate is Predicate.CLOSE and subject >= n_agents:
         without = _GRIP if held != NOTHING else (Action.DETACH,)
     else:
         without = _GRIP
@@ -93,14 +100,15 @@ def _distance(
     if predicate == _TOUCH:
         other_x, other_y = body_origin(bodies, target, params.cog)
         return path_distance(x, y, other_x, other_y, layout)
-    if target >= N_ROOMS:
-        door = target - N_ROOMS
+    n_rooms = layout.room_points.shape[0]
+    if target >= n_rooms:
+        door = target - n_rooms
         return path_distance(x, y, layout.doors[door, 0], layout.doors[door, 1], layout)
     px, py = layout.room_points[target, 0], layout.room_points[target, 1]
     room = room_of(x, y, layout)
     if room == target:
         inside = math.sqrt((x - px) ** 2 + (y - py) ** 2)
-        return inside - UNREACHABLE if subject >= 2 else inside
+        return inside - UNREACHABLE if subject >= params.force.shape[0] else inside
     door = layout.neighbour[room, target]
     if door < 0:
         return DISTANCE_UNIT
@@ -198,6 +206,7 @@ class Tree(NamedTuple):
         used: (1,) number of nodes in use.
         path, rewards: (nodes,) scratch of one simulation.
         particle, particle_held, particle_weld: scratch state of one simulation.
+        actions: (agent,) scratch, what they do in a step.
         stream: (1,) state of the random numbers of one simulation.
         statistics: (3,) simulations run, physics steps, sum of depths.
     """
@@ -211,12 +220,15 @@ class Tree(NamedTuple):
     particle: FloatArray
     particle_held: IntArray
     particle_weld: FloatArray
+    actions: IntArray
     stream: NDArray[np.uint64]
     statistics: IntArray
 
 
-def make_tree(n_simulations: int) -> Tree:
-    """Return an empty tree with room for ``n_simulations``."""
+def make_tree(
+    n_simulations: int, n_bodies: int = len(ENTITIES), n_agents: int = len(AGENTS)
+) -> Tree:
+    """Return an empty tree with room for ``n_simulations`` with so many bodies and agents."""
     nodes = n_simulations + 2
     return Tree(
         np.full((nodes, N_ACTIONS), NO_NODE, np.int32),
@@ -225,9 +237,10 @@ def make_tree(n_simulations: int) -> Tree:
         np.ones(1, np.int64),
         np.zeros(nodes + 1, np.int64),
         np.zeros(nodes + 1),
-        np.zeros((4, 9)),
-        np.zeros(2, np.int64),
-        np.zeros((2, 3)),
+        np.zeros((n_bodies, 9)),
+        np.zeros(n_agents, np.int64),
+        np.zeros((n_agents, 3)),
+        np.zeros(n_agents, np.int64),
         np.zeros(1, np.uint64),
         np.zeros(3, np.int64),
     )
@@ -274,18 +287,18 @@ def _rollout(
     scratch: Scratch,
     rng: NDArray[np.uint64],
 ) -> float:
-    """Return the discounted rewards of random actions of both agents."""
+    """Return the discounted rewards of random actions of all agents."""
     n_actions = actions.shape[0]
     value, weight = 0.0, 1.0
     for _ in range(search.rollout_length):
         own = actions[below(rng, n_actions)]
-        other = actions[below(rng, n_actions)]
+        for other in range(tree.actions.shape[0]):
+            tree.actions[other] = own if other == agent else actions[below(rng, n_actions)]
         compiled.step(
             tree.particle,
             tree.particle_held,
             tree.particle_weld,
-            own if agent == 0 else other,
-            own if agent == 1 else other,
+            tree.actions,
             params,
             scratch,
         )
@@ -377,12 +390,13 @@ def run(
         while True:
             column = first if node == 0 else _select(tree, node, n_actions, search, stream)
             action = actions[column]
+            for other in range(tree.actions.shape[0]):
+                tree.actions[other] = action if other == agent else NO_ACTION
             compiled.step(
                 state,
                 state_held,
                 state_weld,
-                action if agent == 0 else NO_ACTION,
-                action if agent == 1 else NO_ACTION,
+                tree.actions,
                 params,
                 scratch,
             )

@@ -1,61 +1,78 @@
 """The high-level planner: one subgoal per belief particle, by A* over symbolic states.
 
 Source: paper, Algorithm 1 (HP) and Appendix "Hierarchical Planner". The planning agent first
-looks for a plan of its own; where its body cannot do it, for a plan of both agents; where there
+looks for a plan of its own; where its body cannot do it, for a plan with another; where there
 is none, it goes as near as it can. An agent that hinders looks for the cheapest state from which
 the opponent's plan is broken, and from there acts on the negated goal itself.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from phase_ppl.agents.operators import Node, Step, plan, start_node
 from phase_ppl.agents.symbols import SymbolicState
 from phase_ppl.agents.world_model import Abilities
-from phase_ppl.world.goals import goal_literal
 from phase_ppl.world.names import NOTHING, STOP, Literal, Predicate
-from phase_ppl.world.rooms import N_ROOMS
 
 
 class Stance(NamedTuple):
-    """All that matters to an agent of what the other one wants.
+    """All that matters to an agent of what others want.
 
     Attributes:
-        cooperative: both want the same.
-        contested: the other wants the opposite.
+        other: whom its goal concerns: the agent that it is about; else one that wants the same,
+            or the opposite where the goal is to prevent something; else any. ``NOTHING``: nobody.
+        cooperative: that one wants the same.
+        contested: somebody wants the opposite.
         helps_along: the agent's goal is that the other one gets somewhere, so that it matters
             whether the other is where it wants to be.
     """
 
+    other: int
     cooperative: bool
     contested: bool
     helps_along: bool
 
 
-def stance(agent: int, own: Literal, other: Literal) -> Stance:
-    """Return how an agent with goal ``own`` stands to the other one, with goal ``other``."""
-    to_place = own.predicate is Predicate.ON and own.positive
-    return Stance(other == own, other == own.negated(), to_place and own.subject == 1 - agent)
+def stance(agent: int, goals: Sequence[Literal]) -> Stance:
+    """Return how an agent stands to the others, given the goals of all, in order."""
+    own = goals[agent]
+    others = [other for other in range(len(goals)) if other != agent]
+    about = [own.subject] if own.subject in others else []
+    alike = [other for other in others if goals[other] == own]
+    against = [other for other in others if goals[other] == own.negated()]
+    concerned = [*about, *(alike + against if own.positive else against + alike), *others, NOTHING]
+    return Stance(
+        concerned[0],
+        concerned[0] in alike,
+        bool(against),
+        bool(about) and own.predicate is Predicate.ON and own.positive,
+    )
 
 
 class SubgoalPlanner:
     """Chooses subgoals of one agent, remembering each symbolic state it has planned for.
 
     Args:
-        agent: who plans, 0 red or 1 green.
+        agent: who plans.
         own: literal of its effective goal.
-        towards: how it stands to the other agent's.
+        towards: how it stands to those of others.
         abilities: what the bodies can do.
     """
 
     def __init__(self, agent: int, own: Literal, towards: Stance, abilities: Abilities) -> None:
         self.agent = agent
-        self.opponent = 1 - agent
+        self.opponent = towards.other
         self.own = own
+        if own.predicate is Predicate.ON:  # of a room with several landmarks, this one counts
+            landmarks = list(abilities.landmark_in)
+            landmarks[abilities.landmark_rooms[own.target]] = own.target
+            abilities = dataclasses.replace(abilities, landmark_in=tuple(landmarks))
         self.abilities = abilities
+        self._n_agents = len(abilities.passes) - len(abilities.fills)
         self.stance = towards
         self._memory: dict[tuple[SymbolicState, tuple[bool, ...]], Literal] = {}
 
@@ -64,7 +81,7 @@ class SubgoalPlanner:
 
         Args:
             state: facts of a belief particle.
-            observed: (4,) entities the agent observes now; it heads straight for those in view.
+            observed: (entity,) those the agent observes now; it heads straight for them.
         """
         key = (state, observed)
         found = self._memory.get(key)
@@ -74,16 +91,19 @@ class SubgoalPlanner:
 
     def _choose(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
         subject = self.own.subject
+        touches = self.own.predicate is Predicate.TOUCH
+        if touches and subject != self.agent:
+            return self._bring_together(state, observed)
         if self.own.positive:
-            if subject >= 2:
+            if subject >= self._n_agents:
                 return self._deliver(state, observed)
             if subject == self.agent:
                 return self._go(state, observed)
             return self._help_to_move(state, observed)
         if not self.abilities.is_open and self.stance.contested:
-            if subject >= 2:
+            if subject >= self._n_agents:
                 return self._guard_item(state, observed)
-            if subject == self.opponent and self.own.predicate is Predicate.ON:
+            if subject == self.opponent and not touches:
                 return self._keep_away(state, observed)
         # nobody to hinder, or no doors to do it by: the goal itself
         return self._free_hands(state, keep=subject) or self.own
@@ -139,10 +159,29 @@ class SubgoalPlanner:
             following = self._next_room((), state.rooms[item], room)
             return self.own if following is None else Literal(Predicate.CLOSE, item, following)
         if state.rooms[self.agent] == state.rooms[item] or observed[item]:
-            if state.in_reach[2 * self.agent + item - 2]:
+            n_items = len(state.door_filled_by)
+            if state.in_reach[n_items * self.agent + item - self._n_agents]:
                 return Literal(Predicate.ATTACH, self.agent, item)
             return Literal(Predicate.TOUCH, self.agent, item)
         return self._press_on(state, state.rooms[item])
+
+    def _bring_together(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
+        """TOUCH(other, third) or its negation: an item is brought or taken away, others pushed."""
+        subject, target = self.own.subject, self.own.target
+        if target < self._n_agents:
+            return self._free_hands(state) or self.own
+        letting_go = self._free_hands(state, keep=target)
+        if letting_go is not None:
+            return letting_go
+        if state.held[self.agent] != target:
+            if self.own.positive and state.own_done:
+                return STOP
+            return self._take(state, target, observed)
+        if self.own.positive and not self.abilities.is_open:
+            following = self._next_room((), state.rooms[target], state.rooms[subject])
+            if following is not None:
+                return Literal(Predicate.CLOSE, target, following)
+        return self.own
 
     def _must_wait(self, state: SymbolicState, item: int, room: int, has_plan: bool) -> bool:
         """Whether doors leave this agent nothing to do for an item of both but to wait.
@@ -180,20 +219,22 @@ class SubgoalPlanner:
         way = self.abilities.route((), state.rooms[self.opponent], goal_room)
         on_way = self._doors(way)
         held = state.held[self.agent]
-        closing = [2 + i for i in range(2) if state.door_filled_by[i] in on_way]
+        closing = [
+            self._n_agents + i for i, door in enumerate(state.door_filled_by) if door in on_way
+        ]
         item = held if held != NOTHING else (closing[0] if closing else NOTHING)
         if item == NOTHING or (held != NOTHING and item not in closing):
             return self._free_hands(state) or STOP
 
         def cleared(node: Node) -> bool:
-            return node.clear[item - 2] not in on_way
+            return node.clear[item - self._n_agents] not in on_way
 
         steps = self._plan(state, (self.agent,), frozenset({item}), cleared)
         if not steps:
             return STOP
         step = steps[0].literal
         if step.predicate is Predicate.CLOSE and step.subject == item:
-            return Literal(Predicate.ON, item, state.rooms[item])
+            return self._aside(item, state.rooms[item])
         return self._in_sight(step, item, observed)
 
     def _can_start(self, steps: list[Step] | None, step: Step, state: SymbolicState) -> bool:
@@ -218,16 +259,17 @@ class SubgoalPlanner:
         if way is None:
             return self._free_hands(state) or STOP
         doors = self._doors(way)
-        for i in range(2):
-            item = 2 + i
-            useful = [d for d in doors if self.abilities.fills[i][d]]
+        strong = self.abilities.carries(self.agent, holders=1)
+        for i, fills in enumerate(self.abilities.fills):
+            item = self._n_agents + i
+            useful = [d for d in doors if fills[d]]
             near = state.rooms[self.agent] == state.rooms[item]
-            if not useful or not near or not self.abilities.carries_alone[self.agent]:
+            if not useful or not near or not strong:
                 continue
             reachable = [d for d in useful if d in self._doors_of(state.rooms[item])]
             if reachable:
                 if state.held[self.agent] == item:
-                    return Literal(Predicate.CLOSE, item, N_ROOMS + reachable[0])
+                    return self._door(item, reachable[0])
                 return self._take(state, item)
         letting_go = self._free_hands(state)
         if letting_go is not None:
@@ -235,7 +277,7 @@ class SubgoalPlanner:
         here = self._doors_of(state.rooms[self.agent])
         narrowed = [door for door in doors if self.abilities.walled[door] and door in here]
         if narrowed:
-            return Literal(Predicate.CLOSE, self.agent, N_ROOMS + narrowed[0])
+            return self._door(self.agent, narrowed[0])
         meeting = set(way[1:]) if len(way) > 1 else set(way)
         if state.rooms[self.agent] in meeting or observed[self.opponent]:
             return self.own
@@ -283,14 +325,25 @@ class SubgoalPlanner:
         """Pull an item into the corner of its room; where that is the goal, off the goal."""
         if room == self._landmark_room(self.own.target):
             return self.own
-        return Literal(Predicate.ON, item, room)
+        return self._aside(item, room)
+
+    def _aside(self, item: int, room: int) -> Literal:
+        """Bring an item to the landmark of a room, or into a corner where there is none."""
+        landmark = self.abilities.landmark_in[room]
+        if landmark == NOTHING:
+            return Literal(Predicate.CLOSE, item, room)
+        return Literal(Predicate.ON, item, landmark)
+
+    def _door(self, entity: int, door: int) -> Literal:
+        """Stand in a door; in literals the doors come after the rooms."""
+        return Literal(Predicate.CLOSE, entity, len(self.abilities.neighbours) + door)
 
     def _rooms_to_take_to(self, item: int, item_room: int) -> list[int]:
         """Return the rooms, but for that of the goal, to which this agent can take an item."""
         goal_room = self._landmark_room(self.own.target)
         return [
             room
-            for room in range(N_ROOMS)
+            for room in range(len(self.abilities.neighbours))
             if room != goal_room
             and self.abilities.route((self.agent, item), item_room, room) is not None
         ]
@@ -317,7 +370,7 @@ class SubgoalPlanner:
         here = self._doors_of(state.rooms[self.agent])
         for door in reversed(self._doors(rival_way)):
             if door in here and self.abilities.walled[door]:
-                return Literal(Predicate.CLOSE, self.agent, N_ROOMS + door)
+                return self._door(self.agent, door)
         target = rival_way[-2] if len(rival_way) > 1 else rival_way[-1]
         return self._press_on(state, target)
 
@@ -348,7 +401,7 @@ class SubgoalPlanner:
         return STOP if following is None else Literal(Predicate.CLOSE, self.agent, following)
 
     def _take(
-        self, state: SymbolicState, item: int, observed: tuple[bool, ...] = (False,) * 4
+        self, state: SymbolicState, item: int, observed: tuple[bool, ...] | None = None
     ) -> Literal:
         """Get hold of an item."""
         steps = self._plan(
@@ -358,28 +411,28 @@ class SubgoalPlanner:
             return self._press_on(state, state.rooms[item])
         return self._in_sight(steps[0].literal, item, observed)
 
-    def _in_sight(self, literal: Literal, item: int, observed: tuple[bool, ...]) -> Literal:
+    def _in_sight(self, literal: Literal, item: int, observed: tuple[bool, ...] | None) -> Literal:
         """Head straight for an item in view instead of for its room."""
         walking = literal.predicate is Predicate.CLOSE and literal.subject == self.agent
-        if walking and observed[item]:
+        if walking and observed is not None and observed[item]:
             return Literal(Predicate.TOUCH, self.agent, item)
         return literal
 
     def _doors_of(self, room: int) -> set[int]:
-        """Return the rays of the doors of a room."""
-        return {ray for ray, _ in self.abilities.neighbours[room]}
+        """Return the doors of a room."""
+        return {door for door, _ in self.abilities.neighbours[room]}
 
     def _doors(self, way: tuple[int, ...] | None) -> list[int]:
-        """Return the rays of the doors that a way through rooms uses."""
+        """Return the doors that a way through rooms uses."""
         doors = []
         for start, end in zip(way or (), (way or ())[1:], strict=False):
             joining = self.abilities.neighbours[start]
-            doors += [ray for ray, following in joining if following == end][:1]
+            doors += [door for door, following in joining if following == end][:1]
         return doors
 
     def _landmark_room(self, landmark: int) -> int:
-        """Rooms carry the ids of their landmarks; an arena without inner walls is one room."""
-        return 0 if self.abilities.is_open else landmark
+        """Return the room of a landmark; an arena without inner walls is one room."""
+        return 0 if self.abilities.is_open else self.abilities.landmark_rooms[landmark]
 
     def _plan(
         self,
@@ -388,10 +441,10 @@ class SubgoalPlanner:
         targets: frozenset[int],
         is_goal: Callable[[Node], bool],
     ) -> list[Step] | None:
-        done = [False] * 4
+        done = [False] * len(state.rooms)
         if self.own.predicate is Predicate.ON:
             done[self.own.subject] = state.own_done
-        start = start_node(state, tuple(done), targets)  # type: ignore[arg-type]
+        start = start_node(state, tuple(done), targets)
         distance = self.abilities.room_distance
         moving = self.own.subject if self.own.predicate is Predicate.ON else None
         goal_room = self._landmark_room(self.own.target) if moving in targets else None
@@ -405,11 +458,13 @@ class SubgoalPlanner:
 
 
 @functools.lru_cache(maxsize=64)
-def subgoal_planners(agent: int, abilities: Abilities) -> Callable[[int, Stance], SubgoalPlanner]:
+def subgoal_planners(
+    agent: int, abilities: Abilities
+) -> Callable[[Literal, Stance], SubgoalPlanner]:
     """Return (own goal, stance) -> planner; simulations that agree on both share its memory."""
 
     @functools.cache
-    def planner(own: int, towards: Stance) -> SubgoalPlanner:
-        return SubgoalPlanner(agent, goal_literal(own, agent), towards, abilities)
+    def planner(own: Literal, towards: Stance) -> SubgoalPlanner:
+        return SubgoalPlanner(agent, own, towards, abilities)
 
     return planner

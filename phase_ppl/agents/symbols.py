@@ -29,8 +29,6 @@ NEAR_TOUCH: Final = 0.1 * DISTANCE_UNIT
 
 NO_DOOR: Final = -1
 _ON, _TOUCH = int(Predicate.ON), int(Predicate.TOUCH)
-_FACTS: Final = struct.Struct("6b4?2b")
-N_FACTS: Final = _FACTS.size
 
 
 class SymbolicState(NamedTuple):
@@ -39,31 +37,46 @@ class SymbolicState(NamedTuple):
     Attributes:
         rooms: room of each entity (0 for all in an arena without inner walls).
         held: item held by each agent, or -1.
-        in_reach: whether (red, blue), (red, pink), (green, blue), (green, pink) can be grabbed.
+        in_reach: agent by agent, whether it can grab each item.
         own_done, other_done: whether the positive form of the agent's own and of the other's
             goal is reached.
-        door_filled_by: the door (ray) that the (blue, pink) item closes, or -1.
+        door_filled_by: the door that each item closes, or -1.
     """
 
-    rooms: tuple[int, int, int, int]
-    held: tuple[int, int]
-    in_reach: tuple[bool, bool, bool, bool]
+    rooms: tuple[int, ...]
+    held: tuple[int, ...]
+    in_reach: tuple[bool, ...]
     own_done: bool
     other_done: bool
-    door_filled_by: tuple[int, int]
+    door_filled_by: tuple[int, ...]
 
 
-def unpack(facts: bytes, own_done: bool, other_done: bool) -> SymbolicState:
-    """Return the symbolic state of one row written by :func:`describe`."""
-    f = _FACTS.unpack(facts)
-    return SymbolicState(f[:4], f[4:6], f[6:10], own_done, other_done, f[10:])  # type: ignore[arg-type]
+class Facts(NamedTuple):
+    """The rows of facts that :func:`describe` writes of so many entities, some of them agents."""
+
+    n_entities: int
+    n_agents: int
+
+    @property
+    def size(self) -> int:
+        """Length of a row."""
+        n_items = self.n_entities - self.n_agents
+        return self.n_entities + self.n_agents + self.n_agents * n_items + n_items
+
+    def unpack(self, row: bytes, own_done: bool, other_done: bool) -> SymbolicState:
+        """Return the symbolic state of one row."""
+        held, reach = self.n_entities, self.n_entities + self.n_agents
+        doors = len(row) - (self.n_entities - self.n_agents)
+        f = struct.unpack(f"{len(row)}b", row)
+        able = tuple(map(bool, f[reach:doors]))
+        return SymbolicState(f[:held], f[held:reach], able, own_done, other_done, f[doors:])
 
 
 @bare_kernel
 def _done(bodies: FloatArray, goal: IntArray, params: Params, layout: Layout) -> bool:
     x, y = body_origin(bodies, goal[1], params.cog)
     if goal[0] == _ON:
-        near = NEAR_ITEM_ON if goal[1] >= 2 else NEAR_AGENT_ON
+        near = NEAR_ITEM_ON if goal[1] >= params.force.shape[0] else NEAR_AGENT_ON
         lx, ly = layout.landmarks[goal[2], 0], layout.landmarks[goal[2], 1]
         return path_distance(x, y, lx, ly, layout) < near
     tx, ty = body_origin(bodies, goal[2], params.cog)
@@ -81,14 +94,17 @@ def _cost_to_go(
 ) -> float:
     if goal[3] < 0:
         return 0.0
+    moved, target = goal[1], goal[2]
+    if goal[0] == _TOUCH and moved != agent and target >= params.force.shape[0]:
+        moved, target = target, moved  # an item is brought to another agent
     x, y = body_origin(bodies, agent, params.cog)
-    sx, sy = body_origin(bodies, goal[1], params.cog)
-    if goal[1] != agent and held[agent] != goal[1]:
+    sx, sy = body_origin(bodies, moved, params.cog)
+    if moved != agent and held[agent] != moved:
         return path_distance(x, y, sx, sy, layout)
     if goal[0] == _ON:
         lx, ly = layout.landmarks[goal[2], 0], layout.landmarks[goal[2], 1]
         return path_distance(sx, sy, lx, ly, layout)
-    tx, ty = body_origin(bodies, goal[2], params.cog)
+    tx, ty = body_origin(bodies, target, params.cog)
     return path_distance(sx, sy, tx, ty, layout)
 
 
@@ -110,35 +126,42 @@ def describe(
         bodies, held: (K, ...) particles.
         agent: who plans.
         goals: (G, 4) codes of goal literals, the agent's own or the other's.
-        facts: (K, N_FACTS) output, the fields of :class:`SymbolicState` in order, but for what
+        facts: (K, Facts.size) output, the fields of :class:`SymbolicState` in order, but for what
             depends on goals.
         done: (G, K) output, whether the positive form of each goal is reached.
         costs: (G, K) output, the cost C of Algorithm 1 to each goal: path length of the leg the
             agent is on, to the item it is after or from there to the goal, units; 0 for negative
             goals.
     """
+    n_bodies, n_agents = bodies.shape[1], held.shape[1]
+    n_items = n_bodies - n_agents
+    reach, filled = n_bodies + n_agents, n_bodies + n_agents + n_agents * n_items
+    others = params.radius[agent] if n_agents == 1 else 0.0  # size of the largest of them
+    for a in range(n_agents):
+        if a != agent:
+            others = max(others, params.radius[a])
     for k in range(bodies.shape[0]):
         particle = bodies[k]
-        for entity in range(4):
+        for entity in range(n_bodies):
             x, y = body_origin(particle, entity, params.cog)
             facts[k, entity] = 0 if layout.is_open else room_of(x, y, layout)
-        for a in range(2):
-            facts[k, 4 + a] = held[k, a]
-            for i in range(2):
-                facts[k, 6 + 2 * a + i] = in_reach(particle, a, 2 + i, params)
-        for i in range(2):
-            facts[k, 10 + i] = NO_DOOR
-            for door in range(4):
+        for a in range(n_agents):
+            facts[k, n_bodies + a] = held[k, a]
+            for i in range(n_items):
+                facts[k, reach + n_items * a + i] = in_reach(particle, a, n_agents + i, params)
+        for i in range(n_items):
+            facts[k, filled + i] = NO_DOOR
+            for door in range(layout.door_width.shape[0]):
                 if layout.is_open or layout.door_width[door] <= 0.0:
                     continue
-                dx = particle[2 + i, 0] - layout.doors[door, 0]
-                dy = particle[2 + i, 1] - layout.doors[door, 1]
+                dx = particle[n_agents + i, 0] - layout.doors[door, 0]
+                dy = particle[n_agents + i, 1] - layout.doors[door, 1]
                 # a narrower item can be pushed through
-                radius = params.radius[2 + i]
+                radius = params.radius[n_agents + i]
                 if 2.0 * radius <= layout.door_width[door]:
                     continue
-                if dx * dx + dy * dy < (radius + params.radius[1 - agent]) ** 2:
-                    facts[k, 10 + i] = door
+                if dx * dx + dy * dy < (radius + others) ** 2:
+                    facts[k, filled + i] = door
         for g in range(goals.shape[0]):
             done[g, k] = _done(particle, goals[g], params, layout)
             costs[g, k] = _cost_to_go(particle, held[k], agent, goals[g], params, layout)

@@ -22,12 +22,12 @@ OUTSIDE: Final = -1
 
 @bare_kernel
 def cell_of(x: float, y: float, layout: Layout) -> int:
-    """Return row * size + column of the 1 x 1 cell that holds a point, or OUTSIDE."""
+    """Return row * columns + column of the 1 x 1 cell that holds a point, or OUTSIDE."""
     column = int(math.floor(x - layout.origin[0]))
     row = int(math.floor(layout.origin[1] - y))
-    if column < 0 or row < 0 or column >= layout.size or row >= layout.size:
+    if column < 0 or row < 0 or column >= layout.columns or row >= layout.rows:
         return OUTSIDE
-    return row * layout.size + column
+    return row * layout.columns + column
 
 
 @bare_kernel
@@ -51,7 +51,7 @@ def outline_cells(
     Agents: the grid line between the cells of neighbouring corners; items: 16 points on the rim.
     """
     n = 0
-    if entity >= 2:
+    if entity >= params.force.shape[0]:
         for i in range(RIM_POINTS):
             angle = 2.0 * math.pi * i / RIM_POINTS
             x = bodies[entity, 0] + params.radius[entity] * math.cos(angle)
@@ -86,15 +86,18 @@ def _project(
 
 
 @bare_kernel
-def _agents_meet(bodies: FloatArray, scale_0: float, scale_1: float, params: Params) -> bool:
-    for owner in range(2):
+def _agents_meet(
+    bodies: FloatArray, one: int, other: int, scale_1: float, scale_2: float, params: Params
+) -> bool:
+    for side in range(2):
+        owner = one if side == 0 else other
         for k in range(4):
             x1, y1 = corner(bodies, owner, k, 1.0, params)
             x2, y2 = corner(bodies, owner, (k + 1) % 4, 1.0, params)
             ax, ay = y1 - y2, x2 - x1
-            low_0, high_0 = _project(bodies, 0, scale_0, ax, ay, params)
-            low_1, high_1 = _project(bodies, 1, scale_1, ax, ay, params)
-            if high_0 < low_1 or high_1 < low_0:
+            low_1, high_1 = _project(bodies, one, scale_1, ax, ay, params)
+            low_2, high_2 = _project(bodies, other, scale_2, ax, ay, params)
+            if high_1 < low_2 or high_2 < low_1:
                 return False
     return True
 
@@ -127,24 +130,23 @@ def shapes_meet(
     bodies: FloatArray, first: int, second: int, scale_1: float, scale_2: float, params: Params
 ) -> bool:
     """Whether two entities' shapes, enlarged by the scales, overlap."""
-    if first >= 2 and second < 2:
+    n_agents = params.force.shape[0]
+    if first >= n_agents and second < n_agents:
         first, second = second, first
         scale_1, scale_2 = scale_2, scale_1
     dx = bodies[first, 0] - bodies[second, 0]
     dy = bodies[first, 1] - bodies[second, 1]
-    far_1 = params.radius[first] * scale_1 * (1.75 if first < 2 else 1.0)
-    far_2 = params.radius[second] * scale_2 * (1.75 if second < 2 else 1.0)
+    far_1 = params.radius[first] * scale_1 * (1.75 if first < n_agents else 1.0)
+    far_2 = params.radius[second] * scale_2 * (1.75 if second < n_agents else 1.0)
     distance_2 = dx * dx + dy * dy
     if distance_2 > (far_1 + far_2) ** 2:
         return False
-    if first >= 2:
+    if first >= n_agents:
         return True
-    if second >= 2:
+    if second >= n_agents:
         reach = params.radius[second] * scale_2
         return _agent_meets_disc(bodies, first, scale_1, second, reach, params)
-    if first == 0:
-        return _agents_meet(bodies, scale_1, scale_2, params)
-    return _agents_meet(bodies, scale_2, scale_1, params)
+    return _agents_meet(bodies, first, second, scale_1, scale_2, params)
 
 
 HALF_ANGLE: Final = math.atan2(0.8, 0.4 + 1.0 / 6.0)
@@ -168,18 +170,18 @@ def _segments_cross(
 def visible_cells(
     bodies: FloatArray, agent: int, params: Params, layout: Layout, visible: BoolArray
 ) -> None:
-    """Mark in ``visible`` (size * size,) the cells in the agent's field of view.
+    """Mark in ``visible`` (cell,) the cells in the agent's field of view.
 
     A cell is in view if its centre lies in the cone and no wall and no other entity (a disc of
     its size R around its centre of mass, if that lies between eye and cell) is on the line to it.
     """
     ex, ey, angle = bodies[agent, 0], bodies[agent, 1], bodies[agent, 2]
     hx, hy = -math.sin(angle), math.cos(angle)
-    for row in range(layout.size):
+    for row in range(layout.rows):
         y = layout.origin[1] - 0.5 - row
-        for column in range(layout.size):
+        for column in range(layout.columns):
             x = layout.origin[0] + 0.5 + column
-            index = row * layout.size + column
+            index = row * layout.columns + column
             visible[index] = False
             dx, dy = x - ex, y - ey
             length = math.sqrt(dx * dx + dy * dy)
@@ -201,7 +203,7 @@ def visible_cells(
                     break
             if not free:
                 continue
-            for other in range(4):
+            for other in range(bodies.shape[0]):
                 if other == agent:
                     continue
                 ox, oy = bodies[other, 0] - ex, bodies[other, 1] - ey
@@ -226,7 +228,7 @@ def observe(
     cells: IntArray,
     observed: BoolArray,
 ) -> None:
-    """Fill ``visible`` (cells) and ``observed`` (4,) for one agent in the true state.
+    """Fill ``visible`` (cells) and ``observed`` (entity,) for one agent in the true state.
 
     Observed is: itself; whatever has an outline cell in view; whatever it touches or holds, and
     the other holder of its item; and, along the chain, what an observed entity touches or holds.
@@ -237,14 +239,14 @@ def observe(
         cells: scratch for outline cells.
     """
     visible_cells(bodies, agent, params, layout, visible)
-    other = 1 - agent
-    for entity in range(4):
+    n_bodies, n_agents = bodies.shape[0], held.shape[0]
+    for entity in range(n_bodies):
         observed[entity] = full_view or entity == agent
     if full_view:
         for cell in range(visible.shape[0]):
             visible[cell] = True
         return
-    for entity in range(4):
+    for entity in range(n_bodies):
         if entity == agent:
             continue
         n = outline_cells(bodies, entity, params, layout, cells)
@@ -256,20 +258,21 @@ def observe(
             bodies, agent, entity, 1.0, TOUCH_ENLARGEMENT, params
         ):
             observed[entity] = True
-    if held[agent] >= 0 and held[agent] == held[other]:
-        observed[other] = True
-    for _ in range(3):
+    for other in range(n_agents):
+        if held[agent] >= 0 and held[agent] == held[other]:
+            observed[other] = True
+    for _ in range(n_bodies - 1):
         changed = False
-        for entity in range(4):
+        for entity in range(n_bodies):
             if observed[entity]:
                 continue
-            for witness in range(4):
+            for witness in range(n_bodies):
                 if witness == agent or not observed[witness]:
                     continue
-                if entity < 2 and witness < 2:
+                if entity < n_agents and witness < n_agents:
                     continue
-                holds = (witness < 2 and held[witness] == entity) or (
-                    entity < 2 and held[entity] == witness
+                holds = (witness < n_agents and held[witness] == entity) or (
+                    entity < n_agents and held[entity] == witness
                 )
                 if holds or shapes_meet(
                     bodies, witness, entity, TOUCH_ENLARGEMENT, TOUCH_ENLARGEMENT, params

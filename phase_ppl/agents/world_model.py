@@ -1,4 +1,4 @@
-"""What both agents of a simulation know alike: the layout, what bodies can do, and the physics.
+"""What all agents of a simulation know alike: the layout, what bodies can do, and the physics.
 
 The layout is the static part of a scene as flat arrays for compiled code: rooms, doors, landmarks
 and a grid of 1 x 1 cells.
@@ -7,7 +7,9 @@ and a grid of 1 x 1 cells.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -17,15 +19,15 @@ from phase_ppl.physics import compiled
 from phase_ppl.physics.constants import FLOOR_FRICTION
 from phase_ppl.physics.jit import bare_kernel
 from phase_ppl.world.arrays import FloatArray, IntArray
-from phase_ppl.world.names import AGENTS, ITEMS
-from phase_ppl.world.rooms import N_ROOMS, ROOMS_OF_RAY, UNREACHABLE
+from phase_ppl.world.names import NOTHING
+from phase_ppl.world.rooms import UNREACHABLE
 from phase_ppl.world.scene import Scene
 
 DISTANCE_UNIT: Final[float] = 20.0 * math.sqrt(2.0)
-"""Length by which distances are divided in rewards and proposals: the arena's diagonal."""
+"""Length by which distances are divided in rewards and proposals: the diagonal of PHASE's arena."""
 
 ROOM_POINT_INSET: Final = 1.25
-"""The point that stands for a room in the planner is this far from both outer walls, units."""
+"""The point that stands for a room in the planner is this far from the arena's border, units."""
 
 AGENT_WIDTH: Final = 3.0
 """Width of an agent driving straight, in units of its size R: the base of the trapezoid."""
@@ -38,27 +40,30 @@ class Layout(NamedTuple):
 
     Attributes:
         origin: (2,) x of the left and y of the top border.
-        size: number of 1 x 1 cells along a side.
+        rows, columns: number of 1 x 1 cells along a side.
         walls: (n, 4) inner walls as x1, y1, x2, y2.
-        centre: (2,) centre of the arena.
+        lines_x, lines_y: (n,) of the lines that cut the arena into rooms, ascending.
+        rooms: (row from the bottom, column) number of the room between those lines.
         is_open: no inner walls.
-        routes: (4, 4, 4) from ``Rooms.route_table``.
-        doors: (4, 2) door middles; door_width: (4,).
-        landmarks: (4, 2) centres; half_width: of their squares.
-        room_points: (4, 2) the point that stands for each room.
-        neighbour: (4, 4) door (ray) that joins two rooms directly, -1 for none or closed.
+        routes: (room, room, room) from ``Rooms.route_table``.
+        doors: (door, 2) door middles; door_width: (door,).
+        landmarks: (landmark, 2) centres.
+        room_points: (room, 2) the point that stands for each room.
+        neighbour: (room, room) the widest door that joins two rooms directly, -1 for none.
     """
 
     origin: FloatArray
-    size: int
+    rows: int
+    columns: int
     walls: FloatArray
-    centre: FloatArray
+    lines_x: FloatArray
+    lines_y: FloatArray
+    rooms: IntArray
     is_open: bool
     routes: IntArray
     doors: FloatArray
     door_width: FloatArray
     landmarks: FloatArray
-    half_width: float
     room_points: FloatArray
     neighbour: IntArray
 
@@ -67,31 +72,25 @@ class Layout(NamedTuple):
         """Return the flat arrays of ``scene``."""
         x0, x1, y0, y1 = scene.arena
         rooms = scene.rooms
-        inset = ROOM_POINT_INSET
-        corners = np.array(
-            [
-                [x0 + inset, y1 - inset],
-                [x1 - inset, y1 - inset],
-                [x1 - inset, y0 + inset],
-                [x0 + inset, y0 + inset],
-            ]
-        )
-        neighbour = np.full((N_ROOMS, N_ROOMS), -1, np.int64)
-        for ray, (a, b) in enumerate(ROOMS_OF_RAY):
-            if rooms.door_width[ray] > 0:
-                neighbour[a, b] = neighbour[b, a] = ray
+        neighbour = np.full((len(rooms), len(rooms)), -1, np.int64)
+        for door in np.argsort(rooms.door_width, kind="stable"):
+            if rooms.door_width[door] > 0:
+                a, b = rooms.doors[door].rooms
+                neighbour[a, b] = neighbour[b, a] = door
         return cls(
             origin=np.array([x0, y1]),
-            size=math.ceil(x1 - x0 - 1e-9),
+            rows=math.ceil(y1 - y0 - 1e-9),
+            columns=math.ceil(x1 - x0 - 1e-9),
             walls=np.ascontiguousarray(scene.walls.reshape(-1, 4)),
-            centre=scene.centre,
+            lines_x=rooms.columns[1:-1].copy(),
+            lines_y=rooms.rows[1:-1].copy(),
+            rooms=rooms.ids,
             is_open=rooms.is_open,
             routes=rooms.route_table,
             doors=np.ascontiguousarray(rooms.door_position),
             door_width=rooms.door_width,
             landmarks=np.array(scene.landmark_centres),
-            half_width=float(scene.landmark_half_width),
-            room_points=corners,
+            room_points=rooms.points(ROOM_POINT_INSET),
             neighbour=neighbour,
         )
 
@@ -99,9 +98,14 @@ class Layout(NamedTuple):
 @bare_kernel
 def room_of(x: float, y: float, layout: Layout) -> int:
     """Return the room id of a point."""
-    if x < layout.centre[0]:
-        return 0 if y > layout.centre[1] else 3
-    return 1 if y > layout.centre[1] else 2
+    column, row = 0, 0
+    for line in range(layout.lines_x.shape[0]):
+        if x >= layout.lines_x[line]:
+            column += 1
+    for line in range(layout.lines_y.shape[0]):
+        if y > layout.lines_y[line]:
+            row += 1
+    return layout.rooms[row, column]
 
 
 @bare_kernel
@@ -139,66 +143,77 @@ class Abilities:
     """What the bodies of a scene can do; all of the physics that plans depend on.
 
     Attributes:
-        passes: (entity, ray): whether the entity fits through the door.
-        fills: (item, ray): whether the item, standing at the door, closes it: it is wider than
+        passes: (entity, door): whether the entity fits through the door.
+        fills: (item, door): whether the item, standing at the door, closes it: it is wider than
             the gap, so that nobody can push it through.
-        walled: (ray,) whether a wall stands on the ray, so that its door can be stood in.
-        carries_alone: whether each agent's pull beats the floor friction of itself and an item.
-        carries_against_hold: likewise with the other agent hanging on the item, not helping.
-        carries_together: whether both beat the friction of all three bodies.
+        walled: (door,) whether a wall stands beside the door, so that it can be stood in.
+        strong: (pulling agents, number of holders) whose pull beats the floor friction of an item
+            and all that hold it; the others hang on without helping.
         room_distance: (room, room) length of the way, inf for none; doors only by ``passes``.
-        neighbours: per room the (ray, room) pairs that open doors join.
+        neighbours: per room the (door, room) pairs that open doors join.
+        landmark_rooms: (landmark,) the room that each is in.
+        landmark_in: (room,) a landmark that is in each, or ``NOTHING``.
         is_open: no inner walls.
     """
 
     passes: tuple[tuple[bool, ...], ...]
     fills: tuple[tuple[bool, ...], ...]
     walled: tuple[bool, ...]
-    carries_alone: tuple[bool, bool]
-    carries_against_hold: tuple[bool, bool]
-    carries_together: bool
+    strong: frozenset[tuple[tuple[int, ...], int]]
     room_distance: tuple[tuple[float, ...], ...]
     neighbours: tuple[tuple[tuple[int, int], ...], ...]
+    landmark_rooms: tuple[int, ...]
+    landmark_in: tuple[int, ...]
     is_open: bool
 
     @classmethod
-    def of(cls, scene: Scene, strengths: tuple[float, float]) -> Abilities:
+    def of(cls, scene: Scene, strengths: Sequence[float]) -> Abilities:
         """Return the abilities of a scene's bodies with the given strengths, newtons."""
-        rooms = scene.rooms
-        factor = [AGENT_WIDTH] * len(AGENTS) + [ITEM_WIDTH] * len(ITEMS)
+        rooms, world = scene.rooms, scene.world
+        n_agents = len(world.agents)
+        factor = [AGENT_WIDTH] * n_agents + [ITEM_WIDTH] * len(world.items)
         width = [f * r for f, r in zip(factor, scene.radius, strict=True)]
-        middle = scene.landmark_centres
+        landmark_rooms = tuple(rooms.room_of(scene.landmark_centres).tolist())
+        landmark_in = tuple(
+            landmark_rooms.index(room) if room in landmark_rooms else NOTHING
+            for room in range(len(rooms))
+        )
+        middle = [
+            scene.landmark_centres[landmark] if landmark != NOTHING else point
+            for landmark, point in zip(landmark_in, rooms.points(ROOM_POINT_INSET), strict=True)
+        ]
         return cls(
             passes=tuple(tuple(bool(w < gap) for gap in rooms.door_width) for w in width),
             fills=tuple(
-                tuple(bool(0 < gap < 2 * scene.radius[len(AGENTS) + i]) for gap in rooms.door_width)
-                for i in range(len(ITEMS))
+                tuple(bool(0 < gap < 2 * radius) for gap in rooms.door_width)
+                for radius in scene.radius[n_agents:]
             ),
             walled=tuple((rooms.wall_length > 0).tolist()),
-            carries_alone=tuple(f > 2 * FLOOR_FRICTION for f in strengths),  # type: ignore[arg-type]
-            carries_against_hold=tuple(  # type: ignore[arg-type]
-                f > 3 * FLOOR_FRICTION for f in strengths
+            strong=frozenset(
+                (pulling, holders)
+                for holders in range(1, n_agents + 1)
+                for number in range(1, holders + 1)
+                for pulling in itertools.combinations(range(n_agents), number)
+                if sum(strengths[agent] for agent in pulling) > (holders + 1) * FLOOR_FRICTION
             ),
-            carries_together=sum(strengths) > 3 * FLOOR_FRICTION,
             room_distance=tuple(
                 tuple(
                     float(rooms.path_distance(middle[a], middle[b]))
                     if rooms.route(a, b) is not None
                     else np.inf
-                    for b in range(N_ROOMS)
+                    for b in range(len(rooms))
                 )
-                for a in range(N_ROOMS)
+                for a in range(len(rooms))
             ),
-            neighbours=tuple(
-                tuple(
-                    (ray, sides[1] if sides[0] == room else sides[0])
-                    for ray, sides in enumerate(ROOMS_OF_RAY)
-                    if room in sides and rooms.door_width[ray] > 0
-                )
-                for room in range(N_ROOMS)
-            ),
+            neighbours=tuple(tuple(rooms.exits(room)) for room in range(len(rooms))),
+            landmark_rooms=landmark_rooms,
+            landmark_in=landmark_in,
             is_open=rooms.is_open,
         )
+
+    def carries(self, *pulling: int, holders: int) -> bool:
+        """Whether these agents can pull an item that so many hold."""
+        return (tuple(sorted(pulling)), holders) in self.strong
 
     def route(self, entities: tuple[int, ...], start: int, end: int) -> tuple[int, ...] | None:
         """Return the rooms from start to end through doors that all ``entities`` pass."""
@@ -206,8 +221,8 @@ class Abilities:
             return (start,)
         frontier, came = [start], {start: start}
         for room in frontier:
-            for ray, following in self.neighbours[room]:
-                if following not in came and all(self.passes[e][ray] for e in entities):
+            for door, following in self.neighbours[room]:
+                if following not in came and all(self.passes[e][door] for e in entities):
                     came[following] = room
                     frontier.append(following)
         if end not in came:
@@ -219,7 +234,7 @@ class Abilities:
 
 
 class WorldModel(NamedTuple):
-    """What both agents of a simulation share.
+    """What all agents of a simulation share.
 
     Attributes:
         scene: where they are.
@@ -234,7 +249,7 @@ class WorldModel(NamedTuple):
     abilities: Abilities
 
     @classmethod
-    def of(cls, scene: Scene, strengths: tuple[float, float], config: PlannerConfig) -> WorldModel:
+    def of(cls, scene: Scene, strengths: Sequence[float], config: PlannerConfig) -> WorldModel:
         """Return what agents of these strengths, newtons, know of a scene."""
         params = compiled.make_params(
             scene, strengths, inner_steps=config.inner_steps, swivel=config.swivel

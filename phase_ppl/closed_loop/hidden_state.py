@@ -30,7 +30,7 @@ from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS, STRENGTH_RANGE
 from phase_ppl.world.names import AGENTS, BLUE_ITEM, ENTITIES
 from phase_ppl.world.observation import State
-from phase_ppl.world.scene import Scene
+from phase_ppl.world.scene import Scene, check_phase
 
 UNSEEN: Final = 0.05
 """Units that are assumed before there is anything to estimate the noise from."""
@@ -206,6 +206,7 @@ class HiddenState:
     """
 
     def __init__(self, scene: Scene, tracking: Tracking, threads: int = 1) -> None:
+        check_phase(scene, "the closed loop")
         self.tracking = tracking
         self._pairs = np.array(list(itertools.product(tracking.strengths, repeat=len(AGENTS))))
         n = len(self._pairs)

@@ -33,6 +33,18 @@ given: the rest defaults to the original world without inner walls, ``start`` to
 steer, and is not written elsewhere.
 ``truth`` (effective goals), ``judgments`` and ``predictions`` may be missing or null.
 
+An event of another world than PHASE has its names in place of these, and a field ``world``::
+
+      "world": {"name": "yard", "agents": ["red agent", "green agent"], "items": ["ball"],
+                "landmarks": {"home": [4.0, 4.0, 2.5]}, "arena": [0.0, 36.0, 0.0, 24.0],
+                "walls": [], "colours": {"ball": [117, 216, 230], ...},
+                "touchable": ["red agent", "green agent", "ball"], "quadrants": false},
+      "truth": {"goals": {"red agent": "Get ball to home"},
+                "relation": [["green agent", "red agent", "hinder"]],
+                "strengths": {"red agent": 450.0, "green agent": 300.0}}
+
+Its goals are the agents' own; who helps or hinders another has none.
+
 Several events: ``{"format": "phase-ppl-events-1", "events": [...]}``, each as above (without
 ``format``), with different ids.
 
@@ -54,9 +66,10 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.event import Event, Truth
+from phase_ppl.world.hypothesis import Roles
 from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS
 from phase_ppl.world.observation import Observation
-from phase_ppl.world.scene import Scene, Turning, finite_array
+from phase_ppl.world.scene import PHASE, Scene, Turning, World, finite_array
 
 EVENT_FORMAT: Final = "phase-ppl-event-1"
 EVENTS_FORMAT: Final = "phase-ppl-events-1"
@@ -77,6 +90,11 @@ LENGTH: Final = "units of length"
 POSE: Final = "units of length (x, y), radians (angle)"
 
 
+def labels_of(world: World) -> Mapping[str, Sequence[str]]:
+    """Return :data:`LABELS` with the names of a world."""
+    return {**LABELS, "entity": world.entities, "landmark": world.landmark_names}
+
+
 class Field(NamedTuple):
     """An array of an event, as its files have it."""
 
@@ -84,10 +102,9 @@ class Field(NamedTuple):
     dims: tuple[str, ...]  # its dimensions; those of ``LABELS`` have named places
     units: str = LENGTH  # in words
 
-    @property
-    def shape(self) -> tuple[int | None, ...]:
-        """Length of each dimension; None for any."""
-        return tuple(len(LABELS[dim]) if dim in LABELS else None for dim in self.dims)
+    def shape(self, labels: Mapping[str, Sequence[str]]) -> tuple[int | None, ...]:
+        """Return the length of each dimension; None for any."""
+        return tuple(len(labels[dim]) if dim in labels else None for dim in self.dims)
 
 
 TRAJECTORY: Final = Field("trajectories", ("time", "entity", "coord"), POSE)
@@ -102,7 +119,16 @@ SCENE: Final[Mapping[str, Field]] = {
 """Attribute of a scene -> how files have it; beside these there are ``turning``, a text, and
 ``resets_velocity``, which only a scene that does so has."""
 
-_EVENT_FIELDS = ("format", "id", "scene", "trajectories", "truth", "judgments", "predictions")
+_EVENT_FIELDS = (
+    "format",
+    "id",
+    "world",
+    "scene",
+    "trajectories",
+    "truth",
+    "judgments",
+    "predictions",
+)
 _TRUTH_FIELDS = ("goals", "relation", "scenario", "strengths")
 _SCENE_FIELDS = (*("arena", "walls", "landmarks", "landmark_half_width", "turning"),
                  *("resets_velocity", "radius", "start"))  # fmt: skip
@@ -110,6 +136,13 @@ _LINE_CHARACTERS = 100
 
 
 # --- reading ---------------------------------------------------------------------------------
+
+
+def fields_of(world: World) -> Mapping[str, Field]:
+    """Return :data:`SCENE`; squares of landmarks have sizes of their own but in PHASE."""
+    if world == PHASE:
+        return SCENE
+    return {**SCENE, "landmark_half_width": Field("landmark_half_width", ("landmark",))}
 
 
 def read_one(document: Mapping[str, Any]) -> Entries:
@@ -139,36 +172,46 @@ def entries_of(
 def event_from_record(record: Mapping[str, Any]) -> Event:
     """Return the event that a JSON object describes; in place of lists it may have arrays."""
     only(record, _EVENT_FIELDS, "an event")
-    observation = read_observation(require(record, "trajectories", dict), "trajectories")
+    given = optional(record, "world", dict)
+    world = PHASE if given is None else World.from_dict(given)
+    tracks = require(record, "trajectories", dict)
+    observation = read_observation(tracks, "trajectories", world.entities)
     truth = optional(record, "truth", dict)
     if truth is not None:
         only(truth, _TRUTH_FIELDS, "truth")
+    known: Truth | Roles | None = None
+    if truth is not None:
+        of_phase = world == PHASE
+        known = read_truth(truth, "strengths") if of_phase else Roles.from_dict(world, truth)
     return Event(
-        scene=_scene(require(record, "scene", dict), observation.trajectory[0]),
+        scene=_scene(require(record, "scene", dict), observation.trajectory[0], world),
         observation=observation,
         id=event_id(record),
-        truth=None if truth is None else read_truth(truth, "strengths"),
+        truth=known,
         judgments=optional(record, "judgments", dict),
         predictions=optional(record, "predictions", dict),
     )
 
 
-def read_observation(record: Mapping[str, Any], where: str) -> Observation:
+def read_observation(
+    record: Mapping[str, Any], where: str, entities: Sequence[str] = ENTITIES
+) -> Observation:
     """Return the observation in an object that maps entity names to rows of [x, y, angle]."""
     tracks = [
         finite_array(f"{where}[{name!r}]", rows, (None, 3))
-        for name, rows in zip(ENTITIES, per_name(record, ENTITIES, where), strict=True)
+        for name, rows in zip(entities, per_name(record, entities, where), strict=True)
     ]
     lengths = [len(track) for track in tracks]
     if len(set(lengths)) > 1:
-        listed = ", ".join(f"{n} {name}" for n, name in zip(lengths, ENTITIES, strict=True))
+        listed = ", ".join(f"{n} {name}" for n, name in zip(lengths, entities, strict=True))
         raise InvalidEventError(f"{where} differ in length: {listed}")
     return Observation(np.stack(tracks, axis=1))
 
 
-def _scene(record: Mapping[str, Any], first_frame: FloatArray) -> Scene:
+def _scene(record: Mapping[str, Any], first_frame: FloatArray, world: World) -> Scene:
     only(record, _SCENE_FIELDS, "scene")
-    given: dict[str, Any] = {"start": first_frame}
+    given: dict[str, Any] = {"start": first_frame, "world": world}
+    labels = labels_of(world)
     for name in ("walls", "turning", "landmark_half_width", "resets_velocity"):
         if name in record:
             given[name] = record[name]
@@ -177,7 +220,7 @@ def _scene(record: Mapping[str, Any], first_frame: FloatArray) -> Scene:
     for name in ("landmark_centres", "start", "radius"):
         key, dims, _ = SCENE[name]
         if key in record or name == "radius":
-            given[name] = _by_name(record, key, LABELS[dims[0]], SCENE[name].shape)
+            given[name] = _by_name(record, key, labels[dims[0]], SCENE[name].shape(labels))
     return Scene(**given)
 
 
@@ -217,14 +260,19 @@ def turned(event: Event, turning: Turning) -> Event:
 def event_record(event: Event) -> dict[str, Any]:
     """Return the JSON object that :func:`event_from_record` turns back into ``event``."""
     instance_of("event", event, Event, "a phase_ppl.Event")
-    arrays = {name: np.asarray(getattr(event.scene, name)).tolist() for name in SCENE}
+    scene, world = event.scene, event.scene.world
+    arrays = {name: np.asarray(getattr(scene, name)).tolist() for name in SCENE}
+    arrays["landmark_half_width"] = one_or_all(scene.half_widths)
     record: dict[str, Any] = {
         "format": EVENT_FORMAT,
         "id": event_id({"id": event.id}),
-        "scene": scene_record(arrays, event.scene.turning, event.scene.resets_velocity),
-        "trajectories": tracks_record(event.observation.trajectory),
+        **({} if world == PHASE else {"world": world.to_dict()}),
+        "scene": scene_record(arrays, scene.turning, scene.resets_velocity, world),
+        "trajectories": tracks_record(event.observation.trajectory, world.entities),
     }
-    if event.truth is not None:
+    if isinstance(event.truth, Roles):
+        record["truth"] = event.truth.to_dict()
+    elif event.truth is not None:
         record["truth"] = truth_record(event.truth, "strengths")
     if event.judgments is not None:
         record["judgments"] = dict(event.judgments)
@@ -234,19 +282,25 @@ def event_record(event: Event) -> dict[str, Any]:
 
 
 def scene_record(
-    arrays: Mapping[str, Any], turning: str, resets_velocity: bool = False
+    arrays: Mapping[str, Any], turning: str, resets_velocity: bool = False, world: World = PHASE
 ) -> dict[str, Any]:
     """Return the JSON object of a scene, given the values of :data:`SCENE` and its rules."""
     return {
         "arena": arena_record(arrays["arena"]),
         "walls": arrays["walls"],
-        "landmarks": dict(zip(LANDMARKS, arrays["landmark_centres"], strict=True)),
+        "landmarks": dict(zip(world.landmark_names, arrays["landmark_centres"], strict=True)),
         "landmark_half_width": arrays["landmark_half_width"],
         "turning": turning,
         **({"resets_velocity": True} if resets_velocity else {}),
-        "radius": dict(zip(ENTITIES, arrays["radius"], strict=True)),
-        "start": dict(zip(ENTITIES, arrays["start"], strict=True)),
+        "radius": dict(zip(world.entities, arrays["radius"], strict=True)),
+        "start": dict(zip(world.entities, arrays["start"], strict=True)),
     }
+
+
+def one_or_all(widths: FloatArray) -> float | list[float]:
+    """Return the half-width that all landmarks have, or that of each."""
+    found: list[float] = widths.tolist()
+    return found[0] if len(set(found)) == 1 else found
 
 
 def arena_record(arena: Sequence[float]) -> dict[str, list[float]]:
@@ -255,9 +309,11 @@ def arena_record(arena: Sequence[float]) -> dict[str, list[float]]:
     return {"x": [x0, x1], "y": [y0, y1]}
 
 
-def tracks_record(trajectory: FloatArray) -> dict[str, list[list[float]]]:
+def tracks_record(
+    trajectory: FloatArray, entities: Sequence[str] = ENTITIES
+) -> dict[str, list[list[float]]]:
     """Return the JSON object that :func:`read_observation` reads."""
-    return {name: trajectory[:, entity].tolist() for entity, name in enumerate(ENTITIES)}
+    return {name: trajectory[:, entity].tolist() for entity, name in enumerate(entities)}
 
 
 def truth_record(

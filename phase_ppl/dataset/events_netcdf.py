@@ -8,6 +8,9 @@ follow each other along ``time`` and their inner walls along ``wall``; ``n_frame
 (event) say how many are whose. All else has a first dimension ``event``, whose coordinate holds
 the ids, so that ``xarray.open_dataset("all.nc").goal_red`` is a column.
 
+Events of another world than PHASE have it as JSON in the text ``world``, and their truth in the
+text ``truth``; those of one file are of one world.
+
 Arrays carry a checksum of their bytes, and each event one of all it holds, ``sha256``, which is
 compared when the file is read.
 """
@@ -35,12 +38,14 @@ from phase_ppl.dataset.events_json import (
     EVENT_FORMAT,
     EVENTS_FORMAT,
     LABELS,
-    SCENE,
     TRAJECTORY,
     Entries,
     Field,
     event_from_record,
     event_record,
+    fields_of,
+    labels_of,
+    one_or_all,
     scene_record,
     to_text,
     turned,
@@ -49,11 +54,10 @@ from phase_ppl.dataset.hdf5 import check_hdf5, netcdf_bytes, reading
 from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import InvalidEventError, shown
 from phase_ppl.world.event import Event
-from phase_ppl.world.names import AGENTS, ENTITIES
+from phase_ppl.world.names import AGENTS
 from phase_ppl.world.observation import FRAMES_PER_SECOND
-from phase_ppl.world.scene import Turning, finite_array
+from phase_ppl.world.scene import PHASE, Turning, World, finite_array
 
-_ARRAYS: Final[Mapping[str, Field]] = {"trajectory": TRAJECTORY, **SCENE}
 _FORCE: Final = Field("", (), "N")
 _TEXT: Final = Field("", (), "")
 _GOALS: Final = ("goal_red", "goal_green")
@@ -74,18 +78,25 @@ def event_dataset(event: Event) -> xr.Dataset:
             the id is no printable text.
     """
     instance_of("event", event, Event, "a phase_ppl.Event")
+    scene, world = event.scene, event.scene.world
     values: dict[str, tuple[Field, Any]] = {
         "trajectory": (TRAJECTORY, event.observation.trajectory),
-        **{name: (field, getattr(event.scene, name)) for name, field in SCENE.items()},
-        "turning": (_TEXT, event.scene.turning),
+        **{name: (field, getattr(scene, name)) for name, field in fields_of(world).items()},
+        "turning": (_TEXT, scene.turning),
     }
-    if event.scene.resets_velocity:
+    if scene.resets_velocity:
         values[_RESETS] = _TEXT, np.int8(1)
-    for name in (*_GOALS, "relation", "scenario"):
-        values[name] = _TEXT, getattr(event.truth, name, "")
-    for name in _STRENGTHS:
-        force = getattr(event.truth, name, None)
-        values[name] = _FORCE, np.nan if force is None else force
+    if world == PHASE:
+        for name in (*_GOALS, "relation", "scenario"):
+            values[name] = _TEXT, getattr(event.truth, name, "")
+        for name in _STRENGTHS:
+            force = getattr(event.truth, name, None)
+            values[name] = _FORCE, np.nan if force is None else force
+    else:
+        known = event.truth
+        values["landmark_half_width"] = fields_of(world)["landmark_half_width"], scene.half_widths
+        values["world"] = _TEXT, to_text(world.to_dict(), compact=True)
+        values["truth"] = _TEXT, to_text(known.to_dict(), compact=True) if known else ""
     for name in _DOCUMENTS:
         content = getattr(event, name)
         values[name] = _TEXT, "" if content is None else to_text(dict(content), compact=True)
@@ -98,7 +109,7 @@ def event_dataset(event: Event) -> xr.Dataset:
         },
         {
             "time": ("time", seconds, {"units": "s", "long_name": "simulated time"}),
-            **{dim: list(labels) for dim, labels in LABELS.items()},
+            **{dim: list(labels) for dim, labels in labels_of(world).items()},
             "event": event_id({"id": event.id}),
         },
         {"format": EVENT_FORMAT},
@@ -120,14 +131,25 @@ def event_from_dataset(dataset: xr.Dataset) -> Event:
     if not isinstance(dataset, xr.Dataset):
         raise InvalidEventError(f"{shown(dataset)} is no xarray Dataset")
     _check_time(dataset)
-    found = {name: _values(dataset, name, field.dims) for name, field in _ARRAYS.items()}
+    text = _text(dataset, "world")
+    world = World.from_dict(_document("world", text)) if text else PHASE
+    labels = labels_of(world)
+    arrays = {"trajectory": TRAJECTORY, **fields_of(world)}
+    found = {name: _values(dataset, name, field.dims, labels) for name, field in arrays.items()}
     found["radius"] = found["radius"].tolist()
     tracks = np.moveaxis(found["trajectory"], 1, 0)
     record: dict[str, Any] = {
         "id": _text(dataset, "event", required=True),
-        "scene": scene_record(found, _text(dataset, "turning", required=True), _resets(dataset)),
-        "trajectories": dict(zip(ENTITIES, tracks, strict=True)),
+        "scene": scene_record(
+            found, _text(dataset, "turning", required=True), _resets(dataset), world
+        ),
+        "trajectories": dict(zip(world.entities, tracks, strict=True)),
     }
+    if text:
+        record["scene"]["landmark_half_width"] = one_or_all(found["landmark_half_width"])
+        record["world"] = world.to_dict()
+        known = _text(dataset, "truth")
+        record["truth"] = _document("truth", known) if known else None
     goals = [_text(dataset, name) for name in _GOALS]
     if any(goals):
         record["truth"] = {
@@ -156,7 +178,12 @@ def _check_time(dataset: xr.Dataset) -> None:
         )
 
 
-def _values(dataset: xr.Dataset, name: str, dims: tuple[str, ...]) -> Any:
+def _values(
+    dataset: xr.Dataset,
+    name: str,
+    dims: tuple[str, ...],
+    labels: Mapping[str, Sequence[str]],
+) -> Any:
     """Return the values of a variable along ``dims``, everything in the package's order."""
     if name not in dataset.variables:
         raise InvalidEventError(f"has no variable {name}")
@@ -170,12 +197,12 @@ def _values(dataset: xr.Dataset, name: str, dims: tuple[str, ...]) -> Any:
     if variable.dims != dims:
         values = values.transpose([variable.dims.index(dim) for dim in dims])
     for axis, dim in enumerate(dims):
-        if dim in LABELS:
-            values = values.take(_order(dataset, dim), axis)
+        if dim in labels:
+            values = values.take(_order(dataset, dim, labels[dim]), axis)
     return values
 
 
-def _order(dataset: xr.Dataset, dim: str) -> list[int]:
+def _order(dataset: xr.Dataset, dim: str, names: Sequence[str]) -> list[int]:
     """Return where the labels of ``dim`` stand, in the package's order."""
     if dim not in dataset.coords:
         raise InvalidEventError(f"has no coordinate {dim}, which says what is where along it")
@@ -183,7 +210,7 @@ def _order(dataset: xr.Dataset, dim: str) -> list[int]:
     if len(set(labels)) < len(labels):
         raise InvalidEventError(f"coordinate {dim} has a label twice: {shown(labels)}")
     places = {label: place for place, label in enumerate(labels)}
-    return per_name(places, LABELS[dim], f"coordinate {dim}")
+    return per_name(places, names, f"coordinate {dim}")
 
 
 def _text(dataset: xr.Dataset, name: str, required: bool = False) -> str:
@@ -285,6 +312,12 @@ def one(event: Event) -> xr.Dataset:
 
 def many(events: Sequence[Event]) -> xr.Dataset:
     """Return the content of a file of several events. Errors as for :func:`event_dataset`."""
+    other = next((e for e in events if e.scene.world != events[0].scene.world), None)
+    if other is not None:
+        raise InvalidEventError(
+            f"event {other.id!r} is of the world {other.scene.world.name}, the first one of "
+            f"{events[0].scene.world.name}: a file holds events of one world"
+        )
     datasets = [one(event) for event in events]
     if any(_RESETS in dataset for dataset in datasets):
         datasets = [

@@ -17,6 +17,7 @@ from phase_ppl.world.goals import GOALS, goal_literal
 from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS, STRENGTH_LEVELS
 from phase_ppl.world.names import AGENTS, Predicate
 from phase_ppl.world.observation import FRAMES_PER_SECOND
+from phase_ppl.world.scene import check_phase
 
 FRAME_EDGES: Final = (*range(0, 101, 10), 102)
 SPEED_EDGES: Final = tuple(range(0, 71, 2))
@@ -135,6 +136,8 @@ def statistics(
     """
     if not events:
         raise InvalidEventError("there are no events to describe")
+    for event in events:
+        check_phase(event.scene, "a data card")
     events = list(events)  # gone through many times; those of a stored set are read each time
     entries = _entries(manifest)
     told = [entries.get(event.id, {}) for event in events]

@@ -31,7 +31,7 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.files import locked, writable_folder, write_json
 from phase_ppl.world.identity import event_digest, stable, versions
 from phase_ppl.world.observation import Observation
-from phase_ppl.world.scene import Scene
+from phase_ppl.world.scene import Scene, check_phase
 
 if TYPE_CHECKING:
     from phase_ppl.evaluation.observers.fit import FittedObserver
@@ -126,6 +126,8 @@ def evaluate(
     whole_number("seed", seed, minimum=0)
     slots = number_of_workers(workers)
     chosen = judged(all_events(events, split), judgments)
+    for event in chosen:
+        check_phase(event.scene, "evaluation")
     if limit is not None:
         chosen = chosen[: whole_number("limit", limit)]
     asked = ready(model, options)

@@ -37,7 +37,7 @@ from phase_ppl.physics.jit import bare_kernel, inlined_kernel
 from phase_ppl.physics.solver import rub, solve
 from phase_ppl.physics.welds import attach, find_grab, mend, place_frame, turn_frame
 from phase_ppl.world.arrays import FloatArray, IntArray
-from phase_ppl.world.names import NOTHING
+from phase_ppl.world.names import AGENTS, ENTITIES, NOTHING
 
 __all__ = [
     "Params",
@@ -55,6 +55,7 @@ __all__ = [
 
 _TURN_LEFT, _TURN_RIGHT = int(Action.TURN_LEFT), int(Action.TURN_RIGHT)
 _FIRST_PUSH, _LAST_PUSH = int(Action.UP), int(Action.DOWN_RIGHT)
+_USUAL_BODIES, _USUAL_AGENTS = len(ENTITIES), len(AGENTS)
 _STOP, _ATTACH, _DETACH = int(Action.STOP), int(Action.ATTACH), int(Action.DETACH)
 
 
@@ -62,8 +63,9 @@ _STOP, _ATTACH, _DETACH = int(Action.STOP), int(Action.ATTACH), int(Action.DETAC
 def stay_apart(
     bodies: FloatArray,
     held: IntArray,
-    action_red: int,
-    action_green: int,
+    actions: IntArray,
+    n_bodies: int,
+    n_agents: int,
     params: Params,
     scratch: Scratch,
 ) -> bool:
@@ -72,15 +74,16 @@ def stay_apart(
     Every body is enclosed in a circle that it cannot leave: no impulse but its own force and the
     friction acts on it.
     """
-    if held[0] >= 0 or held[1] >= 0:
-        return False
+    for agent in range(n_agents):
+        if held[agent] >= 0:
+            return False
     duration = params.dt * params.substeps
-    for body in range(4):
+    for body in range(n_bodies):
         speed = math.sqrt(bodies[body, VX] ** 2 + bodies[body, VY] ** 2) + math.sqrt(
             bodies[body, BIAS_VX] ** 2 + bodies[body, BIAS_VY] ** 2
         )
-        if body < 2:
-            action = action_red if body == 0 else action_green
+        if body < n_agents:
+            action = actions[body]
             force = params.force[body] if _FIRST_PUSH <= action <= _LAST_PUSH else 0.0
             spins = 0 <= action <= _TURN_RIGHT or bodies[body, SPIN] != 0.0
             if spins or force > 0.0 or speed > 0.0:
@@ -134,24 +137,28 @@ def _push(agent: int, action: int, params: Params, scratch: Scratch) -> None:
 
 
 @inlined_kernel
-def _move(bodies: FloatArray, body: int, vx: int, dt: float, scratch: Scratch) -> None:
+def _move(
+    bodies: FloatArray, body: int, vx: int, dt: float, n_agents: int, scratch: Scratch
+) -> None:
     """Move a body by its velocity (``vx`` = VX) or its bias velocity (``vx`` = BIAS_VX)."""
     bodies[body, X] += bodies[body, vx] * dt
     bodies[body, Y] += bodies[body, vx + 1] * dt
     if bodies[body, vx + 2] != 0.0:
         turn = bodies[body, vx + 2] * dt
         bodies[body, ANGLE] += turn
-        if body < 2:
+        if body < n_agents:
             turn_frame(bodies, body, turn, scratch)
 
 
 @inlined_kernel
-def _parts(bodies: FloatArray, params: Params, scratch: Scratch) -> int:
+def _parts(
+    bodies: FloatArray, n_bodies: int, n_agents: int, params: Params, scratch: Scratch
+) -> int:
     """Return the number of parts that keeps all moves of this substep short enough."""
     fastest = 0.0
-    for body in range(4):
+    for body in range(n_bodies):
         vx, vy = bodies[body, VX], bodies[body, VY]
-        if body < 2:
+        if body < n_agents:
             vx += scratch.kick[body, 0]
             vy += scratch.kick[body, 1]
         fastest = max(fastest, vx * vx + vy * vy)
@@ -169,14 +176,16 @@ def _inner_step(
     part: int,
     parts: int,
     apart: bool,
+    n_bodies: int,
+    n_agents: int,
     params: Params,
     scratch: Scratch,
 ) -> None:
     """Collide, accelerate (in the first part of a substep only), solve, and move."""
     first = part == 0
     dt = params.dt / parts
-    for body in range(4):
-        _move(bodies, body, BIAS_VX, dt, scratch)
+    for body in range(n_bodies):
+        _move(bodies, body, BIAS_VX, dt, n_agents, scratch)
         bodies[body, BIAS_VX] = 0.0
         bodies[body, BIAS_VY] = 0.0
         bodies[body, BIAS_SPIN] = 0.0
@@ -187,7 +196,7 @@ def _inner_step(
     if not apart:
         n_contacts = find_contacts(bodies, held, params, scratch)
     together = n_contacts > 0
-    for agent in range(2):
+    for agent in range(n_agents):
         if held[agent] >= 0:
             scratch.touched[agent] = True
             scratch.touched[held[agent]] = True
@@ -197,13 +206,13 @@ def _inner_step(
             bodies[agent, VY] += scratch.kick[agent, 1]
             bodies[agent, SPIN] += scratch.kick[agent, 2]
     if first:
-        for body in range(4):
+        for body in range(n_bodies):
             if not scratch.touched[body]:
                 rub(bodies, body, params, scratch)
     if together:
         solve(bodies, held, weld, n_contacts, parts, first, params, scratch)
-    for body in range(4):
-        _move(bodies, body, VX, dt, scratch)
+    for body in range(n_bodies):
+        _move(bodies, body, VX, dt, n_agents, scratch)
 
 
 @inlined_kernel
@@ -211,20 +220,31 @@ def _begin(
     bodies: FloatArray,
     held: IntArray,
     weld: FloatArray,
-    action_red: int,
-    action_green: int,
+    actions: IntArray,
+    n_bodies: int,
+    n_agents: int,
     params: Params,
     scratch: Scratch,
 ) -> bool:
     """Attach and detach, which act once; return whether all bodies stay apart."""
-    for agent in range(2):
+    for agent in range(n_agents):
         place_frame(bodies, agent, scratch)
-        action = action_red if agent == 0 else action_green
+        action = actions[agent]
         if action == _ATTACH:
             attach(bodies, held, weld, agent, params, scratch)
         elif action == _DETACH:
             held[agent] = NOTHING
-    return stay_apart(bodies, held, action_red, action_green, params, scratch)
+    return stay_apart(bodies, held, actions, n_bodies, n_agents, params, scratch)
+
+
+@inlined_kernel
+def _is_shared(held: IntArray, n_agents: int) -> bool:
+    """Whether two agents hold the same item."""
+    for agent in range(1, n_agents):
+        for other in range(agent):
+            if held[agent] >= 0 and held[agent] == held[other]:
+                return True
+    return False
 
 
 @inlined_kernel
@@ -232,27 +252,59 @@ def _substep(
     bodies: FloatArray,
     held: IntArray,
     weld: FloatArray,
-    action_red: int,
-    action_green: int,
+    actions: IntArray,
     apart: bool,
+    n_bodies: int,
+    n_agents: int,
     params: Params,
     scratch: Scratch,
 ) -> None:
-    for agent in range(2):
-        action = action_red if agent == 0 else action_green
+    for agent in range(n_agents):
+        action = actions[agent]
         if action == _STOP:
             bodies[agent, VX] = 0.0
             bodies[agent, VY] = 0.0
         _push(agent, action, params, scratch)
     # with nothing to meet on the way there is no need to divide the movement
-    parts = 1 if apart else _parts(bodies, params, scratch)
+    parts = 1 if apart else _parts(bodies, n_bodies, n_agents, params, scratch)
     for part in range(parts):
-        _inner_step(bodies, held, weld, part, parts, apart, params, scratch)
+        _inner_step(bodies, held, weld, part, parts, apart, n_bodies, n_agents, params, scratch)
     # an item of two holders is pulled at by both in turn
-    for _ in range(SHARED_WELD_SWEEPS if held[0] == held[1] else 1):
-        for agent in range(2):
+    for _ in range(SHARED_WELD_SWEEPS if _is_shared(held, n_agents) else 1):
+        for agent in range(n_agents):
             if held[agent] >= 0:
                 mend(bodies, agent, held[agent], weld, params, scratch)
+
+
+@inlined_kernel
+def _advance_all(
+    bodies: FloatArray,
+    held: IntArray,
+    weld: FloatArray,
+    actions: IntArray,
+    n_bodies: int,
+    n_agents: int,
+    params: Params,
+    scratch: Scratch,
+    with_mean: bool,
+) -> None:
+    apart = _begin(bodies, held, weld, actions, n_bodies, n_agents, params, scratch)
+    frame = scratch.frame
+    for body in range(n_bodies):
+        frame[body, 0], frame[body, 1], frame[body, 2] = 0.0, 0.0, 0.0
+    for _ in range(params.substeps):
+        _substep(bodies, held, weld, actions, apart, n_bodies, n_agents, params, scratch)
+        if with_mean:
+            for body in range(n_bodies):
+                c, s, cog = scratch.rotation[body, 0], scratch.rotation[body, 1], params.cog[body]
+                frame[body, 0] += (bodies[body, X] + s * cog) / params.substeps
+                frame[body, 1] += (bodies[body, Y] - c * cog) / params.substeps
+                frame[body, 2] += bodies[body, ANGLE] / params.substeps
+    for agent in range(n_agents):
+        bodies[agent, SPIN] = 0.0
+        if params.resets_velocity:
+            bodies[agent, VX] = 0.0
+            bodies[agent, VY] = 0.0
 
 
 @bare_kernel
@@ -260,30 +312,28 @@ def _advance(
     bodies: FloatArray,
     held: IntArray,
     weld: FloatArray,
-    action_red: int,
-    action_green: int,
+    actions: IntArray,
     params: Params,
     scratch: Scratch,
     with_mean: bool,
 ) -> None:
     """Advance by one planner step; leave the mean pose in ``scratch.frame`` if wanted."""
-    apart = _begin(bodies, held, weld, action_red, action_green, params, scratch)
-    frame = scratch.frame
-    for body in range(4):
-        frame[body, 0], frame[body, 1], frame[body, 2] = 0.0, 0.0, 0.0
-    for _ in range(params.substeps):
-        _substep(bodies, held, weld, action_red, action_green, apart, params, scratch)
-        if with_mean:
-            for body in range(4):
-                c, s, cog = scratch.rotation[body, 0], scratch.rotation[body, 1], params.cog[body]
-                frame[body, 0] += (bodies[body, X] + s * cog) / params.substeps
-                frame[body, 1] += (bodies[body, Y] - c * cog) / params.substeps
-                frame[body, 2] += bodies[body, ANGLE] / params.substeps
-    for agent in range(2):
-        bodies[agent, SPIN] = 0.0
-        if params.resets_velocity:
-            bodies[agent, VX] = 0.0
-            bodies[agent, VY] = 0.0
+    n_bodies, n_agents = bodies.shape[0], held.shape[0]
+    if n_bodies == _USUAL_BODIES and n_agents == _USUAL_AGENTS:
+        # the same, with loops whose length the compiler knows
+        _advance_all(
+            bodies,
+            held,
+            weld,
+            actions,
+            _USUAL_BODIES,
+            _USUAL_AGENTS,
+            params,
+            scratch,
+            with_mean,
+        )
+        return
+    _advance_all(bodies, held, weld, actions, n_bodies, n_agents, params, scratch, with_mean)
 
 
 @inlined_kernel
@@ -291,21 +341,20 @@ def step(
     bodies: FloatArray,
     held: IntArray,
     weld: FloatArray,
-    action_red: int,
-    action_green: int,
+    actions: IntArray,
     params: Params,
     scratch: Scratch,
 ) -> None:
     """Advance the world by one planner step, in place.
 
     Args:
-        bodies: (4, 9) as in :mod:`phase_ppl.physics.flat`.
-        held: (2,) item of each agent or ``NOTHING``.
-        weld: (2, 3) item's place in the agent's frame about its centre of mass, relative angle.
-        action_red, action_green: values of ``Action`` or ``NO_ACTION``.
+        bodies: (body, 9) as in :mod:`phase_ppl.physics.flat`.
+        held: (agent,) item of each agent or ``NOTHING``.
+        weld: (agent, 3) item's place in the agent's frame about its centre of mass, relative angle.
+        actions: (agent,) values of ``Action`` or ``NO_ACTION``.
         params, scratch: from ``make_params`` and ``make_scratch``.
     """
-    _advance(bodies, held, weld, action_red, action_green, params, scratch, False)
+    _advance(bodies, held, weld, actions, params, scratch, False)
 
 
 @inlined_kernel
@@ -313,14 +362,13 @@ def step_mean(
     bodies: FloatArray,
     held: IntArray,
     weld: FloatArray,
-    action_red: int,
-    action_green: int,
+    actions: IntArray,
     params: Params,
     scratch: Scratch,
     frame: FloatArray,
 ) -> None:
-    """As ``step``, and write the (4, 3) mean pose of the body origins over the substeps."""
-    _advance(bodies, held, weld, action_red, action_green, params, scratch, True)
-    for body in range(4):
+    """As ``step``, and write the (body, 3) mean pose of the body origins over the substeps."""
+    _advance(bodies, held, weld, actions, params, scratch, True)
+    for body in range(bodies.shape[0]):
         for coord in range(3):
             frame[body, coord] = scratch.frame[body, coord]

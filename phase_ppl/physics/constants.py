@@ -12,6 +12,7 @@ import math
 from typing import Final
 
 from phase_ppl.world.geometry import is_agent
+from phase_ppl.world.names import AGENTS
 
 SUBSTEP: Final = 1.0 / 60.0
 """Length of one substep, the step of the original engine, s."""
@@ -78,16 +79,16 @@ IMAGINATION_ITERATIONS: Final = 10
 """Solver iterations per inner step in the agents' heads."""
 
 
-def mass(entity: int, radius: float) -> float:
+def mass(entity: int, radius: float, n_agents: int = len(AGENTS)) -> float:
     """Return the mass of an entity of size ``radius``, at density 1."""
-    return (AGENT_AREA if is_agent(entity) else math.pi) * radius**2
+    return (AGENT_AREA if is_agent(entity, n_agents) else math.pi) * radius**2
 
 
-def inertia(entity: int, radius: float) -> float:
+def inertia(entity: int, radius: float, n_agents: int = len(AGENTS)) -> float:
     """Return the moment of inertia of an entity about its centre of mass."""
-    if is_agent(entity):
+    if is_agent(entity, n_agents):
         return AGENT_INERTIA * radius**4
-    return 0.5 * mass(entity, radius) * radius**2
+    return 0.5 * mass(entity, radius, n_agents) * radius**2
 
 
 def turn_torque(radius: float) -> float:

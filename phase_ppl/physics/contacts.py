@@ -10,7 +10,7 @@ import math
 from typing import Final
 
 from phase_ppl.physics.constants import AGENT_SKIN, COLLISION_SLOP, WALL_RADIUS
-from phase_ppl.physics.flat import MAX_CONTACTS, Params, Scratch, X, Y
+from phase_ppl.physics.flat import Params, Scratch, X, Y
 from phase_ppl.physics.jit import bare_kernel, inlined_kernel
 from phase_ppl.world.arrays import FloatArray, IntArray
 
@@ -40,7 +40,7 @@ def add_contact(
     scratch: Scratch,
 ) -> int:
     """Add the contact of point 1 of the first with point 2 of the second body; return n + 1."""
-    if n >= MAX_CONTACTS:
+    if n >= scratch.contacts.shape[0]:
         return n
     gap = (x2 - x1) * nx + (y2 - y1) * ny
     lever_1 = (x1 - bodies[first, X]) * ny - (y1 - bodies[first, Y]) * nx
@@ -132,7 +132,8 @@ def support_edge(agent: int, nx: float, ny: float, scratch: Scratch) -> Edge:
 @inlined_kernel
 def place_outlines(bodies: FloatArray, params: Params, scratch: Scratch) -> None:
     """Bring corners, faces and bounding boxes up to date."""
-    for agent in range(2):
+    n_agents = params.force.shape[0]
+    for agent in range(n_agents):
         x, y = bodies[agent, X], bodies[agent, Y]
         c, s = scratch.rotation[agent, 0], scratch.rotation[agent, 1]
         low_x, high_x, low_y, high_y = FAR, -FAR, FAR, -FAR
@@ -150,7 +151,7 @@ def place_outlines(bodies: FloatArray, params: Params, scratch: Scratch) -> None
         box = scratch.boxes[agent]
         box[0], box[1] = low_x - AGENT_SKIN, high_x + AGENT_SKIN
         box[2], box[3] = low_y - AGENT_SKIN, high_y + AGENT_SKIN
-    for item in range(2, 4):
+    for item in range(n_agents, bodies.shape[0]):
         x, y, r = bodies[item, X], bodies[item, Y], params.radius[item]
         box = scratch.boxes[item]
         box[0], box[1], box[2], box[3] = x - r, x + r, y - r, y + r
@@ -177,14 +178,15 @@ def _border(bodies: FloatArray, n: int, body: int, params: Params, scratch: Scra
             continue
         upright = side < 2  # the left and right borders
         nx, ny = (outward, 0.0) if upright else (0.0, outward)
-        if body < 2:
+        is_agent = body < params.force.shape[0]
+        if is_agent:
             ax, ay, bx, by = support_edge(body, nx, ny, scratch)
             thickness = AGENT_SKIN
         else:
             ax, ay = bodies[body, X], bodies[body, Y]
             bx, by = ax, ay
             thickness = params.radius[body]
-        for end in range(2 if body < 2 else 1):
+        for end in range(2 if is_agent else 1):
             x, y = (ax, ay) if end == 0 else (bx, by)
             x += nx * thickness
             y += ny * thickness
@@ -251,20 +253,22 @@ def _item_wall(
 
 
 @inlined_kernel
-def _items(bodies: FloatArray, n: int, params: Params, scratch: Scratch) -> int:
-    dx, dy = bodies[3, X] - bodies[2, X], bodies[3, Y] - bodies[2, Y]
-    r2, r3 = params.radius[2], params.radius[3]
+def _items(
+    bodies: FloatArray, n: int, one: int, other: int, params: Params, scratch: Scratch
+) -> int:
+    dx, dy = bodies[other, X] - bodies[one, X], bodies[other, Y] - bodies[one, Y]
+    r1, r2 = params.radius[one], params.radius[other]
     squared = dx * dx + dy * dy
-    if squared >= (r2 + r3) ** 2:
+    if squared >= (r1 + r2) ** 2:
         return n
     nx, ny = 1.0, 0.0  # as good as any other for items on the same spot
     if squared > 0.0:
         distance = math.sqrt(squared)
         nx, ny = dx / distance, dy / distance
     return add_contact(
-        bodies, n, 2, 3, nx, ny,
-        bodies[2, X] + nx * r2, bodies[2, Y] + ny * r2,
-        bodies[3, X] - nx * r3, bodies[3, Y] - ny * r3, params, scratch,
+        bodies, n, one, other, nx, ny,
+        bodies[one, X] + nx * r1, bodies[one, Y] + ny * r1,
+        bodies[other, X] - nx * r2, bodies[other, Y] - ny * r2, params, scratch,
     )  # fmt: skip
 
 
@@ -304,11 +308,14 @@ def _agent_item(
 
 
 @inlined_kernel
-def _agents(bodies: FloatArray, n: int, params: Params, scratch: Scratch) -> int:
+def _agents(
+    bodies: FloatArray, n: int, one: int, other: int, params: Params, scratch: Scratch
+) -> int:
     gap, nx, ny = -FAR, 0.0, 0.0
-    for owner in range(2):
+    for side in range(2):
+        owner = one if side == 0 else other
         corners, faces = scratch.corners[owner], scratch.faces[owner]
-        others = scratch.corners[1 - owner]
+        others = scratch.corners[other if side == 0 else one]
         for k in range(4):
             fx, fy = faces[k, 0], faces[k, 1]
             nearest = FAR
@@ -316,13 +323,13 @@ def _agents(bodies: FloatArray, n: int, params: Params, scratch: Scratch) -> int
                 nearest = min(nearest, fx * others[v, 0] + fy * others[v, 1])
             d = nearest - fx * corners[k, 0] - fy * corners[k, 1]
             if d > gap + _TIE:
-                sign = 1.0 if owner == 0 else -1.0
+                sign = 1.0 if side == 0 else -1.0
                 gap, nx, ny = d, sign * fx, sign * fy
         if gap > 2.0 * AGENT_SKIN:
             return n
-    edge_0 = support_edge(0, nx, ny, scratch)
-    edge_1 = support_edge(1, -nx, -ny, scratch)
-    return clip(bodies, n, 0, 1, nx, ny, edge_0, edge_1, AGENT_SKIN, params, scratch)
+    edge_0 = support_edge(one, nx, ny, scratch)
+    edge_1 = support_edge(other, -nx, -ny, scratch)
+    return clip(bodies, n, one, other, nx, ny, edge_0, edge_1, AGENT_SKIN, params, scratch)
 
 
 @bare_kernel
@@ -334,8 +341,9 @@ def find_contacts(bodies: FloatArray, held: IntArray, params: Params, scratch: S
     place_outlines(bodies, params, scratch)
     boxes = scratch.boxes
     border = params.border
+    n_bodies, n_agents = bodies.shape[0], held.shape[0]
     n = 0
-    for body in range(4):
+    for body in range(n_bodies):
         box = boxes[body]
         if (
             (box[0] < border[0])
@@ -346,15 +354,19 @@ def find_contacts(bodies: FloatArray, held: IntArray, params: Params, scratch: S
             n = _border(bodies, n, body, params, scratch)
         for w in range(params.walls.shape[0]):
             if _boxes_meet(box, params.wall_boxes[w]):
-                if body < 2:
+                if body < n_agents:
                     n = _agent_wall(bodies, n, body, params.walls[w], params, scratch)
                 else:
                     n = _item_wall(bodies, n, body, params.walls[w], params, scratch)
-    n = _items(bodies, n, params, scratch)
-    for agent in range(2):
-        for item in range(2, 4):
+    for item in range(n_agents, n_bodies):
+        for other in range(item + 1, n_bodies):
+            n = _items(bodies, n, item, other, params, scratch)
+    for agent in range(n_agents):
+        for item in range(n_agents, n_bodies):
             if held[agent] != item and _boxes_meet(boxes[agent], boxes[item]):
                 n = _agent_item(bodies, n, agent, item, params, scratch)
-    if _boxes_meet(boxes[0], boxes[1]):
-        n = _agents(bodies, n, params, scratch)
+    for agent in range(n_agents):
+        for other in range(agent + 1, n_agents):
+            if _boxes_meet(boxes[agent], boxes[other]):
+                n = _agents(bodies, n, agent, other, params, scratch)
     return n

@@ -1,12 +1,14 @@
 """The compiled model's world as flat arrays: parameters, scratch space and states.
 
-Bodies are a (4, 9) array, columns ``X`` to ``BIAS_SPIN`` below, with the CENTRE OF MASS as the
-position. That is not the body origin of an agent, which is what trajectories contain.
+Bodies are a (body, 9) array, agents first, columns ``X`` to ``BIAS_SPIN`` below, with the CENTRE
+OF MASS as the position. That is not the body origin of an agent, which is what trajectories
+contain.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -30,25 +32,25 @@ BIAS_SPIN: Final = 8
 """Columns of ``bodies``. Bias velocities push overlapping bodies apart, once, at the beginning of
 the next inner step, so that pushing apart adds no momentum."""
 
-MAX_CONTACTS: Final = 64
+CONTACTS_PER_BODY: Final = 16
 """Room for contacts in one inner step; more would need bodies in impossible places."""
 
-_N, _N_AGENTS, _N_CORNERS = len(ENTITIES), len(AGENTS), len(UNIT_TRAPEZOID)
+_N_CORNERS = len(UNIT_TRAPEZOID)
 
 
 class Params(NamedTuple):
     """What stays the same during a simulation.
 
     Attributes:
-        radius: (4,) sizes R.
-        cog: (4,) local y of the centre of mass: -R/6 for agents, 0 for items.
-        extent: (4,) radius of the circle about the centre of mass that holds the body.
-        inverse_mass, inverse_inertia: (4,).
-        origin_mass: (4, 2) effective mass of the body origin in local x and y.
-        force, force_point, torque: (2,) of the agents; the point is local y.
-        vertices: (2, 4, 2) corners of the agents about their centre of mass,
-            counter-clockwise; normals: (2, 4, 2) outward normal of the face that ENDS at the
-            corner of the same index.
+        radius: (body,) sizes R.
+        cog: (body,) local y of the centre of mass: -R/6 for agents, 0 for items.
+        extent: (body,) radius of the circle about the centre of mass that holds the body.
+        inverse_mass, inverse_inertia: (body,).
+        origin_mass: (body, 2) effective mass of the body origin in local x and y.
+        force, force_point, torque: (agent,); the point is local y.
+        vertices: (agent, 4, 2) corners of the agents about their centre of mass,
+            counter-clockwise; normals: (agent, 4, 2) outward normal of the face that ENDS at
+            the corner of the same index.
         border: (4,) least and greatest x, least and greatest y at which bodies fit.
         walls: (n, 6) inner walls: end points x1, y1, x2, y2 and a unit normal.
         wall_boxes: (n, 4) least and greatest x, least and greatest y of the thick walls.
@@ -90,17 +92,17 @@ class Scratch(NamedTuple):
     """Work space of one thread; nothing in it outlives a planner step.
 
     Attributes:
-        rotation: (4, 2) cosine and sine of the angle; 1, 0 for items, whose angle is not needed.
-        boxes: (4, 4) least and greatest x, least and greatest y of the bodies.
-        corners, faces: (2, 4, 2) the agents' vertices and normals in the world.
-        kick: (2, 3) change of velocity and spin by the agents' own force in one substep.
+        rotation: (body, 2) cosine and sine of the angle; 1, 0 for items, whose angle is not needed.
+        boxes: (body, 4) least and greatest x, least and greatest y of the bodies.
+        corners, faces: (agent, 4, 2) the agents' vertices and normals in the world.
+        kick: (agent, 3) change of velocity and spin by the agents' own force in one substep.
         contact_bodies: (contacts, 2) the two bodies, -1 for a wall.
         contacts: (contacts, 8): normal from the first to the second, lever arms, effective mass,
             overlap, bias impulse, impulse.
-        touched: (4,) bodies that the solver must treat together.
-        rub: (4, 2) floor friction's impulse in the body frame.
-        welds: (2, 11) as ``welds.prepare_weld`` says.
-        frame: (4, 3) mean pose over the substeps so far.
+        touched: (body,) bodies that the solver must treat together.
+        rub: (body, 2) floor friction's impulse in the body frame.
+        welds: (agent, 11) as ``welds.prepare_weld`` says.
+        frame: (body, 3) mean pose over the substeps so far.
     """
 
     rotation: FloatArray
@@ -116,22 +118,23 @@ class Scratch(NamedTuple):
     frame: FloatArray
 
 
-def make_scratch() -> Scratch:
-    """Return fresh work space."""
-    rotation = np.zeros((_N, 2))
+def make_scratch(n_bodies: int = len(ENTITIES), n_agents: int = len(AGENTS)) -> Scratch:
+    """Return fresh work space for so many bodies, of which so many are agents."""
+    rotation = np.zeros((n_bodies, 2))
+    n_contacts = CONTACTS_PER_BODY * n_bodies
     rotation[:, 0] = 1.0
     return Scratch(
         rotation=rotation,
-        boxes=np.zeros((_N, 4)),
-        corners=np.zeros((_N_AGENTS, _N_CORNERS, 2)),
-        faces=np.zeros((_N_AGENTS, _N_CORNERS, 2)),
-        kick=np.zeros((_N_AGENTS, 3)),
-        contact_bodies=np.zeros((MAX_CONTACTS, 2), np.int64),
-        contacts=np.zeros((MAX_CONTACTS, 8)),
-        touched=np.zeros(_N, np.bool_),
-        rub=np.zeros((_N, 2)),
-        welds=np.zeros((_N_AGENTS, 11)),
-        frame=np.zeros((_N, 3)),
+        boxes=np.zeros((n_bodies, 4)),
+        corners=np.zeros((n_agents, _N_CORNERS, 2)),
+        faces=np.zeros((n_agents, _N_CORNERS, 2)),
+        kick=np.zeros((n_agents, 3)),
+        contact_bodies=np.zeros((n_contacts, 2), np.int64),
+        contacts=np.zeros((n_contacts, 8)),
+        touched=np.zeros(n_bodies, np.bool_),
+        rub=np.zeros((n_bodies, 2)),
+        welds=np.zeros((n_agents, 11)),
+        frame=np.zeros((n_bodies, 3)),
     )
 
 
@@ -168,26 +171,28 @@ def _walls(scene: Scene) -> tuple[FloatArray, FloatArray]:
 
 def make_params(
     scene: Scene,
-    strengths: tuple[float, float],
+    strengths: Sequence[float],
     inner_steps: int = constants.IMAGINATION_INNER_STEPS,
     iterations: int = constants.IMAGINATION_ITERATIONS,
     swivel: bool = False,
 ) -> Params:
-    """Return the parameters of the compiled model for one scene and two strengths.
+    """Return the parameters of the compiled model for one scene and its agents' strengths.
 
     Args:
         scene: sizes, walls and arena.
-        strengths: maximum forces of red and green, newtons.
+        strengths: maximum force of each agent, newtons.
         inner_steps: parts into which the movement of a substep is divided, at least; from
             ``WORLD_INNER_STEPS`` on exactly.
         iterations: of the solver, per inner step.
         swivel: see ``Params``.
     """
-    radius = scene.radius
-    sizes = radius[:_N_AGENTS]
-    cog = np.append(CENTRE_OF_MASS_Y * sizes, np.zeros(_N - _N_AGENTS))
-    inverse_mass = np.array([1.0 / constants.mass(i, r) for i, r in enumerate(radius)])
-    inverse_inertia = np.array([1.0 / constants.inertia(i, r) for i, r in enumerate(radius)])
+    radius, n_agents = scene.radius, len(scene.world.agents)
+    sizes = radius[:n_agents]
+    cog = np.append(CENTRE_OF_MASS_Y * sizes, np.zeros(len(radius) - n_agents))
+    inverse_mass = np.array([1.0 / constants.mass(i, r, n_agents) for i, r in enumerate(radius)])
+    inverse_inertia = np.array(
+        [1.0 / constants.inertia(i, r, n_agents) for i, r in enumerate(radius)]
+    )
     walls, wall_boxes = _walls(scene)
     x0, x1, y0, y1 = scene.arena
     inset = constants.WALL_RADIUS
@@ -196,7 +201,7 @@ def make_params(
     return Params(
         radius=np.array(radius),
         cog=cog,
-        extent=np.append(_UNIT_EXTENT * sizes + constants.AGENT_SKIN, radius[_N_AGENTS:]),
+        extent=np.append(_UNIT_EXTENT * sizes + constants.AGENT_SKIN, radius[n_agents:]),
         inverse_mass=inverse_mass,
         inverse_inertia=inverse_inertia,
         origin_mass=1.0 / np.column_stack([inverse_mass + inverse_inertia * cog**2, inverse_mass]),
@@ -204,7 +209,7 @@ def make_params(
         force_point=sizes * (0.0 if swivel else constants.FORCE_POINT_Y),
         torque=np.array([constants.turn_torque(size) for size in sizes]),
         vertices=sizes[:, None, None] * _UNIT_CORNERS,
-        normals=np.repeat(_UNIT_NORMALS[None], _N_AGENTS, axis=0),
+        normals=np.repeat(_UNIT_NORMALS[None], n_agents, axis=0),
         border=np.array([x0 + inset, x1 - inset, y0 + inset, y1 - inset]),
         walls=walls,
         wall_boxes=wall_boxes,
@@ -224,11 +229,11 @@ def from_state(state: State, radius: FloatArray) -> tuple[FloatArray, IntArray, 
 
     Args:
         state: any state of the world.
-        radius: (4,) sizes R.
+        radius: (body,) sizes R.
     """
-    bodies = np.zeros((_N, BIAS_SPIN + 1))
+    bodies = np.zeros((len(state.pose), BIAS_SPIN + 1))
     bodies[:, : ANGLE + 1] = state.pose
-    for agent in range(_N_AGENTS):
+    for agent in range(len(state.held)):
         offset = CENTRE_OF_MASS_Y * radius[agent]
         angle = float(state.pose[agent, 2])
         bodies[agent, X] -= math.sin(angle) * offset
@@ -241,7 +246,7 @@ def from_state(state: State, radius: FloatArray) -> tuple[FloatArray, IntArray, 
 def to_state(bodies: FloatArray, held: IntArray, weld: FloatArray, radius: FloatArray) -> State:
     """Return the state in the arrays; pending bias velocities are left out."""
     pose = bodies[:, : ANGLE + 1].copy()
-    for agent in range(_N_AGENTS):
+    for agent in range(len(held)):
         offset = CENTRE_OF_MASS_Y * radius[agent]
         angle = float(pose[agent, 2])
         pose[agent, 0] += math.sin(angle) * offset

@@ -1,7 +1,8 @@
 """Inverse dynamics: how well each joint action explains the next observed frame.
 
-From one estimate of the full state every pair of actions is carried out for one planner step; the
-density of the observed frame around each of the resulting frames says which actions were taken.
+Of two agents and two items. From one estimate of the full state every pair of actions is carried
+out for one planner step; the density of the observed frame around each of the resulting frames says
+which actions were taken.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ class Trial(NamedTuple):
         bodies: (4, 9); held: (2,); weld: (2, 3): as in :mod:`phase_ppl.physics.compiled`.
         frame: (4, 3) mean pose of the last step tried.
         parts: (N_ACTIONS,) work space.
+        actions: (2,) the joint action tried.
     """
 
     bodies: FloatArray
@@ -38,6 +40,7 @@ class Trial(NamedTuple):
     weld: FloatArray
     frame: FloatArray
     parts: FloatArray
+    actions: IntArray
 
 
 def make_trial() -> Trial:
@@ -48,6 +51,7 @@ def make_trial() -> Trial:
         np.zeros((2, 3)),
         np.zeros((4, 3)),
         np.zeros(N_ACTIONS),
+        np.zeros(2, np.int64),
     )
 
 
@@ -75,12 +79,12 @@ def attempt(
 ) -> None:
     """Carry out one joint action from a state; the state and frame that follow are in ``trial``."""
     _copy(bodies, held, weld, trial)
+    trial.actions[0], trial.actions[1] = action_red, action_green
     compiled.step_mean(
         trial.bodies,
         trial.held,
         trial.weld,
-        action_red,
-        action_green,
+        trial.actions,
         params,
         scratch,
         trial.frame,
@@ -114,9 +118,12 @@ def _entity_log_density(
 
 
 @bare_kernel
-def _is_apart(bodies: FloatArray, held: IntArray, params: Params, scratch: Scratch) -> bool:
+def _is_apart(
+    bodies: FloatArray, held: IntArray, params: Params, scratch: Scratch, trial: Trial
+) -> bool:
     """Whether the agents cannot meet anything, nor grab, whatever they do."""
-    if not compiled.stay_apart(bodies, held, _UP, _UP, params, scratch):
+    trial.actions[0], trial.actions[1] = _UP, _UP
+    if not compiled.stay_apart(bodies, held, trial.actions, 4, 2, params, scratch):
         return False
     for agent in range(2):
         item, _ = compiled.find_grab(bodies, held, agent, params)
@@ -158,7 +165,7 @@ def try_all(
     for b in range(bodies.shape[0]):
         params.force[0], params.force[1] = strengths[b, 0], strengths[b, 1]
         state, holds, welds = bodies[b], held[b], weld[b]
-        if _is_apart(state, holds, params, scratch):
+        if _is_apart(state, holds, params, scratch, trial):
             for action in range(N_ACTIONS):
                 attempt(state, holds, welds, action, action, params, scratch, trial)
                 for agent in range(2):

@@ -1,7 +1,7 @@
 """The world: the reference implementation of the dynamics, on pymunk (Chipmunk).
 
-It reproduces the original generator's Box2D world: a square room seen from above, two trapezoid
-agents, two discs, floor friction, rigid grabs. One substep of 1/60 s is, as there,
+It reproduces the original generator's Box2D world: an arena seen from above, trapezoid
+agents, discs, floor friction, rigid grabs. One substep of 1/60 s is, as there,
 
 1. find the contacts;
 2. accelerate: the agents' own forces, and the floor's friction, at most 100 N on every body;
@@ -41,7 +41,7 @@ from phase_ppl.world.geometry import (
     is_agent,
     rotation,
 )
-from phase_ppl.world.names import AGENTS, ENTITIES, ITEMS, NOTHING
+from phase_ppl.world.names import NOTHING
 from phase_ppl.world.observation import State
 from phase_ppl.world.scene import Scene
 
@@ -52,12 +52,10 @@ then hold it outside; out of a thick one a body is always pushed back in."""
 _NUDGE: Final = 1e-6
 """How far a body that starts on an agent's origin is moved off it, units."""
 
-_N_AGENTS: Final = len(AGENTS)
-
 
 def mean_pose(poses: Sequence[FloatArray]) -> FloatArray:
-    """Return the frame of a planner step, given the (4, 3) poses after its substeps."""
-    frame = np.zeros((len(ENTITIES), 3))
+    """Return the frame of a planner step, given the (body, 3) poses after its substeps."""
+    frame = np.zeros(poses[0].shape)
     for pose in poses:
         frame += pose
     return frame / len(poses)
@@ -75,7 +73,7 @@ class PymunkWorld:
 
     Args:
         scene: sizes, walls, arena, start poses, and whether agents stop after each step.
-        strengths: maximum forces of red and green, newtons.
+        strengths: maximum force of each agent, newtons.
         inner_steps: parts into which the movement of a substep is divided.
         initial: state to start from; None for the scene's start, from which the world makes one
             empty substep first, as the original does (it separates overlapping bodies).
@@ -85,7 +83,7 @@ class PymunkWorld:
     def __init__(
         self,
         scene: Scene,
-        strengths: tuple[float, float],
+        strengths: Sequence[float],
         inner_steps: int = constants.WORLD_INNER_STEPS,
         initial: State | None = None,
         iterations: int = constants.WORLD_ITERATIONS,
@@ -93,8 +91,10 @@ class PymunkWorld:
         self._strengths = strengths
         self._resets_velocity = scene.resets_velocity
         self._radius = [float(r) for r in scene.radius]
+        self._n_agents = len(scene.world.agents)
         self._cog_y = [
-            CENTRE_OF_MASS_Y * r if is_agent(i) else 0.0 for i, r in enumerate(self._radius)
+            CENTRE_OF_MASS_Y * r if is_agent(i, self._n_agents) else 0.0
+            for i, r in enumerate(self._radius)
         ]
         self._inner_steps = inner_steps
         self._dt = constants.SUBSTEP / inner_steps
@@ -105,16 +105,16 @@ class PymunkWorld:
         self._add_walls(scene)
         state = State.at_start(scene) if initial is None else initial
         self._floor: list[pymunk.PivotJoint] = []
-        self._bodies = [self._add_body(entity, state) for entity in range(len(ENTITIES))]
-        self._held = [NOTHING] * _N_AGENTS
-        self._weld = np.zeros((_N_AGENTS, 3))
-        self._joints: list[tuple[pymunk.Constraint, ...]] = [()] * _N_AGENTS
-        for agent in range(_N_AGENTS):
+        self._bodies = [self._add_body(entity, state) for entity in range(len(self._radius))]
+        self._held = [NOTHING] * self._n_agents
+        self._weld = np.zeros((self._n_agents, 3))
+        self._joints: list[tuple[pymunk.Constraint, ...]] = [()] * self._n_agents
+        for agent in range(self._n_agents):
             if state.held[agent] != NOTHING:
                 self._join(agent, int(state.held[agent]), state.weld[agent])
         if initial is None:
             self._break_ties()
-            self._substep((Action.NO_FORCE, Action.NO_FORCE))
+            self._substep((Action.NO_FORCE,) * self._n_agents)
 
     def _add_walls(self, scene: Scene) -> None:
         x0, x1, y0, y1 = scene.arena
@@ -132,10 +132,10 @@ class PymunkWorld:
             self._space.add(wall)
 
     def _add_body(self, entity: int, state: State) -> pymunk.Body:
-        radius, cog_y = self._radius[entity], self._cog_y[entity]
-        body = pymunk.Body(constants.mass(entity, radius), constants.inertia(entity, radius))
+        radius, cog_y, n = self._radius[entity], self._cog_y[entity], self._n_agents
+        body = pymunk.Body(constants.mass(entity, radius, n), constants.inertia(entity, radius, n))
         shape: pymunk.Shape
-        if is_agent(entity):
+        if is_agent(entity, n):
             outline = radius * UNIT_TRAPEZOID - np.array([0.0, cog_y])
             shape = pymunk.Poly(body, outline.tolist(), radius=constants.AGENT_SKIN)
         else:
@@ -173,12 +173,12 @@ class PymunkWorld:
         Chipmunk's memory of contacts stays as it is, so that bodies in contact go on a little
         otherwise than in a new world.
         """
-        for agent in range(_N_AGENTS):
+        for agent in range(self._n_agents):
             if self._held[agent] != NOTHING:
                 self._detach(agent)
         for entity, body in enumerate(self._bodies):
             self._place(body, entity, state)
-        for agent in range(_N_AGENTS):
+        for agent in range(self._n_agents):
             if state.held[agent] != NOTHING:
                 self._join(agent, int(state.held[agent]), state.weld[agent].copy())
 
@@ -188,11 +188,13 @@ class PymunkWorld:
         Chipmunk would not see two agents on the same spot, and let rounding decide on which side
         an item leaves. In the original, items leave to the right and agents to the rear.
         """
-        for agent in range(_N_AGENTS):
-            for other in range(agent + 1, len(ENTITIES)):
+        for agent in range(self._n_agents):
+            for other in range(agent + 1, len(self._bodies)):
                 offset = self._poses()[other, :2] - self._poses()[agent, :2]
                 if np.abs(offset).max() < _NUDGE:
-                    direction = np.array([0.0, -1.0] if is_agent(other) else [1.0, 0.0])
+                    direction = np.array(
+                        [0.0, -1.0] if is_agent(other, self._n_agents) else [1.0, 0.0]
+                    )
                     nudge = _NUDGE * rotation(self._bodies[agent].angle) @ direction
                     self._bodies[other].position += tuple(nudge)
 
@@ -215,8 +217,8 @@ class PymunkWorld:
         return x + vx * dt, y + vy * dt, body.angle + body.angular_velocity * dt
 
     def _poses(self) -> FloatArray:
-        """Return the (4, 3) poses of the body origins, the due move included."""
-        poses = np.empty((len(ENTITIES), 3))
+        """Return the (body, 3) poses of the body origins, the due move included."""
+        poses = np.empty((len(self._bodies), 3))
         for entity, cog_y in enumerate(self._cog_y):
             x, y, angle = self._pose(entity)
             poses[entity] = x + math.sin(angle) * cog_y, y - math.cos(angle) * cog_y, angle
@@ -228,38 +230,38 @@ class PymunkWorld:
         other_x, other_y, _ = self._pose(entity)
         return np.array([other_x - x, other_y - y]) @ rotation(angle)
 
-    def step(self, actions: tuple[int, int]) -> FloatArray:
+    def step(self, actions: Sequence[int]) -> FloatArray:
         """Advance by one planner step and return its frame.
 
         Args:
-            actions: of red and green, values of ``Action`` or ``NO_ACTION``.
+            actions: of each agent, values of ``Action`` or ``NO_ACTION``.
 
         Returns:
-            (4, 3) mean pose over the five substeps; angles are not wrapped.
+            (body, 3) mean pose over the five substeps; angles are not wrapped.
         """
         return mean_pose(list(self.substeps(actions)))
 
-    def substeps(self, actions: tuple[int, int]) -> Iterator[FloatArray]:
-        """Do one planner step; yield the (4, 3) poses after each of its five substeps.
+    def substeps(self, actions: Sequence[int]) -> Iterator[FloatArray]:
+        """Do one planner step; yield the (body, 3) poses after each of its five substeps.
 
         The step is done when the iterator is exhausted. :func:`mean_pose` makes its frame.
 
         Args:
-            actions: of red and green, values of ``Action`` or ``NO_ACTION``.
+            actions: of each agent, values of ``Action`` or ``NO_ACTION``.
         """
         for _ in self._substeps(actions):
             yield self._poses()
 
-    def advance(self, actions: tuple[int, int]) -> None:
+    def advance(self, actions: Sequence[int]) -> None:
         """Advance by one planner step, as :meth:`step`, without the work of a frame.
 
         Args:
-            actions: of red and green, values of ``Action`` or ``NO_ACTION``.
+            actions: of each agent, values of ``Action`` or ``NO_ACTION``.
         """
         for _ in self._substeps(actions):
             pass
 
-    def _substeps(self, actions: tuple[int, int]) -> Iterator[None]:
+    def _substeps(self, actions: Sequence[int]) -> Iterator[None]:
         """Do one planner step; yield after each substep."""
         for agent, action in enumerate(actions):
             if action == Action.ATTACH:
@@ -269,13 +271,13 @@ class PymunkWorld:
         for _ in range(constants.SUBSTEPS):
             self._substep(actions)
             yield
-        for body in self._bodies[:_N_AGENTS]:
+        for body in self._bodies[: self._n_agents]:
             body.angle += body.angular_velocity * self._dt
             body.angular_velocity = 0.0
             if self._resets_velocity:
                 self._halt(body)
 
-    def _substep(self, actions: tuple[int, int]) -> None:
+    def _substep(self, actions: Sequence[int]) -> None:
         n = self._inner_steps
         for part in range(n):
             if part == 0:
@@ -286,7 +288,8 @@ class PymunkWorld:
                 for floor in self._floor:
                     floor.max_force = force
             self._space.step(self._dt)
-        shared = self._held[0] == self._held[1]
+        items = [item for item in self._held if item != NOTHING]
+        shared = len(set(items)) < len(items)
         for _ in range(constants.SHARED_WELD_SWEEPS if shared else 1):
             for agent, item in enumerate(self._held):
                 if item != NOTHING:
@@ -314,7 +317,7 @@ class PymunkWorld:
 
     def remove(self, entity: int) -> None:
         """Take a body out of the arena, to ``AWAY``, and out of the hands that hold it."""
-        for agent in range(_N_AGENTS):
+        for agent in range(self._n_agents):
             if self._held[agent] != NOTHING and entity in (agent, self._held[agent]):
                 self._detach(agent)
         body = self._bodies[entity]
@@ -324,8 +327,8 @@ class PymunkWorld:
         """Change the velocities of all bodies at once; poses stay.
 
         Args:
-            factors: (4,) by which each body becomes faster.
-            angles: (4,) by which its direction of motion turns to the left, rad.
+            factors: (body,) by which each body becomes faster.
+            angles: (body,) by which its direction of motion turns to the left, rad.
         """
         for body, factor, angle in zip(self._bodies, factors, angles, strict=True):
             before = np.array(body.velocity)
@@ -346,7 +349,7 @@ class PymunkWorld:
         if self._held[agent] != NOTHING:
             return best_item, best_point
         points = self._radius[agent] * GRAB_POINTS - [0.0, self._cog_y[agent]]
-        for item in range(_N_AGENTS, _N_AGENTS + len(ITEMS)):
+        for item in range(self._n_agents, len(self._bodies)):
             distances = np.linalg.norm(points - self._in_frame(agent, item), axis=1)
             point = int(np.argmin(distances))
             distance = float(distances[point])

@@ -140,7 +140,7 @@ def solve(
         with_friction: whether the floor brakes in this inner step.
         params, scratch: of the model.
     """
-    for agent in range(2):
+    for agent in range(held.shape[0]):
         if held[agent] >= 0:
             row = scratch.welds[agent]
             prepare_weld(bodies, agent, held[agent], weld, params, scratch, row)
@@ -151,10 +151,10 @@ def solve(
     for _ in range(params.iterations):
         change = _press(bodies, n_contacts, params, scratch)
         if with_friction:
-            for body in range(4):
+            for body in range(bodies.shape[0]):
                 if scratch.touched[body]:
                     change += rub(bodies, body, params, scratch)
-        for agent in range(2):
+        for agent in range(held.shape[0]):
             if held[agent] >= 0:
                 change += pull(bodies, agent, held[agent], params, scratch.welds[agent])
         if change < SETTLED:

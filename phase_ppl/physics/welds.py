@@ -55,7 +55,7 @@ def find_grab(bodies: FloatArray, held: IntArray, agent: int, params: Params) ->
     best_item, best_point, best = NOTHING, -1, math.inf
     if held[agent] >= 0:
         return best_item, best_point
-    for item in range(2, 4):
+    for item in range(held.shape[0], bodies.shape[0]):
         point, distance = nearest_grab_point(bodies, agent, item, params)
         if distance < params.radius[item] + GRAB_REACH and distance < best:
             best_item, best_point, best = item, point, distance

@@ -1,4 +1,4 @@
-"""Why simulated agents do what they do: in sentences, and as a film of both minds."""
+"""Why simulated agents do what they do: in sentences, and as a film of their minds."""
 
 from __future__ import annotations
 
@@ -10,8 +10,6 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from phase_ppl.render.frames import (
-    ENTITY_COLOURS,
-    PANEL,
     Painter,
     between_frames,
     panel,
@@ -23,11 +21,14 @@ from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import atomic_output
 from phase_ppl.world.goals import goal_literal, is_true
-from phase_ppl.world.names import AGENTS, DOORS, ENTITIES, LANDMARKS, STOP, Literal, Predicate
+from phase_ppl.world.hypothesis import Roles
+from phase_ppl.world.names import DOORS, STOP, Literal, Predicate
 from phase_ppl.world.observation import FRAMES_PER_SECOND as SIMULATED_PER_SECOND
+from phase_ppl.world.scene import PHASE, Scene
 from phase_ppl.world.thoughts import Thoughts
 
 ROOMS: Final = ("top left room", "top right room", "bottom right room", "bottom left room")
+"""In PHASE."""
 
 _BRIEF: Final = 4
 """Steps below which a change of mind is not told."""
@@ -35,6 +36,9 @@ _BRIEF: Final = 4
 _BELOW: Final = 74
 _MARGIN: Final = 14
 _TEXT_SIZE: Final = 15
+_LETTERS: Final = 58 / 480
+"""Of a line, per pixel of its width."""
+
 _DOT: Final = 3.0
 _INK: Final = (34, 34, 34)
 
@@ -77,7 +81,11 @@ def explain(event: Event, path: str | os.PathLike[str] | None = None) -> str:
             f"{len(thoughts.subgoals)} steps, expected one at each frame but the last"
         )
     episodes = sorted(
-        (one for agent in range(len(AGENTS)) for one in _episodes(event, thoughts, agent)),
+        (
+            one
+            for agent in range(len(event.scene.world.agents))
+            for one in _episodes(event, thoughts, agent)
+        ),
         key=lambda one: (one.begin, one.agent),
     )
     if path is not None:
@@ -113,7 +121,8 @@ def _line(event: Event, one: Episode) -> str:
 
 def _sentence(event: Event, thoughts: Thoughts, subgoal: Literal, agent: int, step: int) -> str:
     """Return what an agent does at a step and why."""
-    words = f"the {AGENTS[agent]} {doing(subgoal, agent)}"
+    world = event.scene.world
+    words = f"the {world.agents[agent]} {doing(subgoal, agent, event.scene)}"
     knows, about = _knows(event, thoughts, agent, step), _about(event, agent)
     if subgoal.predicate is Predicate.STOP:
         goal = _goal(event, agent)
@@ -123,21 +132,23 @@ def _sentence(event: Event, thoughts: Thoughts, subgoal: Literal, agent: int, st
     if subgoal.predicate is Predicate.ATTACH or not knows:
         return words
     if knows != "believes":
-        return f"{words}, as it {knows} the {ENTITIES[about]}"
+        return f"{words}, as it {knows} the {world.entities[about]}"
     rooms = event.scene.rooms.room_of(thoughts.particles[step, agent, :, about, :2])
-    shares = np.bincount(rooms, minlength=len(ROOMS)) / len(rooms)
+    shares = np.bincount(rooms) / len(rooms)
     room = int(shares.argmax())
     there = subgoal[:3] == (Predicate.CLOSE, agent, room)
-    where = "there" if there else f"in the {ROOMS[room]}"
+    where = "there" if there else f"in the {room_name(event.scene, room)}"
     return (
-        f"{words}, as it does not see the {ENTITIES[about]} and believes it {where} "
+        f"{words}, as it does not see the {world.entities[about]} and believes it {where} "
         f"({shares[room]:.0%})"
     )
 
 
 def _goal(event: Event, agent: int) -> Literal:
-    assert event.truth is not None
-    return goal_literal((event.truth.goal_red, event.truth.goal_green)[agent], agent)
+    truth, world = event.truth, event.scene.world
+    if isinstance(truth, Roles):
+        return goal_literal(truth.effective_goals[agent], agent, world)
+    return goal_literal((truth.goal_red, truth.goal_green)[agent], agent)
 
 
 def _about(event: Event, agent: int) -> int:
@@ -156,23 +167,49 @@ def _knows(event: Event, thoughts: Thoughts, agent: int, step: int) -> str:
     return "sees" if thoughts.seen[step, agent, about] else "believes"
 
 
-def doing(subgoal: Literal, agent: int) -> str:
+def room_name(scene: Scene, room: int) -> str:
+    """Return a room in words, such as "top right room", or "room of the home"."""
+    if scene.world == PHASE:
+        return ROOMS[room]
+    inside = np.flatnonzero(scene.rooms.room_of(scene.landmark_centres) == room)
+    if not len(inside):
+        x, y = scene.rooms.points(0.0)[room]
+        return f"room at ({x:g}, {y:g})"
+    return f"room of the {scene.world.landmark_names[inside[0]]}"
+
+
+def _place(scene: Scene, place: int) -> str:
+    """Return a room or a door in words."""
+    door = place - len(scene.rooms)
+    if door < 0:
+        return room_name(scene, place)
+    if scene.world == PHASE:
+        return DOORS[door]
+    one, other = (room_name(scene, room) for room in scene.rooms.doors[door].rooms)
+    return f"door between the {one} and the {other}"
+
+
+def doing(subgoal: Literal, agent: int, scene: Scene) -> str:
     """Return in words what an agent with a subgoal does, such as "goes to the top right room"."""
+    world = scene.world
     predicate, subject, target, positive = subgoal
     own = subject == agent
     if predicate is Predicate.STOP:
         return "does nothing"
     if predicate is Predicate.ATTACH:
-        return f"{'takes hold of' if positive else 'lets go of'} the {ENTITIES[target]}"
-    if predicate is Predicate.TOUCH:
-        return f"{'goes up to' if positive else 'gets away from'} the {ENTITIES[target]}"
+        return f"{'takes hold of' if positive else 'lets go of'} the {world.entities[target]}"
+    if predicate is Predicate.TOUCH and own:
+        return f"{'goes up to' if positive else 'gets away from'} the {world.entities[target]}"
     if predicate is Predicate.ON:
-        place = f"the {LANDMARKS[target].replace('lm', 'landmark')}"
+        name = world.landmark_names[target]
+        place = f"the {name.replace('lm', 'landmark') if world == PHASE else name}"
+    elif predicate is Predicate.TOUCH:
+        place = f"the {world.entities[target]}"
     else:
-        place = f"the {(ROOMS + DOORS)[target]}"
+        place = f"the {_place(scene, target)}"
     if own:
         return f"{'goes to' if positive else 'leaves'} {place}"
-    return f"{'brings' if positive else 'keeps'} the {ENTITIES[subject]} " + (
+    return f"{'brings' if positive else 'keeps'} the {world.entities[subject]} " + (
         f"to {place}" if positive else f"away from {place}"
     )
 
@@ -181,17 +218,18 @@ def doing(subgoal: Literal, agent: int) -> str:
 
 
 def _film(event: Event, thoughts: Thoughts, path: str | os.PathLike[str]) -> None:
-    painters = [Painter(event.scene, (agent,), pale=0.45) for agent in range(len(AGENTS))]
+    n_agents = len(event.scene.world.agents)
+    painters = [Painter(event.scene, (agent,), pale=0.45) for agent in range(n_agents)]
     poses = between_frames(event.observation.trajectory, FRAMES_PER_STEP)
 
     def draw(index: int) -> Image.Image:
         step = min(index // FRAMES_PER_STEP, len(thoughts.subgoals) - 1)
         panels = [
-            _mind(painter, thoughts, step, agent, poses[index])
+            _mind(event, painter, thoughts, step, agent, poses[index])
             for agent, painter in enumerate(painters)
         ]
         picture = side_by_side(panels, _BELOW)
-        for agent in range(len(AGENTS)):
+        for agent in range(n_agents):
             _write(picture, event, thoughts, step, agent)
         return picture
 
@@ -200,7 +238,7 @@ def _film(event: Event, thoughts: Thoughts, path: str | os.PathLike[str]) -> Non
 
 
 def _mind(
-    painter: Painter, thoughts: Thoughts, step: int, agent: int, poses: FloatArray
+    event: Event, painter: Painter, thoughts: Thoughts, step: int, agent: int, poses: FloatArray
 ) -> Image.Image:
     """Return the world with an agent's field of view, and dots where it believes the unseen."""
     picture = painter.draw(poses)
@@ -210,13 +248,15 @@ def _mind(
             continue
         for x, y in painter.pixel(thoughts.particles[step, agent, :, entity, :2]):
             box = (x - _DOT, y - _DOT, x + _DOT, y + _DOT)
-            draw.ellipse(box, fill=ENTITY_COLOURS[entity], outline=_INK)
+            draw.ellipse(box, fill=event.scene.world.entity_colours[entity], outline=_INK)
     return panel(picture)
 
 
 def _write(picture: Image.Image, event: Event, thoughts: Thoughts, step: int, agent: int) -> None:
     draw, font = ImageDraw.Draw(picture), ImageFont.load_default(_TEXT_SIZE)
     words = _sentence(event, thoughts, thoughts.subgoals[step][agent], agent, step)
-    for row, line in enumerate(textwrap.wrap(f"{words[0].upper()}{words[1:]}.", 58)):
-        at = (agent * PANEL + _MARGIN, PANEL + 4 + row * (_TEXT_SIZE + 6))
+    width = picture.width // len(event.scene.world.agents)
+    letters = round(width * _LETTERS)
+    for row, line in enumerate(textwrap.wrap(f"{words[0].upper()}{words[1:]}.", letters)):
+        at = (agent * width + _MARGIN, picture.height - _BELOW + 4 + row * (_TEXT_SIZE + 6))
         draw.text(at, line, fill=_INK, font=font)

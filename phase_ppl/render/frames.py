@@ -1,7 +1,8 @@
 """One frame in the look of the PHASE animations.
 
-640 x 480 pixels, 20 per unit, white; landmarks are filled squares, walls black lines 5 pixels
-wide, items discs, agents trapezoids with two eyes at the short side, their front. y points up.
+In PHASE 640 x 480 pixels, 20 per unit, white; in other worlds as the arena needs. Landmarks are
+filled squares, walls black lines 5 pixels wide, items discs, agents trapezoids with two eyes at the
+short side, their front. y points up.
 """
 
 from __future__ import annotations
@@ -18,9 +19,8 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.event import Event
 from phase_ppl.world.geometry import UNIT_TRAPEZOID, centre_of_mass, is_agent, rotation
-from phase_ppl.world.names import AGENTS, ENTITIES, ITEMS
 from phase_ppl.world.observation import Observation
-from phase_ppl.world.picture import ENTITY_COLOURS, LANDMARK_COLOURS, TRAIL_COLOURS, Colour
+from phase_ppl.world.picture import Colour, trail_colour
 from phase_ppl.world.scene import Scene, finite_array
 
 _RAYS: Final = 361
@@ -36,19 +36,19 @@ def field_of_view(scene: Scene, poses: FloatArray, agent: int) -> FloatArray:
     Args:
         scene: walls and sizes.
         poses: (entity, coord) with coord = x, y [units], angle [rad].
-        agent: 0 red, 1 green.
+        agent: which one.
     """
     from phase_ppl.agents.vision import HALF_ANGLE  # with numba: only where it is needed
 
     radius = scene.radius
     centres = np.array(
         [
-            centre_of_mass(p[:2], p[2], r, e)
+            centre_of_mass(p[:2], p[2], r, e, len(scene.world.agents))
             for e, (p, r) in enumerate(zip(poses, radius, strict=True))
         ]
     )
     eye = centres[agent]
-    others = [entity for entity in range(len(ENTITIES)) if entity != agent]
+    others = [entity for entity in range(len(poses)) if entity != agent]
     discs, sizes = centres[others] - eye, radius[others]
     walls = scene.walls - eye
 
@@ -60,8 +60,8 @@ def field_of_view(scene: Scene, poses: FloatArray, agent: int) -> FloatArray:
     turns = np.sort(turns[np.abs(turns) <= HALF_ANGLE])
     rays = np.stack([np.cos(ahead + turns), np.sin(ahead + turns)], axis=1)
 
-    x0, x1, _, _ = scene.arena
-    beyond = 4 * (x1 - x0)
+    x0, x1, y0, y1 = scene.arena
+    beyond = 4 * max(x1 - x0, y1 - y0)
     reach = np.minimum(_to_walls(rays, walls), _to_discs(rays, discs, sizes)).clip(max=beyond)
     return np.concatenate([eye[None], eye + reach[:, None] * rays])
 
@@ -106,8 +106,13 @@ Points = list[tuple[float, float]]
 
 WIDTH: Final = 640
 HEIGHT: Final = 480
-ARENA_PIXELS: Final = 400
-"""Side of the arena: 20 pixels per unit in the original world of 20 units."""
+"""Of a picture in PHASE."""
+
+ARENA_PIXELS: Final = (800, 400)
+"""Width and height of the arena at most: 20 pixels per unit in the original world of 20 units."""
+
+MARGINS: Final = (120, 40)
+"""Pixels left and right of the arena, and above and below."""
 
 WALL_PIXELS: Final = 5
 BACKGROUND: Final[Colour] = (255, 255, 255)
@@ -115,7 +120,9 @@ WALL_COLOUR: Final[Colour] = (0, 0, 0)
 EYE_COLOUR: Final[Colour] = (0, 0, 0)
 TRAIL_PIXELS: Final = 3
 
-SIGHT_COLOURS: Final[tuple[Colour, ...]] = ((215, 0, 0), (0, 150, 0))
+SIGHT_COLOURS: Final[dict[Colour, Colour]] = {(255, 0, 0): (215, 0, 0), (0, 255, 0): (0, 150, 0)}
+"""Of agents by their colours; of others, that of their trails."""
+
 SIGHT_OPACITY: Final = 0.16
 SIGHT_EDGE_OPACITY: Final = 0.45
 """The edge of a field of view shows it on a landmark of its colour too."""
@@ -135,8 +142,6 @@ _FAINT: Final = 0.7
 
 _SIGHT_FINE = 4
 """The same for fields of view, which are large."""
-
-_DRAWING_ORDER = tuple(ENTITIES.index(name) for name in (*ITEMS, *AGENTS))
 
 
 class Painter:
@@ -159,12 +164,21 @@ class Painter:
         pale: float = 0.0,
     ) -> None:
         self._scene = scene
-        whose = range(len(AGENTS)) if fields_of_view is True else (fields_of_view or ())
+        n_agents, n = len(scene.world.agents), len(scene.world.entities)
+        whose = range(n_agents) if fields_of_view is True else (fields_of_view or ())
         self._looking: Sequence[int] = whose
+        self._colours = scene.world.entity_colours
+        self._order = (*range(n_agents, n), *range(n_agents))
         self._fine = fine
         self._pale = pale
-        x0, x1, _, _ = scene.arena
-        self._scale = ARENA_PIXELS / (x1 - x0)
+        x0, x1, y0, y1 = scene.arena
+        sides = np.array([x1 - x0, y1 - y0])
+        self._scale = float((ARENA_PIXELS / sides).min())
+        # even, as films want it
+        width, height = 2 * np.ceil(self._scale * sides / 2 - 1e-9).astype(int) + 2 * np.array(
+            MARGINS
+        )
+        self.size = int(width), int(height)
 
     def draw(
         self, poses: ArrayLike, trail: FloatArray | None = None, faint: FloatArray | None = None
@@ -179,20 +193,22 @@ class Painter:
         Raises:
             InvalidEventError: ``poses`` has another shape or is not finite.
         """
-        pose = finite_array("poses", poses, (len(ENTITIES), 3))
+        pose = finite_array("poses", poses, (len(self._colours), 3))
         picture = self._floor.copy()
         for agent in self._looking:
             area = field_of_view(self._scene, pose, agent)
-            self._tint(picture, SIGHT_COLOURS[agent], self.pixel(area))
+            colour = self._colours[agent]
+            self._tint(picture, SIGHT_COLOURS.get(colour, trail_colour(colour)), self.pixel(area))
         if faint is not None:
-            for entity in _DRAWING_ORDER:
+            for entity in self._order:
                 self._draw_entity(picture, entity, faint[entity])
             picture = Image.blend(picture, self._floor, _FAINT)
         if trail is not None and len(trail) > 1:
-            for entity in _DRAWING_ORDER:
+            for entity in self._order:
                 points = self.pixel(trail[:, entity, :2])
-                _paste_line(picture, TRAIL_COLOURS[entity], points, TRAIL_PIXELS, self._fine)
-        for entity in _DRAWING_ORDER:
+                colour = trail_colour(self._colours[entity])
+                _paste_line(picture, colour, points, TRAIL_PIXELS, self._fine)
+        for entity in self._order:
             self._draw_entity(picture, entity, pose[entity])
         picture.paste(WALL_COLOUR, mask=self._walls)
         return picture
@@ -201,16 +217,18 @@ class Painter:
         """Return the pixel coordinates (column, row from the top) of points of shape (..., 2)."""
         offset = (np.asarray(points, float) - self._scene.centre) * self._scale
         # pixel (i, j) covers [i, i + 1) x [j, j + 1): half a pixel on keeps odd lines sharp
-        return np.array([WIDTH / 2, HEIGHT / 2]) + 0.5 + offset * np.array([1.0, -1.0])
+        return np.array(self.size) / 2 + 0.5 + offset * np.array([1.0, -1.0])
 
     @functools.cached_property
     def _floor(self) -> Image.Image:
         """Background and landmarks."""
-        picture = Image.new("RGB", (WIDTH, HEIGHT), BACKGROUND)
-        half = self._scene.landmark_half_width
-        for centre, colour in zip(self._scene.landmark_centres, LANDMARK_COLOURS, strict=True):
+        picture = Image.new("RGB", self.size, BACKGROUND)
+        scene = self._scene
+        for centre, half, one in zip(
+            scene.landmark_centres, scene.half_widths, scene.world.landmarks, strict=True
+        ):
             corners = self.pixel(centre + half * np.array([[-1, -1], [-1, 1], [1, 1], [1, -1]]))
-            _paste_polygon(picture, colour, corners, self._fine)
+            _paste_polygon(picture, one.colour, corners, self._fine)
         if self._pale:
             return Image.blend(picture, Image.new("RGB", picture.size, BACKGROUND), self._pale)
         return picture
@@ -218,7 +236,7 @@ class Painter:
     @functools.cached_property
     def _walls(self) -> Image.Image:
         """Mask of the outer and inner walls."""
-        mask = Image.new("L", (WIDTH, HEIGHT), 0)
+        mask = Image.new("L", self.size, 0)
         half = WALL_PIXELS / 2
         for wall in (*self._scene.border, *self._scene.walls):
             ends = self.pixel(wall)
@@ -251,8 +269,8 @@ class Painter:
         return self.pixel([[x0, y1], [x1, y0]]).astype(np.int64)
 
     def _draw_entity(self, picture: Image.Image, entity: int, pose: FloatArray) -> None:
-        radius, colour = float(self._scene.radius[entity]), ENTITY_COLOURS[entity]
-        if not is_agent(entity):
+        radius, colour = float(self._scene.radius[entity]), self._colours[entity]
+        if not is_agent(entity, len(self._scene.world.agents)):
             _paste_disc(picture, colour, self.pixel(pose[:2]), radius * self._scale, self._fine)
             return
         turn = radius * rotation(pose[2]).T
@@ -263,7 +281,7 @@ class Painter:
 
 
 def draw_frame(scene: Scene, poses: ArrayLike, fields_of_view: bool = False) -> Pixels:
-    """Return one frame as (480, 640, 3) RGB values.
+    """Return one frame as (height, width, 3) RGB values, 480 x 640 in PHASE.
 
     Args:
         scene: arena, walls, landmarks and sizes.
@@ -324,24 +342,27 @@ def _paste(
 
 # --- frames put beside each other, with words -----------------------------------------------------
 
+
 PANEL: Final = HEIGHT
-"""Side of a square panel, pixels: the arena and its margin."""
+"""Side of a panel in PHASE, pixels: the arena and its margin."""
 
 _TEXT_COLOUR: Final = (70, 70, 70)
 
 
 def panel(frame: Image.Image) -> Image.Image:
-    """Return the square middle of a frame, in which the arena lies."""
-    left = (WIDTH - PANEL) // 2
-    return frame.crop((left, 0, left + PANEL, PANEL))
+    """Return the middle of a frame: the arena with a margin that is the same all around."""
+    beside = MARGINS[0] - MARGINS[1]
+    return frame.crop((beside, 0, frame.width - beside, frame.height))
 
 
 def side_by_side(panels: list[Image.Image], below: int = 0) -> Image.Image:
     """Return a picture of ``panels`` from left to right over ``below`` blank rows."""
-    width, height = panels[0].size
+    width, height = (max(sizes) for sizes in zip(*(part.size for part in panels), strict=True))
     picture = Image.new("RGB", (width * len(panels), height + below), BACKGROUND)
     for index, part in enumerate(panels):
-        picture.paste(part, (index * width, 0))
+        picture.paste(
+            part, (index * width + (width - part.width) // 2, (height - part.height) // 2)
+        )
     return picture
 
 
@@ -367,7 +388,7 @@ def scene_and_trajectory(what: Drawable, scene: Scene | None) -> tuple[Scene, Fl
     if scene is None:
         raise InvalidSettingError("a trajectory alone does not say what to draw: give its scene=")
     given = what.trajectory if isinstance(what, Observation) else what
-    trajectory = finite_array("trajectory", given, (None, len(ENTITIES), 3))
+    trajectory = finite_array("trajectory", given, (None, len(scene.world.entities), 3))
     if len(trajectory) == 0:
         raise InvalidEventError("trajectory has no frames")
     return scene, trajectory

@@ -24,7 +24,7 @@ from phase_ppl.render.frames import (
 )
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
-from phase_ppl.world.event import Event
+from phase_ppl.world.event import Event, Truth
 from phase_ppl.world.files import atomic_output
 from phase_ppl.world.hypothesis import SCENARIOS
 from phase_ppl.world.observation import FRAMES_PER_SECOND
@@ -43,7 +43,7 @@ def image(
     *,
     fields_of_view: bool = False,
 ) -> None:
-    """Write one frame, -1 the last one, as a 640 x 480 PNG.
+    """Write one frame, -1 the last one, as a PNG, in PHASE of 640 x 480.
 
     ``what``, ``scene`` and ``fields_of_view`` are those of :func:`phase_ppl.render.video`.
 
@@ -87,7 +87,7 @@ def strip(
 def draw_strip(
     what: Drawable, n: int = 6, scene: Scene | None = None, fields_of_view: bool = False
 ) -> Image.Image:
-    """Return the picture that :func:`strip` writes: panels 300 pixels wide, 36 rows below."""
+    """Return the picture that :func:`strip` writes: panels 300 pixels high, 36 rows below."""
     scene, trajectory = scene_and_trajectory(what, scene)
     if not 1 <= n <= len(trajectory):
         raise InvalidSettingError(f"n={n}, expected one of 1..{len(trajectory)}")
@@ -96,11 +96,12 @@ def draw_strip(
     panels: list[Image.Image] = []
     for before, frame in zip([0, *chosen[:-1]], chosen, strict=True):
         drawn = painter.draw(trajectory[frame], trail=trajectory[before : frame + 1])
-        size = (_STRIP_PANEL, _STRIP_PANEL)
-        panels.append(panel(drawn).resize(size, Image.Resampling.LANCZOS))
+        middle = panel(drawn)
+        size = (round(_STRIP_PANEL * middle.width / middle.height), _STRIP_PANEL)
+        panels.append(middle.resize(size, Image.Resampling.LANCZOS))
     picture = side_by_side(panels, below=_STRIP_CAPTION)
     for index, frame in enumerate(chosen):
-        x, y = (index + 0.5) * _STRIP_PANEL, _STRIP_PANEL + _STRIP_CAPTION / 3
+        x, y = (index + 0.5) * size[0], _STRIP_PANEL + _STRIP_CAPTION / 3
         write_centred(picture, f"{frame / FRAMES_PER_SECOND:.1f} s", x, y, _STRIP_TEXT_SIZE)
     return picture
 
@@ -220,12 +221,24 @@ def thumbnail(event: Event, side: int = THUMBNAIL) -> Image.Image:
     painter = Painter(event.scene, fine=_FINE, pale=_PALE)
     drawn = panel(painter.draw(track[-1], trail=track, faint=track[0]))
     box = (_TRIM, _TRIM, drawn.width - _TRIM, drawn.height - _TRIM)
-    return drawn.resize((side, side), Image.Resampling.LANCZOS, box)
+    longer = max(box[2] - box[0], box[3] - box[1])
+    size = (round(side * (box[2] - box[0]) / longer), round(side * (box[3] - box[1]) / longer))
+    small = drawn.resize(size, Image.Resampling.LANCZOS, box)
+    if size == (side, side):
+        return small
+    picture = Image.new("RGB", (side, side), BACKGROUND)
+    picture.paste(small, ((side - size[0]) // 2, (side - size[1]) // 2))
+    return picture
 
 
 def scenario_colour(event: Event) -> Colour:
     """Return the colour that stands for the event's scenario."""
-    return UNKNOWN_COLOUR if event.truth is None else SCENARIO_COLOURS[event.truth.scenario]
+    return SCENARIO_COLOURS.get(_scenario(event), UNKNOWN_COLOUR)
+
+
+def _scenario(event: Event) -> str:
+    """Return the scenario of an event of PHASE whose truth is known; "" of others."""
+    return event.truth.scenario if isinstance(event.truth, Truth) else ""
 
 
 def _write_caption(picture: Image.Image, event: Event, x: int, y: int) -> None:
@@ -243,13 +256,13 @@ def _write_caption(picture: Image.Image, event: Event, x: int, y: int) -> None:
 
 def _write_legend(picture: Image.Image, events: Sequence[Event], text_size: int) -> None:
     """Write how many events there are, and of each scenario how many, as far as there is room."""
-    found = Counter("" if event.truth is None else event.truth.scenario for event in events)
+    found = Counter(map(_scenario, events))
     entries: list[tuple[Colour | None, str]] = [
         (None, f"{len(events)} event{'' if len(events) == 1 else 's'}"),
         *((SCENARIO_COLOURS[name], f"{name} {found[name]}") for name in SCENARIOS if found[name]),
     ]
     if found[""]:
-        entries.append((UNKNOWN_COLOUR, f"of unknown truth {found['']}"))
+        entries.append((UNKNOWN_COLOUR, f"of no known scenario {found['']}"))
     font, draw = ImageFont.load_default(text_size), ImageDraw.Draw(picture)
     chip = round(0.7 * text_size)
     x, middle = _MARGIN, _MARGIN + text_size // 2

@@ -18,7 +18,6 @@ import numpy as np
 from PIL import Image
 
 from phase_ppl.render.frames import (
-    PANEL,
     Drawable,
     Painter,
     between_frames,
@@ -238,7 +237,8 @@ def _equally_long(tracks: list[FloatArray]) -> list[FloatArray]:
 def _beside(drawn: list[Image.Image], captions: tuple[str, str]) -> Image.Image:
     picture = side_by_side([panel(frame) for frame in drawn])
     for index, text in enumerate(captions):
-        write_centred(picture, text, (index + 0.5) * PANEL, _CAPTION_Y, _CAPTION_SIZE)
+        x = (index + 0.5) * picture.width / len(captions)
+        write_centred(picture, text, x, _CAPTION_Y, _CAPTION_SIZE)
     return picture
 
 

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import PhasePPLError, SimulationError, shown
-from phase_ppl.world.hypothesis import Hypothesis
+from phase_ppl.world.hypothesis import Hypothesis, Roles
 from phase_ppl.world.names import ENTITIES
 from phase_ppl.world.scene import Scene
 
@@ -37,16 +37,18 @@ _FINITE: Final = 1e30
 """Larger numbers are as good as infinite; their distances would be so in single precision."""
 
 FRAME_SHAPE: Final = (len(ENTITIES), 3)
+"""Of a frame of PHASE."""
+
 _STREAM: Final = 0x5EED
 """Keeps simulations' random streams apart from others that a user derives from the same seed."""
 
 
 class Simulator(Protocol):
-    """Yields frames (4, 3) = x, y [units], angle [rad] per entity until it is closed.
+    """Yields frames (entity, 3) = x, y [units], angle [rad] until it is closed.
 
-    The first frame is compared with the first observed one. ``hypothesis`` holds effective goals
-    and alpha = (0, 0). All randomness comes from ``rng``. Ending early, raising, or a value that
-    is not finite is a failed simulation.
+    The first frame is compared with the first observed one.``hypothesis`` holds effective goals
+    and alpha = (0, 0), or is a :class:`Roles` of them in other worlds than PHASE. All randomness
+    comes from ``rng``. Ending early, raising, or a value that is not finite is a failed simulation.
 
     A simulator may have three more methods:
 
@@ -299,7 +301,7 @@ def simulate_together(
 
 
 def simulate_trajectory(
-    simulator: Simulator, scene: Scene, hypothesis: Hypothesis, seed: int, n_frames: int
+    simulator: Simulator, scene: Scene, hypothesis: Hypothesis | Roles, seed: int, n_frames: int
 ) -> FloatArray:
     """Return a simulated trajectory (time, entity, coord); nothing is observed.
 
@@ -307,10 +309,12 @@ def simulate_trajectory(
         SimulationError: the simulator raised, ended early or gave a value that is not finite;
             the message names the hypothesis and the seed.
     """
-    trajectory = np.empty((n_frames, *FRAME_SHAPE))
+    shape = len(scene.world.entities), 3
+    trajectory = np.empty((n_frames, *shape))
+    effective: Any = hypothesis.effective()
     try:
         incoming = _checked(
-            lambda: simulator(scene, hypothesis.effective(), random_generator(seed)), n_frames
+            lambda: simulator(scene, effective, random_generator(seed)), n_frames, shape
         )
         with contextlib.closing(incoming):
             for t in range(n_frames):
@@ -365,7 +369,9 @@ def _follow(
 
 
 def _checked(
-    start: Callable[[], Iterable[NDArray[Any]]], n_frames: int
+    start: Callable[[], Iterable[NDArray[Any]]],
+    n_frames: int,
+    shape: tuple[int, int] = FRAME_SHAPE,
 ) -> Generator[FloatArray, None, None]:
     """Yield frames until closed, which closes the simulator too; raise if one is not usable."""
     produced = start()
@@ -381,9 +387,9 @@ def _checked(
             if values.dtype.kind not in "biuf" or np.ma.is_masked(given):
                 raise SimulationError(f"frame {count - 1} holds {shown(given)}, expected numbers")
             frame = values.astype(np.float64, copy=False)
-            if frame.shape != FRAME_SHAPE:
+            if frame.shape != shape:
                 raise SimulationError(
-                    f"frame {count - 1} has shape {frame.shape}, expected {FRAME_SHAPE}"
+                    f"frame {count - 1} has shape {frame.shape}, expected {shape}"
                 )
             if not (np.abs(frame) < _FINITE).all():
                 raise SimulationError(f"frame {count - 1} holds a value that is not finite")

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.agents.agent import Decision, both_agents
+from phase_ppl.agents.agent import Decision, all_agents
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.world_model import WorldModel
 from phase_ppl.physics import compiled
@@ -17,14 +17,13 @@ from phase_ppl.physics.actions import NO_ACTION, Action, executed
 from phase_ppl.physics.pymunk_world import PymunkWorld
 from phase_ppl.simulator.contract import Simulator, simulate_trajectory
 from phase_ppl.world.checks import check_memory, instance_of, nonnegative_number, whole_number
-from phase_ppl.world.errors import InvalidEventError
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.event import Event, Truth
 from phase_ppl.world.geometry import CENTRE_OF_MASS_Y, deepest_overlap
 from phase_ppl.world.goals import GOALS
-from phase_ppl.world.hypothesis import Hypothesis
-from phase_ppl.world.names import AGENTS, ENTITIES, ITEMS
+from phase_ppl.world.hypothesis import STRENGTH, Hypothesis, Roles
 from phase_ppl.world.observation import MIN_FRAMES, Observation, State
-from phase_ppl.world.scene import Scene
+from phase_ppl.world.scene import PHASE, Scene
 from phase_ppl.world.thoughts import Thoughts
 
 
@@ -51,7 +50,7 @@ class DynamicsNoise:
 
     def disturb(self, world: PymunkWorld, rng: np.random.Generator) -> None:
         """Change the velocities of a world's bodies."""
-        n = len(ENTITIES)
+        n = len(world.state.pose)
         factors = np.exp(self.speed * rng.standard_normal(n))
         world.deflect(factors, self.direction * rng.standard_normal(n))
 
@@ -61,15 +60,15 @@ class Past(NamedTuple):
 
     Attributes:
         states: of the world at every frame, from the start to the one it goes on from.
-        actions: of (red, green) between these, as intended.
+        actions: of all agents between these, as intended.
     """
 
     states: Sequence[State]
-    actions: Sequence[tuple[Action, Action]]
+    actions: Sequence[Sequence[Action]]
 
 
 class JointSimulator:
-    """Two agents with limited views that believe, plan and push each other about.
+    """Agents with limited views that believe, plan and push each other about.
 
     Args:
         planner: "fast", "paper" or a :class:`PlannerConfig`.
@@ -100,21 +99,21 @@ class JointSimulator:
         run_briefly(JointSimulator(dataclasses.replace(self.planner, simulations=2)))
 
     def __call__(
-        self, scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator
+        self, scene: Scene, hypothesis: Hypothesis | Roles, rng: np.random.Generator
     ) -> Iterator[NDArray[np.float64]]:
-        """Yield frames (4, 3) = x, y [units], angle [rad] per entity, the start first."""
+        """Yield frames (entity, 3) = x, y [units], angle [rad], the start first."""
         for frame, _ in self.steps(scene, hypothesis, rng):
             yield frame
 
     def steps(
         self,
         scene: Scene,
-        hypothesis: Hypothesis,
+        hypothesis: Hypothesis | Roles,
         rng: np.random.Generator,
         past: Past | None = None,
         removed: Collection[int] = (),
     ) -> Iterator[tuple[NDArray[np.float64], tuple[Decision, ...]]]:
-        """Yield each frame with the decisions of (red, green) behind it; the first has none.
+        """Yield each frame with the decisions of all agents behind it; the first has none.
 
         Args:
             scene, hypothesis, rng: as of any simulator.
@@ -124,7 +123,7 @@ class JointSimulator:
         """
         strengths = hypothesis.strengths
         model = WorldModel.of(scene, strengths, self.planner)
-        agents = both_agents(hypothesis.effective_goals, model, self.planner, rng)
+        agents = all_agents(hypothesis.effective_goals, model, self.planner, rng)
         disturbing = rng.spawn(1)[0]
         now = None if past is None else past.states[-1]
         world = PymunkWorld(scene, strengths, self.inner_steps, now)
@@ -144,7 +143,7 @@ class JointSimulator:
             doing = [NO_ACTION] * len(agents)
             for agent, decision in zip(there, decisions, strict=True):
                 doing[agent.agent] = executed(decision.action, scene.turning)
-            yield world.step((doing[0], doing[1])), decisions
+            yield world.step(doing), decisions
             if self.noise is not None:
                 self.noise.disturb(world, disturbing)
 
@@ -174,9 +173,10 @@ class _Thinking:
         self._notes: list[tuple[Any, ...]] = []
 
     def __call__(
-        self, scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator
+        self, scene: Scene, hypothesis: Hypothesis | Roles, rng: np.random.Generator
     ) -> Iterator[NDArray[np.float64]]:
-        offsets = np.array([CENTRE_OF_MASS_Y] * len(AGENTS) + [0.0] * len(ITEMS)) * scene.radius
+        offsets = CENTRE_OF_MASS_Y * scene.radius
+        offsets[len(scene.world.agents) :] = 0.0
         for frame, pair in self._simulator.steps(scene, hypothesis, rng):
             if pair:  # beliefs change in place
                 poses = np.stack([one.beliefs.bodies[..., :3] for one in pair])
@@ -200,10 +200,24 @@ class _Thinking:
         return Thoughts(subgoals, *map(np.array, others))
 
 
+def _truth(hypothesis: Hypothesis) -> Truth:
+    """Return what generated an event of PHASE."""
+    red, green = (GOALS[goal] for goal in hypothesis.effective_goals)
+    return Truth(
+        red,
+        green,
+        strength_red=hypothesis.strength_red,
+        strength_green=hypothesis.strength_green,
+    )
+
+
 def simulate(
     scene: Scene,
-    hypothesis: Hypothesis,
+    hypothesis: Hypothesis | Roles | None = None,
     *,
+    goals: Mapping[str, str | int] | None = None,
+    relation: Mapping[tuple[str, str], str] | None = None,
+    strength: Mapping[str, float] | float = STRENGTH,
     frames: int = 101,
     seed: int = 0,
     planner: str | PlannerConfig = "fast",
@@ -215,11 +229,16 @@ def simulate(
 
     Example:
         ``ppl.simulate(ppl.Scene(start, radius), ppl.Hypothesis("Get blue item to red lm",
-        "get to red agent"))``, and :func:`phase_ppl.explain` says why they do what they do.
+        "get to red agent"))``, and :func:`phase_ppl.explain` says why they do what they do. In any
+        world ``ppl.simulate(scene, goals={"red agent": "ball to home"}, relation={("purple agent",
+        "red agent"): "hinder"})``.
 
     Args:
         scene: where it starts.
-        hypothesis: who wants what.
+        hypothesis: who wants what, in PHASE; or, in any world:
+        goals: name of an agent -> its own goal; of all that neither help nor hinder.
+        relation: (who, whom) -> "help" or "hinder" with the other's own goal.
+        strength: maximum force by name, or of all, newtons.
         frames: length of the trajectory, 12 per simulated second; frame 0 is the start.
         seed: the same seed gives the same event.
         planner: "fast", "paper" or a ``PlannerConfig``; only for the joint simulator.
@@ -230,13 +249,28 @@ def simulate(
             then fly apart.
 
     Raises:
-        InvalidSettingError: fewer than 2 frames.
+        InvalidSettingError: fewer than 2 frames, or goals and relations that do not fit together.
+        UnknownNameError: there is no such agent or goal.
         InvalidEventError: bodies overlap at the start, or stick in a wall; the message says which
             and how far.
         SimulationError: the simulator failed.
     """
     instance_of("scene", scene, Scene, "a phase_ppl.Scene")
-    instance_of("hypothesis", hypothesis, Hypothesis, "a phase_ppl.Hypothesis")
+    if goals is not None:
+        roles = Roles.of(scene.world, goals, relation, strength)
+        if hypothesis is not None:
+            raise InvalidSettingError("both a hypothesis and goals are given; one says it all")
+        hypothesis = roles
+        if scene.world == PHASE:
+            (red, green), (one, other) = roles.effective_goals, roles.strengths
+            hypothesis = Hypothesis(red, green, (0, 0), one, other)
+    instance_of("hypothesis", hypothesis, (Hypothesis, Roles), "a phase_ppl.Hypothesis, or goals=")
+    assert hypothesis is not None
+    if hypothesis.world != scene.world:
+        raise InvalidSettingError(
+            f"the hypothesis is of the world {hypothesis.world.name}, the scene of "
+            f"{scene.world.name}: give goals="
+        )
     seed = whole_number("seed", seed, 0)
     frames = whole_number("frames", frames, MIN_FRAMES)
     check_memory(f"frames={frames}", _FRAME_BYTES * frames)
@@ -249,12 +283,6 @@ def simulate(
     run = JointSimulator(planner) if simulator is None else simulator
     thinking = _Thinking(run) if type(run) is JointSimulator else None
     trajectory = simulate_trajectory(thinking or run, scene, hypothesis, seed, frames)
-    red, green = hypothesis.effective_goals
-    truth = Truth(
-        GOALS[red],
-        GOALS[green],
-        strength_red=hypothesis.strength_red,
-        strength_green=hypothesis.strength_green,
-    )
+    truth: Truth | Roles = hypothesis if isinstance(hypothesis, Roles) else _truth(hypothesis)
     thoughts = None if thinking is None else thinking.thoughts()
     return Event(scene, Observation(trajectory), id=id, truth=truth, thoughts=thoughts)

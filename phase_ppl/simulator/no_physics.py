@@ -14,17 +14,16 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from phase_ppl.agents.agent import both_agents
+from phase_ppl.agents.agent import all_agents
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.world_model import WorldModel, body_origin
 from phase_ppl.physics import compiled
 from phase_ppl.simulator.joint import run_briefly
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import positive_number
-from phase_ppl.world.hypothesis import Hypothesis
-from phase_ppl.world.names import AGENTS, NOTHING, Literal, Predicate
+from phase_ppl.world.hypothesis import Hypothesis, Roles
+from phase_ppl.world.names import NOTHING, Literal, Predicate
 from phase_ppl.world.observation import FRAMES_PER_SECOND, State
-from phase_ppl.world.rooms import N_ROOMS
 from phase_ppl.world.scene import Scene
 
 SPEED: Final = 10.0
@@ -56,9 +55,9 @@ _NO_MOVE: Final = np.zeros(2)
 
 
 class PathSimulator:
-    """Two agents with limited views that believe and plan, and move without physics.
+    """Agents with limited views that believe and plan, and move without physics.
 
-    What both hold moves by the mean of what the two want. An agent turns to where it goes at once;
+    What several hold moves by the mean of what they want. An agent turns to where it goes at once;
     one that carries an item does not turn.
 
     Args:
@@ -84,11 +83,11 @@ class PathSimulator:
         run_briefly(self)
 
     def __call__(
-        self, scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator
+        self, scene: Scene, hypothesis: Hypothesis | Roles, rng: np.random.Generator
     ) -> Iterator[FloatArray]:
-        """Yield frames (4, 3) = x, y [units], angle [rad] per entity, the start first."""
+        """Yield frames (entity, 3) = x, y [units], angle [rad], the start first."""
         model = WorldModel.of(scene, hypothesis.strengths, self.planner)
-        agents = both_agents(hypothesis.effective_goals, model, self.planner, rng)
+        agents = all_agents(hypothesis.effective_goals, model, self.planner, rng)
         state = State.at_start(scene)
         yield state.pose.copy()
         while True:
@@ -116,9 +115,11 @@ class PathSimulator:
             return Wish(_NO_MOVE)
         if predicate is Predicate.ATTACH and not positive:
             return Wish(_NO_MOVE, release=True)
-        places = np.array([body_origin(imagined, entity, model.params.cog) for entity in range(4)])
+        places = np.array(
+            [body_origin(imagined, entity, model.params.cog) for entity in range(len(imagined))]
+        )
         item = target if predicate is Predicate.ATTACH else subject
-        if item >= len(AGENTS):
+        if item >= len(state.held):
             if held != item:
                 bodies, holds, _ = compiled.from_state(state, model.scene.radius)
                 if compiled.find_grab(bodies, holds, agent, model.params)[0] == item:
@@ -171,7 +172,8 @@ def _place(subgoal: Literal, places: FloatArray, model: WorldModel) -> FloatArra
     """
     layout, target = model.layout, subgoal.target
     if subgoal.predicate is Predicate.CLOSE:
-        return layout.room_points[target] if target < N_ROOMS else layout.doors[target - N_ROOMS]
+        n_rooms = len(layout.room_points)
+        return layout.room_points[target] if target < n_rooms else layout.doors[target - n_rooms]
     landmarks, path_distance = model.scene.landmark_centres, model.scene.rooms.path_distance
     if subgoal.predicate is Predicate.TOUCH:
         fugitive, pursuer = places[subgoal.subject], places[target]
@@ -183,17 +185,19 @@ def _place(subgoal: Literal, places: FloatArray, model: WorldModel) -> FloatArra
 
 
 def _move(state: State, wishes: list[Wish], scene: Scene) -> None:
-    """Change the state as both agents want; nobody leaves the arena."""
-    together = state.held[0] == state.held[1] != NOTHING
+    """Change the state as the agents want; nobody leaves the arena."""
     moves = [wish.move for wish in wishes]
-    if together:
-        moves = [(moves[0] + moves[1]) / 2] * 2
+    holders = {item: np.flatnonzero(state.held == item) for item in state.held if item != NOTHING}
+    for together in holders.values():
+        mean = np.mean([moves[holder] for holder in together], axis=0)
+        for holder in together:
+            moves[holder] = mean
     for agent, (move, wish) in enumerate(zip(moves, wishes, strict=True)):
         item = state.held[agent]
         state.pose[agent, :2] += move
         if item == NOTHING:
             state.pose[agent, 2] = _facing(move, float(state.pose[agent, 2]))
-        elif not (together and agent == 1):
+        elif agent == holders[item][0]:
             state.pose[item, :2] += move
         if wish.release:
             state.held[agent] = NOTHING

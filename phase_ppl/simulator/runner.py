@@ -33,7 +33,7 @@ from phase_ppl.world.checks import number_of_workers, positive_number, whole_num
 from phase_ppl.world.errors import InvalidSettingError, SimulationError, shown, unknown_name
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.observation import Observation
-from phase_ppl.world.scene import Scene
+from phase_ppl.world.scene import Scene, check_phase
 
 Request = tuple[Hypothesis, int, float]
 """Hypothesis, seed, error ceiling."""
@@ -159,6 +159,7 @@ class Runner:
     ) -> None:
         if not callable(simulator):
             raise InvalidSettingError(f"simulator={shown(simulator)} cannot be called")
+        check_phase(scene, "inference")
         if executor is not None and not callable(getattr(executor, "submit", None)):
             raise InvalidSettingError(f"executor={shown(executor)} is no PEP 3148 executor")
         own = executor is None or workers is not None

@@ -268,7 +268,8 @@ class Room:
             for agent, seat in enumerate(seats)
             if computer is not None and seat.who is None
         }
-        self._visible = np.zeros(self._model.layout.size**2, bool)
+        layout = self._model.layout
+        self._visible = np.zeros(layout.rows * layout.columns, bool)
         self._cells = np.zeros(vision.MAX_OUTLINE_CELLS, np.int64)
         self._observed = np.zeros(len(ENTITIES), bool)
         self.picture = self._picture()

@@ -120,12 +120,12 @@ def driving(
     arrays = compiled.from_state(State.at_start(scene), scene.radius)
     scratch = compiled.make_scratch()
     if item is not None:
-        compiled.step(*arrays, Action.ATTACH, NO_ACTION, params, scratch)
+        compiled.step(*arrays, np.array([Action.ATTACH, NO_ACTION]), params, scratch)
         if arrays[1][0] == NOTHING:
             return np.inf
     gone = before = 0.0
     for step in range(1, 100_000):
-        compiled.step(*arrays, Action.UP, NO_ACTION, params, scratch)
+        compiled.step(*arrays, np.array([Action.UP, NO_ACTION]), params, scratch)
         before, gone = gone, arrays[0][0, 1] - start[0, 1] + size / 6
         if gone >= way:
             return float(step)

@@ -32,6 +32,7 @@ from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, OutputError, unknown_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import as_path, locked, writable_folder, write_bytes
+from phase_ppl.world.scene import check_phase
 
 EVENTS: Final = "events.json"
 VIDEOS: Final = "videos"
@@ -355,6 +356,8 @@ def _stimuli(kind: str, events: Any, generated: Any) -> tuple[list[Event], list[
         load_events(events) if isinstance(events, str | os.PathLike) and _is_set(events) else events
     )
     found = all_events(source)
+    for event in found:
+        check_phase(event.scene, "a study")
     groups: dict[str, str] = {}
     if isinstance(source, GeneratedEvents):
         groups = {entry["id"]: str(entry.get("group", entry["id"])) for entry in source.entries}

@@ -7,18 +7,25 @@ from collections.abc import Mapping
 from typing import Any
 
 from phase_ppl.world.checks import instance_of
-from phase_ppl.world.errors import unknown_name
+from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.goals import GOALS, goal_index
-from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS, checked_strength, relation, scenario
+from phase_ppl.world.hypothesis import (
+    RELATIONS,
+    SCENARIOS,
+    Roles,
+    checked_strength,
+    relation,
+    scenario,
+)
 from phase_ppl.world.observation import FRAMES_PER_SECOND, Observation
 from phase_ppl.world.picture import drawn
-from phase_ppl.world.scene import Scene, check_inside
+from phase_ppl.world.scene import PHASE, Scene, check_inside
 from phase_ppl.world.thoughts import Thoughts
 
 
 @dataclasses.dataclass(frozen=True)
 class Truth:
-    """What generated an event: effective goals, and whatever else is known.
+    """What generated an event of PHASE: effective goals, and whatever else is known.
 
     Attributes:
         goal_red, goal_green: effective goals, paper strings.
@@ -62,7 +69,7 @@ class Event:
         scene: what is known before anybody moves.
         observation: the trajectories.
         id: name of the event; of no meaning to inference.
-        truth: what generated it, if known.
+        truth: what generated it, if known: a ``Truth`` in PHASE, ``Roles`` in another world.
         judgments: human judgments, as read from the file.
         predictions: stored predictions of other models, as read from the file.
         thoughts: what the agents thought, of events that were simulated just now; not in files.
@@ -74,7 +81,7 @@ class Event:
     scene: Scene
     observation: Observation
     id: str = "event"
-    truth: Truth | None = None
+    truth: Any = None
     judgments: Mapping[str, Any] | None = None
     predictions: Mapping[str, Any] | None = None
     thoughts: Thoughts | None = None
@@ -83,11 +90,19 @@ class Event:
         instance_of("scene", self.scene, Scene, "a phase_ppl.Scene")
         instance_of("observation", self.observation, Observation, "a phase_ppl.Observation")
         check_inside(self.observation.trajectory, self.scene, "trajectory")
+        of_phase = self.scene.world == PHASE
+        if self.truth is not None and isinstance(self.truth, Truth) is not of_phase:
+            kind = "a phase_ppl.Truth" if of_phase else "Roles"
+            raise InvalidSettingError(
+                f"truth={shown(self.truth)}, expected {kind} in the world {self.scene.world.name}"
+            )
 
     def __repr__(self) -> str:
         seconds = (self.observation.n_frames - 1) / FRAMES_PER_SECOND
         words = f"{self.id}: {self.observation.n_frames} frames, {seconds:.1f} s simulated"
-        if self.truth is not None:
+        if isinstance(self.truth, Roles):
+            words += f"; {self.truth}"
+        elif self.truth is not None:
             words += f"; red: {self.truth.goal_red}, green: {self.truth.goal_green}"
             words += f", {self.truth.relation}"
         return f"<event {words}>"

@@ -5,15 +5,18 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from typing import Any, Final
+from collections.abc import Mapping
+from typing import Any, ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.goals import (
     GOALS,
     N_GOALS,
+    effective_goal,
     effective_goals,
     goal_index,
     goal_literal,
@@ -22,6 +25,7 @@ from phase_ppl.world.goals import (
 )
 from phase_ppl.world.names import AGENTS, GREEN, RED, Predicate
 from phase_ppl.world.picture import preformatted
+from phase_ppl.world.scene import PHASE, World
 
 SCENARIOS: Final = ("collaborative", "independent", "competing", "opposing")
 RELATIONS: Final = ("friendly", "neutral", "adversarial")
@@ -33,24 +37,35 @@ RELATION_OF_SCENARIO: Final = {
 }
 
 
-def scenario(goal_red: str | int, goal_green: str | int) -> str:
-    """Return the scenario of two effective goals, defined on all 36 x 36 pairs.
+def scenario(
+    goal_red: str | int,
+    goal_green: str | int,
+    world: World = PHASE,
+    holders: tuple[int, int] = (RED, GREEN),
+) -> str:
+    """Return the scenario of two effective goals, in PHASE defined on all 36 x 36 pairs.
 
     Equal goals, or both to get to each other: collaborative. One negates the other: opposing.
-    The same item to two landmarks: competing. Everything else: independent.
+    The same item to two landmarks: competing. Everything else: independent. In another world the
+    goals are those of its agents ``holders``.
     """
-    red, green = goal_index(goal_red), goal_index(goal_green)
-    literal_red, literal_green = goal_literal(red, RED), goal_literal(green, GREEN)
+    red, green = world.goal_index(goal_red), world.goal_index(goal_green)
+    one, other = holders
+    literal_red, literal_green = goal_literal(red, one, world), goal_literal(green, other, world)
     both_approach = all(
-        literal.predicate is Predicate.TOUCH and literal.positive and literal.target == other
-        for literal, other in ((literal_red, GREEN), (literal_green, RED))
+        literal.predicate is Predicate.TOUCH and literal.positive and literal.target == target
+        for literal, target in ((literal_red, other), (literal_green, one))
     )
     if red == green or both_approach:
         return "collaborative"
     # both ways, since a goal that names its own holder is nobody's to negate
-    if red == opposed_goal(green, GREEN) and green == opposed_goal(red, RED):
+    against_green, against_red = (
+        opposed_goal(green, other, one, world),
+        opposed_goal(red, one, other, world),
+    )
+    if red == against_green and green == against_red:
         return "opposing"
-    same_item = literal_red.subject == literal_green.subject >= len(AGENTS)
+    same_item = literal_red.subject == literal_green.subject >= len(world.agents)
     if same_item and literal_red.positive and literal_green.positive:
         return "competing"
     return "independent"
@@ -104,6 +119,9 @@ def effective_pairs() -> NDArray[np.int64]:
     return pairs
 
 
+STRENGTH: Final = 450.0
+"""Newtons of an agent of which nothing else is said."""
+
 STRENGTH_LEVELS: Final = (150.0, 300.0, 450.0, 600.0)
 """Maximum forces of the original world, newtons (strength ids 0..3)."""
 
@@ -150,8 +168,8 @@ class Hypothesis:
     goal_red: int
     goal_green: int
     alpha: tuple[int, int] = (0, 0)
-    strength_red: float = 450.0
-    strength_green: float = 450.0
+    strength_red: float = STRENGTH
+    strength_green: float = STRENGTH
 
     def __post_init__(self) -> None:
         for holder, name in ((RED, "goal_red"), (GREEN, "goal_green")):
@@ -167,6 +185,8 @@ class Hypothesis:
         object.__setattr__(self, "alpha", alpha)
         for name in ("strength_red", "strength_green"):
             object.__setattr__(self, name, checked_strength(name, getattr(self, name)))
+
+    world: ClassVar[World] = PHASE
 
     @property
     def effective_goals(self) -> tuple[int, int]:
@@ -230,3 +250,159 @@ class Hypothesis:
             f"red: {GOALS[red]} ({self.strength_red:.0f} N), "
             f"green: {GOALS[green]} ({self.strength_green:.0f} N), {self.relation}"
         )
+
+
+STANCES: Final = {"help": 1, "hinder": -1}
+"""What an agent may do with another's goal, and the sign of alpha."""
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class Roles:
+    """Who wants what in any world, whom each helps or hinders, and how strong all are.
+
+    An agent pursues its own goal, or helps or hinders one other with the other's own.
+
+    Attributes:
+        world: whose agents and goals.
+        stated: (agent,) own goal of each, an index into ``world.goals``; None of one without.
+        towards: (agent,) another agent, and 1 where it is helped, -1 where it is hindered; None.
+        strengths: (agent,) maximum forces, newtons.
+    """
+
+    world: World
+    stated: tuple[int | None, ...]
+    towards: tuple[tuple[int, int] | None, ...]
+    strengths: tuple[float, ...]
+
+    @classmethod
+    def of(
+        cls,
+        world: World,
+        goals: Mapping[str, str | int],
+        relation: Mapping[tuple[str, str], str] | None = None,
+        strength: Mapping[str, float] | float = STRENGTH,
+    ) -> Roles:
+        """Return the roles said in names.
+
+        Args:
+            world: whose agents and goals.
+            goals: name of an agent -> its own goal; of all that neither help nor hinder.
+            relation: (who, whom) -> "help" or "hinder".
+            strength: newtons by name, or of all.
+
+        Raises:
+            UnknownNameError: there is no such agent, goal or relation.
+            InvalidSettingError: an agent has no goal, more than one relation, or one to itself or
+                to an agent without a goal of its own; or a strength is no positive force.
+        """
+        agents = world.agents
+        instance_of("goals", goals, Mapping, "a mapping of agents to goals")
+        stated: list[int | None] = [None] * len(agents)
+        for name, goal in goals.items():
+            agent, index = world.agent(name), world.goal_index(goal)
+            if is_self_referring(index, agent, world):
+                raise InvalidSettingError(
+                    f"the goal {world.goals[index]!r} of the {name} names the {name} itself"
+                )
+            stated[agent] = index
+        towards: list[tuple[int, int] | None] = [None] * len(agents)
+        for pair, word in (relation or {}).items():
+            if not isinstance(pair, tuple) or len(pair) != 2:
+                raise InvalidSettingError(f"relation of {shown(pair)}, expected (who, whom)")
+            who, whom = (world.agent(name) for name in pair)
+            if who == whom:
+                raise InvalidSettingError(f"the {pair[0]} cannot {word} itself")
+            if word not in STANCES:
+                raise unknown_name("relation", word, STANCES)
+            if towards[who] is not None:
+                raise InvalidSettingError(f"the {pair[0]} can help or hinder one other only")
+            towards[who] = whom, STANCES[word]
+        for agent, name in enumerate(agents):
+            other = towards[agent]
+            if other is None and stated[agent] is None:
+                raise InvalidSettingError(f"the {name} has no goal, and helps or hinders nobody")
+            if other is not None and (stated[other[0]] is None or towards[other[0]] is not None):
+                raise InvalidSettingError(
+                    f"the {name} cannot help or hinder the {agents[other[0]]}, who pursues no "
+                    "goal of its own"
+                )
+        forces = (
+            dict(strength) if isinstance(strength, Mapping) else dict.fromkeys(agents, strength)
+        )
+        for name in forces:
+            world.agent(name)
+        strengths = tuple(
+            checked_strength(f"strength of the {name}", forces.get(name, STRENGTH))
+            for name in agents
+        )
+        return cls(world, tuple(stated), tuple(towards), strengths)
+
+    @property
+    def effective_goals(self) -> tuple[int, ...]:
+        """(agent,) what each acts on, an index into ``world.goals``."""
+        stated = [0 if goal is None else goal for goal in self.stated]
+        return tuple(
+            effective_goal(stated, agent, towards, self.world)
+            for agent, towards in enumerate(self.towards)
+        )
+
+    def effective(self) -> Roles:
+        """Return the same with effective goals as stated ones, and nobody who helps or hinders."""
+        nobody = (None,) * len(self.towards)
+        return dataclasses.replace(self, stated=self.effective_goals, towards=nobody)
+
+    @property
+    def goals(self) -> dict[str, str]:
+        """Name of an agent -> its effective goal."""
+        found = (self.world.goals[goal] for goal in self.effective_goals)
+        return dict(zip(self.world.agents, found, strict=True))
+
+    @property
+    def relation(self) -> dict[tuple[str, str], str]:
+        """(who, whom) -> "help" or "hinder", of those who do."""
+        agents, words = self.world.agents, {sign: word for word, sign in STANCES.items()}
+        return {
+            (agents[who], agents[towards[0]]): words[towards[1]]
+            for who, towards in enumerate(self.towards)
+            if towards is not None
+        }
+
+    def relation_between(self, one: str, other: str) -> str:
+        """Return "friendly", "neutral" or "adversarial", of the effective goals of two agents."""
+        pair = self.world.agent(one), self.world.agent(other)
+        goal, other_goal = (self.effective_goals[agent] for agent in pair)
+        return RELATION_OF_SCENARIO[scenario(goal, other_goal, self.world, pair)]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the plain form, which :meth:`from_dict` reads."""
+        agents = self.world.agents
+        own = zip(agents, self.stated, strict=True)
+        return {
+            "goals": {name: self.world.goals[goal] for name, goal in own if goal is not None},
+            "relation": [[*pair, word] for pair, word in self.relation.items()],
+            "strengths": dict(zip(agents, self.strengths, strict=True)),
+        }
+
+    @classmethod
+    def from_dict(cls, world: World, record: Mapping[str, Any]) -> Roles:
+        """Return the roles written by :meth:`to_dict`. Errors as of :meth:`of`."""
+        pairs = {(who, whom): word for who, whom, word in record.get("relation", ())}
+        return cls.of(world, record["goals"], pairs, record.get("strengths", STRENGTH))
+
+    def __getattr__(self, name: str) -> Any:
+        if name in ("goal_red", "goal_green", "scenario", "strength_red", "strength_green"):
+            raise AttributeError(
+                f"{name} is of events of the world PHASE only; this one is of {self.world.name}"
+            )
+        raise AttributeError(name)
+
+    def __repr__(self) -> str:
+        return f"Roles({self})"
+
+    def __str__(self) -> str:
+        said = [
+            f"{name}: {goal} ({force:.0f} N)"
+            for (name, goal), force in zip(self.goals.items(), self.strengths, strict=True)
+        ]
+        said += [f"the {who} {word}s the {whom}" for (who, whom), word in self.relation.items()]
+        return ", ".join(said)

@@ -179,8 +179,11 @@ class World:
             raise InvalidSettingError(f"two of agents, items and landmarks are called {twice!r}")
         colours = self._colours(given, names)
         set_field("colours", tuple((name, colours[name]) for name in self.entities))
-        landmarks = [Landmark(name, *places[name], colours[name]) for name in names]
-        set_field("landmarks", tuple(landmarks))
+        found = ((name, places[name]) for name in names)
+        set_field(
+            "landmarks",
+            tuple(Landmark(name, x, y, half, colours[name]) for name, (x, y, half) in found),
+        )
         touchable = self.entities if self.touchable is None else tuple(self.touchable)
         for name in touchable:
             self.entity(name)
@@ -360,7 +363,7 @@ class World:
             n = len(place) if isinstance(place, (Sequence, np.ndarray)) else 0
             row = finite_array(f"start of the {name}", place, (3 if n == 3 else 2,))
             rows.append([*row.tolist(), 0.0][:3])
-        radius = [sizes.get(name, 1.0) for name in self.entities]
+        radius: Any = [sizes.get(name, 1.0) for name in self.entities]
         return Scene(
             np.array(rows), radius, self.walls if walls is None else walls, turning, world=self
         )
@@ -395,6 +398,39 @@ class World:
             if not deepest_overlap(scene)[1]:
                 return scene
         raise InvalidSettingError(f"no place was found for everybody in {_TRIES} tries")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the plain form, which :meth:`from_dict` reads."""
+        x0, x1, y0, y1 = self.arena
+        colours = [*self.colours, *((one.name, one.colour) for one in self.landmarks)]
+        return {
+            "name": self.name,
+            "agents": list(self.agents),
+            "items": list(self.items),
+            "landmarks": {one.name: [one.x, one.y, one.half_width] for one in self.landmarks},
+            "arena": [x0, x1, y0, y1],
+            "walls": [[list(end) for end in wall] for wall in self.walls],
+            "colours": {name: list(colour) for name, colour in colours},
+            "touchable": list(self.touchable or ()),
+            "quadrants": self.quadrants,
+        }
+
+    @classmethod
+    def from_dict(cls, record: Mapping[str, Any]) -> World:
+        """Return the world written by :meth:`to_dict`.
+
+        Raises:
+            UnknownNameError: a field that a world does not have.
+            InvalidSettingError: one is missing, or a world that cannot be.
+        """
+        names = [field.name for field in dataclasses.fields(cls)]
+        for name in record:
+            if name not in names:
+                raise unknown_name("field of a world", name, names)
+        for name in ("agents", "items", "landmarks"):
+            if name not in record:
+                raise InvalidSettingError(f"a world needs {name}")
+        return cls(**record)
 
     def __repr__(self) -> str:
         return (
@@ -515,7 +551,7 @@ class Scene:
             )
         check_inside(self.start[None], self, "scene.start")
         self._check_rooms()
-        each = np.ndim(self.landmark_half_width) == 1
+        each = self.world != PHASE and np.ndim(self.landmark_half_width) == 1
         half_width = finite_array(
             "scene.landmark_half_width", self.landmark_half_width, (len(places),) if each else ()
         )
@@ -588,6 +624,12 @@ def check_inside(trajectory: FloatArray, scene: Scene, name: str) -> None:
             f"{y[frame, entity]:g}) in frame {frame}, outside the arena "
             f"x {x0:g}..{x1:g}, y {y0:g}..{y1:g}"
         )
+
+
+def check_phase(scene: Scene, what: str) -> None:
+    """Raise InvalidSettingError, for ``what`` knows no other world, unless a scene is of PHASE."""
+    if scene.world != PHASE:
+        raise InvalidSettingError(f"{what} knows the world PHASE only, not {scene.world.name!r}")
 
 
 def _one_or_all(values: Sequence[float]) -> float | list[float]:

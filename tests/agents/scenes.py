@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -46,8 +47,8 @@ def look(
     """Return what ``agent`` observes at the start of a scene."""
     model = WorldModel.of(where, (450.0, 450.0), PlannerConfig())
     bodies, _, _ = compiled.from_state(State.at_start(where), where.radius)
-    size = model.layout.size
-    visible = np.zeros(size * size, bool)
+    shape = model.layout.rows, model.layout.columns
+    visible = np.zeros(math.prod(shape), bool)
     observed = np.zeros(4, bool)
     vision.observe(
         bodies,
@@ -60,4 +61,4 @@ def look(
         np.zeros(128, np.int64),
         observed,
     )
-    return Sight(visible.reshape(size, size), observed.tolist())
+    return Sight(visible.reshape(shape), observed.tolist())

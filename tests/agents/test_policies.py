@@ -22,7 +22,7 @@ MODEL = WorldModel.of(WHERE, (450.0, 300.0), CONFIG)
 
 def watched(agent: int, held: int = -1, pairs: list[tuple[int, int]] | None = None) -> Policies:
     """Return what an agent makes of the scene, perhaps with its near item in hand."""
-    found = Policies(agent, MODEL, CONFIG, seed=3, pairs=pairs)
+    found = Policies(agent, MODEL, CONFIG, seed=3, goals=pairs)
     bodies, holds, weld = compiled.from_state(State.at_start(WHERE), WHERE.radius)
     found.observe(bodies, holds, weld)
     found.done(Action.ATTACH)

@@ -57,16 +57,16 @@ def planner(
 ) -> SubgoalPlanner:
     where.setdefault("walls", WALLS)
     goals = (goal_index(red), goal_index(green))
-    own, other = goal_literal(goals[agent], agent), goal_literal(goals[1 - agent], 1 - agent)
-    towards = stance(agent, own, other)
-    return SubgoalPlanner(agent, own, towards, Abilities.of(scene(**where), strengths))
+    literals = [goal_literal(goal, holder) for holder, goal in enumerate(goals)]
+    towards = stance(agent, literals)
+    return SubgoalPlanner(agent, literals[agent], towards, Abilities.of(scene(**where), strengths))
 
 
 def state(rooms: tuple[int, ...] = (TL, BR, TL, TR), **changes: Any) -> SymbolicState:
     facts = SymbolicState(
-        rooms=rooms,  # type: ignore[arg-type]
+        rooms=rooms,
         held=(NOWHERE, NOWHERE),
-        in_reach=(False,) * 4,  # type: ignore[arg-type]
+        in_reach=(False,) * 4,
         own_done=False,
         other_done=False,
         door_filled_by=(NOWHERE, NOWHERE),
@@ -596,9 +596,10 @@ def test_abilities_follow_door_widths_and_strengths() -> None:
     abilities = Abilities.of(where, (150.0, 300.0))
     assert [row[DOWN] for row in abilities.passes] == [True, False, True, False]
     assert [row[DOWN] for row in abilities.fills] == [False, True]
-    assert abilities.carries_alone == (False, True)
-    assert abilities.carries_together
-    assert not Abilities.of(where, (150.0, 150.0)).carries_together
+    assert [abilities.carries(agent, holders=1) for agent in (RED, GREEN)] == [False, True]
+    assert not abilities.carries(GREEN, holders=2)
+    assert abilities.carries(RED, GREEN, holders=2)
+    assert not Abilities.of(where, (150.0, 150.0)).carries(RED, GREEN, holders=2)
 
 
 def test_no_subgoal_serves_what_the_agent_is_to_prevent_whatever_the_pair_of_goals() -> None:
@@ -617,7 +618,7 @@ def test_no_subgoal_serves_what_the_agent_is_to_prevent_whatever_the_pair_of_goa
             if is_self_referring(red, RED) or is_self_referring(green, GREEN):
                 continue
             own, other = goal_literal(red, RED), goal_literal(green, GREEN)
-            plan = SubgoalPlanner(RED, own, stance(RED, own, other), abilities)
+            plan = SubgoalPlanner(RED, own, stance(RED, [own, other]), abilities)
             for facts in states:
                 found = plan.subgoal(facts, UNSEEN)
                 assert isinstance(found, Literal)
@@ -628,9 +629,11 @@ def test_no_subgoal_serves_what_the_agent_is_to_prevent_whatever_the_pair_of_goa
 
 @pytest.mark.parametrize("walls", [[], NARROW_DOWN])
 def test_equal_abilities_share_one_planner_memory(walls: list[list[list[float]]]) -> None:
-    towards = stance(RED, goal_literal(0, RED), goal_literal(1, GREEN))
+    towards = stance(RED, [goal_literal(0, RED), goal_literal(1, GREEN)])
     first, second, weak = (
-        subgoal_planners(RED, Abilities.of(scene(walls=walls), strengths))(0, towards)
+        subgoal_planners(RED, Abilities.of(scene(walls=walls), strengths))(
+            goal_literal(0, RED), towards
+        )
         for strengths in ((450.0, 600.0), (449.0, 590.0), (150.0, 600.0))
     )
     assert first is second

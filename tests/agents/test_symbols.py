@@ -35,7 +35,8 @@ def described(
     model = WorldModel.of(where, (450.0, 450.0), PlannerConfig())
     bodies, holds, _ = compiled.from_state(State.at_start(where), where.radius)
     holds[:] = held
-    facts = np.zeros((1, symbols.N_FACTS), np.int8)
+    row = symbols.Facts(4, 2)
+    facts = np.zeros((1, row.size), np.int8)
     done, costs = np.zeros((2, 1), np.bool_), np.zeros((2, 1))
     goals = goal_literal(goal_index(goal), RED), goal_literal(goal_index(other), GREEN)
     codes = np.array([pomcp.subgoal_code(literal) for literal in goals])
@@ -43,7 +44,7 @@ def described(
         bodies[None], holds[None], RED, codes, model.params, model.layout, facts, done, costs
     )
     own_done, other_done = done[:, 0].tolist()
-    return symbols.unpack(facts[0].tobytes(), own_done, other_done), float(costs[0, 0])
+    return row.unpack(facts[0].tobytes(), own_done, other_done), float(costs[0, 0])
 
 
 @pytest.mark.parametrize(

@@ -38,7 +38,7 @@ class CompiledWorld:
         frame = np.empty((4, 3))
         red, green = (int(action) for action in actions)
         compiled.step_mean(
-            self.bodies, self.held, self.weld, red, green, params, self.scratch, frame
+            self.bodies, self.held, self.weld, np.array([red, green]), params, self.scratch, frame
         )
         return frame
 

@@ -98,7 +98,9 @@ def test_step_and_step_mean_do_the_same(compiled_world: Any, make_scene: Any) ->
     bodies, held, weld = (a.copy() for a in (reference.bodies, reference.held, reference.weld))
     for red, green in actions.tolist():
         reference.step((red, green))
-        compiled.step(bodies, held, weld, red, green, reference.params, reference.scratch)
+        compiled.step(
+            bodies, held, weld, np.array([red, green]), reference.params, reference.scratch
+        )
     assert np.array_equal(bodies, reference.bodies)
     assert np.array_equal(held, reference.held)
     assert np.array_equal(weld, reference.weld)

@@ -24,7 +24,8 @@ def run(
     params = compiled.make_params(scene, (600.0, 600.0), swivel=swivel)
     bodies, held, weld = compiled.from_state(State.at_start(scene), scene.radius)
     for action in actions:
-        compiled.step(bodies, held, weld, action, NO_ACTION, params, compiled.make_scratch())
+        actions = np.array([action, NO_ACTION])
+        compiled.step(bodies, held, weld, actions, params, compiled.make_scratch())
     return bodies, held, params
 
 

@@ -41,7 +41,8 @@ def test_every_pair_has_the_density_of_its_own_frame(where: Scene) -> None:
             bodies, held, weld = compiled.from_state(State.at_start(where), where.radius)
             frame = np.empty((4, 3))
             compiled.step_mean(
-                bodies, held, weld, red, green, params, compiled.make_scratch(), frame
+                *(bodies, held, weld, np.array([red, green])),
+                *(params, compiled.make_scratch(), frame),
             )
             away = observed - frame
             expected = place.logpdf(away[:, :2]).sum()

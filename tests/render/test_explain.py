@@ -55,7 +55,7 @@ def test_it_is_said_in_sentences(event: ppl.Event) -> None:
 
 def test_every_kind_of_subgoal_has_words() -> None:
     said = {
-        doing(Literal(predicate, subject, target, positive), 0)
+        doing(Literal(predicate, subject, target, positive), 0, scene())
         for predicate, subject, target in [
             *[(Predicate.ON, subject, 2) for subject in range(4)],
             *[(Predicate.CLOSE, subject, 5) for subject in range(4)],
@@ -68,7 +68,7 @@ def test_every_kind_of_subgoal_has_words() -> None:
         for positive in (True, False)
     }
     assert len(said) == 24
-    assert doing(STOP, 0) == "does nothing"
+    assert doing(STOP, 0, scene()) == "does nothing"
     assert "keeps the green agent away from the red landmark" in said
     assert "brings the blue item to the left door" in said
 

@@ -13,10 +13,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from phase_ppl.render import draw_frame
-from phase_ppl.render.frames import ENTITY_COLOURS, LANDMARK_COLOURS, Painter
+from phase_ppl.render.frames import Painter
 from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.geometry import heading
 from phase_ppl.world.names import BLUE_ITEM, GREEN, PINK_ITEM, RED
+from phase_ppl.world.picture import ENTITY_COLOURS, LANDMARK_COLOURS
 from phase_ppl.world.scene import LANDMARK_CENTRES
 from tests.world.examples import START, make_scene, walls
 

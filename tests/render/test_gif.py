@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from phase_ppl.render import video
-from phase_ppl.render.frames import ENTITY_COLOURS, Painter, between_frames
+from phase_ppl.render.frames import Painter, between_frames
 from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.picture import ENTITY_COLOURS
 from tests.world.examples import make_event, make_scene, make_trajectory
 
 

@@ -48,10 +48,10 @@ def seen_by_the_simulator(
     bodies, _, _ = compiled.from_state(State.at_start(scene), scene.radius)
     layout = Layout.of(scene)
     layout = layout._replace(origin=layout.origin + shift)
-    visible = np.zeros(layout.size**2, bool)
+    visible = np.zeros(layout.rows * layout.columns, bool)
     params = compiled.make_params(scene, (450.0, 450.0))
     vision.visible_cells(bodies, agent, params, layout, visible)
-    row, column = np.divmod(np.arange(layout.size**2), layout.size)
+    row, column = np.divmod(np.arange(len(visible)), layout.columns)
     return layout.origin + np.stack([0.5 + column, -0.5 - row], axis=1), visible
 
 

@@ -24,13 +24,13 @@ from phase_ppl.analysis.figures.style import (
 from phase_ppl.analysis.hypotheses import GOALS_OF, STRENGTHS_OF
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-from phase_ppl.render.frames import ENTITY_COLOURS, LANDMARK_COLOURS
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.geometry import agent_outline, is_agent
 from phase_ppl.world.hypothesis import STRENGTH_RANGE
 from phase_ppl.world.names import ENTITIES, LANDMARKS
+from phase_ppl.world.picture import ENTITY_COLOURS, LANDMARK_COLOURS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

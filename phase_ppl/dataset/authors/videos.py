@@ -70,7 +70,7 @@ from phase_ppl.world.hypothesis import RELATIONS
 from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS
 from phase_ppl.world.observation import FRAMES_PER_SECOND, Observation
 from phase_ppl.world.rooms import RAY_DIRECTIONS
-from phase_ppl.world.scene import ARENA, LANDMARK_HALF_WIDTH, Scene, finite_array
+from phase_ppl.world.scene import ARENA, LANDMARK_HALF_WIDTH, Scene, check_phase, finite_array
 
 CHANNELS: Final = ("x", "y", "vx", "vy", "angle")
 
@@ -390,6 +390,7 @@ def _lines_that_name_modules(content: bytes) -> Iterator[tuple[int, int]]:
 def video(event: Event) -> dict[str, Any]:
     """Return an event as one video of the processed form, if that has a place for all of it."""
     scene, truth, trajectory = event.scene, event.truth, event.observation.trajectory
+    check_phase(scene, "this format")
     if scene.arena != ARENA or scene.landmark_half_width != LANDMARK_HALF_WIDTH:
         raise InvalidEventError(
             "its arena is not the original one, and the format has no place for it"

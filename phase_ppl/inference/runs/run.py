@@ -27,6 +27,7 @@ from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
 from phase_ppl.world.event import Event
 from phase_ppl.world.identity import event_digest, source_hash, stable
+from phase_ppl.world.scene import check_phase
 
 _KEPT_PROGRAMS: Final = 16
 _OURS: Final = "phase_ppl."
@@ -175,9 +176,10 @@ class Run:
 
 
 def check_event(given: object) -> None:
-    """Raise InvalidEventError if something is no event."""
+    """Raise InvalidEventError if something is no event, InvalidSettingError if of another world."""
     if not isinstance(given, Event):
         raise InvalidEventError(f"{shown(given)} is no event; phase_ppl.load_event reads one")
+    check_phase(given.scene, "inference")
 
 
 def model_again(stored: Mapping[str, Any]) -> Model:
