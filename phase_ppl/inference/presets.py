@@ -1,4 +1,4 @@
-"""SIMPLE in one word: as the paper prints it, as it means it, by default, and at its best.
+"""SIMPLE in one word: as the paper prints it, as it means it, by default, and with rivals tried.
 
 >>> ppl.infer(event, **ppl.preset("as_printed"))
 >>> ppl.evaluate(events, "simple", preset="as_intended")
