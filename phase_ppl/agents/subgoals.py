@@ -313,7 +313,7 @@ class SubgoalPlanner:
                 return self._stand_in_door(state, rival_way)
             refuge = self._far_room(item, item_room, rival)
         if refuge is None:
-            return Literal(Predicate.ON, self.opponent, rival, positive=False)
+            return self._aside(self.opponent, rival).negated()
         if not holding:
             return self._take(state, item, observed)
         following = self._next_room((self.agent, item), item_room, refuge)
@@ -327,12 +327,12 @@ class SubgoalPlanner:
             return self.own
         return self._aside(item, room)
 
-    def _aside(self, item: int, room: int) -> Literal:
-        """Bring an item to the landmark of a room, or into a corner where there is none."""
+    def _aside(self, entity: int, room: int) -> Literal:
+        """Bring an entity to the landmark of a room, or into a corner where there is none."""
         landmark = self.abilities.landmark_in[room]
         if landmark == NOTHING:
-            return Literal(Predicate.CLOSE, item, room)
-        return Literal(Predicate.ON, item, landmark)
+            return Literal(Predicate.CLOSE, entity, room)
+        return Literal(Predicate.ON, entity, landmark)
 
     def _door(self, entity: int, door: int) -> Literal:
         """Stand in a door; in literals the doors come after the rooms."""
