@@ -33,37 +33,25 @@ from phase_ppl.world.goals import goal_literal, is_self_referring
 from phase_ppl.world.names import AGENTS, NOTHING, STOP, Literal, Predicate
 from phase_ppl.world.scene import World
 
-NO_INTENT = -1
-"""Stands for a pair of goals that is none."""
+NO_INTENT = -1  # stands for a pair of goals that is none
 
 
 class Intent(NamedTuple):
-    """What an agent is about: all that its next action depends on.
+    """What an agent is about: all that its next action depends on."""
 
-    Attributes:
-        subgoal: the literal that it serves.
-        agreeing: indices of the particles that agree with it.
-        contested: whether another agent wants the opposite, which allows more actions.
-    """
-
-    subgoal: Literal
-    agreeing: tuple[int, ...]
-    contested: bool
+    subgoal: Literal  # the literal that it serves
+    agreeing: tuple[int, ...]  # indices of the particles that agree with it
+    contested: bool  # whether another agent wants the opposite, which allows more actions
 
 
 class RootStatistics(NamedTuple):
-    """What a search found at the root of its tree.
+    """What a search found at the root of its tree."""
 
-    Attributes:
-        actions: (A,) actions considered; where no search is needed there is one, visited once.
-        visits: (A,) of the actions; values: (A,) mean returns, NaN if unvisited.
-        best: the action to take.
-    """
-
+    # (A,) actions considered; where no search is needed there is one, visited once
     actions: IntArray
-    visits: IntArray
-    values: FloatArray
-    best: Action
+    visits: IntArray  # (A,) of the actions
+    values: FloatArray  # (A,) mean returns, NaN if unvisited
+    best: Action  # the action to take
 
 
 def best_subgoal(
@@ -369,19 +357,12 @@ class Policies:
 
 
 class Decision(NamedTuple):
-    """What an agent does, and why.
+    """What an agent does, and why."""
 
-    Attributes:
-        intent: what it is about.
-        root: what the planner made of that.
-        held: item that it holds when it decides, or ``NOTHING``.
-        beliefs: its particles, as they are until it decides again.
-    """
-
-    intent: Intent
-    root: RootStatistics
-    held: int
-    beliefs: Beliefs
+    intent: Intent  # what it is about
+    root: RootStatistics  # what the planner made of that
+    held: int  # item that it holds when it decides, or ``NOTHING``
+    beliefs: Beliefs  # its particles, as they are until it decides again
 
     @property
     def action(self) -> Action:

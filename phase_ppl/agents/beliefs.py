@@ -44,26 +44,16 @@ _ATTACH = int(Action.ATTACH)
 
 
 class Beliefs(NamedTuple):
-    """The belief of one agent.
+    """The belief of one agent."""
 
-    Attributes:
-        bodies: (K, entity, 9) physical states, as in ``physics.compiled``.
-        held: (K, agent) held items; weld: (K, agent, 3) how they are held.
-        ever_seen: (cells,) cells that have ever been in view.
-        visible: (cells,) cells in view now.
-        observed: (entity,) entities observed now.
-        actions: (agent,) what is imagined of the agents in a prediction.
-        cells, open_cells: scratch.
-    """
-
-    bodies: FloatArray
-    held: IntArray
-    weld: FloatArray
-    ever_seen: BoolArray
-    visible: BoolArray
-    observed: BoolArray
-    actions: IntArray
-    cells: IntArray
+    bodies: FloatArray  # (K, entity, 9) physical states, as in ``physics.compiled``
+    held: IntArray  # (K, agent) held items
+    weld: FloatArray  # (K, agent, 3) how they are held
+    ever_seen: BoolArray  # (cells,) cells that have ever been in view
+    visible: BoolArray  # (cells,) cells in view now
+    observed: BoolArray  # (entity,) entities observed now
+    actions: IntArray  # (agent,) what is imagined of the agents in a prediction
+    cells: IntArray  # scratch
     open_cells: IntArray
 
 

@@ -26,8 +26,7 @@ from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.names import AGENTS, ENTITIES, NOTHING, Literal, Predicate
 from phase_ppl.world.rooms import UNREACHABLE
 
-SIDEWAYS_COST: Final = 0.02
-"""Cost of each translation other than straight ahead."""
+SIDEWAYS_COST: Final = 0.02  # cost of each translation other than straight ahead
 
 _ON, _TOUCH, _ATTACH, _CLOSE = (
     int(p) for p in (Predicate.ON, Predicate.TOUCH, Predicate.ATTACH, Predicate.CLOSE)
@@ -198,31 +197,20 @@ class Search(NamedTuple):
 
 
 class Tree(NamedTuple):
-    """A search tree in flat arrays; node 0 is the root.
+    """A search tree in flat arrays; node 0 is the root."""
 
-    Attributes:
-        child: (nodes, actions) node reached by each action column, or NO_NODE.
-        visits: (nodes,); total: (nodes,) sum of returns.
-        used: (1,) number of nodes in use.
-        path, rewards: (nodes,) scratch of one simulation.
-        particle, particle_held, particle_weld: scratch state of one simulation.
-        actions: (agent,) scratch, what they do in a step.
-        stream: (1,) state of the random numbers of one simulation.
-        statistics: (3,) simulations run, physics steps, sum of depths.
-    """
-
-    child: NDArray[np.int32]
-    visits: NDArray[np.int32]
-    total: FloatArray
-    used: IntArray
-    path: IntArray
+    child: NDArray[np.int32]  # (nodes, actions) node reached by each action column, or NO_NODE
+    visits: NDArray[np.int32]  # (nodes,)
+    total: FloatArray  # (nodes,) sum of returns
+    used: IntArray  # (1,) number of nodes in use
+    path: IntArray  # (nodes,) scratch of one simulation
     rewards: FloatArray
-    particle: FloatArray
+    particle: FloatArray  # scratch state of one simulation
     particle_held: IntArray
     particle_weld: FloatArray
-    actions: IntArray
-    stream: NDArray[np.uint64]
-    statistics: IntArray
+    actions: IntArray  # (agent,) scratch, what they do in a step
+    stream: NDArray[np.uint64]  # (1,) state of the random numbers of one simulation
+    statistics: IntArray  # (3,) simulations run, physics steps, sum of depths
 
 
 def make_tree(

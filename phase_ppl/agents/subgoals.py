@@ -20,20 +20,15 @@ from phase_ppl.world.names import NOTHING, STOP, Literal, Predicate
 
 
 class Stance(NamedTuple):
-    """All that matters to an agent of what others want.
+    """All that matters to an agent of what others want."""
 
-    Attributes:
-        other: whom its goal concerns: the agent that it is about; else one that wants the same,
-            or the opposite where the goal is to prevent something; else any. ``NOTHING``: nobody.
-        cooperative: that one wants the same.
-        contested: somebody wants the opposite.
-        helps_along: the agent's goal is that the other one gets somewhere, so that it matters
-            whether the other is where it wants to be.
-    """
-
+    # whom its goal concerns: the agent that it is about; else one that wants the same, or the
+    # opposite where the goal is to prevent something; else any. ``NOTHING``: nobody
     other: int
-    cooperative: bool
-    contested: bool
+    cooperative: bool  # that one wants the same
+    contested: bool  # somebody wants the opposite
+    # the agent's goal is that the other one gets somewhere, so that it matters whether the other is
+    # where it wants to be
     helps_along: bool
 
 

@@ -21,34 +21,22 @@ from phase_ppl.world.names import Predicate
 NEAR_AGENT_ON: Final = 0.02 * DISTANCE_UNIT
 """An agent is done with ON(itself, landmark) this close to the centre, units."""
 
-NEAR_ITEM_ON: Final = 0.05 * DISTANCE_UNIT
-"""Likewise for ON(item, landmark)."""
-
-NEAR_TOUCH: Final = 0.1 * DISTANCE_UNIT
-"""Likewise for TOUCH."""
-
+NEAR_ITEM_ON: Final = 0.05 * DISTANCE_UNIT  # likewise for ON(item, landmark)
+NEAR_TOUCH: Final = 0.1 * DISTANCE_UNIT  # likewise for TOUCH
 NO_DOOR: Final = -1
 _ON, _TOUCH = int(Predicate.ON), int(Predicate.TOUCH)
 
 
 class SymbolicState(NamedTuple):
-    """Which facts hold in one particle.
+    """Which facts hold in one particle."""
 
-    Attributes:
-        rooms: room of each entity (0 for all in an arena without inner walls).
-        held: item held by each agent, or -1.
-        in_reach: agent by agent, whether it can grab each item.
-        own_done, other_done: whether the positive form of the agent's own and of the other's
-            goal is reached.
-        door_filled_by: the door that each item closes, or -1.
-    """
-
-    rooms: tuple[int, ...]
-    held: tuple[int, ...]
-    in_reach: tuple[bool, ...]
+    rooms: tuple[int, ...]  # room of each entity (0 for all in an arena without inner walls)
+    held: tuple[int, ...]  # item held by each agent, or -1
+    in_reach: tuple[bool, ...]  # agent by agent, whether it can grab each item
+    # whether the positive form of the agent's own and of the other's goal is reached
     own_done: bool
     other_done: bool
-    door_filled_by: tuple[int, ...]
+    door_filled_by: tuple[int, ...]  # the door that each item closes, or -1
 
 
 class Facts(NamedTuple):

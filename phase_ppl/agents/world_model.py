@@ -36,36 +36,22 @@ ITEM_WIDTH: Final = 2.0
 
 
 class Layout(NamedTuple):
-    """What the agents know about the layout.
+    """What the agents know about the layout."""
 
-    Attributes:
-        origin: (2,) x of the left and y of the top border.
-        rows, columns: number of 1 x 1 cells along a side.
-        walls: (n, 4) inner walls as x1, y1, x2, y2.
-        lines_x, lines_y: (n,) of the lines that cut the arena into rooms, ascending.
-        rooms: (row from the bottom, column) number of the room between those lines.
-        is_open: no inner walls.
-        routes: (room, room, room) from ``Rooms.route_table``.
-        doors: (door, 2) door middles; door_width: (door,).
-        landmarks: (landmark, 2) centres.
-        room_points: (room, 2) the point that stands for each room.
-        neighbour: (room, room) the widest door that joins two rooms directly, -1 for none.
-    """
-
-    origin: FloatArray
-    rows: int
+    origin: FloatArray  # (2,) x of the left and y of the top border
+    rows: int  # number of 1 x 1 cells along a side
     columns: int
-    walls: FloatArray
-    lines_x: FloatArray
+    walls: FloatArray  # (n, 4) inner walls as x1, y1, x2, y2
+    lines_x: FloatArray  # (n,) of the lines that cut the arena into rooms, ascending
     lines_y: FloatArray
-    rooms: IntArray
-    is_open: bool
-    routes: IntArray
-    doors: FloatArray
-    door_width: FloatArray
-    landmarks: FloatArray
-    room_points: FloatArray
-    neighbour: IntArray
+    rooms: IntArray  # (row from the bottom, column) number of the room between those lines
+    is_open: bool  # no inner walls
+    routes: IntArray  # (room, room, room) from ``Rooms.route_table``
+    doors: FloatArray  # (door, 2) door middles
+    door_width: FloatArray  # (door,)
+    landmarks: FloatArray  # (landmark, 2) centres
+    room_points: FloatArray  # (room, 2) the point that stands for each room
+    neighbour: IntArray  # (room, room) the widest door that joins two rooms directly, -1 for none
 
     @classmethod
     def of(cls, scene: Scene) -> Layout:
@@ -140,31 +126,24 @@ def body_origin(bodies: FloatArray, entity: int, cog: FloatArray) -> tuple[float
 
 @dataclasses.dataclass(frozen=True)
 class Abilities:
-    """What the bodies of a scene can do; all of the physics that plans depend on.
+    """What the bodies of a scene can do; all of the physics that plans depend on."""
 
-    Attributes:
-        passes: (entity, door): whether the entity fits through the door.
-        fills: (item, door): whether the item, standing at the door, closes it: it is wider than
-            the gap, so that nobody can push it through.
-        walled: (door,) whether a wall stands beside the door, so that it can be stood in.
-        strong: (pulling agents, number of holders) whose pull beats the floor friction of an item
-            and all that hold it; the others hang on without helping.
-        room_distance: (room, room) length of the way, inf for none; doors only by ``passes``.
-        neighbours: per room the (door, room) pairs that open doors join.
-        landmark_rooms: (landmark,) the room that each is in.
-        landmark_in: (room,) a landmark that is in each, or ``NOTHING``.
-        is_open: no inner walls.
-    """
-
-    passes: tuple[tuple[bool, ...], ...]
+    passes: tuple[tuple[bool, ...], ...]  # (entity, door): whether the entity fits through the door
+    # (item, door): whether the item, standing at the door, closes it: it is wider than the gap, so
+    # that nobody can push it through
     fills: tuple[tuple[bool, ...], ...]
+    # (door,) whether a wall stands beside the door, so that it can be stood in
     walled: tuple[bool, ...]
+    # (pulling agents, number of holders) whose pull beats the floor friction of an item and all
+    # that hold it; the others hang on without helping
     strong: frozenset[tuple[tuple[int, ...], int]]
+    # (room, room) length of the way, inf for none; doors only by ``passes``
     room_distance: tuple[tuple[float, ...], ...]
+    # per room the (door, room) pairs that open doors join
     neighbours: tuple[tuple[tuple[int, int], ...], ...]
-    landmark_rooms: tuple[int, ...]
-    landmark_in: tuple[int, ...]
-    is_open: bool
+    landmark_rooms: tuple[int, ...]  # (landmark,) the room that each is in
+    landmark_in: tuple[int, ...]  # (room,) a landmark that is in each, or ``NOTHING``
+    is_open: bool  # no inner walls
 
     @classmethod
     def of(cls, scene: Scene, strengths: Sequence[float]) -> Abilities:
@@ -234,19 +213,12 @@ class Abilities:
 
 
 class WorldModel(NamedTuple):
-    """What all agents of a simulation share.
+    """What all agents of a simulation share."""
 
-    Attributes:
-        scene: where they are.
-        layout: the scene's flat arrays.
-        params: the physics that they imagine.
-        abilities: what their bodies can do.
-    """
-
-    scene: Scene
-    layout: Layout
-    params: compiled.Params
-    abilities: Abilities
+    scene: Scene  # where they are
+    layout: Layout  # the scene's flat arrays
+    params: compiled.Params  # the physics that they imagine
+    abilities: Abilities  # what their bodies can do
 
     @classmethod
     def of(cls, scene: Scene, strengths: Sequence[float], config: PlannerConfig) -> WorldModel:

@@ -37,42 +37,30 @@ there is the first set alone."""
 
 
 class Reading(NamedTuple):
-    """What one frame says.
+    """What one frame says."""
 
-    Attributes:
-        log_likelihood: (goal_red, goal_green) log density of the frame given those before it and
-            a pair of effective goals, per unit^8 rad^2; -inf where a goal names its own holder.
-        without: (planner_seed, goal_red, goal_green) likewise without each set of searches; empty
-            where there is only one.
-        strengths: (strength of red, of green) probabilities given the frames so far.
-        actions: (agent, action) probabilities of what each agent has just done, whatever its goal.
-        held: (agent,) item that each most probably holds now, or ``NOTHING``.
-        unexplained: nats by which the best pair of actions leaves the frame less probable than
-            one that is exactly where an action puts it.
-        log_peak: log density of the latter.
-        searches: searches that were made.
-    """
-
+    # (goal_red, goal_green) log density of the frame given those before it and a pair of effective
+    # goals, per unit^8 rad^2; -inf where a goal names its own holder
     log_likelihood: FloatArray
+    # (planner_seed, goal_red, goal_green) likewise without each set of searches; empty where there
+    # is only one
     without: FloatArray
-    strengths: FloatArray
+    strengths: FloatArray  # (strength of red, of green) probabilities given the frames so far
+    # (agent, action) probabilities of what each agent has just done, whatever its goal
     actions: FloatArray
-    held: IntArray
+    held: IntArray  # (agent,) item that each most probably holds now, or ``NOTHING``
+    # nats by which the best pair of actions leaves the frame less probable than one that is exactly
+    # where an action puts it
     unexplained: float
-    log_peak: float
-    searches: int
+    log_peak: float  # log density of the latter
+    searches: int  # searches that were made
 
 
 class Conduct(NamedTuple):
-    """How agents act on their plans.
+    """How agents act on their plans."""
 
-    Attributes:
-        sharpness: exponent of a search's root visits.
-        lapse: probability, by frame, that an agent does anything whatever.
-    """
-
-    sharpness: float
-    lapse: float
+    sharpness: float  # exponent of a search's root visits
+    lapse: float  # probability, by frame, that an agent does anything whatever
 
     def policy(self, root: RootStatistics) -> FloatArray:
         """Return (action,) probabilities of an agent, from what its search found.
@@ -86,15 +74,10 @@ class Conduct(NamedTuple):
 
 
 class Looked(NamedTuple):
-    """One agent's plans at one moment, by one set of beliefs and searches.
+    """One agent's plans at one moment, by one set of beliefs and searches."""
 
-    Attributes:
-        roots: of every intent, what its search found.
-        of_pair: (goal_red, goal_green) -> index of the intent, or ``NO_INTENT``.
-    """
-
-    roots: list[RootStatistics]
-    of_pair: IntArray
+    roots: list[RootStatistics]  # of every intent, what its search found
+    of_pair: IntArray  # (goal_red, goal_green) -> index of the intent, or ``NO_INTENT``
 
 
 class GoalFilter:

@@ -32,11 +32,8 @@ from phase_ppl.world.names import AGENTS, BLUE_ITEM, ENTITIES
 from phase_ppl.world.observation import State
 from phase_ppl.world.scene import Scene, check_phase
 
-UNSEEN: Final = 0.05
-"""Units that are assumed before there is anything to estimate the noise from."""
-
-_MEDIAN: Final = 0.6745
-"""Median of |x| for a standard normal x."""
+UNSEEN: Final = 0.05  # units that are assumed before there is anything to estimate the noise from
+_MEDIAN: Final = 0.6745  # median of |x| for a standard normal x
 
 _MOST: Final = 0.9
 """Share of a deviation that is taken over where observations are exact: the rest is the means'
@@ -95,17 +92,13 @@ def filter_gains(drift: float, noise: float) -> FloatArray:
 _ALIKE: Final = 4
 """States of the beam that agree on holds and strengths, at most: they differ in velocities."""
 
-_TRIED: Final = 6
-"""Joint actions followed per place in the beam."""
-
-_LEAST: Final = 20.0
-"""Log weight below the best at which a state is dropped."""
+_TRIED: Final = 6  # joint actions followed per place in the beam
+_LEAST: Final = 20.0  # log weight below the best at which a state is dropped
 
 _PARTS_PER_THREAD: Final = 4
 """Into which the beam is divided: some states take far longer than others."""
 
-_VELOCITY_BIN: Final = 3.0
-"""States whose velocities differ by less are taken for the same, units/s."""
+_VELOCITY_BIN: Final = 3.0  # states whose velocities differ by less are taken for the same, units/s
 
 
 @dataclasses.dataclass(frozen=True)
@@ -160,34 +153,23 @@ class Tracking:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Beam:
-    """States that the world may be in.
+    """States that the world may be in."""
 
-    Attributes:
-        bodies: (B, 4, 9); held: (B, 2); weld: (B, 2, 3): as in :mod:`phase_ppl.physics.compiled`.
-        pair: (B,) the pair of strengths, as an index.
-        within: (B,) log probabilities given the pair of strengths.
-    """
-
-    bodies: FloatArray
-    held: IntArray
-    weld: FloatArray
-    pair: IntArray
-    within: FloatArray
+    bodies: FloatArray  # (B, entity, 9), as in ``physics.compiled``, like those below
+    held: IntArray  # (B, agent)
+    weld: FloatArray  # (B, agent, 3)
+    pair: IntArray  # (B,) the pair of strengths, as an index
+    within: FloatArray  # (B,) log probabilities given the pair of strengths
 
     def __len__(self) -> int:
         return len(self.bodies)
 
 
 class Expected(NamedTuple):
-    """A pair of strengths, and the most probable state given it.
+    """A pair of strengths, and the most probable state given it."""
 
-    Attributes:
-        strengths: of red and green, newtons.
-        bodies, held, weld: (4, 9), (2,), (2, 3), as in :mod:`phase_ppl.physics.compiled`.
-    """
-
-    strengths: tuple[float, float]
-    bodies: FloatArray
+    strengths: tuple[float, float]  # of red and green, newtons
+    bodies: FloatArray  # (4, 9), (2,), (2, 3), as in ``compiled``
     held: IntArray
     weld: FloatArray
 

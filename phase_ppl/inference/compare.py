@@ -241,11 +241,7 @@ class _Record:
             self.comparison().save(self._path)
 
     def _take_up(self, stored: Comparison) -> None:
-        """Go on from a checkpoint.
-
-        Raises:
-            InvalidSettingError: it has other settings; the message says which.
-        """
+        """Go on from a checkpoint."""
         old, new = dict(stored.settings), self.settings
         pairs = [(name, old.get(name), new[name]) for name in new
                  if name not in _MAY_DIFFER]  # fmt: skip

@@ -17,8 +17,7 @@ from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import InvalidSettingError, PhasePPLError, shown
 from phase_ppl.world.event import Event
 
-Spec: TypeAlias = Kernel | tuple[Kernel, Mapping[str, Any]]
-"""A kernel, or a kernel and its options."""
+Spec: TypeAlias = Kernel | tuple[Kernel, Mapping[str, Any]]  # A kernel, or a kernel and its options
 
 _TAKEN: Final = (
     *("event", "model", "kernel", "seed", "workers", "progress", "planner", "budget"),
@@ -32,25 +31,15 @@ _OF_COMPARISON: Final = ("planner", "weights", "iterations")
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Entry:
-    """A kernel that is compared.
+    """A kernel that is compared."""
 
-    Attributes:
-        label: what it is called in tables and figures.
-        kernel: as ``infer`` takes it.
-        options: of the kernel.
-        chains: particles M.
-        settings: of SIMPLE.
-        length: ``budget`` or ``iterations`` where they are not the comparison's.
-        info: what is known of the kernel.
-    """
-
-    label: str
-    kernel: Kernel
-    options: Mapping[str, Any]
-    chains: int
-    settings: SimpleSettings
-    length: Mapping[str, Any]
-    info: KernelInfo
+    label: str  # what it is called in tables and figures
+    kernel: Kernel  # as ``infer`` takes it
+    options: Mapping[str, Any]  # of the kernel
+    chains: int  # particles M
+    settings: SimpleSettings  # of SIMPLE
+    length: Mapping[str, Any]  # ``budget`` or ``iterations`` where they are not the comparison's
+    info: KernelInfo  # what is known of the kernel
 
     def record(self) -> dict[str, Any]:
         """Return name and options as a file keeps them."""
@@ -63,11 +52,7 @@ class Entry:
         }
 
     def check(self, event: Event, model: Model, budget: Any) -> None:
-        """Make the kernel and trace a step of it, with nothing simulated.
-
-        Raises:
-            InvalidSettingError: it cannot run with these settings; the message names it.
-        """
+        """Make the kernel and trace a step of it, with nothing simulated."""
         try:
             length = self.length or {"budget": budget}
             what = Run(
@@ -118,9 +103,6 @@ def entry(
         spec: the kernel, with its options.
         chains, settings: where the options have none.
         own_length: whether the options may have a budget or iterations.
-
-    Raises:
-        InvalidSettingError, UnknownNameError: it cannot be one.
     """
     kernel, given = spec if isinstance(spec, tuple) and len(spec) == 2 else (spec, {})
     if isinstance(kernel, tuple) or not isinstance(given, Mapping):
@@ -154,12 +136,7 @@ def entry(
 def entries(
     kernels: Iterable[Spec] | Mapping[str, Spec], chains: int, settings: SimpleSettings
 ) -> list[Entry]:
-    """Return the kernels of a comparison.
-
-    Raises:
-        InvalidSettingError: there are none, or two of one name.
-        UnknownNameError: an unknown kernel.
-    """
+    """Return the kernels of a comparison."""
     if isinstance(kernels, str):
         kernels = [kernels]
     instance_of("kernels", kernels, Iterable, "names, or a mapping from labels to kernels")

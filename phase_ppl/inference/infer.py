@@ -36,8 +36,7 @@ __all__ = [
     "simulations",
 ]
 
-CHAINS: Final = 15
-"""M, the paper's number of particles."""
+CHAINS: Final = 15  # M, the paper's number of particles
 
 _NOT_REFUSED: Final = ("workers", "progress", "versions", "began")
 """Not refused for a video read step by step: it uses the first two; the others are made anew in
@@ -302,11 +301,7 @@ def _complete_model(
 
 
 def _stored(saved: Checkpoint, name: str, reason: str) -> Any:
-    """Return a part of a run from its file.
-
-    Raises:
-        InvalidSettingError: the file does not hold it, for a reason that may name the identity.
-    """
+    """Return a part of a run from its file."""
     if saved.again[name] is None:
         argument = "**options" if name == "options" else f"{name}=..."
         raise InvalidSettingError(

@@ -76,10 +76,6 @@ def completed(name: str, given: Mapping[str, Any]) -> dict[str, Any]:
         name: of the preset.
         given: arguments of :func:`phase_ppl.infer`, None for those that are not given, and
             settings of SIMPLE by name, such as ``beta=0.1``.
-
-    Raises:
-        UnknownNameError: there is no such preset.
-        InvalidSettingError: settings are given whole and one by one, or cannot be used.
     """
     usual = preset(name)
     told = {argument: value for argument, value in given.items() if value is not None}

@@ -13,10 +13,7 @@ from typing import Any, ClassVar, Final, Self, TypeVar
 from tqdm.auto import tqdm
 
 WARMING_UP: Final = "warming up (compiles the first time)"
-
-clock = time.monotonic
-"""Seconds of wall time."""
-
+clock = time.monotonic  # seconds of wall time
 Item = TypeVar("Item")
 
 _ROUNDS: Final = 2

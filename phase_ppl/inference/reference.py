@@ -43,46 +43,28 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import RELATIONS, Hypothesis
 
-PER_PAIR: Final = 4
-"""Simulations of each pair, unless more are asked for."""
-
-SPLITS: Final = 3
-"""Ways in which the simulations of a pair are parted into halves."""
-
-_POOL: Final = 32
-"""Draws of strengths, of which each pair takes a few."""
-
-_NO_MASS: Final = -60.0
-"""Log probability below which a pair is not simulated."""
+PER_PAIR: Final = 4  # simulations of each pair, unless more are asked for
+SPLITS: Final = 3  # ways in which the simulations of a pair are parted into halves
+_POOL: Final = 32  # draws of strengths, of which each pair takes a few
+_NO_MASS: Final = -60.0  # log probability below which a pair is not simulated
 
 
 class Enumeration(NamedTuple):
-    """Posterior of the effective goals.
+    """Posterior of the effective goals."""
 
-    Attributes:
-        probability: (goal_red, goal_green), sum 1.
-        halves: (split, 2, goal_red, goal_green) the same from either half of the simulations of
-            each pair, parted in :data:`SPLITS` ways.
-        simulations: how many were made.
-    """
-
-    probability: FloatArray
+    probability: FloatArray  # (goal_red, goal_green), sum 1
+    # (split, 2, goal_red, goal_green) the same from either half of the simulations of each pair,
+    # parted in ``SPLITS`` ways
     halves: FloatArray
-    simulations: int
+    simulations: int  # how many were made
 
 
 class Plan(NamedTuple):
-    """What an enumeration is going to simulate.
+    """What an enumeration is going to simulate."""
 
-    Attributes:
-        pairs: (pair, 2) effective goals of red and green that have prior mass.
-        strengths: (draw, 2) newtons, from the prior.
-        log_prior: (pair, draw) log P(pair | strengths).
-    """
-
-    pairs: NDArray[np.int64]
-    strengths: FloatArray
-    log_prior: FloatArray
+    pairs: NDArray[np.int64]  # (pair, 2) effective goals of red and green that have prior mass
+    strengths: FloatArray  # (draw, 2) newtons, from the prior
+    log_prior: FloatArray  # (pair, draw) log P(pair | strengths)
 
 
 def plan_enumeration(model: Model, seed: int = 0) -> Plan:
@@ -120,11 +102,6 @@ def enumerate_goals(
             an even number, at most 32.
         seed: a whole number >= 0.
         workers: processes; by default one per usable core.
-
-    Raises:
-        InvalidSettingError: ``per_pair`` is another number.
-        SimulationError: no simulation was completed.
-        KeyboardInterrupt: Ctrl-C.
     """
     check_per_pair(per_pair)
     rng = np.random.default_rng(seed)
@@ -203,37 +180,22 @@ def _seeds(event: Event, model: Model, hypotheses: list[Hypothesis], seed: int) 
     return [int(value) for value in np.asarray(seeds)]
 
 
-Halves: TypeAlias = tuple[Marginals, Marginals]
-"""What two halves of the same simulations say."""
-
+Halves: TypeAlias = tuple[Marginals, Marginals]  # what two halves of the same simulations say
 ENUMERATION: Final = "enumeration"
-
-LONG: Final = 10
-"""How many times the budget a reference may take."""
-
-LONG_RUN: Final = "local_mh"
-"""Kernel of the reference where enumeration takes too much."""
+LONG: Final = 10  # how many times the budget a reference may take
+LONG_RUN: Final = "local_mh"  # kernel of the reference where enumeration takes too much
 
 
 @dataclasses.dataclass(frozen=True)
 class Reference:
-    """The reference that was asked for.
+    """The reference that was asked for."""
 
-    Attributes:
-        given: a posterior, or None.
-        enumeration: whether goals may be enumerated.
-        kernel: of a long run, or None.
-        budget: what the reference may take.
-        weights: of the draws of a long run.
-        per_pair: simulations of each pair of goals, where these are enumerated.
-    """
-
-    given: Posterior | None
-    enumeration: bool
-    kernel: Entry | None
-    budget: Budget
-    weights: str
-    per_pair: int = PER_PAIR
+    given: Posterior | None  # a posterior, or None
+    enumeration: bool  # whether goals may be enumerated
+    kernel: Entry | None  # of a long run, or None
+    budget: Budget  # what the reference may take
+    weights: str  # of the draws of a long run
+    per_pair: int = PER_PAIR  # simulations of each pair of goals, where these are enumerated
 
     @classmethod
     def asked_for(
@@ -245,12 +207,7 @@ class Reference:
         settings: SimpleSettings,
         weights: str,
     ) -> Reference:
-        """Return what the argument ``reference`` of a comparison means.
-
-        Raises:
-            InvalidEventError: a posterior of another event.
-            InvalidSettingError, UnknownNameError: a kernel that cannot be used.
-        """
+        """Return what the argument ``reference`` of a comparison means."""
         if isinstance(reference, Posterior):
             if not np.array_equal(reference.observed(), event.observation.trajectory):
                 raise InvalidEventError(

@@ -46,38 +46,29 @@ Factory = Callable[..., MCMCKernel]
 
 @dataclasses.dataclass(frozen=True)
 class KernelInfo:
-    """What is known of a kernel without running it.
+    """What is known of a kernel without running it."""
 
-    Attributes:
-        name: as users call it.
-        factory: makes the kernel from an :class:`~phase_ppl.models.program.EventProgram`.
-        validity: "exact": its stationary law is the posterior; "consistent": it approaches the
-            posterior as particles grow; "approximate": neither; "unknown" where nobody says.
-        sims_per_step: the most simulations that a step takes per particle; what a bar and a
-            budget of seconds expect at first. Budgets are spent by what was really simulated.
-        needs: keyword arguments that the factory asks for, of :data:`NEEDS`.
-        summary: first line of the factory's documentation.
-        even_chains: whether it needs an even number of chains.
-        keeps: which particles are draws of the posterior: "all", those after every iteration;
-            "last", those after the last one; "start", all and the initial ones.
-        weighted: whether draws carry a weight, the state's ``log_weight``.
-        weights: name of the weighting that makes a posterior of a run, where its draws, counted,
-            are none; None: they are.
-        any_length: whether arrays of frames may be longer than the observation, so that one
-            compiled program serves events of all lengths: how many frames count is then
-            ``program.observed`` instead of ``program.n_frames``, and known only when it runs.
-    """
-
-    name: str
-    factory: Factory
+    name: str  # as users call it
+    factory: Factory  # makes the kernel from an ``EventProgram``
+    # "exact": its stationary law is the posterior; "consistent": it approaches the posterior as
+    # particles grow; "approximate": neither; "unknown" where nobody says
     validity: str
+    # the most simulations that a step takes per particle; what a bar and a budget of seconds expect
+    # at first. Budgets are spent by what was really simulated
     sims_per_step: int
-    needs: tuple[str, ...]
-    summary: str
-    even_chains: bool = False
+    needs: tuple[str, ...]  # keyword arguments that the factory asks for, of ``NEEDS``
+    summary: str  # first line of the factory's documentation
+    even_chains: bool = False  # whether it needs an even number of chains
+    # which particles are draws of the posterior: "all", those after every iteration; "last", those
+    # after the last one; "start", all and the initial ones
     keeps: Keeps = "all"
-    weighted: bool = False
+    weighted: bool = False  # whether draws carry a weight, the state's ``log_weight``
+    # name of the weighting that makes a posterior of a run, where its draws, counted, are none;
+    # none: they are
     weights: str | None = None
+    # whether arrays of frames may be longer than the observation, so that one compiled program
+    # serves events of all lengths: how many frames count is then ``program.observed`` instead of
+    # ``program.n_frames``, and known only when it runs
     any_length: bool = False
 
     def make(self, program: EventProgram, **options: Any) -> MCMCKernel:
@@ -86,9 +77,6 @@ class KernelInfo:
         Args:
             program: the model of the event.
             **options: what the kernel needs, and its own options.
-
-        Raises:
-            InvalidSettingError: something that it needs is missing, or an option it does not have.
         """
         registered = self.validity in VALIDITIES  # and so has said what it needs
         for need in NEEDS:
@@ -180,10 +168,6 @@ def described(kernel: str | Factory | MCMCKernel) -> KernelInfo:
     """Return what is known of a kernel given by name, as a factory or class, or as an instance.
 
     An instance of ours is taken with its options and bound to the event at hand.
-
-    Raises:
-        UnknownNameError: there is no kernel of that name.
-        InvalidSettingError: it is none of these, or an instance of another kind.
     """
     if isinstance(kernel, str):
         return kernel_info(kernel)

@@ -228,11 +228,8 @@ def _parts(model: Model) -> tuple[StepwiseLikelihood, PlannerConfig]:
 
 # --- the whole video ------------------------------------------------------------------------------
 
-_TIMED: Final = 10
-"""Frames after which the time of all is estimated."""
-
-_LONG: Final = 60.0
-"""Seconds that are worth saying where no bar is shown."""
+_TIMED: Final = 10  # frames after which the time of all is estimated
+_LONG: Final = 60.0  # seconds that are worth saying where no bar is shown
 
 
 class StepwiseInterrupted(KeyboardInterrupt):
@@ -266,10 +263,6 @@ def filter_event(
         progress: whether to show a bar on stderr, with the time that is left; by default where
             that is a terminal. Elsewhere one line says how long it will take, if that is more
             than a minute; with False nothing does.
-
-    Raises:
-        InvalidSettingError: the model cannot be read step by step.
-        StepwiseInterrupted: Ctrl-C.
     """
     with Watch(event.scene, model, seed=seed, threads=threads, event_id=event.id) as watch:
         frames = list(event.observation.trajectory)
@@ -349,11 +342,7 @@ class TableRunner:
         seeds: Sequence[int],
         error_ceilings: Sequence[float] | None = None,
     ) -> list[SimulationResult]:
-        """Return what the table says of each hypothesis, in order; the same of identical requests.
-
-        Raises:
-            Cancelled: :meth:`cancel` was called.
-        """
+        """Return what the table says of each hypothesis, in order; the same of the same."""
         if self._cancelled:
             raise Cancelled("the run was cancelled")
         requests = [(h, int(seed)) for h, seed in zip(hypotheses, seeds, strict=True)]

@@ -41,30 +41,22 @@ class RunsSimulations(Protocol):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Record:
-    """One simulation that was paid for.
+    """One simulation that was paid for."""
 
-    Attributes:
-        result: what came out.
-        sites: all latent sites of the prior, as the chain holds them.
-        log_prior: their log density.
-        chain: which particle asked for it.
-        iteration: in which iteration; 0 for the initial particles.
-        log_proposal: log density of the proposal that it was drawn from, given all that was
-            done before; NaN where the kernel does not say.
-        log_bound: log of the largest acceptance ratio that it could have, less its log
-            likelihood. It was simulated to the end with probability min(1, exp(log_bound + log
-            likelihood)); inf: for certain.
-        log_again: log of the sum of 1 / proposal density over the later requests that it
-            answered; -inf without any.
-    """
-
-    result: SimulationResult
-    sites: dict[str, NDArray[Any]]
-    log_prior: float
-    chain: int
-    iteration: int
+    result: SimulationResult  # what came out
+    sites: dict[str, NDArray[Any]]  # all latent sites of the prior, as the chain holds them
+    log_prior: float  # their log density
+    chain: int  # which particle asked for it
+    iteration: int  # in which iteration; 0 for the initial particles
+    # log density of the proposal that it was drawn from, given all that was done before; NaN where
+    # the kernel does not say
     log_proposal: float = math.nan
+    # log of the largest acceptance ratio that it could have, less its log likelihood. It was
+    # simulated to the end with probability min(1, exp(log_bound + log likelihood)); inf: for
+    # certain
     log_bound: float = math.inf
+    # log of the sum of 1 / proposal density over the later requests that it answered; -inf without
+    # any
     log_again: float = -math.inf
 
 

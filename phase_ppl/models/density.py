@@ -11,14 +11,9 @@ import jax
 import jax.numpy as jnp
 from numpyro import handlers
 
-Program = Callable[..., Any]
-"""A NumPyro program."""
-
-Sites = Mapping[str, jax.Array]
-"""Latent site -> value."""
-
-NO_DENSITY: Final = -1e20
-"""Log densities below this count as zero mass."""
+Program = Callable[..., Any]  # A NumPyro program
+Sites = Mapping[str, jax.Array]  # latent site -> value
+NO_DENSITY: Final = -1e20  # log densities below this count as zero mass
 
 
 Result = TypeVar("Result")

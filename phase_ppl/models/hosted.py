@@ -24,8 +24,7 @@ _CALLS: Final = ("jit", "pjit")
 """Names of the primitive that calls a function compiled on its own, new and old."""
 
 
-_Given: TypeAlias = tuple[int | None, Any]
-"""Number of a value; or None, and the value itself."""
+_Given: TypeAlias = tuple[int | None, Any]  # number of a value; or None, and the value itself
 
 _Request: TypeAlias = tuple[int, tuple[_Given, ...], dict[str, Any]]
 """Number of the errors of a simulation, what it is asked for with, and the parameters of that."""
@@ -33,37 +32,23 @@ _Request: TypeAlias = tuple[int, tuple[_Given, ...], dict[str, Any]]
 
 @dataclasses.dataclass(frozen=True)
 class _Piece:
-    """What a program computes up to a simulation, or to its end.
+    """What a program computes up to a simulation, or to its end."""
 
-    Attributes:
-        code: name under which it is kept.
-        inputs, outputs: numbers of values.
-        request: for the simulation that comes after; None: the end.
-    """
-
-    code: str
-    inputs: tuple[int, ...]
+    code: str  # name under which it is kept
+    inputs: tuple[int, ...]  # numbers of values
     outputs: tuple[int, ...]
-    request: _Request | None
+    request: _Request | None  # for the simulation that comes after; None: the end
 
 
 @dataclasses.dataclass(frozen=True)
 class _Outline:
-    """How pieces of compiled code make a program; plain data.
+    """How pieces of compiled code make a program; plain data."""
 
-    Attributes:
-        inputs: numbers of the leaves of the arguments.
-        constants: number -> value.
-        pieces: in order.
-        outputs: leaves of the result.
-        blank: a result with other leaves.
-    """
-
-    inputs: tuple[int, ...]
-    constants: dict[int, Any]
-    pieces: tuple[_Piece, ...]
-    outputs: tuple[_Given, ...]
-    blank: Any
+    inputs: tuple[int, ...]  # numbers of the leaves of the arguments
+    constants: dict[int, Any]  # number -> value
+    pieces: tuple[_Piece, ...]  # in order
+    outputs: tuple[_Given, ...]  # leaves of the result
+    blank: Any  # a result with other leaves
 
 
 class Hosted:

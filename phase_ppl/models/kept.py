@@ -25,13 +25,8 @@ from phase_ppl.world.files import write_bytes
 from phase_ppl.world.identity import versions
 
 SUFFIX: Final = ".xla"
-
-MOST: Final = 400
-"""Files; beyond that the one goes that was not used for longest."""
-
-_LEVEL: Final = 3
-"""Of compression: as good as any for machine code, and fast."""
-
+MOST: Final = 400  # files; beyond that the one goes that was not used for longest
+_LEVEL: Final = 3  # of compression: as good as any for machine code, and fast
 _DIGEST: Final = hashlib.sha256().digest_size
 
 

@@ -33,9 +33,7 @@ if TYPE_CHECKING:
     from phase_ppl.world.arrays import FloatArray
     from phase_ppl.world.scene import Scene
 
-N_COORDINATES: Final = 2 * len(ENTITIES)
-"""d, numbers per frame: x and y of each entity."""
-
+N_COORDINATES: Final = 2 * len(ENTITIES)  # d, numbers per frame: x and y of each entity
 _Array = TypeVar("_Array")
 
 

@@ -68,25 +68,17 @@ RESERVED_SITES: Final = frozenset(
 )
 """Names that a prior's own sites cannot have."""
 
-_TRIES: Final = 32
-"""Draws that are looked at."""
-
+_TRIES: Final = 32  # draws that are looked at
 _REMEMBERED: Final = 64
 
 _NOT_POSITIVE: Final = -np.logspace(-3, 6, 91, dtype=np.float32)
 """Strengths that no support may hold."""
 
-_FAR: Final = 100
-"""How far from the allowed codes others are looked for."""
+_FAR: Final = 100  # how far from the allowed codes others are looked for
 
 
 def checked_sites(prior: Program) -> dict[str, tuple[int, ...]]:
-    """Return the latent sites of a prior with their shapes.
-
-    Raises:
-        InvalidSettingError: it is not a program that can serve as a prior; the message names
-            the site and what is expected.
-    """
+    """Return the latent sites of a prior with their shapes."""
     if not callable(prior):
         raise InvalidSettingError(
             f"prior={shown(prior)} is no NumPyro program: expected the name of a ready-made prior "

@@ -11,11 +11,7 @@ from phase_ppl.world.errors import InvalidSettingError
 
 
 def needs_torch() -> Any:
-    """Return PyTorch.
-
-    Raises:
-        InvalidSettingError: it is not installed.
-    """
+    """Return PyTorch."""
     try:
         return importlib.import_module("torch")
     except ImportError as error:

@@ -48,26 +48,21 @@ recorded agents stop a little short. Chosen on half of 50 real videos
 class Thresholds:
     """When a predicate holds, units. The defaults: SIMPLE's planner's, but for :data:`FACTOR`.
 
-    Attributes:
-        on_agent: ON(agent, landmark): from its centre to the landmark's centre.
-        on_item: ON(item, landmark): likewise.
-        touch_agent: TOUCH(agent, agent): from centre to centre.
-        touch_item: TOUCH(agent, item): from a grab point of the agent to the item's rim. As for
-            the planner, only those in the same room touch.
-        attach: ATTACH(agent, item): how far the item may be from its place at a grab point; it is
-            to stay there for three frames.
-        lasting: frames for which a predicate must hold, or not hold, to count.
-
     Raises:
         InvalidSettingError: a threshold that is no positive number, or ``lasting`` no whole one.
     """
 
+    # ON(agent, landmark): from its centre to the landmark's centre
     on_agent: float = FACTOR * NEAR_AGENT_ON
-    on_item: float = FACTOR * NEAR_ITEM_ON
-    touch_agent: float = NEAR_TOUCH
+    on_item: float = FACTOR * NEAR_ITEM_ON  # ON(item, landmark): likewise
+    touch_agent: float = NEAR_TOUCH  # TOUCH(agent, agent): from centre to centre
+    # TOUCH(agent, item): from a grab point of the agent to the item's rim. As for the planner, only
+    # those in the same room touch
     touch_item: float = FACTOR * GRAB_REACH
+    # ATTACH(agent, item): how far the item may be from its place at a grab point; it is to stay
+    # there for three frames
     attach: float = HELD_WITHIN
-    lasting: int = 3
+    lasting: int = 3  # frames for which a predicate must hold, or not hold, to count
 
     def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
@@ -77,19 +72,12 @@ class Thresholds:
 
 
 class SymbolicState(NamedTuple):
-    """The predicates that hold at one moment.
+    """The predicates that hold at one moment."""
 
-    Attributes:
-        rooms: CLOSE: id of the landmark whose room each entity is in.
-        held: ATTACH: item that each agent holds, or ``NOTHING``.
-        near: TOUCH: per agent, whether it touches each entity.
-        placed: ON: whether each entity is on the landmark of its room.
-    """
-
-    rooms: tuple[int, ...]
-    held: tuple[int, ...]
-    near: tuple[tuple[bool, ...], ...]
-    placed: tuple[bool, ...]
+    rooms: tuple[int, ...]  # CLOSE: id of the landmark whose room each entity is in
+    held: tuple[int, ...]  # ATTACH: item that each agent holds, or ``NOTHING``
+    near: tuple[tuple[bool, ...], ...]  # TOUCH: per agent, whether it touches each entity
+    placed: tuple[bool, ...]  # ON: whether each entity is on the landmark of its room
 
 
 def symbolic_trajectory(
@@ -318,20 +306,15 @@ _cost_to_go = functools.lru_cache(maxsize=1024)(
 class Rationality:
     """How rational agents are taken to be.
 
-    Attributes:
-        rationality: inverse temperature, per unit of way; 0 is blind chance.
-        operator_frames: frames that an operator takes in the mean, more than 1.
-        wait_cost: what waiting costs while something is left to do, units of way.
-        lapse: probability of doing just anything, in (0, 1).
-
     Raises:
         InvalidSettingError: a value outside its range.
     """
 
-    rationality: float = 0.8
-    operator_frames: float = 12.0
+    rationality: float = 0.8  # inverse temperature, per unit of way; 0 is blind chance
+    operator_frames: float = 12.0  # frames that an operator takes in the mean, more than 1
+    # what waiting costs while something is left to do, units of way
     wait_cost: float = 2 * TOUCH_COST
-    lapse: float = 0.02
+    lapse: float = 0.02  # probability of doing just anything, in (0, 1)
 
     def __post_init__(self) -> None:
         for name in ("operator_frames", "lapse"):
@@ -495,18 +478,12 @@ _STRENGTH: Final = 450.0
 
 
 class Inverse(NamedTuple):
-    """Probabilities of goals and relation.
+    """Probabilities of goals and relation."""
 
-    Attributes:
-        joint: (goal of red, goal of green).
-        goal_red, goal_green: (36,) marginals.
-        relation: (3,) of ``RELATIONS``, which follows from the two goals.
-    """
-
-    joint: FloatArray
-    goal_red: FloatArray
+    joint: FloatArray  # (goal of red, goal of green)
+    goal_red: FloatArray  # (36,) marginals
     goal_green: FloatArray
-    relation: FloatArray
+    relation: FloatArray  # (3,) of ``RELATIONS``, which follows from the two goals
 
 
 def posterior(log_likelihood: FloatArray, log_prior: FloatArray) -> Inverse:
@@ -529,9 +506,6 @@ def log_prior_of_pairs(name: str) -> FloatArray:
     Args:
         name: :data:`INDEPENDENT`, or a ready-made prior of SIMPLE
             (:mod:`phase_ppl.models.priors`), in all of which goals and strengths are independent.
-
-    Raises:
-        UnknownNameError: there is none of that name; the message names close matches.
     """
     if name != INDEPENDENT:
         from phase_ppl.models import priors

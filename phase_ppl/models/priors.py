@@ -36,16 +36,12 @@ from phase_ppl.world.hypothesis import (
 from phase_ppl.world.registry import Registry
 
 AnyProgram = TypeVar("AnyProgram", bound=Program)
-
-SOCIAL: Final = 0.1
-"""Probability of a social goal under :func:`sparse_social`; 2/3 under :func:`uniform`."""
+SOCIAL: Final = 0.1  # probability of a social goal under ``sparse_social``; 2/3 under ``uniform``
 
 STRENGTH_CORRELATION: Final = 0.8
 """Correlation of the normal scores of the strengths under :func:`correlated_strengths`."""
 
-_EDGE: Final = 1e-6
-"""How close to 0 and 1 quantiles may come before their normal scores run away."""
-
+_EDGE: Final = 1e-6  # how close to 0 and 1 quantiles may come before their normal scores run away
 PRIORS: Final = Registry[Program]("prior")
 
 
@@ -115,9 +111,6 @@ def relation_first(
 
     Args:
         friendly, neutral, adversarial: probabilities of the relations, 1/3 each by default.
-
-    Raises:
-        InvalidSettingError: they are negative or do not sum to 1.
     """
     probabilities = dict(zip(("friendly", "neutral", "adversarial"),
                              (friendly, neutral, adversarial), strict=True))  # fmt: skip
@@ -230,9 +223,5 @@ def available() -> list[str]:
 
 
 def named(name: str) -> Program:
-    """Return the ready-made prior of that name.
-
-    Raises:
-        UnknownNameError: there is none; the message names close matches.
-    """
+    """Return the ready-made prior of that name."""
     return PRIORS[name]

@@ -27,8 +27,7 @@ from phase_ppl.world.identity import physics_rules
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
 
-MAX_SEED: Final = 2**31 - 1
-"""Simulator seeds lie below this."""
+MAX_SEED: Final = 2**31 - 1  # simulator seeds lie below this
 
 
 class EventProgram:

@@ -31,19 +31,12 @@ from phase_ppl.world.names import AGENTS
 IMPOSSIBLE: Final = -1e30
 """Logit of what has no mass; finite, so that NumPyro's argument checks let it pass."""
 
-_MASSLESS = -1e15
-"""Values with logits below this are outside the support."""
+_MASSLESS = -1e15  # values with logits below this are outside the support
 
 
-GOAL_SITES: Final = ("goal_red", "goal_green")
-"""Stated goals: indices into ``GOALS``."""
-
-ALPHA_SITE: Final = "alpha"
-"""Index into ``ALPHAS``."""
-
-STRENGTH_SITES: Final = ("strength_red", "strength_green")
-"""Maximum forces, newtons."""
-
+GOAL_SITES: Final = ("goal_red", "goal_green")  # stated goals: indices into ``GOALS``
+ALPHA_SITE: Final = "alpha"  # index into ``ALPHAS``
+STRENGTH_SITES: Final = ("strength_red", "strength_green")  # maximum forces, newtons
 HYPOTHESIS_SITES: Final = (*GOAL_SITES, ALPHA_SITE, *STRENGTH_SITES)
 
 ALPHA_PROBABILITIES: Final = (1 / 3, 1 / 6, 1 / 6, 1 / 6, 1 / 6)

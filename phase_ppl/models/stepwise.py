@@ -30,9 +30,7 @@ from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_RANGE
 from phase_ppl.world.scene import Scene
 
-_NODES: Final = 4
-"""At which a continuous prior is evaluated in the cell of each level of strength."""
-
+_NODES: Final = 4  # at which a continuous prior is evaluated in the cell of each level of strength
 _PRIORS_KEPT: Final = 8
 
 
@@ -129,9 +127,6 @@ def prior_table(prior: Any, levels: tuple[float, ...]) -> FloatArray:
 
     Returns:
         (stated_goal_red, stated_goal_green, alpha, strength_red, strength_green).
-
-    Raises:
-        InvalidSettingError: nothing has any mass.
     """
     strengths = np.array(levels)
     nodes = [_nodes(prior, name, strengths) for name in STRENGTH_SITES]

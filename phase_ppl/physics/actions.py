@@ -34,10 +34,7 @@ ACTION_NAMES: Final = tuple(action.name.lower().replace("_", "") for action in A
 """Names used in recorded data, in the order of :class:`Action`: "turnleft", ..., "detach"."""
 
 N_ACTIONS: Final = len(Action)
-
-NO_ACTION: Final = -1
-"""Stands for an agent that does nothing; its body coasts as with ``NO_FORCE``."""
-
+NO_ACTION: Final = -1  # stands for an agent that does nothing; its body coasts as with ``NO_FORCE``
 _DIAGONAL = 0.707  # the original world's factor, not exactly 1 / sqrt(2)
 
 

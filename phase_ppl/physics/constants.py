@@ -14,14 +14,9 @@ from typing import Final
 from phase_ppl.world.geometry import is_agent
 from phase_ppl.world.names import AGENTS
 
-SUBSTEP: Final = 1.0 / 60.0
-"""Length of one substep, the step of the original engine, s."""
-
-SUBSTEPS: Final = 5
-"""Substeps in one planner step; actions last that long."""
-
-STEP: Final = SUBSTEP * SUBSTEPS
-"""Length of one planner step and of one frame, s."""
+SUBSTEP: Final = 1.0 / 60.0  # length of one substep, the step of the original engine, s
+SUBSTEPS: Final = 5  # substeps in one planner step; actions last that long
+STEP: Final = SUBSTEP * SUBSTEPS  # length of one planner step and of one frame, s
 
 WORLD_INNER_STEPS: Final = 4
 """Parts into which the world divides the movement of a substep. Bodies reach one unit per substep
@@ -38,8 +33,7 @@ would move more than this in one part, units."""
 FLOOR_FRICTION: Final = 100.0
 """Largest friction force on any body, whatever its mass, acting on the body origin, N."""
 
-AGENT_AREA: Final = 4.0
-"""Area (= mass at density 1) of an agent of size 1."""
+AGENT_AREA: Final = 4.0  # area (= mass at density 1) of an agent of size 1
 
 AGENT_INERTIA: Final = 26.0 / 9.0
 """Moment of inertia of an agent of size 1 about its centre of mass."""
@@ -59,8 +53,7 @@ WALL_RADIUS: Final = 0.01
 AGENT_SKIN: Final = 0.01
 """How far an agent's collision shape reaches beyond its outline, as in the original engine."""
 
-COLLISION_SLOP: Final = 0.005
-"""Overlap that is left alone."""
+COLLISION_SLOP: Final = 0.005  # overlap that is left alone
 
 COLLISION_BIAS: Final = 0.2**60
 """Share of an overlap that remains after one second of pushing apart; a fifth after a substep."""
@@ -72,11 +65,8 @@ impulse would, by their masses and inertias. One more after each substep keeps t
 SHARED_WELD_SWEEPS: Final = 3
 """How often the two welds of an item with two holders are mended after each substep."""
 
-WORLD_ITERATIONS: Final = 20
-"""Solver iterations per inner step in the world."""
-
-IMAGINATION_ITERATIONS: Final = 10
-"""Solver iterations per inner step in the agents' heads."""
+WORLD_ITERATIONS: Final = 20  # solver iterations per inner step in the world
+IMAGINATION_ITERATIONS: Final = 10  # solver iterations per inner step in the agents' heads
 
 
 def mass(entity: int, radius: float, n_agents: int = len(AGENTS)) -> float:

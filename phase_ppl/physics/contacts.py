@@ -14,12 +14,8 @@ from phase_ppl.physics.flat import Params, Scratch, X, Y
 from phase_ppl.physics.jit import bare_kernel, inlined_kernel
 from phase_ppl.world.arrays import FloatArray, IntArray
 
-Edge = tuple[float, float, float, float]
-"""Start x, y and end x, y."""
-
-WALL: Final = -1
-"""Stands for the second body of a contact with a wall."""
-
+Edge = tuple[float, float, float, float]  # start x, y and end x, y
+WALL: Final = -1  # stands for the second body of a contact with a wall
 FAR: Final = 1e300
 _TINY = 1e-300
 

@@ -39,83 +39,54 @@ _N_CORNERS = len(UNIT_TRAPEZOID)
 
 
 class Params(NamedTuple):
-    """What stays the same during a simulation.
+    """What stays the same during a simulation."""
 
-    Attributes:
-        radius: (body,) sizes R.
-        cog: (body,) local y of the centre of mass: -R/6 for agents, 0 for items.
-        extent: (body,) radius of the circle about the centre of mass that holds the body.
-        inverse_mass, inverse_inertia: (body,).
-        origin_mass: (body, 2) effective mass of the body origin in local x and y.
-        force, force_point, torque: (agent,); the point is local y.
-        vertices: (agent, 4, 2) corners of the agents about their centre of mass,
-            counter-clockwise; normals: (agent, 4, 2) outward normal of the face that ENDS at
-            the corner of the same index.
-        border: (4,) least and greatest x, least and greatest y at which bodies fit.
-        walls: (n, 6) inner walls: end points x1, y1, x2, y2 and a unit normal.
-        wall_boxes: (n, 4) least and greatest x, least and greatest y of the thick walls.
-        substeps: per planner step; dt: length of one, s.
-        inner_steps: parts into which the movement of a substep is at least divided.
-        iterations: of the solver.
-        friction: largest impulse of the floor friction in a substep.
-        contact_rates: by number of parts, bias velocity per unit of overlap.
-        swivel: a held item hangs on a rod from its holder's origin instead of being welded, and
-            agents push at their origin: what the authors' agents imagined.
-        resets_velocity: whether agents stand still after each planner step.
-    """
-
-    radius: FloatArray
-    cog: FloatArray
-    extent: FloatArray
-    inverse_mass: FloatArray
+    radius: FloatArray  # (body,) sizes R
+    cog: FloatArray  # (body,) local y of the centre of mass: -R/6 for agents, 0 for items
+    extent: FloatArray  # (body,) radius of the circle about the centre of mass that holds the body
+    inverse_mass: FloatArray  # (body,)
     inverse_inertia: FloatArray
-    origin_mass: FloatArray
-    force: FloatArray
+    origin_mass: FloatArray  # (body, 2) effective mass of the body origin in local x and y
+    force: FloatArray  # (agent,); the point is local y
     force_point: FloatArray
     torque: FloatArray
+    # (agent, 4, 2) corners of the agents about their centre of mass, counter-clockwise; normals:
+    # (agent, 4, 2) outward normal of the face that ENDS at the corner of the same index
     vertices: FloatArray
     normals: FloatArray
-    border: FloatArray
-    walls: FloatArray
-    wall_boxes: FloatArray
-    substeps: int
-    dt: float
-    inner_steps: int
-    iterations: int
-    friction: float
-    contact_rates: FloatArray
+    border: FloatArray  # (4,) least and greatest x, least and greatest y at which bodies fit
+    walls: FloatArray  # (n, 6) inner walls: end points x1, y1, x2, y2 and a unit normal
+    wall_boxes: FloatArray  # (n, 4) least and greatest x, least and greatest y of the thick walls
+    substeps: int  # per planner step
+    dt: float  # length of one, s
+    inner_steps: int  # parts into which the movement of a substep is at least divided
+    iterations: int  # of the solver
+    friction: float  # largest impulse of the floor friction in a substep
+    contact_rates: FloatArray  # by number of parts, bias velocity per unit of overlap
+    # a held item hangs on a rod from its holder's origin instead of being welded, and agents push
+    # at their origin: what the authors' agents imagined
     swivel: bool
-    resets_velocity: bool
+    resets_velocity: bool  # whether agents stand still after each planner step
 
 
 class Scratch(NamedTuple):
-    """Work space of one thread; nothing in it outlives a planner step.
+    """Work space of one thread; nothing in it outlives a planner step."""
 
-    Attributes:
-        rotation: (body, 2) cosine and sine of the angle; 1, 0 for items, whose angle is not needed.
-        boxes: (body, 4) least and greatest x, least and greatest y of the bodies.
-        corners, faces: (agent, 4, 2) the agents' vertices and normals in the world.
-        kick: (agent, 3) change of velocity and spin by the agents' own force in one substep.
-        contact_bodies: (contacts, 2) the two bodies, -1 for a wall.
-        contacts: (contacts, 8): normal from the first to the second, lever arms, effective mass,
-            overlap, bias impulse, impulse.
-        touched: (body,) bodies that the solver must treat together.
-        rub: (body, 2) floor friction's impulse in the body frame.
-        welds: (agent, 11) as ``welds.prepare_weld`` says.
-        frame: (body, 3) mean pose over the substeps so far.
-    """
-
+    # (body, 2) cosine and sine of the angle; 1, 0 for items, whose angle is not needed
     rotation: FloatArray
-    boxes: FloatArray
-    corners: FloatArray
+    boxes: FloatArray  # (body, 4) least and greatest x, least and greatest y of the bodies
+    corners: FloatArray  # (agent, 4, 2) the agents' vertices and normals in the world
     faces: FloatArray
+    # (agent, 3) change of velocity and spin by the agents' own force in one substep
     kick: FloatArray
-    contact_bodies: IntArray
+    contact_bodies: IntArray  # (contacts, 2) the two bodies, -1 for a wall
+    # (contacts, 8): normal from the first to the second, lever arms, effective mass, overlap, bias
+    # impulse, impulse
     contacts: FloatArray
-    touched: BoolArray
-    rub: FloatArray
-    welds: FloatArray
-    frame: FloatArray
+    touched: BoolArray  # (body,) bodies that the solver must treat together
+    rub: FloatArray  # (body, 2) floor friction's impulse in the body frame
+    welds: FloatArray  # (agent, 11) as ``welds.prepare_weld`` says
+    frame: FloatArray  # (body, 3) mean pose over the substeps so far
 
 
 def make_scratch(n_bodies: int = len(ENTITIES), n_agents: int = len(AGENTS)) -> Scratch:

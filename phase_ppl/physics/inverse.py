@@ -26,21 +26,14 @@ FRAME_LAG: Final = 3
 
 
 class Trial(NamedTuple):
-    """A state on which an action can be tried without losing the original.
+    """A state on which an action can be tried without losing the original."""
 
-    Attributes:
-        bodies: (4, 9); held: (2,); weld: (2, 3): as in :mod:`phase_ppl.physics.compiled`.
-        frame: (4, 3) mean pose of the last step tried.
-        parts: (N_ACTIONS,) work space.
-        actions: (2,) the joint action tried.
-    """
-
-    bodies: FloatArray
-    held: IntArray
-    weld: FloatArray
-    frame: FloatArray
-    parts: FloatArray
-    actions: IntArray
+    bodies: FloatArray  # (entity, 9), as in ``physics.compiled``, like those below
+    held: IntArray  # (agent,)
+    weld: FloatArray  # (agent, 3)
+    frame: FloatArray  # (4, 3) mean pose of the last step tried
+    parts: FloatArray  # (N_ACTIONS,) work space
+    actions: IntArray  # (2,) the joint action tried
 
 
 def make_trial() -> Trial:

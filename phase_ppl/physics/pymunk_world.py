@@ -49,8 +49,7 @@ _BORDER_DEPTH: Final = 5.0
 """Half thickness of the arena's border. A thin border could be jumped by a fast body and would
 then hold it outside; out of a thick one a body is always pushed back in."""
 
-_NUDGE: Final = 1e-6
-"""How far a body that starts on an agent's origin is moved off it, units."""
+_NUDGE: Final = 1e-6  # how far a body that starts on an agent's origin is moved off it, units
 
 
 def mean_pose(poses: Sequence[FloatArray]) -> FloatArray:
@@ -61,8 +60,7 @@ def mean_pose(poses: Sequence[FloatArray]) -> FloatArray:
     return frame / len(poses)
 
 
-AWAY: Final = -1000.0
-"""x and y of what was removed, units."""
+AWAY: Final = -1000.0  # x and y of what was removed, units
 
 
 class PymunkWorld:

@@ -30,9 +30,7 @@ from phase_ppl.world.thoughts import Thoughts
 ROOMS: Final = ("top left room", "top right room", "bottom right room", "bottom left room")
 """In PHASE."""
 
-_BRIEF: Final = 4
-"""Steps below which a change of mind is not told."""
-
+_BRIEF: Final = 4  # steps below which a change of mind is not told
 _BELOW: Final = 74
 _MARGIN: Final = 14
 _TEXT_SIZE: Final = 15

@@ -26,8 +26,7 @@ from phase_ppl.world.scene import Scene, finite_array
 _RAYS: Final = 361
 """Rays at equal angles; further ones go to both sides of every wall's end and disc's edge."""
 
-_ASIDE: Final = 1e-7
-"""How far beside an edge its two rays pass, rad."""
+_ASIDE: Final = 1e-7  # how far beside an edge its two rays pass, rad
 
 
 def field_of_view(scene: Scene, poses: FloatArray, agent: int) -> FloatArray:
@@ -111,9 +110,7 @@ HEIGHT: Final = 480
 ARENA_PIXELS: Final = (800, 400)
 """Width and height of the arena at most: 20 pixels per unit in the original world of 20 units."""
 
-MARGINS: Final = (120, 40)
-"""Pixels left and right of the arena, and above and below."""
-
+MARGINS: Final = (120, 40)  # pixels left and right of the arena, and above and below
 WALL_PIXELS: Final = 5
 BACKGROUND: Final[Colour] = (255, 255, 255)
 WALL_COLOUR: Final[Colour] = (0, 0, 0)
@@ -133,15 +130,9 @@ EYES: Final = np.array([[-0.24, 0.62], [0.24, 0.62]])
 """Centres of the eyes of an agent of size 1 in its body frame."""
 
 EYE_RADIUS: Final = 0.14
-
-FINE: Final = 8
-"""Subpixels per pixel and axis."""
-
-_FAINT: Final = 0.7
-"""How much of the floor shows through what is drawn faintly."""
-
-_SIGHT_FINE = 4
-"""The same for fields of view, which are large."""
+FINE: Final = 8  # subpixels per pixel and axis
+_FAINT: Final = 0.7  # how much of the floor shows through what is drawn faintly
+_SIGHT_FINE = 4  # the same for fields of view, which are large
 
 
 class Painter:
@@ -189,9 +180,6 @@ class Painter:
             poses: (entity, coord) with coord = x, y [units], angle [rad].
             trail: (time, entity, coord) of the way there, drawn as thin lines.
             faint: (entity, coord) of other poses, drawn faintly below all that.
-
-        Raises:
-            InvalidEventError: ``poses`` has another shape or is not finite.
         """
         pose = finite_array("poses", poses, (len(self._colours), 3))
         picture = self._floor.copy()
@@ -287,9 +275,6 @@ def draw_frame(scene: Scene, poses: ArrayLike, fields_of_view: bool = False) -> 
         scene: arena, walls, landmarks and sizes.
         poses: (entity, coord) with coord = x, y [units], angle [rad].
         fields_of_view: whether to show what each agent can see.
-
-    Raises:
-        InvalidEventError: ``poses`` has another shape or is not finite.
     """
     return np.asarray(Painter(scene, fields_of_view).draw(poses), np.uint8)
 
@@ -343,9 +328,7 @@ def _paste(
 # --- frames put beside each other, with words -----------------------------------------------------
 
 
-PANEL: Final = HEIGHT
-"""Side of a panel in PHASE, pixels: the arena and its margin."""
-
+PANEL: Final = HEIGHT  # side of a panel in PHASE, pixels: the arena and its margin
 _TEXT_COLOUR: Final = (70, 70, 70)
 
 
@@ -377,12 +360,7 @@ Drawable = Event | Observation | ArrayLike
 
 
 def scene_and_trajectory(what: Drawable, scene: Scene | None) -> tuple[Scene, FloatArray]:
-    """Return the scene, by default the event's own, and the (time, entity, coord) trajectory.
-
-    Raises:
-        InvalidSettingError: no scene.
-        InvalidEventError: not such an array, not finite, or without frames.
-    """
+    """Return the scene, by default the event's own, and the (time, entity, coord) trajectory."""
     if isinstance(what, Event):
         return scene or what.scene, what.observation.trajectory
     if scene is None:

@@ -46,11 +46,6 @@ def image(
     """Write one frame, -1 the last one, as a PNG, in PHASE of 640 x 480.
 
     ``what``, ``scene`` and ``fields_of_view`` are those of :func:`phase_ppl.render.video`.
-
-    Raises:
-        OutputError: the file does not end in ".png", or cannot be written.
-        InvalidSettingError: no such frame, or no scene.
-        InvalidEventError: a trajectory of another shape, or not finite.
     """
     scene, trajectory = scene_and_trajectory(what, scene)
     n_frames = len(trajectory)
@@ -73,11 +68,6 @@ def strip(
 
     Lines show the ways since the picture before; the time below is simulated seconds. ``what``,
     ``scene`` and ``fields_of_view`` are those of :func:`phase_ppl.render.video`.
-
-    Raises:
-        OutputError: the file does not end in ".png", or cannot be written.
-        InvalidSettingError: ``n`` is not in 1..T, or no scene.
-        InvalidEventError: a trajectory of another shape, or not finite.
     """
     picture = draw_strip(what, n, scene, fields_of_view)
     with atomic_output(path, (".png",)) as part:
@@ -116,9 +106,7 @@ SCENARIO_COLOURS: Final[dict[str, Colour]] = {
 }
 """To be told apart without seeing red and green apart."""
 
-UNKNOWN_COLOUR: Final[Colour] = (170, 170, 170)
-"""Of events without truth."""
-
+UNKNOWN_COLOUR: Final[Colour] = (170, 170, 170)  # of events without truth
 THUMBNAIL: Final = 192
 PER_PAGE: Final = 500
 
@@ -162,11 +150,6 @@ def contact_sheet(
 
     Returns:
         The files.
-
-    Raises:
-        InvalidEventError: there are no events.
-        InvalidSettingError: ``columns`` or ``per_page`` is no positive number.
-        OutputError: another file ending, or a file cannot be written.
     """
     if not events:
         raise InvalidEventError("there are no events to draw")

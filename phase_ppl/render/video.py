@@ -149,9 +149,7 @@ FRAMES_PER_SECOND: Final = 20
 FRAMES_PER_STEP: Final = 5
 """At 20 frames per second a planner step is shown for 0.25 s, three times its simulated time."""
 
-_SAMPLES: Final = 24
-"""Frames, evenly spaced, whose colours a GIF has."""
-
+_SAMPLES: Final = 24  # frames, evenly spaced, whose colours a GIF has
 SUFFIXES: Final = (".mp4", ".gif")
 CAPTIONS: Final = ("observed", "predicted")
 _CAPTION_SIZE: Final = 20
@@ -191,11 +189,6 @@ def video(
 
     Returns:
         The film, which a notebook plays.
-
-    Raises:
-        OutputError: another file ending, or the file cannot be written.
-        InvalidSettingError: no scene, or ``fps`` or ``frames_per_step`` is out of range.
-        InvalidEventError: a trajectory of another shape, or not finite.
     """
     positive_number("fps", fps)
     as_gif = as_path(path).suffix.lower() == ".gif"
@@ -267,11 +260,6 @@ def videos(
 
     Returns:
         The files, in the order of the events.
-
-    Raises:
-        InvalidEventError: two events have the same id.
-        InvalidSettingError: ``workers`` is no positive number.
-        OutputError: a file cannot be written.
     """
     import loky
     from tqdm.auto import tqdm

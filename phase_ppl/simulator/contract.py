@@ -36,8 +36,7 @@ Result = TypeVar("Result")
 _FINITE: Final = 1e30
 """Larger numbers are as good as infinite; their distances would be so in single precision."""
 
-FRAME_SHAPE: Final = (len(ENTITIES), 3)
-"""Of a frame of PHASE."""
+FRAME_SHAPE: Final = (len(ENTITIES), 3)  # of a frame of PHASE
 
 _STREAM: Final = 0x5EED
 """Keeps simulations' random streams apart from others that a user derives from the same seed."""
@@ -74,28 +73,18 @@ class OutOfTime(Cancelled):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class SimulationResult:
-    """One simulation, complete or not.
+    """One simulation, complete or not."""
 
-    Attributes:
-        hypothesis: as requested (stated goals and alpha).
-        seed: as requested.
-        trajectory: (time, entity, coord) x, y [units], angle [rad]; NaN where not simulated.
-        errors: (time,) distance ||s - s^|| over the x, y of all entities, units; inf where not
-            simulated.
-        frames_simulated: frames taken from the simulator.
-        completed: all frames were simulated.
-        seconds: time spent simulating.
-        failure: what went wrong, class and message of the error, or None.
-    """
-
-    hypothesis: Hypothesis
-    seed: int
+    hypothesis: Hypothesis  # as requested (stated goals and alpha)
+    seed: int  # as requested
+    # (time, entity, coord) x, y [units], angle [rad]; NaN where not simulated
     trajectory: FloatArray
+    # (time,) distance ||s - s^|| over the x, y of all entities, units; inf where not simulated
     errors: FloatArray
-    frames_simulated: int
-    completed: bool
-    seconds: float = 0.0
-    failure: str | None = None
+    frames_simulated: int  # frames taken from the simulator
+    completed: bool  # all frames were simulated
+    seconds: float = 0.0  # time spent simulating
+    failure: str | None = None  # what went wrong, class and message of the error, or None
 
     @property
     def total_error(self) -> float:
@@ -143,10 +132,6 @@ def simulate_one(
         limit: seconds that it may take; what takes longer is a failure.
         stop: whatever of these is done ends it, also within a frame.
         deadline: time, by ``time.perf_counter``, that ends it.
-
-    Raises:
-        Cancelled: ``cancelled`` said so, or ``stop`` was done.
-        OutOfTime: ``deadline`` is over.
     """
 
     def work() -> SimulationResult:
@@ -188,10 +173,6 @@ def in_time(
     A thread that is given up is ended at its next line of Python; one that hangs elsewhere goes on
     unheeded, and does not keep its process from ending. Arguments as of :func:`simulate_one`;
     ``failed`` says what becomes of work that took too long.
-
-    Raises:
-        OutOfTime: ``deadline`` is over.
-        Cancelled: ``stop`` was done.
     """
     if math.inf == limit == deadline and not stop:
         return work()
@@ -303,12 +284,7 @@ def simulate_together(
 def simulate_trajectory(
     simulator: Simulator, scene: Scene, hypothesis: Hypothesis | Roles, seed: int, n_frames: int
 ) -> FloatArray:
-    """Return a simulated trajectory (time, entity, coord); nothing is observed.
-
-    Raises:
-        SimulationError: the simulator raised, ended early or gave a value that is not finite;
-            the message names the hypothesis and the seed.
-    """
+    """Return a simulated trajectory (time, entity, coord); nothing is observed."""
     shape = len(scene.world.entities), 3
     trajectory = np.empty((n_frames, *shape))
     effective: Any = hypothesis.effective()
@@ -415,24 +391,15 @@ def described(error: BaseException) -> str:
 
 @dataclasses.dataclass
 class Statistics:
-    """What the simulations of a runner have cost.
+    """What the simulations of a runner have cost."""
 
-    Attributes:
-        simulations: run, failed ones among them; requests merged with an identical one do not
-            count.
-        frames: simulated.
-        frames_saved: not simulated because the fate was decided.
-        seconds_simulating: summed over workers.
-        seconds_waiting: wall time spent in ``run``.
-        failures: simulations that failed.
-        retries: simulations run again, because they were lost, most often with their worker, or
-            because they failed.
-    """
-
+    # run, failed ones among them; requests merged with an identical one do not count
     simulations: int = 0
-    frames: int = 0
-    frames_saved: int = 0
-    seconds_simulating: float = 0.0
-    seconds_waiting: float = 0.0
-    failures: int = 0
+    frames: int = 0  # simulated
+    frames_saved: int = 0  # not simulated because the fate was decided
+    seconds_simulating: float = 0.0  # summed over workers
+    seconds_waiting: float = 0.0  # wall time spent in ``run``
+    failures: int = 0  # simulations that failed
+    # simulations run again, because they were lost, most often with their worker, or because they
+    # failed
     retries: int = 0

@@ -20,9 +20,7 @@ from phase_ppl.world.errors import InvalidSettingError, SimulationError
 
 Thing = TypeVar("Thing")
 Job = TypeVar("Job")
-
-RUNS: Final = 2
-"""How often a job of :func:`results` is tried whose worker process dies."""
+RUNS: Final = 2  # how often a job of ``results`` is tried whose worker process dies
 
 _POLL_SECONDS: Final = 1.0
 """How often is looked for what nobody tells: an executor that was closed, a worker that hangs."""
@@ -89,13 +87,7 @@ class Dispatch(Generic[Job]):
             pool.suffice(len(jobs))
 
     def results(self) -> Generator[tuple[Job, Any], None, None]:
-        """Yield each job with its result, as they finish. Closing this ends what runs.
-
-        Raises:
-            Cancelled: ``stop`` was done, or the deadline is over.
-            CannotLoad: the pool's thing cannot be loaded in a worker.
-            SimulationError: nothing can be run.
-        """
+        """Yield each job with its result, as they finish. Closing this ends what runs."""
         try:
             self._warm_up()
             while self._waiting or self._suspects or self._running:
@@ -220,15 +212,10 @@ def _error_of(future: Future[Any]) -> BaseException | None:
 
 @dataclasses.dataclass(frozen=True)
 class Failure:
-    """Why there is no result.
+    """Why there is no result."""
 
-    Attributes:
-        reason: in one line.
-        error: what was raised, if anything was.
-    """
-
-    reason: str
-    error: BaseException | None = None
+    reason: str  # in one line
+    error: BaseException | None = None  # what was raised, if anything was
 
 
 def results(
@@ -250,9 +237,6 @@ def results(
         jobs: what differs.
         workers: processes; 1 does everything in this process.
         what: name of the thing in error messages.
-
-    Raises:
-        InvalidSettingError: the thing cannot be sent to worker processes, or not be loaded there.
     """
     if not jobs:
         return

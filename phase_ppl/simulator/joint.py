@@ -33,15 +33,13 @@ class DynamicsNoise:
 
     The agents know nothing of it: they imagine the dynamics without.
 
-    Attributes:
-        speed: standard deviation of the log of the factor on the speed, per step of 1/12 s.
-        direction: standard deviation of the turn of the direction of motion, rad per step.
-
     Raises:
         InvalidSettingError: one of them is negative or no finite number.
     """
 
+    # standard deviation of the log of the factor on the speed, per step of 1/12 s
     speed: float = 0.2
+    # standard deviation of the turn of the direction of motion, rad per step
     direction: float = 0.2
 
     def __post_init__(self) -> None:
@@ -56,15 +54,11 @@ class DynamicsNoise:
 
 
 class Past(NamedTuple):
-    """What happened before a simulation goes on.
+    """What happened before a simulation goes on."""
 
-    Attributes:
-        states: of the world at every frame, from the start to the one it goes on from.
-        actions: of all agents between these, as intended.
-    """
-
+    # of the world at every frame, from the start to the one it goes on from
     states: Sequence[State]
-    actions: Sequence[Sequence[Action]]
+    actions: Sequence[Sequence[Action]]  # of all agents between these, as intended
 
 
 class JointSimulator:
@@ -158,11 +152,8 @@ def run_briefly(simulator: Simulator) -> None:
         next(frames)
 
 
-_FRAME_BYTES: Final = 10_000
-"""Of memory, with what the agents thought."""
-
-_OVERLAP: Final = 0.25
-"""Units by which bodies may overlap at the start; the world moves them apart."""
+_FRAME_BYTES: Final = 10_000  # of memory, with what the agents thought
+_OVERLAP: Final = 0.25  # units by which bodies may overlap at the start; the world moves them apart
 
 
 class _Thinking:

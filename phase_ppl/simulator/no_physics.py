@@ -30,25 +30,18 @@ SPEED: Final = 10.0
 """Of everything that moves, units per simulated second: about that of the recorded agents while
 they move (7.6 in the mean with their rests, which take a quarter of the time)."""
 
-_INSET: Final = 0.1
-"""How near to the border a body can come, units."""
+_INSET: Final = 0.1  # how near to the border a body can come, units
 
 _MEAN_OF_STEP: Final = 0.6
 """Where a body that moves evenly is in the mean over the five substeps of a step."""
 
 
 class Wish(NamedTuple):
-    """What an agent wants of the next step.
+    """What an agent wants of the next step."""
 
-    Attributes:
-        move: (2,) how its body should move, with the item that it holds, units.
-        grab: item to take hold of, or ``NOTHING``.
-        release: whether to let go.
-    """
-
-    move: FloatArray
-    grab: int = NOTHING
-    release: bool = False
+    move: FloatArray  # (2,) how its body should move, with the item that it holds, units
+    grab: int = NOTHING  # item to take hold of, or ``NOTHING``
+    release: bool = False  # whether to let go
 
 
 _NO_MOVE: Final = np.zeros(2)

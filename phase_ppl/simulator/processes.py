@@ -154,12 +154,7 @@ class OwnWorkers:
     def submit(
         self, function: Callable[..., Any], arguments: tuple[Any, ...], with_thing: bool = False
     ) -> Future[Any]:
-        """Begin ``function(thing, *arguments)``; the workers know the thing.
-
-        Raises:
-            Cancelled: the workers are closed.
-            BrokenExecutor: a worker died; after :meth:`stop` there are new ones.
-        """
+        """Begin ``function(thing, *arguments)``; the workers know the thing."""
         with self._lock:
             if self._closed:
                 raise Cancelled("the runner is closed")
@@ -255,9 +250,6 @@ class BorrowedExecutor:
         Args:
             function, arguments: what to do.
             with_thing: send the thing along, for a worker that did not know it.
-
-        Raises:
-            SimulationError: the executor takes none.
         """
         packed = self._packed if with_thing else None
         try:

@@ -35,26 +35,19 @@ from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene, check_phase
 
-Request = tuple[Hypothesis, int, float]
-"""Hypothesis, seed, error ceiling."""
+Request = tuple[Hypothesis, int, float]  # hypothesis, seed, error ceiling
 
 POLICIES: Final = ("reject", "raise", "retry")
 """A failed simulation is a result without likelihood; ends the run; is run again."""
 
-RETRIES: Final = 3
-"""How often "retry" runs a simulation again unless it is told a number."""
+RETRIES: Final = 3  # how often "retry" runs a simulation again unless it is told a number
 
 _STREAM: Final = 0xFA11
 """Keeps fresh seeds apart from other numbers that are drawn from the same seed."""
 
 
 def n_retries(policy: str, retries: int | None) -> int:
-    """Return how often a failed simulation is run again under a policy, one of ``POLICIES``.
-
-    Raises:
-        UnknownNameError: there is no such policy.
-        InvalidSettingError: ``retries`` is no whole number >= 1, or the policy has no use for it.
-    """
+    """Return how often a failed simulation is run again under a policy, one of ``POLICIES``."""
     if policy not in POLICIES:
         raise unknown_name("on_failure", policy, POLICIES)
     if policy != "retry":
@@ -76,16 +69,11 @@ def fresh_seed(seed: int, attempt: int) -> int:
 
 
 class Work(NamedTuple):
-    """What all simulations of a runner have in common; sent to a worker once.
+    """What all simulations of a runner have in common; sent to a worker once."""
 
-    Attributes:
-        simulator, scene: what to simulate.
-        observed_positions: (time, entity, 2) x, y, units.
-    """
-
-    simulator: Any
+    simulator: Any  # what to simulate
     scene: Scene
-    observed_positions: FloatArray
+    observed_positions: FloatArray  # (time, entity, 2) x, y, units
 
     def simulate(
         self, hypothesis: Hypothesis, seed: int, error_ceiling: float, limit: float, **more: Any
@@ -238,12 +226,6 @@ class Runner:
             hypotheses, seeds: (n,) what to simulate. Identical requests are run once and have
                 one result.
             error_ceilings: (n,) summed error beyond which each one is stopped, units.
-
-        Raises:
-            InvalidSettingError: the lengths differ, or a ceiling is not a number.
-            Cancelled: :meth:`cancel` or :meth:`close` was called.
-            SimulationError: no simulation can be run, as the simulator cannot be loaded in the
-                workers or the executor is broken; or one failed, with ``on_failure="raise"``.
         """
         requests = self._requests(hypotheses, seeds, error_ceilings)
         distinct = list(dict.fromkeys(requests))

@@ -10,9 +10,7 @@ from typing import Final
 
 from phase_ppl.world.errors import InvalidSettingError, shown
 
-MOST: Final = 2**63 - 1
-"""Of a whole number, what arrays can hold."""
-
+MOST: Final = 2**63 - 1  # of a whole number, what arrays can hold
 MOST_WORKERS: Final = 1024
 
 
@@ -25,11 +23,7 @@ def number_or_nan(value: object) -> float:
 
 
 def whole_number(name: str, value: object, minimum: int = 1, maximum: int = MOST) -> int:
-    """Return ``value`` as an int if it is a whole number, NumPy's too, within its limits.
-
-    Raises:
-        InvalidSettingError: it is not.
-    """
+    """Return ``value`` as an int if it is a whole number, NumPy's too, within its limits."""
     whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
     number = int(value) if whole else minimum - 1  # type: ignore[call-overload]
     if number < minimum:
@@ -40,11 +34,7 @@ def whole_number(name: str, value: object, minimum: int = 1, maximum: int = MOST
 
 
 def number_of_workers(value: object, name: str = "workers") -> int:
-    """Return how many processes or threads there are to be; None: one per usable core.
-
-    Raises:
-        InvalidSettingError: no whole number, or more than any machine has use for.
-    """
+    """Return how many processes or threads there are to be; None: one per usable core."""
     import loky
 
     return loky.cpu_count() if value is None else whole_number(name, value, 1, MOST_WORKERS)
@@ -67,11 +57,7 @@ def instance_of(name: str, value: object, kind: type | tuple[type, ...], expecte
 
 
 def positive_number(name: str, value: object) -> float:
-    """Return ``value`` as a float.
-
-    Raises:
-        InvalidSettingError: it is no positive finite number; the message begins with ``name``.
-    """
+    """Return ``value`` as a float."""
     number = number_or_nan(value)
     if not 0 < number < math.inf:
         raise InvalidSettingError(f"{name}={shown(value)}, expected a positive number")
@@ -79,11 +65,7 @@ def positive_number(name: str, value: object) -> float:
 
 
 def nonnegative_number(name: str, value: object) -> float:
-    """Return ``value`` as a float.
-
-    Raises:
-        InvalidSettingError: it is no finite number from 0; the message begins with ``name``.
-    """
+    """Return ``value`` as a float."""
     number = number_or_nan(value)
     if not 0 <= number < math.inf:
         raise InvalidSettingError(f"{name}={shown(value)}, expected a number >= 0")

@@ -37,9 +37,6 @@ def atomic_output(path: str | os.PathLike[str], suffixes: Sequence[str]) -> Iter
     Args:
         path: where the result is to be.
         suffixes: file name endings that are allowed, such as (".png",).
-
-    Raises:
-        OutputError: another ending, a folder in the way, or the folder cannot be written.
     """
     with _part_of(target := as_path(path), suffixes) as part:
         yield part
@@ -51,31 +48,19 @@ def atomic_output(path: str | os.PathLike[str], suffixes: Sequence[str]) -> Iter
 
 
 def write_bytes(path: str | os.PathLike[str], suffixes: Sequence[str], content: bytes) -> None:
-    """Write a file, whole or not at all.
-
-    Raises:
-        OutputError: it cannot be written there, or its name ends in none of ``suffixes``.
-    """
+    """Write a file, whole or not at all."""
     with atomic_output(path, suffixes) as part:
         part.write_bytes(content)
 
 
 def write_json(path: str | os.PathLike[str], record: Mapping[str, Any]) -> None:
-    """Write a JSON object, whole or not at all.
-
-    Raises:
-        OutputError: it cannot be written there, or its name does not end in .json.
-    """
+    """Write a JSON object, whole or not at all."""
     text = json.dumps(record, indent=1, ensure_ascii=False, allow_nan=False)
     write_bytes(path, (".json",), f"{text}\n".encode())
 
 
 def as_path(path: object) -> Path:
-    """Return ``path`` as one that a file system can be asked for.
-
-    Raises:
-        InvalidSettingError: it is no path, or none that a file can have.
-    """
+    """Return ``path`` as one that a file system can be asked for."""
     if not isinstance(path, str | os.PathLike) or isinstance(os.fspath(path), bytes):
         raise InvalidSettingError(f"{shown(path)} is no path of a file or folder")
     found = Path(path)
@@ -86,11 +71,7 @@ def as_path(path: object) -> Path:
 
 
 def existing_file(path: str | os.PathLike[str]) -> Path:
-    """Return ``path``.
-
-    Raises:
-        InvalidEventError: there is no such file.
-    """
+    """Return ``path``."""
     source = as_path(path)
     if not source.is_file():
         raise InvalidEventError(f"{shown_path(source)}: no such file")
@@ -104,11 +85,7 @@ def check_output(path: str | os.PathLike[str], suffixes: Sequence[str]) -> None:
 
 
 def writable_folder(path: str | os.PathLike[str]) -> Path:
-    """Create a folder, where there is none, and check that it can be written.
-
-    Raises:
-        OutputError: it cannot.
-    """
+    """Create a folder, where there is none, and check that it can be written."""
     folder = as_path(path)
     with _refusing(f"into folder {shown_path(folder)}"):
         folder.mkdir(parents=True, exist_ok=True)
@@ -123,9 +100,6 @@ def locked(path: str | os.PathLike[str] | None) -> Iterator[None]:
 
     None: there is nothing to keep. The lock goes with the process, however that ends. Where a file
     system has no locks, there is none.
-
-    Raises:
-        OutputError: another process has it, or the folder cannot be written.
     """
     if path is None:
         yield

@@ -18,11 +18,8 @@ from phase_ppl.world.names import AGENTS
 UNIT_TRAPEZOID: Final = np.array([[-1.5, -1.0], [-0.5, 1.0], [0.5, 1.0], [1.5, -1.0]])
 """Corners of an agent of size 1 in its body frame, clockwise from the back left."""
 
-CENTRE_OF_MASS_Y: Final = -1.0 / 6.0
-"""Local y of an agent's centre of mass, in units of its size R."""
-
-TOUCH_ENLARGEMENT: Final = 1.2
-"""Factor by which the other's shape grows in the touch test."""
+CENTRE_OF_MASS_Y: Final = -1.0 / 6.0  # local y of an agent's centre of mass, in units of its size R
+TOUCH_ENLARGEMENT: Final = 1.2  # factor by which the other's shape grows in the touch test
 
 GRAB_REACH: Final = 0.5
 """An item can be grabbed within its radius + this distance of a grab point, units."""

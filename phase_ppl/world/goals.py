@@ -23,11 +23,7 @@ N_GOALS: Final = len(GOALS)
 
 
 def goal_index(goal: str | int, world: World = PHASE) -> int:
-    """Return the index of ``goal`` in the goals of a world.
-
-    Raises:
-        UnknownNameError: ``goal`` is no goal; the message names close matches.
-    """
+    """Return the index of ``goal`` in the goals of a world."""
     return world.goal_index(goal)
 
 
@@ -56,9 +52,6 @@ def literal_goal(literal: Literal, holder: int | None = None, world: World = PHA
         literal: ON an entity and a landmark, or TOUCH.
         holder: whose goal it is; None: the subject's.
         world: whose goals.
-
-    Raises:
-        UnknownNameError: no goal says that.
     """
     predicate, subject, target, positive = literal
     way = "to" if positive else "away from"

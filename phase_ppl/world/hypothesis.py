@@ -119,25 +119,19 @@ def effective_pairs() -> NDArray[np.int64]:
     return pairs
 
 
-STRENGTH: Final = 450.0
-"""Newtons of an agent of which nothing else is said."""
+STRENGTH: Final = 450.0  # newtons of an agent of which nothing else is said
 
 STRENGTH_LEVELS: Final = (150.0, 300.0, 450.0, 600.0)
 """Maximum forces of the original world, newtons (strength ids 0..3)."""
 
-STRENGTH_RANGE: Final = (150.0, 600.0)
-"""Support of a strength, newtons."""
+STRENGTH_RANGE: Final = (150.0, 600.0)  # support of a strength, newtons
 
 MOST_STRENGTH: Final = 1e6
 """Newtons, beyond which a body of some kilograms moves further in a step than the arena is wide."""
 
 
 def checked_strength(name: str, value: object) -> float:
-    """Return ``value`` as a force in newtons.
-
-    Raises:
-        InvalidSettingError: no positive finite number; the message begins with ``name``.
-    """
+    """Return ``value`` as a force in newtons."""
     try:
         force = math.nan if isinstance(value, (str, bool)) else float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError, OverflowError):

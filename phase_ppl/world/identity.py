@@ -108,9 +108,6 @@ def versions_so_far(
         before: those so far.
         path: where it is.
         other_versions: whether it may be gone on with by others; None: that cannot be chosen.
-
-    Raises:
-        InvalidSettingError: the present ones are others, and must not be.
     """
     now = versions()
     last = before[-1] if before else {}

@@ -15,21 +15,15 @@ from phase_ppl.world.scene import Scene, finite_array
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class State:
-    """Poses, velocities and holds of all entities.
+    """Poses, velocities and holds of all entities."""
 
-    Attributes:
-        pose: (entity, 3) x, y of the body origin [units], angle [rad].
-        velocity: (entity, 2) velocity of the centre of mass, units per simulated second.
-        spin: (entity,) angular velocity, rad per simulated second.
-        held: (agent,) entity index of the item each agent holds, or ``NOTHING``.
-        weld: (agent, 3) while an agent holds an item: where the item's centre is kept in the
-            agent's frame about its centre of mass [units], and the kept relative angle [rad].
-    """
-
-    pose: NDArray[np.float64]
+    pose: NDArray[np.float64]  # (entity, 3) x, y of the body origin [units], angle [rad]
+    # (entity, 2) velocity of the centre of mass, units per simulated second
     velocity: NDArray[np.float64]
-    spin: NDArray[np.float64]
-    held: NDArray[np.int64]
+    spin: NDArray[np.float64]  # (entity,) angular velocity, rad per simulated second
+    held: NDArray[np.int64]  # (agent,) entity index of the item each agent holds, or ``NOTHING``
+    # (agent, 3) while an agent holds an item: where the item's centre is kept in the agent's frame
+    # about its centre of mass [units], and the kept relative angle [rad]
     weld: NDArray[np.float64]
 
     @classmethod
@@ -47,8 +41,7 @@ class State:
 
 # --- what an observer sees: the entities' trajectories, and nothing else --------------------------
 
-FRAMES_PER_SECOND: Final = 12.0
-"""Frames per second of simulated time."""
+FRAMES_PER_SECOND: Final = 12.0  # frames per second of simulated time
 
 SHOWN_SECONDS_PER_FRAME: Final = 0.25
 """Playback time of one frame: three times slower than simulated time."""

@@ -41,9 +41,6 @@ class Registry(Generic[Entry]):
         """Return a decorator that keeps ``entry(function, summary)`` under ``name``.
 
         The summary is the first line of the function's documentation.
-
-        Raises:
-            InvalidSettingError: the name is taken by another function; by the decorator.
         """
 
         def decorate(function: Function) -> Function:
@@ -66,11 +63,7 @@ class Registry(Generic[Entry]):
         return sorted(self.entries)
 
     def __getitem__(self, name: str) -> Entry:
-        """Return the entry of that name.
-
-        Raises:
-            UnknownNameError: there is none; the message names close matches.
-        """
+        """Return the entry of that name."""
         if name not in self.names():
             raise unknown_name(self._what, name, self.names())
         return self.entries[name]

@@ -29,9 +29,7 @@ RAY_DIRECTIONS: Final = np.array([[0, 1], [-1, 0], [0, -1], [1, 0]], float)
 ROOMS_OF_RAY: Final = ((0, 1), (0, 3), (2, 3), (1, 2))
 """In PHASE, the two rooms that the door on each ray (up, left, down, right) joins."""
 
-N_ROOMS: Final = 4
-"""Of PHASE."""
-
+N_ROOMS: Final = 4  # of PHASE
 MOST_ROOMS: Final = 36
 UNREACHABLE: Final = 282.8
 """Path distance between places that no route joins, units."""
@@ -40,36 +38,23 @@ _TOLERANCE = 1e-6
 
 
 class Door(NamedTuple):
-    """A gap between two rooms; of a border without one there is a closed door.
+    """A gap between two rooms; of a border without one there is a closed door."""
 
-    Attributes:
-        rooms: ids of the two.
-        x, y: its middle, units; of a closed one the border's end, far from the arena's centre.
-        width: units; 0 for closed.
-        walled: length of the walls on the border, units.
-    """
-
-    rooms: tuple[int, int]
-    x: float
+    rooms: tuple[int, int]  # ids of the two
+    x: float  # its middle, units; of a closed one the border's end, far from the arena's centre
     y: float
-    width: float
-    walled: float
+    width: float  # units; 0 for closed
+    walled: float  # length of the walls on the border, units
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Rooms:
-    """The room graph of a floor plan.
+    """The room graph of a floor plan."""
 
-    Attributes:
-        columns, rows: x and y, ascending, of the lines that cut the arena, its borders included.
-        doors: between neighbouring rooms.
-        is_open: there are no inner walls at all, so that every path is straight.
-    """
-
-    columns: FloatArray
+    columns: FloatArray  # x and y, ascending, of the lines that cut the arena, its borders included
     rows: FloatArray
-    doors: tuple[Door, ...]
-    is_open: bool
+    doors: tuple[Door, ...]  # between neighbouring rooms
+    is_open: bool  # there are no inner walls at all, so that every path is straight
 
     @classmethod
     def from_walls(
@@ -81,10 +66,6 @@ class Rooms:
             walls: (n, 2, 2) end points of the inner walls, units.
             arena: x_min, x_max, y_min, y_max, units.
             quadrants: the rooms are the arena's quadrants, and all walls run from its centre.
-
-        Raises:
-            InvalidEventError: a wall that is slanted, has no length or leaves the arena, or does
-                not run from the centre; more rooms than ``MOST_ROOMS``.
         """
         x0, x1, y0, y1 = map(float, arena)
         walls = np.asarray(walls, float).reshape(-1, 2, 2)

@@ -34,10 +34,7 @@ from phase_ppl.world.rooms import Rooms
 
 Turning = Literal["both", "ccw", "cw"]
 TURNINGS: Final = ("both", "ccw", "cw")
-
-ARENA: Final = (6.0, 26.0, 2.0, 22.0)
-"""x_min, x_max, y_min, y_max of the original world, units."""
-
+ARENA: Final = (6.0, 26.0, 2.0, 22.0)  # x_min, x_max, y_min, y_max of the original world, units
 LANDMARK_CENTRES: Final = np.array([[8.5, 19.5], [23.5, 19.5], [23.5, 4.5], [8.5, 4.5]])
 LANDMARK_HALF_WIDTH: Final = 2.5
 SIZES: Final = (0.8, 1.01, 1.2, 1.6)
@@ -61,12 +58,7 @@ _READ_AS: Final = (" to ", " away from ")
 
 
 def finite_array(name: str, value: object, shape: tuple[int | None, ...]) -> FloatArray:
-    """Return ``value`` as a read-only float array of ``shape`` (None: any length).
-
-    Raises:
-        InvalidEventError: not numbers, not finite or of another shape; the message says which
-            value of ``name`` it is.
-    """
+    """Return ``value`` as a read-only float array of ``shape`` (None: any length)."""
     if np.ma.is_masked(value):
         raise InvalidEventError(f"{name} is masked in places, expected numbers everywhere")
     try:
@@ -94,20 +86,13 @@ def finite_array(name: str, value: object, shape: tuple[int | None, ...]) -> Flo
 
 
 class Landmark(NamedTuple):
-    """A square on the floor.
+    """A square on the floor."""
 
-    Attributes:
-        name: its name.
-        x, y: its centre, units.
-        half_width: half its side, units.
-        colour: red, green and blue, 0..255.
-    """
-
-    name: str
-    x: float
+    name: str  # its name
+    x: float  # its centre, units
     y: float
-    half_width: float
-    colour: Colour
+    half_width: float  # half its side, units
+    colour: Colour  # red, green and blue, 0..255
 
 
 @dataclasses.dataclass(frozen=True, repr=False)

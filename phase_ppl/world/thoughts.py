@@ -10,20 +10,13 @@ from phase_ppl.world.names import Literal
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Thoughts:
-    """What both agents thought; step k is decided at frame k and leads to frame k + 1.
+    """What both agents thought; step k is decided at frame k and leads to frame k + 1."""
 
-    Attributes:
-        subgoals: (step, agent) what each was about.
-        actions: (step, agent) what it did, an index into the names of actions.
-        agreeing: (step, agent) share of its belief particles in which that was the subgoal.
-        seen: (step, agent, entity) whether it had the entity in view.
-        held: (step, agent) the item that it held, or ``NOTHING``.
-        particles: (step, agent, particle, entity, [x, y, angle]) its beliefs, units and radians.
-    """
-
-    subgoals: tuple[tuple[Literal, Literal], ...]
-    actions: IntArray
+    subgoals: tuple[tuple[Literal, Literal], ...]  # (step, agent) what each was about
+    actions: IntArray  # (step, agent) what it did, an index into the names of actions
+    # (step, agent) share of its belief particles in which that was the subgoal
     agreeing: FloatArray
-    seen: BoolArray
-    held: IntArray
+    seen: BoolArray  # (step, agent, entity) whether it had the entity in view
+    held: IntArray  # (step, agent) the item that it held, or ``NOTHING``
+    # (step, agent, particle, entity, [x, y, angle]) its beliefs, units and radians
     particles: FloatArray

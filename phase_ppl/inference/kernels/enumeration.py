@@ -33,15 +33,12 @@ of 0 some -87."""
 
 
 class Grid(NamedTuple):
-    """Hypotheses that differ in effective goals or strengths.
+    """Hypotheses that differ in effective goals or strengths."""
 
-    Attributes:
-        sites: hypothesis site -> (row,). The stated goals and alpha are drawn from those that
-            lead to the row's effective goals, by their prior.
-        log_prior: (row,) of effective goals and strengths, normalised over the rows.
-    """
-
+    # hypothesis site -> (row,). The stated goals and alpha are drawn from those that lead to the
+    # row's effective goals, by their prior
     sites: dict[str, NDArray[Any]]
+    # (row,) of effective goals and strengths, normalised over the rows
     log_prior: NDArray[np.float32]
 
     @property
@@ -55,10 +52,6 @@ def hypothesis_grid(model: Model, strengths: Sequence[float]) -> Grid:
     Args:
         model: of which only the prior counts.
         strengths: of either agent, newtons.
-
-    Raises:
-        InvalidSettingError: the prior has sites of its own, or no mass on the grid; or a
-            strength is no positive number.
     """
     own = [name for name in model.sites if name not in HYPOTHESIS_SITES]
     if own:
@@ -98,9 +91,7 @@ def _grid(prior: Any, strengths: tuple[float, ...]) -> Grid:
     return Grid(kept, log_prior.astype(np.float32))
 
 
-STRENGTHS: Final = (150.0, 300.0, 450.0, 600.0)
-"""Grid of either agent's strength, newtons."""
-
+STRENGTHS: Final = (150.0, 300.0, 450.0, 600.0)  # grid of either agent's strength, newtons
 MAX_SIMULATIONS: Final = 50_000
 
 

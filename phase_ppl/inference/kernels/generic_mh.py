@@ -57,8 +57,7 @@ LEAP: Final = 0.2
 """Share of goal proposals that come from the prior, so that goals which it leaves without
 neighbours are reached too."""
 
-SCALE: Final = 60.0
-"""Standard deviation of a step of a strength, newtons."""
+SCALE: Final = 60.0  # standard deviation of a step of a strength, newtons
 
 
 @register_kernel("random_walk_mh", validity="exact", any_length=True)

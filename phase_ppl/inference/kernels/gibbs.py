@@ -24,24 +24,16 @@ from phase_ppl.models.program import EventProgram
 from phase_ppl.world.checks import positive_number
 from phase_ppl.world.errors import InvalidSettingError
 
-SEED_SITE: Final = "_simulator_seed"
-"""Uniform number that stands for the simulator's seed."""
-
+SEED_SITE: Final = "_simulator_seed"  # uniform number that stands for the simulator's seed
 _DRAWS: Final = 256
 
 
 class WalkState(NamedTuple):
-    """State of the block of numbers.
+    """State of the block of numbers."""
 
-    Attributes:
-        z: site -> value.
-        log_density: of the joint model, given the other block.
-        rng_key: for the next step.
-    """
-
-    z: dict[str, jax.Array]
-    log_density: jax.Array
-    rng_key: jax.Array
+    z: dict[str, jax.Array]  # site -> value
+    log_density: jax.Array  # of the joint model, given the other block
+    rng_key: jax.Array  # for the next step
 
 
 class RandomWalk(MCMCKernel):
@@ -128,11 +120,7 @@ class GibbsKernel(ParticleKernel[WrappedState]):
         return 1 + sum(int(np.prod(shapes[name])) for name in self._discrete())
 
     def _discrete(self) -> list[str]:
-        """Return the discrete sites.
-
-        Raises:
-            InvalidSettingError: one has other values than 0, 1, ..., n.
-        """
+        """Return the discrete sites."""
         with jax.ensure_compile_time_eval():
             prior = handlers.seed(self.model.model.prior, random.key(0))
             trace = handlers.trace(prior).get_trace()

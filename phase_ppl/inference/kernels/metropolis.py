@@ -33,54 +33,36 @@ from phase_ppl.models.program import EventProgram
 
 
 class MHState(NamedTuple):
-    """State of one particle.
-
-    Attributes:
-        z: site -> value, the current hypothesis with any further sites.
-        log_prior: its log prior density.
-        memo: what else the kernel knows of it, see :meth:`MetropolisKernel.memo`.
-        step_error: (time,) errors of its simulation, units; never simulated again.
-        log_joint: log prior + log likelihood, in single precision.
-        window: the window of the last proposal, by its first frame; -1 where it had none.
-        accepted: whether the last proposal was accepted.
-    """
+    """State of one particle."""
 
     i: jax.Array
-    z: dict[str, jax.Array]
+    z: dict[str, jax.Array]  # site -> value, the current hypothesis with any further sites
     sim_seed: jax.Array
-    log_prior: jax.Array
-    memo: dict[str, jax.Array]
-    step_error: jax.Array
-    log_joint: jax.Array
-    window: jax.Array
-    accepted: jax.Array
+    log_prior: jax.Array  # its log prior density
+    memo: dict[str, jax.Array]  # what else the kernel knows of it, see ``memo``
+    step_error: jax.Array  # (time,) errors of its simulation, units; never simulated again
+    log_joint: jax.Array  # log prior + log likelihood, in single precision
+    window: jax.Array  # the window of the last proposal, by its first frame; -1 where it had none
+    accepted: jax.Array  # whether the last proposal was accepted
     n_accepted: jax.Array
     rng_key: jax.Array
 
 
 class Move(NamedTuple):
-    """A proposed hypothesis, and what is known of its acceptance before it is simulated.
+    """A proposed hypothesis, and what is known of its acceptance before it is simulated."""
 
-    Attributes:
-        sites: the hypothesis.
-        log_prior: its log prior density.
-        memo: of the hypothesis, see :meth:`MetropolisKernel.memo`.
-        log_known: the log ratio as far as it is known: all but the likelihoods and ``log_after``.
-        log_after: errors (time,) of the proposal's simulation -> the rest of the log ratio, for
-            moves that are reversed with a probability that depends on them.
-        log_bound: the most that ``log_after`` can be.
-        window: see :class:`MHState`.
-        log_proposal: log density of the draw that made the hypothesis, given the state; NaN
-            where it has none, as of a move of a single site.
-    """
-
-    sites: dict[str, jax.Array]
-    log_prior: jax.Array
-    memo: dict[str, jax.Array]
+    sites: dict[str, jax.Array]  # the hypothesis
+    log_prior: jax.Array  # its log prior density
+    memo: dict[str, jax.Array]  # of the hypothesis, see ``memo``
+    # the log ratio as far as it is known: all but the likelihoods and ``log_after``
     log_known: jax.Array
+    # errors (time,) of the proposal's simulation -> the rest of the log ratio, for moves that are
+    # reversed with a probability that depends on them
     log_after: Callable[[jax.Array], jax.Array | float] = lambda step_error: 0.0
-    log_bound: jax.Array | float = 0.0
-    window: jax.Array | int = -1
+    log_bound: jax.Array | float = 0.0  # the most that ``log_after`` can be
+    window: jax.Array | int = -1  # see ``MHState``
+    # log density of the draw that made the hypothesis, given the state; NaN where it has none, as
+    # of a move of a single site
     log_proposal: jax.Array | float = np.nan
 
 

@@ -243,22 +243,16 @@ def _strongly_typed(state: State) -> State:
 
 
 class WeightedState(NamedTuple):
-    """State of a particle that draws anew in every iteration, each draw with a weight.
-
-    Attributes:
-        z: site -> value, the hypothesis drawn last with any further sites; an earlier one, at
-            weight 0, where the last could not be simulated.
-        log_weight: of the draw, -inf where it could not be simulated.
-        window: the window it was drawn from, by its first frame; -1 where there is none.
-        accepted: whether the last draw could be simulated.
-    """
+    """State of a particle that draws anew in every iteration, each draw with a weight."""
 
     i: jax.Array
+    # site -> value, the hypothesis drawn last with any further sites; an earlier one, at weight 0,
+    # where the last could not be simulated
     z: dict[str, jax.Array]
     sim_seed: jax.Array
-    log_weight: jax.Array
-    window: jax.Array
-    accepted: jax.Array
+    log_weight: jax.Array  # of the draw, -inf where it could not be simulated
+    window: jax.Array  # the window it was drawn from, by its first frame; -1 where there is none
+    accepted: jax.Array  # whether the last draw could be simulated
     n_accepted: jax.Array
     rng_key: jax.Array
 

@@ -71,25 +71,18 @@ NEGLIGIBLE: Final = 12.0
 
 
 class RacingState(NamedTuple):
-    """State of a particle; all particles know of all simulations.
-
-    Attributes:
-        z: the hypothesis simulated last with any further sites; an earlier one where the last
-            was not simulated to its end.
-        accepted: whether it was.
-        n_of_pair: (pair,) this particle's simulations of each pair of effective goals.
-        log_sum_of_pair: (pair,) log of their summed likelihoods, less that of no error.
-        chain: SIMPLE's, of every other particle; of the others it is not used.
-    """
+    """State of a particle; all particles know of all simulations."""
 
     i: jax.Array
+    # the hypothesis simulated last with any further sites; an earlier one where the last was not
+    # simulated to its end
     z: dict[str, jax.Array]
     sim_seed: jax.Array
-    accepted: jax.Array
+    accepted: jax.Array  # whether it was
     n_accepted: jax.Array
-    n_of_pair: jax.Array
-    log_sum_of_pair: jax.Array
-    chain: MHState
+    n_of_pair: jax.Array  # (pair,) this particle's simulations of each pair of effective goals
+    log_sum_of_pair: jax.Array  # (pair,) log of their summed likelihoods, less that of no error
+    chain: MHState  # SIMPLE's, of every other particle; of the others it is not used
     rng_key: jax.Array
 
 

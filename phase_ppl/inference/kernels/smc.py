@@ -126,26 +126,17 @@ MOVES: Final = get_args(Move)
 
 
 class SMCState(NamedTuple):
-    """State of the population; all arrays are (chain, ...).
-
-    Attributes:
-        particle: state of the kernel that moves the particles.
-        temperature: t, the same for all.
-        log_weight: of the particles as draws from the posterior: what is left at t, up to a
-            constant.
-        log_evidence: estimate of the log probability of the observation, the same for all.
-        log_evidence_so_far: the part that is due to the temperatures so far, less the log
-            likelihood without any error.
-        rng_key: of the places; the population's randomness comes from the first.
-    """
+    """State of the population; all arrays are (chain, ...)."""
 
     i: jax.Array
-    particle: Any
-    temperature: jax.Array
+    particle: Any  # state of the kernel that moves the particles
+    temperature: jax.Array  # t, the same for all
+    # of the particles as draws from the posterior: what is left at t, up to a constant
     log_weight: jax.Array
-    log_evidence: jax.Array
+    log_evidence: jax.Array  # estimate of the log probability of the observation, the same for all
+    # the part that is due to the temperatures so far, less the log likelihood without any error
     log_evidence_so_far: jax.Array
-    rng_key: jax.Array
+    rng_key: jax.Array  # of the places; the population's randomness comes from the first
 
     @property
     def z(self) -> dict[str, jax.Array]:

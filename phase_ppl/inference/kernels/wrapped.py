@@ -29,15 +29,13 @@ from phase_ppl.models.program import EventProgram
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidSettingError
 
-SEED_BITS: Final = 24
-"""So many bits of a uniform number in single precision make a seed."""
+SEED_BITS: Final = 24  # so many bits of a uniform number in single precision make a seed
 
 IMPOSSIBLE: Final = 1e8
 """Potential of what has no mass. Finite: NumPyro's SA never gives up a point with an infinite
 one."""
 
-_STEPS: Final = 2**16
-"""Distinct values of a uniform number."""
+_STEPS: Final = 2**16  # distinct values of a uniform number
 
 
 Found = tuple[dict[str, jax.Array], jax.Array, jax.Array]
@@ -65,9 +63,6 @@ def quantile(name: str, distribution: Any, uniform: jax.Array) -> jax.Array:
         name: of the site, for the error.
         distribution: of independent elements.
         uniform: of the distribution's shape.
-
-    Raises:
-        InvalidSettingError: its elements are not independent, or there is no such function.
     """
     kind = type(distribution).__name__
     while isinstance(distribution, dist.Independent | dist.ExpandedDistribution):
@@ -98,21 +93,14 @@ def _discrete_quantile(distribution: Any, uniform: jax.Array) -> jax.Array:
 
 
 class WrappedState(NamedTuple):
-    """State of one particle, or of all.
-
-    Attributes:
-        z: site -> value, the current hypothesis with any further sites.
-        step_error: (time,) errors of its simulation, units.
-        inner: state of the sampler, with an entry per particle in every array.
-        accepted: whether the sampler moved in the last iteration.
-    """
+    """State of one particle, or of all."""
 
     i: jax.Array
-    z: dict[str, jax.Array]
+    z: dict[str, jax.Array]  # site -> value, the current hypothesis with any further sites
     sim_seed: jax.Array
-    step_error: jax.Array
-    inner: Any
-    accepted: jax.Array
+    step_error: jax.Array  # (time,) errors of its simulation, units
+    inner: Any  # state of the sampler, with an entry per particle in every array
+    accepted: jax.Array  # whether the sampler moved in the last iteration
     n_accepted: jax.Array
     rng_key: jax.Array
 

@@ -45,11 +45,7 @@ _VERSION: Final = (1, 0)
 def write_archive(
     path: str | os.PathLike[str], document: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
 ) -> None:
-    """Write a document and arrays of numbers to ``path``, whole or not at all.
-
-    Raises:
-        OutputError: the file cannot be written there, or its name does not end in .ckpt.
-    """
+    """Write a document and arrays of numbers to ``path``, whole or not at all."""
     memory = io.BytesIO()
     with zipfile.ZipFile(memory, "w", zipfile.ZIP_STORED) as archive:
         # the list tells a file that lost some of them without a trace
@@ -63,11 +59,7 @@ def write_archive(
 
 
 def read_archive(path: str | os.PathLike[str]) -> tuple[dict[str, Any], Columns]:
-    """Return the document and the arrays that :func:`write_archive` wrote.
-
-    Raises:
-        InvalidEventError: there is no such file, or it is damaged or of another kind.
-    """
+    """Return the document and the arrays that :func:`write_archive` wrote."""
     source = existing_file(path)
     try:
         with zipfile.ZipFile(source) as archive:
@@ -297,9 +289,6 @@ class Checkpoint:
 
         Args:
             blank: its shapes and types.
-
-        Raises:
-            InvalidSettingError: the kernel's state had others.
         """
         expected, treedef = jax.tree_util.tree_flatten_with_path(blank)
         if [(name, leaf.shape, leaf.dtype) for name, leaf in self._leaves] != [
@@ -327,9 +316,6 @@ def write_checkpoint(
         event: that is explained; its scene, observation and id are kept.
         state: of the kernel.
         particles, records: as the attributes of :class:`Checkpoint`.
-
-    Raises:
-        OutputError: the file cannot be written there.
     """
     leaves = jax.tree_util.tree_flatten_with_path(state)[0]
     packed = [packed_leaf(leaf) for _, leaf in leaves]

@@ -29,8 +29,7 @@ from phase_ppl.world.hypothesis import effective_table
 from phase_ppl.world.names import ENTITIES
 from phase_ppl.world.observation import FRAMES_PER_SECOND
 
-Columns = dict[str, NDArray[Any]]
-"""Name -> an array with one row per particle, or per simulation."""
+Columns = dict[str, NDArray[Any]]  # name -> an array with one row per particle, or per simulation
 
 LONG: Final = 20
 """Iterations from which on the draws of a chain are counted, the first quarter left out.
@@ -46,9 +45,7 @@ _STORED: Final = {
 _PAIR: Final = ("chain", "draw")
 _SIMULATION: Final = ("simulation",)
 _FRAME: Final = ("time", "entity", "coord")
-
-SITE: Final = "z/"
-"""Begins the names of those columns of particles that are sites."""
+SITE: Final = "z/"  # begins the names of those columns of particles that are sites
 
 
 _PARTICLE: Final = {

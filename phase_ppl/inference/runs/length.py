@@ -19,32 +19,22 @@ from phase_ppl.models.bridge import Record
 from phase_ppl.world.checks import instance_of, whole_number
 from phase_ppl.world.errors import InvalidSettingError
 
-ITERATIONS: Final = 6
-"""L, the paper's number of iterations."""
-
-RECENT: Final = 3
-"""Iterations whose mean is what the next one is expected to take."""
+ITERATIONS: Final = 6  # L, the paper's number of iterations
+RECENT: Final = 3  # iterations whose mean is what the next one is expected to take
 
 IDLE: Final = 100
 """Iterations in a row without a simulation, after which a budget will never be spent: so it is
 where all hypotheses have been simulated and their noise is fixed."""
 
-clock: Callable[[], float] = time.perf_counter
-"""Seconds of wall time."""
+clock: Callable[[], float] = time.perf_counter  # seconds of wall time
 
 
 class Tally(NamedTuple):
-    """What the initial particles and the finished iterations have cost.
+    """What the initial particles and the finished iterations have cost."""
 
-    Attributes:
-        simulations: made; those run again because they failed do not count.
-        frames: simulated by them.
-        last: the last iteration that took a simulation.
-    """
-
-    simulations: int = 0
-    frames: int = 0
-    last: int = 0
+    simulations: int = 0  # made; those run again because they failed do not count
+    frames: int = 0  # simulated by them
+    last: int = 0  # the last iteration that took a simulation
 
 
 def tally_of(records: Sequence[Record], done: int, before: Tally | None = None) -> Tally:
@@ -65,21 +55,13 @@ def tally_of(records: Sequence[Record], done: int, before: Tally | None = None) 
 
 
 class Length(NamedTuple):
-    """When a run ends.
+    """When a run ends."""
 
-    Attributes:
-        chains: number of particles M.
-        iterations: L, after the initial particles; None: until the budget is spent.
-        budget: None where there is a number of iterations.
-        sims_at_start: the most simulations of each initial particle.
-        sims_per_step: the most simulations that an iteration takes per particle.
-    """
-
-    chains: int
-    iterations: int | None = None
-    budget: Budget | None = None
-    sims_at_start: int = 1
-    sims_per_step: int = 1
+    chains: int  # number of particles M
+    iterations: int | None = None  # L, after the initial particles; None: until the budget is spent
+    budget: Budget | None = None  # none where there is a number of iterations
+    sims_at_start: int = 1  # the most simulations of each initial particle
+    sims_per_step: int = 1  # the most simulations that an iteration takes per particle
 
     def at_most(self, iterations: int) -> int:
         """Return the most simulations that so many iterations take."""
@@ -117,9 +99,6 @@ def run_length(
         chains: number of particles.
         iterations, budget: as the user gave them.
         n_frames: of a complete simulation.
-
-    Raises:
-        InvalidSettingError: both are given, or they are not what the kernel can do.
     """
     if budget is not None and iterations is not None:
         raise InvalidSettingError("give either iterations or a budget, not both")

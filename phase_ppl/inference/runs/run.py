@@ -55,27 +55,18 @@ second in common."""
 class Run:
     """All that determines the draws of a run, but for how many there are.
 
-    Attributes:
-        event: what is explained.
-        model: prior, simulator, likelihood.
-        kernel: as the user gave it.
-        options: of the kernel.
-        settings: of SIMPLE.
-        chains: particles M.
-        seed: a whole number >= 0.
-
     Raises:
         InvalidEventError: ``event`` is no event.
         InvalidSettingError, UnknownNameError: a setting that cannot be used.
     """
 
-    event: Event
-    model: Model
-    kernel: Kernel
-    options: Mapping[str, Any]
-    settings: SimpleSettings
-    chains: int
-    seed: int
+    event: Event  # what is explained
+    model: Model  # prior, simulator, likelihood
+    kernel: Kernel  # as the user gave it
+    options: Mapping[str, Any]  # of the kernel
+    settings: SimpleSettings  # of SIMPLE
+    chains: int  # particles M
+    seed: int  # a whole number >= 0
     info: KernelInfo = dataclasses.field(init=False)
     """What is known of the kernel."""
 
@@ -160,11 +151,7 @@ class Run:
         return tables, salt, bridge, observation.n_frames if self._is_padded else None
 
     def check(self, iterations: int | None, budget: Budget | None) -> None:
-        """Make the kernel and trace a step of it, with nothing simulated.
-
-        Raises:
-            Exception: it cannot run, or not for so long.
-        """
+        """Make the kernel and trace a step of it, with nothing simulated."""
         kernel = make_kernel(self.recipe, self.data(0))
         n_frames = self.event.observation.n_frames
         run_length(kernel, self.info, self.chains, iterations, budget, n_frames)

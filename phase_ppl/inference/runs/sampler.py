@@ -50,15 +50,12 @@ from phase_ppl.world.errors import (
 )
 from phase_ppl.world.identity import versions
 
-POLL_SECONDS: Final = 0.1
-"""How long Ctrl-C may go unnoticed."""
-
+POLL_SECONDS: Final = 0.1  # how long Ctrl-C may go unnoticed
 _RECORD_BYTES: Final = 3000
 _FRAME_BYTES: Final = 104
 """Of memory that a simulation takes, and each of its frames."""
 
-_APART: Final = 0.5
-"""Units by which a first frame may be off the start."""
+_APART: Final = 0.5  # units by which a first frame may be off the start
 
 _OVERTIME: Final = 1.1
 """An iteration is given up that goes on for so much of the seconds, and one second."""
@@ -88,35 +85,27 @@ class Interrupted(KeyboardInterrupt):
 class RunOptions:
     """How a call goes about a run.
 
-    Attributes:
-        iterations, budget: as given; the length of the run.
-        on_failure, retries: what becomes of failed simulations; draws depend on it where some fail.
-        simulation_seconds: that a simulation may take; None: any.
-        workers, executor: where simulations run.
-        progress: whether to show a bar.
-        checkpoint: file; None: none is written.
-        burn_in: draws at the beginning of each chain that do not count; None: by default.
-        weights: name of the weighting of the posterior; None: by kernel and length.
-        versions: of which the run was made so far, the present ones last.
-        began: when the call began, by :func:`phase_ppl.inference.runs.length.clock`.
-
     Raises:
         InvalidSettingError: ``burn_in`` leaves no iteration.
         UnknownNameError: there is no such weighting.
     """
 
-    iterations: int | None = None
+    iterations: int | None = None  # as given; the length of the run
     budget: Budget | None = None
+    # what becomes of failed simulations; draws depend on it where some fail
     on_failure: str = "reject"
     retries: int | None = None
-    simulation_seconds: float | None = None
-    workers: int | None = None
+    simulation_seconds: float | None = None  # that a simulation may take; None: any
+    workers: int | None = None  # where simulations run
     executor: Executor | None = None
-    progress: bool | None = None
-    checkpoint: str | os.PathLike[str] | None = None
+    progress: bool | None = None  # whether to show a bar
+    checkpoint: str | os.PathLike[str] | None = None  # file; None: none is written
+    # draws at the beginning of each chain that do not count; None: by default
     burn_in: int | None = None
-    weights: str | None = None
+    weights: str | None = None  # name of the weighting of the posterior; None: by kernel and length
+    # of which the run was made so far, the present ones last
     versions: Sequence[Mapping[str, Any]] = dataclasses.field(default_factory=lambda: [versions()])
+    # when the call began, by ``clock``
     began: float = dataclasses.field(default_factory=lambda: length.clock())
 
     def __post_init__(self) -> None:
@@ -139,11 +128,6 @@ def run(what: Run, options: RunOptions, saved: Checkpoint | None = None) -> Post
         what: the run.
         options: of the call.
         saved: where to go on; None: at the beginning.
-
-    Raises:
-        InvalidSettingError, UnknownNameError: a setting that cannot be used.
-        Interrupted: Ctrl-C.
-        Exception: whatever ended the run, with what was done as its ``posterior``.
     """
     with contextlib.closing(_open_runner(what, options)) as runner:
         sampler = Sampler(what, options, runner, saved)
@@ -311,12 +295,7 @@ class Sampler:
         bar.reach(self._simulations())
 
     def _iterate(self, compute: Callable[[], Any]) -> None:
-        """Do the initial particles, or an iteration, which counts once it is complete.
-
-        Raises:
-            SimulationError: all initial simulations failed.
-            KeyboardInterrupt: Ctrl-C.
-        """
+        """Do the initial particles, or an iteration, which counts once it is complete."""
         initial = self._done < 0
         self._bridge.iteration = self._done + 1
         self._pace.begin()

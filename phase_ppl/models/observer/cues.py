@@ -14,20 +14,14 @@ from phase_ppl.world.scene import Scene
 CUES: Final = ("distance", "contact", "working", "impact", "holding", "unsettled", "synchrony")
 """Names of the cues, in order; :func:`surface_cues` says what each is."""
 
-REACH: Final = 1.5
-"""Half the width of an agent's broad side, in its radii."""
-
-_NEAR: Final = 5.0
-"""Units, half the width of a room: what distance and impact are measured in."""
+REACH: Final = 1.5  # half the width of an agent's broad side, in its radii
+_NEAR: Final = 5.0  # units, half the width of a room: what distance and impact are measured in
 
 _SIDE: Final = 1.2
 """Mean distance of an agent's outline from its centre, in its radii, a little generous."""
 
-_AT: Final = 0.4
-"""Units within which of an item an agent is at it."""
-
-_MOVES: Final = 0.05
-"""Units per frame from which on a body counts as moving."""
+_AT: Final = 0.4  # units within which of an item an agent is at it
+_MOVES: Final = 0.05  # units per frame from which on a body counts as moving
 
 
 def surface_cues(scene: Scene, observation: Observation) -> dict[str, float]:

@@ -37,8 +37,7 @@ from phase_ppl.world.hypothesis import RELATIONS
 HALF_LIVES: Final = (math.inf, 40.0, 10.0)
 """Frames after which what was seen counts half, for each table of ``log_likelihood``."""
 
-_LEAST: Final = 1e-30
-"""Keeps logarithms of shares finite in single precision."""
+_LEAST: Final = 1e-30  # keeps logarithms of shares finite in single precision
 
 ANSWERS: Final = {"relation": len(RELATIONS), "goal_red": N_GOALS, "goal_green": N_GOALS}
 """Question -> number of its answers."""
@@ -46,23 +45,17 @@ ANSWERS: Final = {"relation": len(RELATIONS), "goal_red": N_GOALS, "goal_green":
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Evidence:
-    """What observers of some videos have to go by.
+    """What observers of some videos have to go by."""
 
-    Attributes:
-        events: ids of the videos.
-        log_likelihood: (half-life, percept, event, hypothesis) log p(video | hypothesis), in nats
-            as the model counts them, up to a constant per event. Half-lives are
-            :data:`HALF_LIVES`; percepts are readings of the video, one where nothing was noisy.
-        log_prior: (event, hypothesis) log prior masses.
-        answers: question -> (hypothesis,) index of the answer that a hypothesis stands for.
-        cues: name -> (event,) surface cues (:mod:`phase_ppl.models.observer.cues`).
-    """
-
-    events: tuple[str, ...]
+    events: tuple[str, ...]  # ids of the videos
+    # (half-life, percept, event, hypothesis) log p(video | hypothesis), in nats as the model counts
+    # them, up to a constant per event. Half-lives are ``HALF_LIVES``; percepts are readings of the
+    # video, one where nothing was noisy
     log_likelihood: FloatArray
-    log_prior: FloatArray
+    log_prior: FloatArray  # (event, hypothesis) log prior masses
+    # question -> (hypothesis,) index of the answer that a hypothesis stands for
     answers: Mapping[str, IntArray]
-    cues: Mapping[str, FloatArray]
+    cues: Mapping[str, FloatArray]  # name -> (event,) surface cues (``cues``)
 
     def at(self, places: ArrayLike) -> Evidence:
         """Return the evidence on the events at some places only."""
@@ -116,27 +109,18 @@ class Evidence:
 
 
 class Belief(NamedTuple):
-    """What an observer believes, and how it answers.
+    """What an observer believes, and how it answers."""
 
-    Attributes:
-        likelihood: (percept, event, hypothesis) log, unnormalised.
-        prior: (event, hypothesis) log, unnormalised.
-        sharpness: exponent of the probabilities of answers.
-        samples: hypotheses drawn from the belief before answering, each answer counted once more
-            than it was drawn; infinitely many give the belief itself.
-        lapse: probability of an answer at random.
-    """
-
-    likelihood: Array
-    prior: Array
-    sharpness: Array | float = 1.0
+    likelihood: Array  # (percept, event, hypothesis) log, unnormalised
+    prior: Array  # (event, hypothesis) log, unnormalised
+    sharpness: Array | float = 1.0  # exponent of the probabilities of answers
+    # hypotheses drawn from the belief before answering, each answer counted once more than it was
+    # drawn; infinitely many give the belief itself
     samples: Array | float = math.inf
-    lapse: Array | float = 0.0
+    lapse: Array | float = 0.0  # probability of an answer at random
 
 
-Responses: TypeAlias = dict[str, Array]
-"""Question -> (event, answer) log probabilities."""
-
+Responses: TypeAlias = dict[str, Array]  # question -> (event, answer) log probabilities
 Program: TypeAlias = Callable[[Evidence], Responses]
 Part: TypeAlias = Callable[[Belief, Evidence], Belief]
 
@@ -210,9 +194,6 @@ def cues(**toward: str) -> Part:
     A cue's likelihood is exponential in it: that agents who want nothing of each other do not
     touch is ``cues(contact="neutral")`` with a negative ``cue_contact`` [nats per unit]. The cues'
     common scale ``cue_scale`` is inferred, so that useless ones shrink together.
-
-    Raises:
-        UnknownNameError: there is no such cue or relation.
     """
     for name, relation in toward.items():
         if name not in CUES:
@@ -323,11 +304,7 @@ OBSERVERS: Final[Mapping[str, Observer]] = {
 
 
 def observer_named(name: str) -> Observer:
-    """Return a ready-made observer.
-
-    Raises:
-        UnknownNameError: there is none of that name.
-    """
+    """Return a ready-made observer."""
     if name not in OBSERVERS:
         raise unknown_name("observer", name, OBSERVERS)
     return OBSERVERS[name]

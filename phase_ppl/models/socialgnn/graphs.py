@@ -42,48 +42,34 @@ frame in units, heading x and y (0 but for agents), size R. A landmark's size is
 CONTACT_FACTOR: Final = 1.2
 """In the paper's variants two entities touch that are nearer than this times R1 + R2."""
 
-_RATE: Final = 12.0
-"""Frames per simulated second."""
+_RATE: Final = 12.0  # frames per simulated second
 
-CONTACT, PROXIMITY = 0, 1
-"""Kinds of edges: two entities touch; an entity is near a landmark."""
+CONTACT, PROXIMITY = 0, 1  # kinds of edges: two entities touch; an entity is near a landmark
 
 _LONGEST_REACH: Final = 1.81
 """Farthest corner of an agent from its origin, in units of its size (sqrt(3.25), rounded up)."""
 
 
 class Graphs(NamedTuple):
-    """The frames of one event.
+    """The frames of one event."""
 
-    Attributes:
-        nodes: (time, node, feature), see :data:`N_FEATURES`.
-        edges: (edge, 4) frame, sender, receiver, kind; every edge is there in both directions.
-        context: (number,) what all edges are told: the walls on the four rays, in the paper's
-            variants both ends (0 where there is none), for message passing the outer one (the
-            centre where there is none); and in the original variant the landmarks' centres.
-    """
-
-    nodes: SingleArray
+    nodes: SingleArray  # (time, node, feature), see ``N_FEATURES``
+    # (edge, 4) frame, sender, receiver, kind; every edge is there in both directions
     edges: SmallIntArray
+    # (number,) what all edges are told: the walls on the four rays, in the paper's variants both
+    # ends (0 where there is none), for message passing the outer one (the centre where there is
+    # none); and in the original variant the landmarks' centres
     context: SingleArray
 
 
 class Batch(NamedTuple):
-    """The frames of several events, one after the other.
+    """The frames of several events, one after the other."""
 
-    Attributes:
-        nodes: (frame, node, feature).
-        edges: (edge, 4) frame, sender, receiver, kind.
-        context: (event, number).
-        event: (frame,) event that a frame belongs to.
-        lengths: (event,) frames.
-    """
-
-    nodes: SingleArray
-    edges: IntArray
-    context: SingleArray
-    event: IntArray
-    lengths: IntArray
+    nodes: SingleArray  # (frame, node, feature)
+    edges: IntArray  # (edge, 4) frame, sender, receiver, kind
+    context: SingleArray  # (event, number)
+    event: IntArray  # (frame,) event that a frame belongs to
+    lengths: IntArray  # (event,) frames
 
 
 def checked_variant(variant: str) -> Variant:

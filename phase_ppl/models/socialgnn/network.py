@@ -27,15 +27,10 @@ from phase_ppl.world.scene import Scene
 
 
 class Outputs(NamedTuple):
-    """What the heads say, before any softmax.
+    """What the heads say, before any softmax."""
 
-    Attributes:
-        relation: (event, relation).
-        goals: (event, agent, goal); None in the original variant.
-    """
-
-    relation: Any
-    goals: Any
+    relation: Any  # (event, relation)
+    goals: Any  # (event, agent, goal); None in the original variant
 
 
 class SocialGNN(nn.Module):

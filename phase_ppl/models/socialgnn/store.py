@@ -82,35 +82,27 @@ def shapes(variant: Variant) -> dict[str, tuple[int, ...]]:
 class TrainingSettings:
     """How one network is trained; the defaults are for message passing, :meth:`of` for a variant.
 
-    Attributes:
-        variant: "extended", "message_passing" (relation and goals) or "original" (relation only).
-        epochs: passes over the training events, at most.
-        patience: epochs without a smaller loss on the validation events after which it ends; the
-            network of the smallest one counts. 0: all epochs at one rate, the last one counts.
-        batch: events per step.
-        learning_rate: of Adam at the start; halved after a third of the patience without progress.
-        decay: weight of the squared norm of all weights in the loss.
-        dropout: share of units left out in each step.
-        balanced: whether relations that are rare among the training events weigh more; else
-            neutral ones count twice, as the authors have it. The loss of a batch is the weighted
-            mean, so that in batches of one event neither changes anything.
-        looks: whether an event is reflected and recoloured anew in each epoch.
-        threads: of PyTorch; the result depends on it.
-
     Raises:
         InvalidSettingError, UnknownNameError: a value that is not allowed.
     """
 
+    # "extended", "message_passing" (relation and goals) or "original" (relation only)
     variant: Variant = "message_passing"
-    epochs: int = 250
+    epochs: int = 250  # passes over the training events, at most
+    # epochs without a smaller loss on the validation events after which it ends; the network of the
+    # smallest one counts. 0: all epochs at one rate, the last one counts
     patience: int = 40
-    batch: int = 16
+    batch: int = 16  # events per step
+    # of Adam at the start; halved after a third of the patience without progress
     learning_rate: float = 3e-3
-    decay: float = 3e-5
-    dropout: float = 0.2
+    decay: float = 3e-5  # weight of the squared norm of all weights in the loss
+    dropout: float = 0.2  # share of units left out in each step
+    # whether relations that are rare among the training events weigh more; else neutral ones count
+    # twice, as the authors have it. The loss of a batch is the weighted mean, so that in batches of
+    # one event neither changes anything
     balanced: bool = True
-    looks: bool = True
-    threads: int = 1
+    looks: bool = True  # whether an event is reflected and recoloured anew in each epoch
+    threads: int = 1  # of PyTorch; the result depends on it
 
     def __post_init__(self) -> None:
         checked_variant(self.variant)
@@ -176,11 +168,7 @@ class Trained(NamedTuple):
 
 
 def halved(arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[np.float16]]:
-    """Return arrays in half precision, in which they are stored and used.
-
-    Raises:
-        InvalidSettingError: a number is too large for it, or none at all.
-    """
+    """Return arrays in half precision, in which they are stored and used."""
     with np.errstate(over="ignore"):
         found = {name: array.astype(np.float16) for name, array in arrays.items()}
     for name, array in found.items():
@@ -201,12 +189,7 @@ def save(members: Sequence[Arrays], file: str | Path) -> None:
 
 
 def load(path: str | os.PathLike[str]) -> Trained:
-    """Return the networks of an npz file, or of the folder that training wrote.
-
-    Raises:
-        InvalidSettingError: there is no such file, several in the folder, or it is damaged; the
-            message says what is wrong.
-    """
+    """Return the networks of an npz file, or of the folder that training wrote."""
     if not isinstance(path, str | os.PathLike):
         raise InvalidSettingError(f"weights={shown(path)}, expected the name of a file or folder")
     source = Path(path)

@@ -25,23 +25,17 @@ _SLOWER: Final = 0.5
 _LONGEST_STEP: Final = 1.0
 """Norm to which gradients are cut: an LSTM over a hundred frames can make them jump."""
 
-NEUTRAL_TWICE: Final = (1.0, 2.0, 1.0)
-"""Weights of the relations in the authors' loss."""
+NEUTRAL_TWICE: Final = (1.0, 2.0, 1.0)  # weights of the relations in the authors' loss
 
 
 class Fitted(NamedTuple):
-    """A trained network.
+    """A trained network."""
 
-    Attributes:
-        arrays: by name, in half precision.
-        curves: per epoch "training" and "validation" loss without decay, and the share of the
-            validation events with the right answer: "relation", and "goals" where it names them.
-        best: epoch, from 0, that the arrays are of.
-    """
-
-    arrays: dict[str, NDArray[np.float16]]
+    arrays: dict[str, NDArray[np.float16]]  # by name, in half precision
+    # per epoch "training" and "validation" loss without decay, and the share of the validation
+    # events with the right answer: "relation", and "goals" where it names them
     curves: Curves
-    best: int
+    best: int  # epoch, from 0, that the arrays are of
 
 
 def fit(
@@ -58,9 +52,6 @@ def fit(
         settings: how.
         seed: of the first weights, the order and looks of the events, and the dropout.
         after_epoch: called with the number of each epoch that is done, from 0.
-
-    Raises:
-        InvalidSettingError: it leads nowhere, as with far too large a learning rate.
     """
     with threads(settings.threads), torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
