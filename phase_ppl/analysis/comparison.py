@@ -104,7 +104,7 @@ class Comparison:
         """
         if measure not in DISTANCES:
             raise unknown_name("distance", measure, DISTANCES)
-        value = self.settings["reference"].get("error", {}).get(measure)
+        value = (self.settings["reference"].get("error") or {}).get(measure)
         return None if value is None else float(value)
 
     def ranks(self, measure: str = "tv_goals") -> pd.DataFrame:

@@ -112,7 +112,7 @@ def entry(
     options = dict(given)
     if isinstance(kernel, str) and kernel in PRESETS:
         label = label or kernel
-        usual = completed(kernel, {"kernel": "local_mh", **options})
+        usual = {"kernel": "local_mh", **completed(kernel, options)}
         kernel = str(usual.pop("kernel"))
         options = {name: value for name, value in usual.items() if name not in _OF_COMPARISON}
     info = described(kernel)

@@ -89,7 +89,7 @@ def infer(
         model: prior, simulator and likelihood; by default the paper's.
         kernel: a name (:func:`phase_ppl.available_kernels`), a kernel class or a function that
             makes a NumPyro kernel from the program of the event, or an instance of one of ours;
-            by default "local_mh", and none for a stepwise likelihood.
+            by default "local_mh", which is SIMPLE, and none for a stepwise likelihood.
         chains: particles M.
         iterations: L, the draws per particle; by default 6.
         seed: a whole number >= 0.

@@ -8,8 +8,9 @@ Another package registers its kernel under the entry point group ``phase_ppl.ker
 where ``my_kernel`` is a function decorated with :func:`register_kernel`.
 
 A kernel is an ``MCMCKernel`` of NumPyro. Its state has the fields ``z`` (site -> value) and
-``sim_seed`` (the seed with which that hypothesis was simulated), and may have ``accepted``,
-``window``, ``log_weight`` (of the draw, where draws are not equal) and ``log_evidence``.
+``sim_seed`` (the seed with which that hypothesis was simulated) and ``rng_key``, and may have
+``accepted``, ``window``, ``log_weight`` (of the draw, where draws are not equal) and
+``log_evidence``.
 
 What a kernel knows only once it is made for a model is asked of the kernel itself, where it says
 so: ``validity``, ``sims_per_step``, ``sims_at_start`` (simulations per initial particle, 1 by

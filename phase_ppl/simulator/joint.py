@@ -255,6 +255,8 @@ def simulate(
         if scene.world == PHASE:
             (red, green), (one, other) = roles.effective_goals, roles.strengths
             hypothesis = Hypothesis(red, green, (0, 0), one, other)
+    elif relation is not None or strength != STRENGTH:
+        raise InvalidSettingError("relation and strength go with goals=; a hypothesis has its own")
     instance_of("hypothesis", hypothesis, (Hypothesis, Roles), "a phase_ppl.Hypothesis, or goals=")
     assert hypothesis is not None
     if hypothesis.world != scene.world:

@@ -380,7 +380,14 @@ class Roles:
     @classmethod
     def from_dict(cls, world: World, record: Mapping[str, Any]) -> Roles:
         """Return the roles written by :meth:`to_dict`. Errors as of :meth:`of`."""
-        pairs = {(who, whom): word for who, whom, word in record.get("relation", ())}
+        if not isinstance(record.get("goals"), Mapping):
+            raise InvalidSettingError("roles need goals, by the names of agents")
+        told = record.get("relation", [])
+        if not isinstance(told, list) or not all(isinstance(r, list) and len(r) == 3 for r in told):
+            raise InvalidSettingError(
+                f"relation {shown(told)}, expected a list of [who, whom, word]"
+            )
+        pairs = {(who, whom): word for who, whom, word in told}
         return cls.of(world, record["goals"], pairs, record.get("strengths", STRENGTH))
 
     def __getattr__(self, name: str) -> Any:

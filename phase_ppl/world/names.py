@@ -1,6 +1,6 @@
-"""The fixed cast of every event, in the order used by every array of the package.
+"""The cast of the world PHASE, in the order of its arrays, and the predicates of every world.
 
-And the predicates over it: the language of goals, subgoals and symbolic states.
+Other worlds have casts of their own, see ``World.entities``.
 """
 
 from __future__ import annotations
@@ -39,12 +39,15 @@ class Predicate(enum.IntEnum):
     ATTACH = 2
     """ATTACH(agent, item): the item is welded to the agent."""
     CLOSE = 3
-    """CLOSE(agent | item, place): in a landmark's room (0..3), or in a door (4..7, see DOORS)."""
+    """CLOSE(agent | item, place): in a room, or in a door: the number of rooms and its own."""
     STOP = 4
 
 
 class Literal(NamedTuple):
-    """A predicate or its negation over entity ``subject`` and entity or landmark ``target``."""
+    """A predicate or its negation over entity ``subject`` and entity or landmark ``target``.
+
+    As a string it is one of PHASE; ``World.words`` has those of other worlds.
+    """
 
     predicate: Predicate
     subject: int

@@ -255,7 +255,8 @@ class World:
         """All goals as strings, see :mod:`phase_ppl.world.goals`.
 
         Each entity to and away from each landmark; the agent itself to and away from what can be
-        touched; where there are three agents or more, one agent to and away from another entity.
+        touched; one agent to and away from an item where there are two agents or more, from
+        another agent where there are three.
         """
         ways, touchable = ("to", "away from"), sorted(self.touchable or ())
         to_landmarks = [
@@ -278,7 +279,7 @@ class World:
 
     @functools.cached_property
     def _places(self) -> dict[str, int]:
-        return {goal.lower(): index for index, goal in enumerate(self.goals)}
+        return {_plain(goal): index for index, goal in enumerate(self.goals)}
 
     def goal_index(self, goal: str | int) -> int:
         """Return the index of a goal, a string or an index, in ``goals``.

@@ -205,9 +205,9 @@ def test_what_people_said_can_be_added_but_not_changed_or_left_out(
     ppl.reproduce(tmp_path / "out", videos, **again)
     made = ppl.reproduce(tmp_path / "out", videos, tags=one, **again)
     assert cells(made)["labels", "labels that are a category"].ours["value"] == 2
-    with pytest.raises(InvalidSettingError, match=r"tags is '.*two.csv', was '.*one.csv'"):
+    with pytest.raises(InvalidSettingError, match=r"was begun with others: tags is '.*, was '"):
         ppl.reproduce(tmp_path / "out", videos, tags=two, **again)
-    with pytest.raises(InvalidSettingError, match=r"tags is None, was '.*one.csv'"):
+    with pytest.raises(InvalidSettingError, match=r"was begun with others: tags is None, was '"):
         ppl.reproduce(tmp_path / "out", videos, **again)
 
 

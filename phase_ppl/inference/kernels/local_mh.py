@@ -177,13 +177,13 @@ class LocalMH(MetropolisKernel):
         self, key_window: jax.Array, key_sites: jax.Array, state: MHState
     ) -> tuple[jax.Array, dict[str, jax.Array]]:
         """Return a window that is simulated badly, and a hypothesis from it."""
-        window = random.categorical(key_window, self._log_windows(state.step_error))
+        window = random.categorical(key_window, self.log_windows(state.step_error))
         return window, self.draw_guide(key_sites, window)
 
     def local_move(self, window: jax.Array, sites: dict[str, jax.Array], state: MHState) -> Move:
         """Return the move to a hypothesis that was proposed from a window."""
         rule, log_prior, memo = self._rule, self.model.log_prior(sites), self.memo(sites)
-        before, log_windows = state.memo["log_proposal"], self._log_windows(state.step_error)
+        before, log_windows = state.memo["log_proposal"], self.log_windows(state.step_error)
         known = log_before(
             rule,
             window,
@@ -196,13 +196,14 @@ class LocalMH(MetropolisKernel):
             log_prior,
             memo,
             known,
-            lambda step_error: log_after(rule, window, before, self._log_windows(step_error)),
+            lambda step_error: log_after(rule, window, before, self.log_windows(step_error)),
             log_after_bound(rule, before),
             window,
             logsumexp(log_windows + memo["log_proposal"]),
         )
 
-    def _log_windows(self, step_error: jax.Array) -> jax.Array:
+    def log_windows(self, step_error: jax.Array) -> jax.Array:
+        """Return (window,) log r(k | e), of the windows that there are."""
         length = window_length(self.model.n_frames, self.settings.window)
         count = self.n_windows if self.model.is_padded else None
         return log_window_choice(step_error, self.settings.eta, length, count)

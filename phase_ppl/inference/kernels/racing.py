@@ -86,6 +86,17 @@ class RacingState(NamedTuple):
     rng_key: jax.Array
 
 
+class _Move(NamedTuple):
+    """What a chain proposes, see :class:`~phase_ppl.inference.kernels.metropolis.Move`."""
+
+    sites: dict[str, jax.Array]
+    log_prior: jax.Array
+    memo: dict[str, jax.Array]
+    log_known: jax.Array
+    log_bound: jax.Array
+    log_proposal: jax.Array
+
+
 @register_kernel(
     "racing",
     validity="consistent",
@@ -130,16 +141,25 @@ class Racing(EventKernel[RacingState]):
         zeros = jnp.zeros(n, jnp.int32)
         nothing = jnp.full((n, N_GOALS**2), -jnp.inf, jnp.float32)
         n_of_pair = jnp.zeros(nothing.shape, jnp.int32)
-        first = jax.vmap(lambda key: self.draw_guide(key, self.n_windows))(keys)
+        keys, to_begin = jnp.swapaxes(jax.vmap(random.split)(keys), 0, 1)
+        first = jax.vmap(lambda key: self.draw_guide(key, self.n_windows))(to_begin)
         if given is not None:
             first = {name: given[name].astype(value.dtype) for name, value in first.items()}
-        memo = jax.vmap(self._local.memo)(first)
-        log_prior = jax.vmap(self.model.log_prior)(first)
+        # the first simulations take the place of what is not known of a chain
+        nothing_known = jnp.zeros(n, jnp.float32)
         chain = MHState(
-            zeros, first, zeros, log_prior, memo,
-            jnp.full((n, self.model.n_frames), jnp.nan, jnp.float32),
-            log_prior, zeros - 1, zeros > 0, zeros, keys,
-        )  # fmt: skip
+            zeros,
+            first,
+            zeros,
+            nothing_known,
+            {"log_proposal": jnp.zeros((n, self.most_windows), jnp.float32)},
+            jnp.zeros((n, self.model.n_frames), jnp.float32),
+            nothing_known,
+            zeros - 1,
+            zeros > 0,
+            zeros,
+            keys,
+        )
         state = RacingState(
             zeros - 1, first, zeros, zeros > 0, zeros, n_of_pair, nothing, chain, keys
         )
@@ -166,29 +186,31 @@ class Racing(EventKernel[RacingState]):
             sites = {name: values.at[1::2].set(raced[name]) for name, values in sites.items()}
             from_whole |= place % 2 == 1
         pair = _pair_of(sites)
-        log_prior = jax.vmap(program.log_prior)(sites)
+        move = jax.vmap(self._move)(window, sites, state.chain)
         log_proposal = jnp.where(
             from_whole,
             jax.vmap(lambda one: log_density(self.guide, one, self.n_windows))(sites),
-            jax.vmap(lambda *move: self._local.local_move(*move).log_proposal)(
-                window, sites, state.chain
-            ),
+            move.log_proposal,
         )
         seed = jax.vmap(program.simulator_seed)(keys[:, 1], sites)
         without_error = program.log_likelihood(jnp.zeros(program.n_frames)).sum()
         log_floor = log_mass.max() - NEGLIGIBLE - log_prior_of_pair[pair] + without_error
         log_u = jax.vmap(log_uniform)(keys[:, 5])
-        accepts_from = jax.vmap(self._accepts_from)(state.chain, sites, window, log_u)
+        # what a chain's proposal needs at least to be accepted
+        current = jax.vmap(lambda error: program.log_likelihood(error).sum())(
+            state.chain.step_error
+        )
+        accepts_from = log_u - move.log_known - move.log_bound + current
         accepts_from = jnp.where(begins, -jnp.inf, accepts_from)
         log_floor = jnp.where(place % 2 == 0, jnp.minimum(log_floor, accepts_from), log_floor)
         errors = jax.vmap(program.simulate)(
-            sites, log_prior, seed, self.error_ceiling(log_floor), log_proposal
+            sites, move.log_prior, seed, self.error_ceiling(log_floor), log_proposal
         )
         completed = jnp.isfinite(errors).all(axis=-1)
         found = jax.vmap(program.relative_log_likelihood)(errors)
         # what was stopped has reached the floor at best
         found = jnp.where(completed, found, log_floor - without_error)
-        chain = jax.vmap(self._moved)(state.chain, sites, seed, window, errors, log_u, begins)
+        chain = jax.vmap(self._moved)(state.chain, move, seed, errors, log_u, begins)
         sums = state.log_sum_of_pair
         z, sim_seed = jax.vmap(chosen)(completed, (sites, seed), (state.z, state.sim_seed))
         return RacingState(
@@ -203,33 +225,29 @@ class Racing(EventKernel[RacingState]):
             keys[:, 2],
         )
 
-    def _accepts_from(
-        self, chain: MHState, sites: dict[str, jax.Array], window: jax.Array, log_u: jax.Array
-    ) -> jax.Array:
-        """Return the log likelihood that a chain's proposal needs at least to be accepted."""
+    def _move(self, window: jax.Array, sites: dict[str, jax.Array], chain: MHState) -> _Move:
         move = self._local.local_move(window, sites, chain)
-        current = self.model.log_likelihood(chain.step_error).sum()
-        return log_u - move.log_known - move.log_bound + current
+        bound, proposal = jnp.asarray(move.log_bound), jnp.asarray(move.log_proposal)
+        return _Move(sites, move.log_prior, move.memo, move.log_known, bound, proposal)
 
     def _moved(
         self,
         chain: MHState,
-        sites: dict[str, jax.Array],
+        move: _Move,
         seed: jax.Array,
-        window: jax.Array,
         errors: jax.Array,
         log_u: jax.Array,
         begins: jax.Array,
     ) -> MHState:
         """Return a chain after a simulation of what it proposed; before the first it has none."""
-        program, move = self.model, self._local.local_move(window, sites, chain)
-        current, proposed = map(program.log_likelihood, (chain.step_error, errors))
-        ratio = log_ratio(move.log_known, current, proposed, move.log_after(errors))
+        current, proposed = map(self.model.log_likelihood, (chain.step_error, errors))
+        back = logsumexp(self._local.log_windows(errors) + chain.memo["log_proposal"])
+        ratio = log_ratio(move.log_known, current, proposed, back)
         # not a number, where both failed: rejected
         return chosen(
             begins | (log_u < ratio),
             chain._replace(
-                z=sites,
+                z=move.sites,
                 sim_seed=seed,
                 log_prior=move.log_prior,
                 memo=move.memo,

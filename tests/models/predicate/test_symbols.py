@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.agents.symbols import N_FACTS, describe
+from phase_ppl.agents.symbols import Facts, describe
 from phase_ppl.agents.world_model import WorldModel
 from phase_ppl.models.predicate import FACTOR, Thresholds, symbolic_trajectory
 from phase_ppl.physics import compiled
@@ -78,7 +78,7 @@ def test_items_are_in_reach_and_rooms_are_as_for_the_planner() -> None:
     poses[:, :2, 2] = rng.uniform(-3, 3, (n, 2))
     where = scene(walls=[FULL_WALL_UP])
     model = WorldModel.of(where, (450.0, 450.0), PlannerConfig())
-    facts, costs = np.zeros((n, N_FACTS), np.int8), np.zeros((1, n))
+    facts, costs = np.zeros((n, Facts(4, 2).size), np.int8), np.zeros((1, n))
     held = np.full((n, 2), NOTHING)
     bodies = np.array(
         [
