@@ -181,7 +181,9 @@ def log_shares(tree: xr.DataTree) -> FloatArray:
     ones too; NaN where the simulation failed, or Q is not known.
     """
     simulations = tree["simulations"].dataset
-    log_proposal = simulations["log_proposal"].values.astype(float)
+    log_first = -simulations["log_proposal"].values.astype(float)
+    # what was asked for again counts each time
+    log_proposal = -np.logaddexp(log_first, simulations["log_again"].values)
     with np.errstate(invalid="ignore"):
         log_ratio = simulations["log_prior"].values - log_proposal
     known = np.flatnonzero(np.isfinite(log_ratio) & ~simulations["failed"].values)

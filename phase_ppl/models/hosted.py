@@ -80,6 +80,7 @@ class Hosted:
             return self._made[kind](*args)
 
     def _name(self, kind: Any) -> str | None:
+        """Return what identifies the program in all processes; None: nothing does."""
         return None if self._identity is None else kept.outline_name(f"{self._identity} {kind}")
 
     def _remembered(self, kind: Any) -> Callable[..., Any] | None:

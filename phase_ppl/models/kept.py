@@ -8,6 +8,7 @@ import hashlib
 import json
 import os
 import pickle
+import time
 import warnings
 import zlib
 from collections.abc import Callable
@@ -22,9 +23,10 @@ from jax.experimental import serialize_executable
 from phase_ppl.physics.jit import cache_folder
 from phase_ppl.world.errors import OutputError
 from phase_ppl.world.files import write_bytes
-from phase_ppl.world.identity import versions
+from phase_ppl.world.identity import code_changed_since, versions
 
 SUFFIX: Final = ".xla"
+_IMPORTED: Final = time.time()
 MOST: Final = 400  # files; beyond that the one goes that was not used for longest
 _LEVEL: Final = 3  # of compression: as good as any for machine code, and fast
 _DIGEST: Final = hashlib.sha256().digest_size
@@ -41,8 +43,13 @@ def code_name(lowered: jax.stages.Lowered) -> str:
     return _hash(lowered.as_text())
 
 
-def outline_name(identity: str) -> str:
-    """Return what identifies the making of a program: what is said of it, and all code."""
+def outline_name(identity: str) -> str | None:
+    """Return what identifies the making of a program: what is said of it, and all code.
+
+    None where code was changed since it was imported: what runs is not what the files say.
+    """
+    if code_changed_since(_IMPORTED):
+        return None
     return _hash(identity, json.dumps([versions(), jax.config.values], default=str, sort_keys=True))
 
 

@@ -84,8 +84,17 @@ def source_stamp(files: Iterable[Path]) -> str:
 @functools.cache
 def code_stamp() -> str:
     """Return a hash of all in this package on which a result depends."""
+    return source_stamp(_stamped())[:16]
+
+
+def code_changed_since(time: float) -> bool:
+    """Whether a file that :func:`code_stamp` covers was changed after a time, s since the epoch."""
+    return any(file.stat().st_mtime > time for file in _stamped())
+
+
+def _stamped() -> list[Path]:
     found = (file for name in _FOLDERS for file in (_PACKAGE / name).rglob("*"))
-    return source_stamp(file for file in found if file.suffix in (".py", ".npz"))[:16]
+    return [file for file in found if file.suffix in (".py", ".npz")]
 
 
 def versions() -> dict[str, str]:

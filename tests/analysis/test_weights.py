@@ -281,6 +281,12 @@ def with_prior(tree: xr.DataTree, masses: list[tuple[Hypothesis, float]]) -> xr.
     return tree
 
 
+def test_how_often_a_pair_was_asked_for_does_not_matter() -> None:
+    tree = proposed(make_tree(TENTHS, [[0, 1]]), [0.0, 0.0], again=0.1)
+    found = goal_probabilities(Posterior(with_prior(tree, [(A, 0.5), (B, 0.5)]), "stratified"))
+    assert found == pytest.approx({BLUE_TO_RED: 1 / 2, PINK_TO_BLUE: 1 / 2})
+
+
 def test_stratified_weighs_a_pair_by_its_prior_and_its_mean_likelihood() -> None:
     # A was drawn thrice as often as B, and by proposals of other densities; its mean L is
     # (1/2 x 0.2 + 1/4 x 0.4 + 1/4 x 0) for shares P / Q of 2 : 1 : 1, the stopped one at 0

@@ -163,3 +163,11 @@ def test_what_jax_keeps_itself_is_left_to_it(
     assert kept.folder() == kept.cache_folder()
     jax.config.update("jax_compilation_cache_dir", str(tmp_path))
     assert kept.folder() is None
+
+
+def test_code_that_was_changed_since_it_was_imported_is_not_remembered(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert kept.outline_name("a function") is not None
+    monkeypatch.setattr(kept, "_IMPORTED", 0.0)
+    assert kept.outline_name("a function") is None

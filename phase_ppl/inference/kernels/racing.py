@@ -209,7 +209,8 @@ class Racing(EventKernel[RacingState]):
         completed = jnp.isfinite(errors).all(axis=-1)
         found = jax.vmap(program.relative_log_likelihood)(errors)
         # what was stopped has reached the floor at best
-        found = jnp.where(completed, found, log_floor - without_error)
+        at_best = jnp.where(jnp.isfinite(log_floor), log_floor - without_error, -jnp.inf)
+        found = jnp.where(completed, found, at_best)
         chain = jax.vmap(self._moved)(state.chain, move, seed, errors, log_u, begins)
         sums = state.log_sum_of_pair
         z, sim_seed = jax.vmap(chosen)(completed, (sites, seed), (state.z, state.sim_seed))
@@ -283,8 +284,9 @@ class Racing(EventKernel[RacingState]):
         of_draw = _pair_of(pool)
         drawn = jnp.zeros(N_GOALS**2).at[of_draw].add(possible)
         promise = jnp.log(drawn) - PRIOR_POWER * log_prior_of_pair
-        untried = jnp.where((tried == 0) & (drawn > 0), promise, -jnp.inf)
-        best_new = jnp.argsort(-untried)[:n]
+        possible_pair = (drawn > 0) & jnp.isfinite(log_prior_of_pair)
+        untried = jnp.where((tried == 0) & possible_pair, promise, -jnp.inf)
+        best_new = jnp.argsort(-untried)[jnp.minimum(jnp.arange(n), N_GOALS**2 - 1)]
 
         chance = jax.vmap(lambda key: random.normal(key, log_mass.shape))(keys)
         # the best of particles' chances is the draw of a pair in proportion to its weight
@@ -297,7 +299,7 @@ class Racing(EventKernel[RacingState]):
         place = jnp.arange(n)
         n_new = jnp.where(i < 0, n, _by(NEW, i + 1, n) - _by(NEW, i, n))
         n_again = _by(AGAIN, i + 1, n) - _by(AGAIN, i, n)
-        is_new = (place < n_new) & jnp.isfinite(untried[best_new])
+        is_new = (place < jnp.minimum(n_new, N_GOALS**2)) & jnp.isfinite(untried[best_new])
         pair = jnp.where(place < n_new + n_again, second, leader)
         pair = jnp.where(is_new, best_new, pair)
         # any of the pool's draws of the pair; should it have none, any draw

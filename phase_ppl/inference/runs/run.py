@@ -137,9 +137,8 @@ class Run:
         n_frames = self.event.observation.n_frames
         if not self._is_padded:
             return n_frames
-        least = max(n_frames, self.settings.window + 1)
-        length = next((length for length in _LENGTHS if length >= least), _LENGTHS[-1])
-        while length < least:
+        length = next((length for length in _LENGTHS if length >= n_frames), _LENGTHS[-1])
+        while length < n_frames:
             length *= 2
         return length
 
