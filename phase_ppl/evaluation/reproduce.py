@@ -227,7 +227,13 @@ def reproduce(
         comparison = compare_models(found, stored="all")
         comparison.save(folder / COMPARED)
         cells = list(_cells(comparison, asked, missing, labels, rated))
-        notes = [note, *(f"{label_of(label)} is left out: {why}" for label, why in missing.items())]
+        notes = [
+            note,
+            *(
+                f"{label_of(label)} is left out, for it needs {why}"
+                for label, why in missing.items()
+            ),
+        ]
         if real and len(events) != _VIDEOS:
             notes.append(
                 f"the paper has {_VIDEOS} test videos, these are {len(events)}: with fewer, "
@@ -286,10 +292,11 @@ def _events(
 
 
 def _not_installed(model: str) -> str | None:
+    """Return the libraries that a model lacks, and how to install them."""
     info = model_info(model)
     absent = [module for module in info.needs if not is_installed(module)]
     how = f" (pip install 'phase_ppl[{info.extra}]')" if info.extra else ""
-    return f"{', '.join(absent)} is not installed{how}" if absent else None
+    return f"{', '.join(absent)}{how}" if absent else None
 
 
 # --- cells ----------------------------------------------------------------------------------------
