@@ -99,6 +99,7 @@ class Table:
         return self._masses(frame, weight * self._so_far[frame])
 
     def _masses(self, frame: int, of_pairs: FloatArray) -> FloatArray:
+        # over the equal probabilities that they began with: the prior has its own of strengths
         strengths = self._log_strengths[frame] + np.log(self._log_strengths[frame].size)
         of_hypotheses = of_pairs[effective_pairs()][..., None, None]
         return np.asarray(self._log_prior + of_hypotheses + strengths)

@@ -90,7 +90,7 @@ def infer(
         kernel: a name (:func:`phase_ppl.available_kernels`), a kernel class or a function that
             makes a NumPyro kernel from the program of the event, or an instance of one of ours;
             by default "local_mh", which is SIMPLE, and none for a stepwise likelihood.
-        chains: particles M.
+        chains: how many particles, M in the paper; each is a chain.
         iterations: L, the draws per particle; by default 6.
         seed: a whole number >= 0.
         planner: "fast" (the default), "paper" or a ``PlannerConfig``, for the joint simulator.

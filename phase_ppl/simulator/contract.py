@@ -45,7 +45,7 @@ _STREAM: Final = 0x5EED
 class Simulator(Protocol):
     """Yields frames (entity, 3) = x, y [units], angle [rad] until it is closed.
 
-    The first frame is compared with the first observed one.``hypothesis`` holds effective goals
+    The first frame is compared with the first observed one. ``hypothesis`` holds effective goals
     and alpha = (0, 0), or is a :class:`Roles` of them in other worlds than PHASE. All randomness
     comes from ``rng``. Ending early, raising, or a value that is not finite is a failed simulation.
 

@@ -92,7 +92,7 @@ ALPHAS: Final = ((0, 0), (1, 0), (0, 1), (-1, 0), (0, -1))
 
 
 ALPHA_WORDS: Final = (
-    "neither helps or hinders",
+    "neither helps nor hinders",
     "red helps green",
     "green helps red",
     "red hinders green",

@@ -10,7 +10,7 @@ from phase_ppl.world.names import Literal
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Thoughts:
-    """What both agents thought; step k is decided at frame k and leads to frame k + 1."""
+    """What all agents thought; step k is decided at frame k and leads to frame k + 1."""
 
     subgoals: tuple[tuple[Literal, Literal], ...]  # (step, agent) what each was about
     actions: IntArray  # (step, agent) what it did, an index into the names of actions

@@ -1,4 +1,4 @@
-"""What a run is: the particles of a kernel on an event."""
+"""What a run is: the particles of a kernel on an event; ``sampler.py`` runs it."""
 
 from __future__ import annotations
 
