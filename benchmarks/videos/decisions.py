@@ -28,6 +28,7 @@ from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import GOALS
+from phase_ppl.world.scene import PHASE
 from videos.replay import actions_of, scene_of
 
 SAME_PLACE, SAME_VELOCITY = 0.01, 0.05
@@ -162,7 +163,7 @@ def judge(task: Task) -> list[dict[str, Any]]:
                         "step": t,
                         "agent": a,
                         "holds": bool(state.held[a] >= 0),
-                        "subgoal": str(subgoal),
+                        "subgoal": PHASE.words(subgoal),
                         "kind": kind(subgoal, a),
                         "action": int(decision.action),
                         "real": pair[a],

@@ -23,8 +23,6 @@ NOTHING: Final = -1
 DOORS: Final = ("upper door", "left door", "lower door", "right door")
 """The doors by the ray of the wall that they are in."""
 
-PLACES: Final = (*LANDMARKS, *DOORS)
-
 
 class Predicate(enum.IntEnum):
     """The paper's predicates, and STOP for "nothing is left to do".
@@ -46,7 +44,7 @@ class Predicate(enum.IntEnum):
 class Literal(NamedTuple):
     """A predicate or its negation over entity ``subject`` and entity or landmark ``target``.
 
-    As a string it is one of PHASE; ``World.words`` has those of other worlds.
+    ``World.words`` has it in names.
     """
 
     predicate: Predicate
@@ -56,14 +54,6 @@ class Literal(NamedTuple):
 
     def negated(self) -> Literal:
         return self._replace(positive=not self.positive)
-
-    def __str__(self) -> str:
-        if self.predicate is Predicate.STOP:
-            return "STOP"
-        over_landmarks = self.predicate in (Predicate.ON, Predicate.CLOSE)
-        target = (PLACES if over_landmarks else ENTITIES)[self.target]
-        sign = "" if self.positive else "not "
-        return f"{sign}{self.predicate.name}({ENTITIES[self.subject]}, {target})"
 
 
 STOP = Literal(Predicate.STOP, 0, 0)

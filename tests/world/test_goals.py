@@ -22,6 +22,7 @@ from phase_ppl.world.goals import (
 )
 from phase_ppl.world.hypothesis import ALPHAS
 from phase_ppl.world.names import AGENTS, GREEN, RED, STOP, Literal, Predicate
+from phase_ppl.world.scene import PHASE
 from tests.world.examples import DEV, needs_dev
 
 PAPER = [
@@ -54,11 +55,11 @@ def test_goal_and_literal_are_two_names_of_one_thing(goal: str) -> None:
 
 
 def test_literals_say_who_is_to_be_where() -> None:
-    assert str(goal_literal("Get pink item to red lm", RED)) == "ON(pink item, red lm)"
+    assert PHASE.words(goal_literal("Get pink item to red lm", RED)) == "ON(pink item, red lm)"
     away = goal_literal("Get green agent away from blue lm", RED)
-    assert str(away) == "not ON(green agent, blue lm)"
-    assert str(goal_literal("get to red agent", GREEN)) == "TOUCH(green agent, red agent)"
-    assert str(STOP) == "STOP"
+    assert PHASE.words(away) == "not ON(green agent, blue lm)"
+    assert PHASE.words(goal_literal("get to red agent", GREEN)) == "TOUCH(green agent, red agent)"
+    assert PHASE.words(STOP) == "STOP"
 
 
 def test_a_literal_that_no_goal_states_is_refused() -> None:

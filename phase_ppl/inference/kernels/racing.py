@@ -39,7 +39,7 @@ from jax.scipy.special import logsumexp
 from numpyro.util import is_prng_key
 
 from phase_ppl.inference.kernels.local_mh import LocalMH
-from phase_ppl.inference.kernels.metropolis import MHState, log_ratio
+from phase_ppl.inference.kernels.metropolis import MHState, Move, log_ratio, moved
 from phase_ppl.inference.kernels.particle import (
     EventKernel,
     as_batch_of_one,
@@ -84,17 +84,6 @@ class RacingState(NamedTuple):
     log_sum_of_pair: jax.Array  # (pair,) log of their summed likelihoods, less that of no error
     chain: MHState  # SIMPLE's, of every other particle; of the others it is not used
     rng_key: jax.Array
-
-
-class _Move(NamedTuple):
-    """What a chain proposes, see :class:`~phase_ppl.inference.kernels.metropolis.Move`."""
-
-    sites: dict[str, jax.Array]
-    log_prior: jax.Array
-    memo: dict[str, jax.Array]
-    log_known: jax.Array
-    log_bound: jax.Array
-    log_proposal: jax.Array
 
 
 @register_kernel(
@@ -226,15 +215,14 @@ class Racing(EventKernel[RacingState]):
             keys[:, 2],
         )
 
-    def _move(self, window: jax.Array, sites: dict[str, jax.Array], chain: MHState) -> _Move:
+    def _move(self, window: jax.Array, sites: dict[str, jax.Array], chain: MHState) -> Move:
         move = self._local.local_move(window, sites, chain)
-        bound, proposal = jnp.asarray(move.log_bound), jnp.asarray(move.log_proposal)
-        return _Move(sites, move.log_prior, move.memo, move.log_known, bound, proposal)
+        return move._replace(log_after=None)  # type: ignore[arg-type]  # no array can hold it
 
     def _moved(
         self,
         chain: MHState,
-        move: _Move,
+        move: Move,
         seed: jax.Array,
         errors: jax.Array,
         log_u: jax.Array,
@@ -245,18 +233,8 @@ class Racing(EventKernel[RacingState]):
         back = logsumexp(self._local.log_windows(errors) + chain.memo["log_proposal"])
         ratio = log_ratio(move.log_known, current, proposed, back)
         # not a number, where both failed: rejected
-        return chosen(
-            begins | (log_u < ratio),
-            chain._replace(
-                z=move.sites,
-                sim_seed=seed,
-                log_prior=move.log_prior,
-                memo=move.memo,
-                step_error=errors,
-                log_joint=move.log_prior + proposed.sum(),
-            ),
-            chain,
-        )
+        accepted = begins | (log_u < ratio)
+        return chosen(accepted, moved(chain, move, seed, errors, proposed), chain)
 
     def _chosen(
         self,
