@@ -71,7 +71,7 @@ NEGLIGIBLE: Final = 12.0
 
 
 class RacingState(NamedTuple):
-    """State of a particle; all particles know of all simulations."""
+    """State of a particle; those that race know of each other's simulations."""
 
     i: jax.Array
     # the hypothesis simulated last with any further sites; an earlier one where the last was not
@@ -163,10 +163,13 @@ class Racing(EventKernel[RacingState]):
         program, begins = self.model, state.i < 0
         keys = jax.vmap(lambda key: random.split(key, 6))(state.rng_key)
         log_prior_of_pair = self._log_prior_of_pairs()
-        tried = state.n_of_pair.sum(axis=0)
-        log_mean = logsumexp(state.log_sum_of_pair, axis=0) - jnp.log(jnp.maximum(tried, 1))
-        log_mass = jnp.where(tried > 0, log_prior_of_pair + log_mean, -jnp.inf)
         place = jnp.arange(len(keys))
+        # of those that race only: what chains dwell on would hide what is worth a second chance
+        racers = slice(1, None, 2) if len(keys) > 1 else slice(None)
+        tried = state.n_of_pair[racers].sum(axis=0)
+        log_sum = logsumexp(state.log_sum_of_pair[racers], axis=0)
+        log_mean = log_sum - jnp.log(jnp.maximum(tried, 1))
+        log_mass = jnp.where(tried > 0, log_prior_of_pair + log_mean, -jnp.inf)
         window, sites = jax.vmap(self._local.propose_locally)(keys[:, 3], keys[:, 4], state.chain)
         sites = jax.vmap(chosen)(begins, state.chain.z, sites)
         from_whole = begins
