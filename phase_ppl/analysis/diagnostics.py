@@ -29,7 +29,7 @@ from phase_ppl.analysis.weights import Rows, aborted_mass_bound
 from phase_ppl.dataset.generation.situation import overlaps
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.goals import GOALS, N_GOALS, goal_index, goal_literal, is_self_referring
-from phase_ppl.world.names import ENTITIES, Predicate
+from phase_ppl.world.names import Predicate
 from phase_ppl.world.scene import Scene
 
 MIN_DRAWS: Final = 4
@@ -318,7 +318,7 @@ def undecided(leaders: Mapping[str, Mapping[str, Any]]) -> list[str]:
             error = math.nan if one["error"] is None else one["error"]
             first = f"'{one['label']}' ({with_error(one['probability'], error)})"
             second = f"'{one['next']}' ({one['next_probability']:.2f})"
-            open_ones.append(f"{_ASKED[name]} {first} or {second}")
+            open_ones.append(f"{_ASKED.get(name, name)} {first} or {second}")
     return [f"Not decided: {'; '.join(open_ones)}."] if open_ones else []
 
 
@@ -667,14 +667,16 @@ _FRAMES_NAMED: Final = 3  # frames that a verdict names
 
 def overlapping_frames(trajectory: FloatArray, scene: Scene) -> list[int]:
     """Return the frames in which bodies lie on each other, or in a wall."""
-    radius, walls = scene.radius, scene.walls
+    radius, walls, n_agents = scene.radius, scene.walls, len(scene.world.agents)
     small = _SHRUNK * radius
     near = np.full(len(trajectory), len(walls) > 0)
-    for one, other in itertools.combinations(range(len(ENTITIES)), 2):
+    for one, other in itertools.combinations(range(trajectory.shape[1]), 2):
         apart = np.hypot(*(trajectory[:, one, :2] - trajectory[:, other, :2]).T)
         # an agent reaches 3 radii from its origin at most
         near |= apart < 3 * (radius[one] + radius[other])
-    return [t for t in np.flatnonzero(near).tolist() if overlaps(trajectory[t], small, walls)]
+    return [
+        t for t in np.flatnonzero(near).tolist() if overlaps(trajectory[t], small, walls, n_agents)
+    ]
 
 
 def overlap_sign(frames: list[int]) -> str:

@@ -7,6 +7,7 @@ import functools
 import keyword
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, Final, Self
 
 import numpy as np
@@ -76,6 +77,12 @@ class Hypotheses:
             chains.
         halves: masks (row,) of the first and the last half of the draws, if these are to agree.
     """
+
+    # what summaries tell of: in words -> quantity
+    _goals: Mapping[str, str] = GOALS_OF
+    _relations: Mapping[str, str] = MappingProxyType({"relation": "relation"})
+    _scenarios: Mapping[str, str] = MappingProxyType({"scenario": "scenario"})
+    _strengths: Mapping[str, str] = STRENGTHS_OF
 
     def __init__(
         self,
@@ -221,7 +228,7 @@ class Hypotheses:
             :data:`SURE` errors. With errors that are not known nothing is sure.
         """
         found = {}
-        for name in (*GOALS_OF.values(), "relation"):
+        for name in (*self._goals.values(), *self._relations.values()):
             (label, share), (second, second_share) = self.top(name, 2)
             found[name] = {
                 "label": label,
@@ -366,10 +373,11 @@ class Hypotheses:
 
     def _answers(self) -> dict[str, Any]:
         """Return what summaries have of goals, relation, scenario and strengths, with errors."""
-        names = (*GOALS_OF.values(), "relation", "scenario")
+        others = (*self._relations.values(), *self._scenarios.values())
+        names = (*self._goals.values(), *others)
         tables = {name: self.marginal(name) for name in names}
         numbers: dict[str, dict[str, tuple[float, float]]] = {}
-        for agent, name in STRENGTHS_OF.items():
+        for agent, name in self._strengths.items():
             mean, sd, interval = self.mean(name), self.sd(name), self.hdi(name)
             low, high = zip(interval.values, interval["error"].values, strict=True)
             numbers[agent] = {
@@ -392,9 +400,8 @@ class Hypotheses:
                 for name, table in tables.items()
             }
             return {
-                "goals": {agent: found[name] for agent, name in GOALS_OF.items()},
-                "relation": found["relation"],
-                "scenario": found["scenario"],
+                "goals": {agent: found[name] for agent, name in self._goals.items()},
+                **{name: found[name] for name in others},
                 "strengths": {
                     agent: {key: pair[part] for key, pair in pairs.items()}
                     for agent, pairs in numbers.items()
@@ -406,14 +413,14 @@ class Hypotheses:
     def _answer_lines(self) -> list[str]:
         """Return the lines of a table about goals, relation, scenario and strengths."""
         lines: list[str] = []
-        for agent, name in GOALS_OF.items():
+        for agent, name in self._goals.items():
             lines += bars(agent, [entry for entry in self.top(name, 3) if entry[1] > 0])
-        lines += bars("relation", self.top("relation", 3))
-        lines += bars("scenario", self.top("scenario", 4))
-        for agent, name in STRENGTHS_OF.items():
+        for label, name in (*self._relations.items(), *self._scenarios.items()):
+            lines += bars(label, self.top(name, 4))
+        for place, (agent, name) in enumerate(self._strengths.items()):
             low, high = self.hdi(name).values
             text = f"{agent}: {self.mean(name)} N (94 % interval {low:.0f} to {high:.0f} N)"
-            lines.append(f"{'strength' if agent == AGENTS[0] else '':<{LABEL}}{text}")
+            lines.append(f"{'' if place else 'strength':<{LABEL}}{text}")
         return lines
 
     # --- rows, conditions, and how far answers differ between chains ---------------------------
@@ -471,7 +478,7 @@ class Hypotheses:
         if without is None or self._groups is None:
             return math.nan
         sizes = []
-        for name in GOALS_OF.values():
+        for name in self._goals.values():
             codes = self._rows.values[name]
             mass = estimate.shares(codes, self._rows.weights)
             error = without.error(estimate.shares(codes, without.weights), mass)
@@ -571,7 +578,8 @@ class Named:
         return sorted(self._quantities)
 
     def __repr__(self) -> str:
-        return ", ".join(f"{name}={getattr(self, name)!r}" for name in _SHOWN)
+        shown = [name for name in _SHOWN if name in self._quantities] or self._quantities
+        return ", ".join(f"{name}={getattr(self, name)!r}" for name in shown)
 
 
 def _check_name(name: object, taken: Iterable[str]) -> None:

@@ -29,6 +29,7 @@ from phase_ppl.analysis.quantities import (
     quantities,
     relation_codes,
 )
+from phase_ppl.analysis.roles_posterior import RolesPosterior, is_of_roles
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior, is_stepwise
 from phase_ppl.analysis.summary import plain, wrapped
 from phase_ppl.analysis.tree import (
@@ -344,10 +345,11 @@ def load_posterior(
         InvalidSettingError: weights for one that has no draws.
         UnknownNameError: there are no such weights.
     """
-    if not is_stepwise(existing_file(path)):
+    of_roles = is_of_roles(existing_file(path))
+    if not (of_roles or is_stepwise(path)):
         return Posterior.load(path, weights)
     if weights is not None:
         raise InvalidSettingError(
             f"weights={weights!r}: {path} was read step by step and has no draws to be weighted"
         )
-    return StepwisePosterior.load(path)
+    return RolesPosterior.load(path) if of_roles else StepwisePosterior.load(path)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,6 +18,7 @@ from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.over_time import by_label
 from phase_ppl.analysis.prior_change import changed_text, settings_under
 from phase_ppl.analysis.quantities import (
+    Quantity,
     ScenarioFunction,
     derived_codes,
     quantities,
@@ -115,10 +116,12 @@ class StepwisePosterior(EventPosterior):
         """Leave out single sets of searches, of which there are few, whatever is asked."""
         if 0.0 not in self._jackknives:
             n = self.planner_seeds
-            self._jackknives[0.0] = (
-                Jackknife(self._table.weights_without(self._frame), n - 1.0) if n > 1 else None
-            )
+            self._jackknives[0.0] = Jackknife(self._weights_without(), n - 1.0) if n > 1 else None
         return self._jackknives[0.0]
+
+    def _weights_without(self) -> FloatArray:
+        """Return (planner_seed, row) the weights without each set of searches."""
+        return self._table.weights_without(self._frame)
 
     @property
     def planner_seeds(self) -> int:
@@ -267,24 +270,24 @@ class StepwisePosterior(EventPosterior):
             QueryError, UnknownNameError: it cannot be read, or names something unknown.
             InvalidSettingError: one of them is impossible under the prior.
         """
-        columns = self._table.columns()
-        columns |= derived_codes(columns["goal_red"], columns["goal_green"], self._scenario)
-        wanted = _satisfied(columns, event)
-        other = ~wanted if over is None else _satisfied(columns, over)
+        columns = self._columns()
+        wanted = _satisfied(columns, event, self._quantities)
+        other = ~wanted if over is None else _satisfied(columns, over, self._quantities)
         odds = np.empty(self._frame + 1)
         without = np.full((self.planner_seeds, len(odds)), np.nan)
 
-        def log_odds(log_mass: FloatArray) -> float:
-            flat = log_mass.ravel()
-            with np.errstate(invalid="ignore"):
-                return float(log_sum_exp(flat[wanted]) - log_sum_exp(flat[other]))
-
+        possible = False
         for t in range(self._frame + 1):
-            odds[t] = log_odds(self._table.log_mass(t))
-            for place, mass in enumerate(self._table.log_masses_without(t)):
-                without[place, t] = log_odds(mass)
+            for place, mass in enumerate(self._log_masses(t)):
+                for_it, against = log_sum_exp(mass[wanted]), log_sum_exp(mass[other])
+                possible |= bool(np.isfinite(for_it))
+                with np.errstate(invalid="ignore"):
+                    found = float(for_it - against)
+                if place:
+                    without[place - 1, t] = found
+                else:
+                    odds[t] = found
         if not np.isfinite(odds[0]):
-            possible = np.isfinite(log_sum_exp(self._table.log_mass(0).ravel()[wanted]))
             raise InvalidSettingError(
                 f"{over if possible else event} is impossible under the prior: there are no odds"
             )
@@ -300,6 +303,17 @@ class StepwisePosterior(EventPosterior):
             coords={"time": ("time", time, {"units": "s"})},
             attrs={"event": event, "over": over or f"not {event}"},
         )
+
+    def _columns(self) -> dict[str, NDArray[Any]]:
+        """Return the codes of all hypotheses, as :meth:`_log_masses` has them."""
+        columns = self._table.columns()
+        return columns | derived_codes(columns["goal_red"], columns["goal_green"], self._scenario)
+
+    def _log_masses(self, frame: int) -> Iterator[FloatArray]:
+        """Yield (hypothesis,) log masses at a frame: all in all, then without each set."""
+        yield self._table.log_mass(frame).ravel()
+        for mass in self._table.log_masses_without(frame):
+            yield mass.ravel()
 
     def observed(self) -> FloatArray:
         """Return the trajectory (time, entity, [x, y, angle]) that was explained."""
@@ -356,7 +370,8 @@ class StepwisePosterior(EventPosterior):
             f"{self.event_id}: read step by step, {found['frames']} frames; all hypotheses, "
             f"{searched}"
         )
-        lines = [*wrapped("posterior", head), *wrapped("verdict", found["verdict"]), ""]
+        lines = [*wrapped("posterior", head), *wrapped("verdict", found["verdict"])]
+        lines += [*self._notes(), ""]
         lines += [*self._answer_lines(), ""]
         if changed := changed_text(self.settings):
             lines += wrapped("prior", changed)
@@ -373,6 +388,10 @@ class StepwisePosterior(EventPosterior):
             words += f", in {seconds:.1f} s; the film of {simulated:.1f} simulated s "
             words += f"lasts {lasts:.1f} s"
         return "\n".join([*lines, *wrapped("cost", words)])
+
+    def _notes(self) -> list[str]:
+        """Return what else is to be said above the answers."""
+        return []
 
     def __repr__(self) -> str:
         return f"<StepwisePosterior of {self.event_id} after frame {self._frame}>"
@@ -421,9 +440,10 @@ def _verdict(found: Mapping[str, Any]) -> str:
     return " ".join(signs)
 
 
-def _satisfied(columns: Mapping[str, NDArray[np.float64]], text: str) -> NDArray[np.bool_]:
+def _satisfied(
+    columns: Mapping[str, NDArray[np.float64]], text: str, known: Mapping[str, Quantity]
+) -> NDArray[np.bool_]:
     """Return which hypotheses fulfil conditions in words."""
-    known = quantities()
     found = np.ones(len(next(iter(columns.values()))), bool)
     for name, wanted in conditions(known, text).items():
         found &= known[name].satisfied(columns[name], wanted)

@@ -6,6 +6,7 @@ numbers only, so that it survives NetCDF unchanged.
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,13 +16,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.dataset.events_json import LABELS
+from phase_ppl.dataset.events_json import labels_of
 from phase_ppl.dataset.hdf5 import netcdf_bytes, read_netcdf
 from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.files import check_output, existing_file, write_bytes
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS
-from phase_ppl.world.scene import Scene
+from phase_ppl.world.scene import PHASE, Scene, World
 
 SCHEMA: Final = "phase-ppl-posterior-2"  # value of the root attribute ``schema``
 
@@ -43,6 +44,7 @@ SITES: Final = (
 HYPOTHESIS: Final = SITES[2:]
 """The sites that the prior is a density of; the effective goals follow from them."""
 
+_SCENE_DIMS = ("entity", "coord", "landmark", "bound")
 _DRAW = ("chain", "draw")
 _SIMULATION = ("simulation",)
 _FRAME = ("time", "entity", "coord")
@@ -219,6 +221,12 @@ def read_tree(path: str | os.PathLike[str]) -> xr.DataTree:
 
 def scene_dataset(scene: Scene) -> xr.Dataset:
     """Return a scene as a dataset, its arrays as variables and the rest as attributes."""
+    of_world: dict[str, Any] = {}
+    if scene.world == PHASE:
+        of_world["landmark_half_width"] = float(scene.landmark_half_width)
+    else:
+        half_widths = scene.half_widths.tolist()
+        of_world["world"] = json.dumps([scene.world.to_dict(), half_widths])
     return xr.Dataset(
         {
             "start": (("entity", "coord"), scene.start),
@@ -227,11 +235,11 @@ def scene_dataset(scene: Scene) -> xr.Dataset:
             "arena": (("bound",), np.array(scene.arena)),
             "landmark_centres": (("landmark", "xy"), scene.landmark_centres),
         },
-        {dim: list(LABELS[dim]) for dim in ("entity", "coord", "landmark", "bound")},
+        {dim: list(labels_of(scene.world)[dim]) for dim in _SCENE_DIMS},
         {
             "turning": scene.turning,
             "resets_velocity": int(scene.resets_velocity),
-            "landmark_half_width": float(scene.landmark_half_width),
+            **of_world,
         },
     )
 
@@ -239,6 +247,11 @@ def scene_dataset(scene: Scene) -> xr.Dataset:
 def kept_scene(kept: xr.Dataset) -> Scene:
     """Return the scene that :func:`scene_dataset` wrote into a dataset."""
     x0, x1, y0, y1 = (float(v) for v in kept["arena"].values)
+    if "world" in kept.attrs:
+        record, half_width = json.loads(kept.attrs["world"])
+        world = World.from_dict(record)
+    else:
+        world, half_width = PHASE, float(kept.attrs["landmark_half_width"])
     return Scene(
         start=kept["start"].values,
         radius=kept["radius"].values,
@@ -247,5 +260,6 @@ def kept_scene(kept: xr.Dataset) -> Scene:
         turning=kept.attrs["turning"],
         resets_velocity=bool(kept.attrs.get("resets_velocity", 0)),
         arena=(x0, x1, y0, y1),
-        landmark_half_width=float(kept.attrs["landmark_half_width"]),
+        landmark_half_width=half_width,
+        world=world,
     )

@@ -17,11 +17,13 @@ from phase_ppl.inference.settings import Budget, SimpleSettings, frames, seconds
 from phase_ppl.inference.stepwise import filter_event
 from phase_ppl.models.likelihood import RadialLikelihood, gives_table
 from phase_ppl.models.model import Model
+from phase_ppl.models.stepwise import StepwiseLikelihood
 from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import InvalidSettingError, OutputError
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import as_path, check_output, locked
 from phase_ppl.world.identity import differences, event_digest, versions_so_far
+from phase_ppl.world.scene import PHASE
 
 if TYPE_CHECKING:
     from phase_ppl.agents.config import PlannerConfig
@@ -145,6 +147,9 @@ def infer(
     )
     given = {**vars(options), "chains": chains, "settings": settings, **kernel_options}
     settings = SimpleSettings() if settings is None else settings
+    check_event(event, any_world=True)
+    if model is None and kernel is None and event.scene.world != PHASE:
+        model = Model(likelihood=StepwiseLikelihood())
     model = _complete_model(model, planner, settings)
     if kernel is None and gives_table(model.likelihood):
         usual = {**vars(RunOptions()), "chains": CHAINS}
@@ -154,7 +159,6 @@ def infer(
                     f"{name}={value!r} is for sampling: a stepwise likelihood is summed over all "
                     "hypotheses, unless a kernel is named"
                 )
-        check_event(event)
         return filter_event(event, model, seed=seed, threads=workers, progress=progress)
     kernel = "local_mh" if kernel is None else kernel
     what = Run(event, model, kernel, kernel_options, settings, chains, seed)

@@ -33,6 +33,7 @@ from phase_ppl.models.likelihood import (
     TrajectoryLikelihood,
     gives_table,
 )
+from phase_ppl.models.roles import is_of_any_world
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, HYPOTHESIS_SITES, STRENGTH_SITES
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.goals import N_GOALS
@@ -84,6 +85,8 @@ def checked_sites(prior: Program) -> dict[str, tuple[int, ...]]:
             f"prior={shown(prior)} is no NumPyro program: expected the name of a ready-made prior "
             f"or a function without arguments that samples {', '.join(HYPOTHESIS_SITES)}"
         )
+    if is_of_any_world(prior):  # what it samples is known where the world is
+        return {}
     return dict(_checked(prior))
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, Literal, NamedTuple
 
@@ -232,6 +233,16 @@ class World:
     def landmark_names(self) -> tuple[str, ...]:
         """Names of the landmarks."""
         return tuple(one.name for one in self.landmarks)
+
+    @functools.cached_property
+    def keys(self) -> tuple[str, ...]:
+        """What stands for each agent in names of quantities, such as "red" in ``goal_red``.
+
+        Its name as an identifier, without the word "agent" where that is enough.
+        """
+        plain = [re.sub(r"\W+", "_", name.lower()) for name in self.agents]
+        short = [name.removesuffix("_agent") for name in plain]
+        return tuple(short if len(set(short)) == len(short) else plain)
 
     @property
     def entity_colours(self) -> tuple[Colour, ...]:

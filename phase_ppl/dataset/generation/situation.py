@@ -238,28 +238,32 @@ def approach(agent: int) -> int:
     return literal_goal(Literal(Predicate.TOUCH, agent, len(AGENTS) - 1 - agent))
 
 
-def overlaps(start: FloatArray, radius: FloatArray, walls: FloatArray) -> bool:
+def overlaps(
+    start: FloatArray, radius: FloatArray, walls: FloatArray, n_agents: int = len(AGENTS)
+) -> bool:
     """Whether any two shapes overlap, or one a wall.
 
     Args:
         start: (entity, coord) x, y [units], angle [rad].
         radius: (entity,) sizes, units.
         walls: (n, 2, 2) inner walls along the axes.
+        n_agents: so many of the entities are agents, the first ones.
     """
-    pairs = itertools.combinations(range(len(ENTITIES)), 2)
-    if any(shapes_meet(first, second, start, radius) for first, second in pairs):
+    entities = range(len(start))
+    pairs = itertools.combinations(entities, 2)
+    if any(shapes_meet(first, second, start, radius, n_agents=n_agents) for first, second in pairs):
         return True
     return any(
-        _meets_wall(entity, start[entity], float(radius[entity]), wall)
-        for entity in range(len(ENTITIES))
+        _meets_wall(entity < n_agents, start[entity], float(radius[entity]), wall)
+        for entity in entities
         for wall in walls
     )
 
 
-def _meets_wall(entity: int, pose: FloatArray, radius: float, wall: FloatArray) -> bool:
+def _meets_wall(is_agent: bool, pose: FloatArray, radius: float, wall: FloatArray) -> bool:
     """Whether a shape meets a wall, taken as a segment."""
     low, high = wall.min(axis=0), wall.max(axis=0)
-    if not is_agent(entity):
+    if not is_agent:
         nearest = np.clip(pose[:2], low, high)
         return bool(np.linalg.norm(nearest - pose[:2]) < radius)
     outline = agent_outline(pose, radius)

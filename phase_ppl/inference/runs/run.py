@@ -161,11 +161,12 @@ class Run:
         )
 
 
-def check_event(given: object) -> None:
+def check_event(given: object, any_world: bool = False) -> None:
     """Raise InvalidEventError if something is no event, InvalidSettingError if of another world."""
     if not isinstance(given, Event):
         raise InvalidEventError(f"{shown(given)} is no event; phase_ppl.load_event reads one")
-    check_phase(given.scene, "inference")
+    if not any_world:
+        check_phase(given.scene, "inference by simulations")
 
 
 def model_again(stored: Mapping[str, Any]) -> Model:
