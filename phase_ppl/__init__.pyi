@@ -77,6 +77,7 @@ from phase_ppl.inference.stepwise import StepwiseInterrupted as StepwiseInterrup
 from phase_ppl.inference.stepwise import Watch as Watch
 from phase_ppl.inference.stepwise import watch as watch
 from phase_ppl.models import priors as priors
+from phase_ppl.models import roles as roles
 from phase_ppl.models import sites as sites
 from phase_ppl.models.likelihood import RadialLikelihood as RadialLikelihood
 from phase_ppl.models.model import Model as Model

@@ -34,9 +34,10 @@ from phase_ppl.models.sites import IMPOSSIBLE
 from phase_ppl.models.stepwise import nodes_of, place_of_level
 from phase_ppl.world import hypothesis
 from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.goals import is_self_referring
-from phase_ppl.world.hypothesis import STRENGTH_RANGE
+from phase_ppl.world.hypothesis import STRENGTH_RANGE, Roles
 from phase_ppl.world.identity import qualified_name
 from phase_ppl.world.scene import World
 
@@ -99,6 +100,25 @@ def uniform(world: World, social: float = SOCIAL) -> None:
     goals(world)
     company(world, social)
     strengths(world)
+
+
+def draw(world: World, seed: int, prior: Callable[..., object] = uniform) -> Roles:
+    """Return roles drawn from a prior, for :func:`phase_ppl.simulate`.
+
+    Args:
+        world: whose agents and goals.
+        seed: the same seed gives the same roles.
+        prior: NumPyro program of a world, or a ready-made one.
+    """
+    program = functools.partial(in_world(prior, world), world)
+    key = jax.random.key(whole_number("seed", seed, 0))
+    trace = handlers.trace(handlers.seed(program, key)).get_trace()
+    values = {name: site["value"] for name, site in trace.items() if site["type"] == "sample"}
+    towards = hypothesis.company(len(world.agents))[int(values[COMPANY_SITE])]
+    own = [int(values[name]) for name in goal_sites(world)]
+    stated = tuple(None if one else goal for goal, one in zip(own, towards, strict=True))
+    strengths = tuple(float(values[name]) for name in strength_sites(world))
+    return Roles(world, stated, towards, strengths)
 
 
 _READY_MADE: Final = {
