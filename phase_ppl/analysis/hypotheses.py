@@ -79,10 +79,10 @@ class Hypotheses:
     """
 
     # what summaries tell of: in words -> quantity
-    _goals: Mapping[str, str] = GOALS_OF
-    _relations: Mapping[str, str] = MappingProxyType({"relation": "relation"})
-    _scenarios: Mapping[str, str] = MappingProxyType({"scenario": "scenario"})
-    _strengths: Mapping[str, str] = STRENGTHS_OF
+    goals_of: Mapping[str, str] = GOALS_OF
+    relations_of: Mapping[str, str] = MappingProxyType({"relation": "relation"})
+    scenarios_of: Mapping[str, str] = MappingProxyType({"scenario": "scenario"})
+    strengths_of: Mapping[str, str] = STRENGTHS_OF
 
     def __init__(
         self,
@@ -228,7 +228,7 @@ class Hypotheses:
             :data:`SURE` errors. With errors that are not known nothing is sure.
         """
         found = {}
-        for name in (*self._goals.values(), *self._relations.values()):
+        for name in (*self.goals_of.values(), *self.relations_of.values()):
             (label, share), (second, second_share) = self.top(name, 2)
             found[name] = {
                 "label": label,
@@ -373,11 +373,11 @@ class Hypotheses:
 
     def _answers(self) -> dict[str, Any]:
         """Return what summaries have of goals, relation, scenario and strengths, with errors."""
-        others = (*self._relations.values(), *self._scenarios.values())
-        names = (*self._goals.values(), *others)
+        others = (*self.relations_of.values(), *self.scenarios_of.values())
+        names = (*self.goals_of.values(), *others)
         tables = {name: self.marginal(name) for name in names}
         numbers: dict[str, dict[str, tuple[float, float]]] = {}
-        for agent, name in self._strengths.items():
+        for agent, name in self.strengths_of.items():
             mean, sd, interval = self.mean(name), self.sd(name), self.hdi(name)
             low, high = zip(interval.values, interval["error"].values, strict=True)
             numbers[agent] = {
@@ -400,7 +400,7 @@ class Hypotheses:
                 for name, table in tables.items()
             }
             return {
-                "goals": {agent: found[name] for agent, name in self._goals.items()},
+                "goals": {agent: found[name] for agent, name in self.goals_of.items()},
                 **{name: found[name] for name in others},
                 "strengths": {
                     agent: {key: pair[part] for key, pair in pairs.items()}
@@ -413,11 +413,11 @@ class Hypotheses:
     def _answer_lines(self) -> list[str]:
         """Return the lines of a table about goals, relation, scenario and strengths."""
         lines: list[str] = []
-        for agent, name in self._goals.items():
+        for agent, name in self.goals_of.items():
             lines += bars(agent, [entry for entry in self.top(name, 3) if entry[1] > 0])
-        for label, name in (*self._relations.items(), *self._scenarios.items()):
+        for label, name in (*self.relations_of.items(), *self.scenarios_of.items()):
             lines += bars(label, self.top(name, 4))
-        for place, (agent, name) in enumerate(self._strengths.items()):
+        for place, (agent, name) in enumerate(self.strengths_of.items()):
             low, high = self.hdi(name).values
             text = f"{agent}: {self.mean(name)} N (94 % interval {low:.0f} to {high:.0f} N)"
             lines.append(f"{'' if place else 'strength':<{LABEL}}{text}")
@@ -478,7 +478,7 @@ class Hypotheses:
         if without is None or self._groups is None:
             return math.nan
         sizes = []
-        for name in self._goals.values():
+        for name in self.goals_of.values():
             codes = self._rows.values[name]
             mass = estimate.shares(codes, self._rows.weights)
             error = without.error(estimate.shares(codes, without.weights), mass)

@@ -91,15 +91,15 @@ class RolesPosterior(StepwisePosterior):
         rows, self._without = table.rows(self._frame)
         world = table.world
         keys = dict(zip(world.agents, world.keys, strict=True))
-        self._goals = {agent: f"goal_{key}" for agent, key in keys.items()}
-        self._strengths = {agent: f"strength_{key}" for agent, key in keys.items()}
+        self.goals_of = {agent: f"goal_{key}" for agent, key in keys.items()}
+        self.strengths_of = {agent: f"strength_{key}" for agent, key in keys.items()}
         known = quantities_of(world)
-        self._relations = {
+        self.relations_of = {
             " & ".join(name.split("_", 1)[1].split("_")): name
             for name in known
             if name.startswith("relation_")
         }
-        self._scenarios = MappingProxyType({})
+        self.scenarios_of = MappingProxyType({})
         self._attrs, self._constant = found.attrs, found
         EventPosterior.__init__(self, known, rows)
 
