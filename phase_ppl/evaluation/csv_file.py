@@ -64,10 +64,8 @@ def read_rows(
 ) -> list[dict[str, Any]]:
     """Return the rows of a CSV file; an error's message begins with file and line.
 
-    Args:
-        path: of the file.
-        check: makes of column -> cell, and the number of its line, what is returned of a row.
-        check_header: is given the names of the columns.
+    ``check`` makes what is returned of a row, of column -> cell and the number of its line;
+    ``check_header`` is given the names of the columns.
     """
     source = existing_file(path)
     found = []

@@ -305,15 +305,9 @@ def _contents(answer: Answer) -> dict[str, bytes]:
 
 
 class Progress(Bar):
-    """A bar on stderr that counts events.
+    """A bar on stderr that counts events, of which so many were done before.
 
     Long events come first and take longer, so the time left rests on the seconds per frame.
-
-    Args:
-        events: to be done.
-        done: events done before.
-        workers: that work side by side.
-        shown: True or False; None: where stderr is a terminal, and in notebooks.
     """
 
     def __init__(

@@ -59,13 +59,7 @@ _DETERMINE: Final = ("model", "options", "model_settings", "function", "function
 
 
 class ResultsFolder:
-    """A folder of results.
-
-    Args:
-        path: of the folder; see :meth:`create` and :meth:`open`.
-        settings: content of settings.json.
-        events: all events of the evaluation, in order.
-    """
+    """A folder of results: what settings.json holds, and all events in order."""
 
     def __init__(self, path: Path, settings: Mapping[str, Any], events: Sequence[Event]) -> None:
         self.path = path
@@ -109,8 +103,7 @@ class ResultsFolder:
     ) -> tuple[ResultsFolder, dict[str, Prediction], list[str]]:
         """Return the folder of an evaluation that begins or, with ``resume``, goes on.
 
-        Returns:
-            The folder, the predictions that are in it, and notes about those that are damaged.
+        And the predictions that are in it, and notes about those that are damaged.
         """
         if not resume or not holds_predictions(Path(path)):
             return cls.create(path, settings, events), {}, []

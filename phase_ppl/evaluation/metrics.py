@@ -204,10 +204,6 @@ class Paired:
     """Differences between several models on the same resamples of events.
 
     What is asked of a model for one pair is kept for the next.
-
-    Args:
-        events: with their truth and judgments, where they have them.
-        seed, resamples: of the events.
     """
 
     def __init__(self, events: Sequence[Event], *, seed: int = 0, resamples: int = 1000) -> None:
@@ -344,10 +340,8 @@ def accuracy_curves(
 ) -> dict[Path, Curve]:
     """Return the accuracies, overall and by true scenario.
 
-    Args:
-        right: kind -> (event, question) how far the answer is right, 0 to 1, NaN unknown.
-        scenario: (event,) index of the true scenario.
-        weights: see :func:`~phase_ppl.evaluation.bootstrap.resampled`.
+    From kind -> (event, question) how far the answer is right, 0 to 1, NaN unknown, and (event,)
+    index of the true scenario.
     """
     curves: dict[Path, Curve] = {}
     for kind, values in right.items():

@@ -96,13 +96,10 @@ def entry(
     settings: SimpleSettings,
     own_length: bool = False,
 ) -> Entry:
-    """Return the kernel that a user names.
+    """Return the kernel that a user names, called ``label`` or by its name.
 
-    Args:
-        label: what to call it; None: by its name.
-        spec: the kernel, with its options.
-        chains, settings: where the options have none.
-        own_length: whether the options may have a budget or iterations.
+    Its options may have ``chains`` and ``settings`` of their own and, with ``own_length``, a budget
+    or iterations.
     """
     kernel, given = spec if isinstance(spec, tuple) and len(spec) == 2 else (spec, {})
     if isinstance(kernel, tuple) or not isinstance(given, Mapping):

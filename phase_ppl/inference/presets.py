@@ -67,15 +67,10 @@ def preset(name: str) -> dict[str, Any]:
 
 
 def completed(name: str, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what is given, and of a preset the rest.
+    """Return what is given and not None, and of a preset the rest.
 
     Another kernel takes the place of the preset's with all that is of it, another length that of
-    its iterations; single settings of SIMPLE change those of the preset.
-
-    Args:
-        name: of the preset.
-        given: arguments of :func:`phase_ppl.infer`, None for those that are not given, and
-            settings of SIMPLE by name, such as ``beta=0.1``.
+    its iterations; single settings of SIMPLE, such as ``beta=0.1``, change those of the preset.
     """
     usual = preset(name)
     told = {argument: value for argument, value in given.items() if value is not None}

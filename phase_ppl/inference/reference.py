@@ -92,16 +92,10 @@ def enumerate_goals(
     seed: int = 0,
     workers: int | None = None,
 ) -> Enumeration:
-    """Return the posterior of the effective goals by simulating all of them.
+    """Return the posterior of the effective goals by simulating all pairs of a plan.
 
-    Args:
-        event: what is explained.
-        model: prior, simulator, likelihood.
-        plan: of that model.
-        per_pair: simulations of each pair, each with strengths and a simulator seed of its own;
-            an even number, at most 32.
-        seed: a whole number >= 0.
-        workers: processes; by default one per usable core.
+    ``per_pair`` times each, with strengths and a simulator seed of their own; an even number, at
+    most 32.
     """
     check_per_pair(per_pair)
     rng = np.random.default_rng(seed)
@@ -140,10 +134,7 @@ def of_masses(
 ) -> Enumeration:
     """Return the posterior, whole and from halves, of what was simulated.
 
-    Args:
-        pairs: (pair, 2) effective goals of red and green.
-        log_mass: (pair, repeat) log of what each simulation says of its pair's mass.
-        usable: (pair, repeat) whether it was completed.
+    ``log_mass`` and ``usable``, whether it was completed, are (pair, repeat).
     """
     weight = np.exp(log_mass - log_mass.max())
     rng = np.random.default_rng(0)

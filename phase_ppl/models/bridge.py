@@ -103,10 +103,7 @@ class SimulatorBridge:
     ) -> NDArray[np.float32]:
         """Return the errors (..., time) that a batch (...) of requests asks for.
 
-        Args:
-            columns: site -> (..., ) values.
-            log_prior, seed: (...).
-            limits: (...) error ceilings, log_proposal and log_bound, see :class:`Record`.
+        The limits are error ceilings, log_proposal and log_bound, see :class:`Record`.
         """
         if self.failure is None:
             try:
@@ -191,20 +188,10 @@ def request_errors(
 ) -> jax.Array:
     """Return per-frame errors (time,) of a simulation, units; float32; inside compiled code.
 
-    The bridge is named by a number, so that one compiled program serves many events.
-
-    Args:
-        handle: of the bridge.
-        n_frames: length T of the observation.
-        sites: all latent sites of the prior.
-        log_prior: their log density; without mass there is nothing to simulate.
-        seed: of the simulation, int32.
-        error_ceiling: summed error beyond which the simulation may be stopped, units.
-        log_proposal, log_bound: to be kept with the simulation, see :class:`Record`.
-
-    Returns:
-        The errors; inf from where the simulation was stopped. All inf for a failed simulation
-        and for hypotheses outside the prior's support, which are not simulated.
+    The bridge is named by a number, so that one compiled program serves many events. Errors are inf
+    from where the simulation was stopped, once their sum exceeds the ceiling; all inf for a failed
+    simulation and for hypotheses without prior mass, which are not simulated. ``log_proposal`` and
+    ``log_bound`` are kept with the simulation, see :class:`Record`.
     """
     names = tuple(sorted(sites))
     limits = (jnp.float32(limit) for limit in (error_ceiling, log_proposal, log_bound))

@@ -55,12 +55,8 @@ class Hosted:
     """A function like ``jax.jit(function)`` on the processor, left at each simulation.
 
     Where it asks for simulations in a loop or on a condition, it is compiled as a whole and calls
-    the simulator from within.
-
-    Args:
-        function: of trees of arrays.
-        identity: what tells it from any other function of this package's code, so that it need not
-            even be traced where it has been before; None: nothing can.
+    the simulator from within. Its ``identity`` tells it from any other function of this package's
+    code, so that it need not even be traced where it has been before; None: nothing can.
     """
 
     def __init__(self, function: Callable[..., Any], identity: str | None = None) -> None:

@@ -146,12 +146,7 @@ class RadialLikelihood:
 
 
 class RadialTrajectory(dist.Distribution):
-    """Distribution of the observed positions around a simulated trajectory.
-
-    Args:
-        predicted: (..., time, entity, 2) simulated x, y, units.
-        beta: as in :class:`RadialLikelihood`.
-    """
+    """Distribution of observed positions around predicted ones (..., time, entity, 2), units."""
 
     arg_constraints = {  # noqa: RUF012  (NumPyro's way to declare them)
         "predicted": constraints.independent(constraints.real, 3),

@@ -46,20 +46,11 @@ class Dispatch(Generic[Job]):
     When a worker of ours dies, everything that was running is lost with it. Those jobs then run
     again one at a time, so that only the one that kills its worker is given up.
 
-    Args:
-        pool: runs them.
-        function: of a module; called in a worker with the pool's thing and ``arguments(job)``.
-        jobs: what differs; they begin in this order.
-        arguments: returns what a job that begins now is done with.
-        failed: returns the result of a job that is given up, from the reason in words and what
-            was raised, if anything was.
-        max_retries: how often a lost job is run again.
-        stop: done once the run is cancelled.
-        limit: returns the seconds that a job may take that begins now.
-        deadline: time, by ``time.perf_counter``, at which everything ends.
-
-    Attributes:
-        retries: jobs run again so far.
+    A worker calls ``function``, of a module, with the pool's thing and ``arguments(job)``; jobs
+    begin in their order. ``failed`` returns the result of a job that is given up, from the reason
+    in words and what was raised, if anything was; ``limit`` the seconds that a job may take that
+    begins now. Everything ends once ``stop`` is done, or at the ``deadline``, by
+    ``time.perf_counter``. ``retries`` jobs were run again so far.
     """
 
     def __init__(

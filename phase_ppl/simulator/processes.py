@@ -110,20 +110,12 @@ def _do_in_worker(
 
 
 class OwnWorkers:
-    """Worker processes that live until they are closed.
+    """Worker processes that live until they are closed; the tasks' thing is known by a token.
 
     loky's processes know functions from ``__main__``, notebooks and lambdas, and need no guard
-    around the main module.
-
-    Args:
-        workers: number of processes, at most.
-        token: names what they work with.
-        packed: it, pickled.
-        warm_up: function of it, of a module, that one worker is to run before the first task.
-
-    Attributes:
-        slots: how many tasks it takes at a time.
-        restarts: a pool that broke starts anew with the next task.
+    around the main module. One worker runs ``warm_up``, a function of the thing, before the first
+    task; ``slots`` tasks run at a time. A pool that broke starts anew with the next task
+    (``restarts``).
     """
 
     restarts: Final = True
@@ -245,12 +237,7 @@ class BorrowedExecutor:
     def submit(
         self, function: Callable[..., Any], arguments: tuple[Any, ...], with_thing: bool = False
     ) -> Future[Any]:
-        """Begin ``function(thing, *arguments)``.
-
-        Args:
-            function, arguments: what to do.
-            with_thing: send the thing along, for a worker that did not know it.
-        """
+        """Begin ``function(thing, *arguments)``, sending the thing where it is not known."""
         packed = self._packed if with_thing else None
         try:
             return self._executor.submit(_do_in_worker, self._token, packed, function, arguments)

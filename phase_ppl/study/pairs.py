@@ -17,10 +17,8 @@ from phase_ppl.world.scene import Scene
 def counterparts(played: Sequence[Event], generated: Sequence[Event] | None) -> list[Event]:
     """Return for each played event the generated one of the same scene, goals and strengths.
 
-    Args:
-        played: events with goals and strengths.
-        generated: where to look; None: they are simulated, by the agents' planner, as long as the
-            played ones, in a world whose agents keep their velocities.
+    Where none are given they are simulated, by the agents' planner, as long as the played ones, in
+    a world whose agents keep their velocities.
     """
     if generated is None:
         return [_simulated(event, seed) for seed, event in enumerate(played)]

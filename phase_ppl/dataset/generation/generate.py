@@ -55,15 +55,8 @@ class _Part(NamedTuple):
 class DatasetBuilder:
     """The folder of a data set that is being made.
 
-    Args:
-        path: of the folder.
-        plan: what is to be made.
-        keep_rejected: whether rejected draws are kept.
-        resume: whether to go on with what is there.
-        other_versions: whether also by other versions of this package and what it builds on.
-
-    Attributes:
-        damaged: names of events whose part was there and cannot be used: they are missing again.
+    ``damaged`` are the names of events whose part was there and cannot be used: they are missing
+    again.
 
     Raises:
         OutputError: the folder cannot be written, holds a data set already, or one of another

@@ -119,13 +119,9 @@ def _by_scenario(
 ) -> Figure:
     """Draw kinds of questions below each other, a column for all events and for each scenario.
 
-    Args:
-        blocks: kinds without rows are left out.
-        scenarios: that have a column.
-        cell: inches of a column, and of a row.
-        note: below the figure.
-        draw: draws rows of a kind and a scenario; returns of how many events or answers.
-        nothing: what is missing where there are no rows.
+    Kinds without rows are left out. ``cell`` are the inches of a column and of a row; ``draw``
+    draws the rows of a kind and a scenario, and returns of how many events or answers; ``nothing``
+    says what is missing where there are no rows.
     """
     blocks = {kind: rows for kind, rows in blocks.items() if rows}
     if not blocks:

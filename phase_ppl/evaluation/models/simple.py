@@ -78,11 +78,7 @@ class Simple:
 
 
 def _of_simple(given: Mapping[str, Any]) -> list[str] | None:
-    """Return what SIMPLE takes beside its own options; None: anything, which the kernel does.
-
-    Args:
-        given: all options; ``kernel`` decides.
-    """
+    """Return what SIMPLE takes beside its own options, by ``kernel``; None: anything it does."""
     from phase_ppl.inference.infer import infer
     from phase_ppl.inference.presets import SETTINGS
     from phase_ppl.inference.registry import described

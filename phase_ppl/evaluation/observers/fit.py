@@ -281,10 +281,8 @@ def chosen_inside(fits: Sequence[PeopleFit]) -> tuple[dict[str, Prediction], dic
     """Predict each video by the fit that predicts the OTHER videos best without this one.
 
     So the choice of an observer sees nothing of the video it is judged by: for each video, draws
-    are reweighted to leave it out, and of these each other video in turn.
-
-    Returns:
-        Event id -> prediction, and event id -> place of the fit that was chosen.
+    are reweighted to leave it out, and of these each other video in turn. Also returns event id ->
+    place of the fit that was chosen.
     """
     n = len(fits[0].evidence.events)
     without = np.array([_elpd_without(fit) for fit in fits])  # fit, left out, event

@@ -26,12 +26,7 @@ _FILE: Final = resources.files("phase_ppl.evaluation.observers") / "people.json"
 
 
 def observer_of(given: str | os.PathLike[str] | FittedObserver, model: str) -> FittedObserver:
-    """Return a fitted observer.
-
-    Args:
-        given: one; the file of one; or "people", what comes with the package for this model.
-        model: name of the model whose evidence the observer goes by.
-    """
+    """Return a fitted observer: itself, a file's, or "people", the package's for this model."""
     if isinstance(given, FittedObserver):
         return given
     if given != PEOPLE:

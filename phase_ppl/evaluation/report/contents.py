@@ -136,12 +136,9 @@ class Question(NamedTuple):
 
 
 def event_page(event: Event, shown: Sequence[AnswerSet], post: Posterior | None = None) -> str:
-    """Return the page of an event.
+    """Return the page of an event, with a column for each who said something of it.
 
-    Args:
-        event: it.
-        shown: whose answers are shown, a column each; those who said nothing of it are left out.
-        post: the model's posterior, whose best hypothesis' simulation is shown as well.
+    With the model's posterior its best hypothesis' simulation is shown as well.
     """
     truth = "Truth not known."
     if event.truth is not None:

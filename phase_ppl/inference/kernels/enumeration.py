@@ -47,12 +47,7 @@ class Grid(NamedTuple):
 
 
 def hypothesis_grid(model: Model, strengths: Sequence[float]) -> Grid:
-    """Return all effective pairs of goals with prior mass, times all pairs of strengths.
-
-    Args:
-        model: of which only the prior counts.
-        strengths: of either agent, newtons.
-    """
+    """Return all effective pairs of goals with prior mass, times all pairs of strengths [N]."""
     own = [name for name in model.sites if name not in HYPOTHESIS_SITES]
     if own:
         raise InvalidSettingError(

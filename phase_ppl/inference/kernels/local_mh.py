@@ -52,13 +52,10 @@ EXACT_RULES: Final = ("exact", "window")
 def log_window_choice(
     step_error: jax.Array, eta: float, length: int, count: jax.Array | int | None = None
 ) -> jax.Array:
-    """Return (window,) log r(k | e), normalised.
+    """Return (window,) log r(k | e), normalised, from errors (time,) [units].
 
-    Args:
-        step_error: (time,) errors, units.
-        eta: weight of the errors, 1 / units.
-        length: Delta T, steps; a window has one frame more.
-        count: so many of the windows, the first ones, can be chosen; None: all.
+    ``eta`` is in 1 / units; a window has one frame more than the ``length`` Delta T. Of the windows
+    the first ``count`` can be chosen; None: all.
     """
     n_windows = step_error.shape[0] - length
     frames = np.arange(n_windows)[:, None] + np.arange(length + 1)
@@ -78,12 +75,8 @@ def log_before(
 ) -> jax.Array:
     """Return the log acceptance ratio as far as it is known before simulating.
 
-    Args:
-        rule: see the module.
-        window: k, the window of the move.
-        log_prior: of the current and of the proposed hypothesis.
-        log_proposal: (window,) log Q(. | S_k) of the current and of the proposed hypothesis.
-        log_windows: (window,) log r(k | e) at the current errors.
+    ``log_prior`` and ``log_proposal``, (window,) log Q(. | S_k), are of the current and of the
+    proposed hypothesis, ``log_windows`` are log r(k | e) at the current errors; ``window`` is k.
     """
     if rule == "paper":
         return log_proposal[1][window] - log_proposal[0][window]
@@ -98,10 +91,8 @@ def log_after(
 ) -> jax.Array | float:
     """Return what the simulation adds to the log acceptance ratio, beside its likelihood.
 
-    Args:
-        rule, window: as in :func:`log_before`.
-        log_proposal: (window,) log Q(. | S_k) of the current hypothesis.
-        log_windows: (window,) log r(k | e') at the errors of the proposed one.
+    ``log_proposal`` is of the current hypothesis, ``log_windows`` log r(k | e') at the errors of
+    the proposed one.
     """
     if rule == "paper":
         return 0.0

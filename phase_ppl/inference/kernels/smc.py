@@ -40,12 +40,7 @@ _BISECTIONS = 40
 
 
 class Tempered:
-    """The likelihood L^temperature; not a density any more.
-
-    Args:
-        likelihood: L.
-        temperature: in [0, 1]; may be known only inside compiled code.
-    """
+    """The likelihood L^temperature, in [0, 1]; not a density any more."""
 
     def __init__(self, likelihood: TrajectoryLikelihood, temperature: jax.Array) -> None:
         self._likelihood, self._temperature = likelihood, temperature
@@ -76,14 +71,9 @@ def next_temperature(
 ) -> jax.Array:
     """Return the highest temperature that the population can be reweighted to.
 
-    By bisection on the conditional effective sample size (Zhou, Johansen, Aston 2016): the share
-    of particles that the increments of weight leave effective, given the weights so far.
-
-    Args:
-        log_weights: (n,) at the current temperature.
-        log_likelihood: (n,) up to a constant.
-        temperature: the current one, in [0, 1].
-        target: share of particles that shall stay effective, in (0, 1).
+    By bisection on the conditional effective sample size (Zhou, Johansen, Aston 2016): the share of
+    particles, ``target``, that the increments of weight leave effective, given the weights so far.
+    Both arrays are (n,), log likelihoods up to a constant.
     """
     share = log_weights - logsumexp(log_weights)
 

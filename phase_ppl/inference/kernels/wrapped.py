@@ -57,13 +57,7 @@ def seed_of(program: EventProgram, uniform: jax.Array, sites: dict[str, jax.Arra
 
 
 def quantile(name: str, distribution: Any, uniform: jax.Array) -> jax.Array:
-    """Return where a distribution function reaches ``uniform``, element by element.
-
-    Args:
-        name: of the site, for the error.
-        distribution: of independent elements.
-        uniform: of the distribution's shape.
-    """
+    """Return where a distribution function reaches ``uniform``, element by element."""
     kind = type(distribution).__name__
     while isinstance(distribution, dist.Independent | dist.ExpandedDistribution):
         distribution = distribution.base_dist  # broadcasting gives the shape back
@@ -107,11 +101,7 @@ class WrappedState(NamedTuple):
     def after(self, inner: Any, moved: jax.Array, found: Found, rng_key: jax.Array) -> WrappedState:
         """Return the next state; what could not be simulated leaves the hypothesis as it was.
 
-        Args:
-            inner: the sampler's next state.
-            moved: whether the sampler moved.
-            found: what its point stands for; the bridge has simulated it already.
-            rng_key: for the next iteration.
+        ``found`` is what the sampler's point stands for; the bridge has simulated it already.
         """
         moved &= jnp.isfinite(found[2]).all()
         z, sim_seed, error = chosen(moved, found, (self.z, self.sim_seed, self.step_error))

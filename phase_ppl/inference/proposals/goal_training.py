@@ -184,12 +184,9 @@ def _log_prior() -> NDArray[np.float32]:
 
 
 def log_proposal(weights: jax.Array, features: Array, goals: Array) -> jax.Array:
-    """Return (event, ...) log probabilities of the true pairs of effective goals.
+    """Return (event, ...) log probabilities of the true pairs of effective goals (event, agent).
 
-    Args:
-        weights: (kind, feature).
-        features: (event, ..., agent, goal, feature).
-        goals: (event, agent).
+    Weights are (kind, feature), features (event, ..., agent, goal, feature).
     """
     scores = (jnp.asarray(features) * weights[jnp.asarray(GOAL_PARTS.kind)]).sum(axis=-1)
     joint = jnp.asarray(_log_prior()) + scores[..., 0, :, None] + scores[..., 1, None, :]

@@ -69,10 +69,7 @@ class Motion(NamedTuple):
 def fitted_motion(positions: FloatArray, reach: int, jitter: float) -> Motion:
     """Return the motion by least-squares parabolas through ``2 reach + 1`` frames.
 
-    Args:
-        positions: (time, entity, 2) units.
-        reach: frames to either side.
-        jitter: standard deviation of the positions, units.
+    Positions are (time, entity, 2), and have a standard deviation ``jitter``, both in units.
     """
     offsets = np.arange(-reach, reach + 1.0)
     centred = offsets**2 - (offsets**2).mean()
@@ -97,10 +94,8 @@ def window_features(
 ) -> NDArray[np.float32]:
     """Return (window, agent, feature); always finite.
 
-    Args:
-        trajectory: (time, entity, coord) x, y [units], angle [rad]; at least two frames.
-        radius: (4,) sizes of the entities, units.
-        windows: (window, 2) first and last frame of each.
+    Trajectories are (time, entity, coord) x, y [units], angle [rad], of at least two frames;
+    windows (window, 2) the first and last frame of each.
     """
     jitter = observed_jitter(trajectory)
     motions = [fitted_motion(trajectory[..., :2], reach, jitter.position) for reach in REACHES]

@@ -185,11 +185,8 @@ def blurred(
 ) -> FloatArray:
     """Return a trajectory (time, entity, coord) with independent normal noise on all coordinates.
 
-    Args:
-        trajectory: (time, entity, coord) x, y [units], angle [rad].
-        jitter: standard deviation of x and y, units.
-        rng: of the noise.
-        angle: standard deviation of the angles, rad, for a unit of jitter.
+    Of standard deviation ``jitter`` [units] for x and y, and ``angle`` [rad] per unit of it for
+    angles.
     """
     return trajectory + rng.normal(0, 1, trajectory.shape) * [jitter, jitter, jitter * angle]
 

@@ -103,13 +103,7 @@ def build_tree(
 ) -> xr.DataTree:
     """Return the tree of draws of a run (:mod:`phase_ppl.analysis.tree`).
 
-    Args:
-        event: what was explained; its scene, observation and id are stored.
-        model: prior and likelihood.
-        kernel: says which particles are draws.
-        particles: the initial ones, and those after every iteration.
-        records: every simulation.
-        attrs: further root attributes.
+    Particles are the initial ones and those after every iteration; the kernel says which are draws.
     """
     iterations = kept_iterations(len(particles) - 1, kernel)
     steps = [particles[i] for i in iterations]

@@ -38,13 +38,7 @@ class Tally(NamedTuple):
 
 
 def tally_of(records: Sequence[Record], done: int, before: Tally | None = None) -> Tally:
-    """Return what ``done`` iterations have cost.
-
-    Args:
-        records: all simulations of the run, in order.
-        done: how many iterations are finished.
-        before: what fewer of them cost, to which the rest is added.
-    """
+    """Return what ``done`` iterations have cost, given what fewer of them did."""
     before = Tally() if before is None else before
     new = [record for record in records[before.simulations :] if record.iteration <= done]
     return Tally(
@@ -91,15 +85,7 @@ def run_length(
     budget: Budget | None,
     n_frames: int,
 ) -> Length:
-    """Return the length of a run.
-
-    Args:
-        kernel: as made for the event.
-        info: what is known of it.
-        chains: number of particles.
-        iterations, budget: as the user gave them.
-        n_frames: of a complete simulation.
-    """
+    """Return the length of a run, as the user gave it, with a kernel made for the event."""
     if budget is not None and iterations is not None:
         raise InvalidSettingError("give either iterations or a budget, not both")
     if budget is not None:
@@ -155,13 +141,9 @@ def _check_own(name: str, asked: Length, needed: int, n_frames: int) -> None:
 
 
 class Pace:
-    """Says whether another iteration is to begin.
+    """Says whether another iteration is to begin, in a call that began at that :func:`clock`.
 
-    Args:
-        length: of the run.
-        began: time of the call, by :func:`clock`.
-        seconds: that the run took before, in other calls.
-        recent: seconds that its last iterations took there.
+    ``seconds`` the run took before, in other calls, and ``recent`` its last iterations there.
     """
 
     def __init__(
