@@ -31,7 +31,7 @@ from phase_ppl.inference.entries import Entry, Spec, entry
 from phase_ppl.inference.settings import Budget, SimpleSettings
 from phase_ppl.inference.stepwise import filter_event
 from phase_ppl.models.effective import log_prior_of_effective
-from phase_ppl.models.likelihood import gives_table
+from phase_ppl.models.likelihood import is_stepwise
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import MAX_SEED, EventProgram, event_salt
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, SELF_REFERRING, STRENGTH_SITES
@@ -252,7 +252,7 @@ def reference_of(
     of what all chains have in common, such as what none of them has found. None where there are no
     halves.
     """
-    if asked.enumeration and gives_table(model.likelihood):
+    if asked.enumeration and is_stepwise(model.likelihood):
         table = filter_event(event, model, seed=seed, threads=workers, progress=False)
         return {
             "description": "the sum over a table of all hypotheses",

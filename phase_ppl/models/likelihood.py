@@ -1,6 +1,6 @@
-"""Likelihoods of what was seen: of two kinds, and the paper's (Eq. 2).
+"""Likelihoods that compare a simulation with the video, among them the paper's (Eq. 2).
 
-One kind compares a simulation with the video, the other gives a table over all hypotheses.
+The other kind, of which nothing is simulated, is the closed loop's (``stepwise.py``).
 
 The paper's exp(-beta sum_t ||s_t - s^_t||) is made a proper density: per frame, the position of
 all entities (d = 8 numbers) has the radial density exp(-beta ||s - s^||) / Z. Z does not depend
@@ -28,10 +28,7 @@ from phase_ppl.world.checks import positive_number
 from phase_ppl.world.names import ENTITIES
 
 if TYPE_CHECKING:
-    from phase_ppl.agents.config import PlannerConfig
-    from phase_ppl.closed_loop.goal_filter import GoalFilter
-    from phase_ppl.world.arrays import FloatArray
-    from phase_ppl.world.scene import Scene
+    from phase_ppl.models.stepwise import StepwiseLikelihood
 
 N_COORDINATES: Final = 2 * len(ENTITIES)  # d, numbers per frame: x and y of each entity
 _Array = TypeVar("_Array")
@@ -52,27 +49,11 @@ class TrajectoryLikelihood(Protocol):
         ...
 
 
-class TableLikelihood(Protocol):
-    """Says of every frame of the video how probable it is under all hypotheses at once."""
+def is_stepwise(likelihood: object) -> TypeGuard[StepwiseLikelihood]:
+    """Whether it is the closed loop's, of which nothing is simulated."""
+    from phase_ppl.models.stepwise import StepwiseLikelihood  # loads planner and physics
 
-    def filter(
-        self, scene: Scene, planner: PlannerConfig, seed: int, threads: int, log_prior: FloatArray
-    ) -> GoalFilter:
-        """Return what takes in frames, one after the other, and gives a table for each.
-
-        Args:
-            scene: where everything starts.
-            planner: of the agents.
-            seed: of whatever is random.
-            threads: at a time; the result does not depend on it.
-            log_prior: (goal_red, goal_green) log prior masses.
-        """
-        ...
-
-
-def gives_table(likelihood: object) -> TypeGuard[TableLikelihood]:
-    """Return whether a likelihood gives tables over hypotheses, so that nothing is simulated."""
-    return hasattr(likelihood, "filter")
+    return isinstance(likelihood, StepwiseLikelihood)
 
 
 class InNats:

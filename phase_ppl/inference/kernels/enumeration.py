@@ -150,7 +150,7 @@ class Enumeration(ParticleKernel[WeightedState]):
 
     @property
     def _grid(self) -> Grid:
-        return hypothesis_grid(self.model.model, self._strengths)
+        return hypothesis_grid(self.program.model, self._strengths)
 
     @property
     def n_simulations(self) -> int:
@@ -189,7 +189,7 @@ class Enumeration(ParticleKernel[WeightedState]):
 
     def _simulated(self, state: WeightedState, number: jax.Array) -> WeightedState:
         """Simulate the hypothesis with this number, if there is one."""
-        program = self.model
+        program = self.program
         key, key_seed = random.split(state.rng_key)
         row = number % self._grid.size
         sites = self._sites(row)

@@ -145,7 +145,7 @@ class LocalMH(MetropolisKernel):
         """Return (window,) log Q(sites | S_k); -inf for windows that there are not."""
         windows = jnp.arange(self.most_windows)
         density = jax.vmap(lambda window: log_density(self.guide, sites, window))(windows)
-        if self.model.is_padded:
+        if self.program.is_padded:
             density = jnp.where(windows < self.n_windows, density, -jnp.inf)
         return {"log_proposal": density}
 
@@ -173,7 +173,7 @@ class LocalMH(MetropolisKernel):
 
     def local_move(self, window: jax.Array, sites: dict[str, jax.Array], state: MHState) -> Move:
         """Return the move to a hypothesis that was proposed from a window."""
-        rule, log_prior, memo = self._rule, self.model.log_prior(sites), self.memo(sites)
+        rule, log_prior, memo = self._rule, self.program.log_prior(sites), self.memo(sites)
         before, log_windows = state.memo["log_proposal"], self.log_windows(state.step_error)
         known = log_before(
             rule,
@@ -195,6 +195,6 @@ class LocalMH(MetropolisKernel):
 
     def log_windows(self, step_error: jax.Array) -> jax.Array:
         """Return (window,) log r(k | e), of the windows that there are."""
-        length = window_length(self.model.n_frames, self.settings.window)
-        count = self.n_windows if self.model.is_padded else None
+        length = window_length(self.program.n_frames, self.settings.window)
+        count = self.n_windows if self.program.is_padded else None
         return log_window_choice(step_error, self.settings.eta, length, count)

@@ -144,7 +144,7 @@ class MetropolisKernel(ParticleKernel[MHState]):
     def start_one(
         self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]
     ) -> MHState:
-        program = self.model
+        program = self.program
         seed = program.simulator_seed(key_start, sites)
         log_prior = program.log_prior(sites)
         log_proposal = self.log_initial_proposal(sites, log_prior)
@@ -175,7 +175,7 @@ class MetropolisKernel(ParticleKernel[MHState]):
 
         ``log_hastings`` is log q(z | z') - log q(z' | z).
         """
-        log_prior = self.model.log_prior(sites)
+        log_prior = self.program.log_prior(sites)
         known = log_known(log_prior, log_hastings, state)
         log_proposal = log_prior if from_prior else np.nan
         return Move(sites, log_prior, self.memo(sites), known, log_proposal=log_proposal)
@@ -189,7 +189,7 @@ class MetropolisKernel(ParticleKernel[MHState]):
         returns Hastings' correction log q(z | z') - log q(z' | z). The prior of the sites below it
         in a hierarchy changes too, which is in the prior's ratio.
         """
-        model, moves = self.model.model, moves or {}
+        model, moves = self.program.model, moves or {}
         trace = handlers.trace(handlers.substitute(model.prior, data=dict(sites))).get_trace()
         key_which, *keys = random.split(key, 1 + len(model.sites))
         which = random.randint(key_which, (), 0, len(model.sites))
@@ -210,7 +210,7 @@ class MetropolisKernel(ParticleKernel[MHState]):
         key_accept: jax.Array,
     ) -> MHState:
         """Simulate what a move proposes, and return the state after its acceptance or rejection."""
-        program = self.model
+        program = self.program
         seed = program.simulator_seed(key_seed, move.sites)
         log_u = log_uniform(key_accept)
         current = program.log_likelihood(state.step_error)

@@ -70,7 +70,7 @@ class EventKernel(MCMCKernel, Generic[State]):
         return bound
 
     @property
-    def model(self) -> EventProgram:
+    def program(self) -> EventProgram:
         if self._program is None:
             raise InvalidSettingError(f"{type(self).__name__} has no program yet")
         return self._program
@@ -125,20 +125,20 @@ class EventKernel(MCMCKernel, Generic[State]):
         floor = log_floor - _SLACK - _RELATIVE_SLACK * jnp.abs(log_floor)
         # without a floor, as before a first completed simulation, there is no ceiling either
         floor = jnp.where(jnp.isfinite(floor), floor, -jnp.inf)
-        n_frames: Any = self.model.observed  # perhaps known only inside compiled code
-        return self.model.likelihood.max_total_error(floor, n_frames)
+        n_frames: Any = self.program.observed  # perhaps known only inside compiled code
+        return self.program.likelihood.max_total_error(floor, n_frames)
 
     @property
     def n_windows(self) -> Any:
         """How many windows the observation has: a number, or an array of one if it is padded."""
-        if not self.model.is_padded:
-            return window_count(self.model.n_frames, self.settings.window)
-        return jnp.maximum(self.model.observed - self.settings.window, 1)
+        if not self.program.is_padded:
+            return window_count(self.program.n_frames, self.settings.window)
+        return jnp.maximum(self.program.observed - self.settings.window, 1)
 
     @property
     def most_windows(self) -> int:
         """How many windows the arrays have room for."""
-        return window_count(self.model.n_frames, self.settings.window)
+        return window_count(self.program.n_frames, self.settings.window)
 
     def draw_guide(self, key: jax.Array, window: jax.Array | int) -> dict[str, jax.Array]:
         """Return a hypothesis from the guide."""
@@ -177,17 +177,17 @@ class ParticleKernel(EventKernel[State]):
             return self.propose_initial(key)
         keys = random.split(key, self.initial_tries)
         tries = jax.vmap(self.propose_initial)(keys[1:])
-        last = self.model.draw_prior(keys[0])
+        last = self.program.draw_prior(keys[0])
         tries = {
             name: jnp.append(values, last[name][None].astype(values.dtype), axis=0)
             for name, values in tries.items()
         }
-        possible = jax.vmap(self.model.log_prior)(tries) > NO_DENSITY
+        possible = jax.vmap(self.program.log_prior)(tries) > NO_DENSITY
         return {name: values[jnp.argmax(possible)] for name, values in tries.items()}
 
     def propose_initial(self, key: jax.Array) -> dict[str, jax.Array]:
         """Return a hypothesis to start from; by default from the prior."""
-        return self.model.draw_prior(key)
+        return self.program.draw_prior(key)
 
     @abstractmethod
     def start_one(self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]) -> State:

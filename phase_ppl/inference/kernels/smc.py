@@ -200,9 +200,9 @@ class SMC(ParticleKernel[SMCState]):
     def start_one(
         self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]
     ) -> SMCState:
-        particle = self._mover(self.model).start_one(key, key_start, sites)
+        particle = self._mover(self.program).start_one(key, key_start, sites)
         log_proposal = log_density(self.guide, sites, jnp.asarray(self.n_windows))
-        log_likelihood = self.model.relative_log_likelihood(particle.step_error)
+        log_likelihood = self.program.relative_log_likelihood(particle.step_error)
         log_weight = particle.log_prior - log_proposal + log_likelihood
         zero = jnp.zeros(())
         return SMCState(
@@ -235,11 +235,11 @@ class SMC(ParticleKernel[SMCState]):
         places = systematic(keys[0, 0], weights)
         particle = jax.tree.map(lambda leaf: leaf[places], state.particle)
         particle = particle._replace(rng_key=keys[:, 1])
-        mover = self._mover(tempered(self.model, temperature))
+        mover = self._mover(tempered(self.program, temperature))
         particle = jax.vmap(mover.step_one)(particle)
 
         log_weight = powered(self._log_likelihood(particle), 1 - temperature)
-        without_error = self.model.log_likelihood(jnp.zeros(self.model.n_frames)).sum()
+        without_error = self.program.log_likelihood(jnp.zeros(self.program.n_frames)).sum()
         left = logsumexp(log_weight) - np.log(len(weights))
         return SMCState(
             i=state.i + 1,
@@ -252,4 +252,4 @@ class SMC(ParticleKernel[SMCState]):
         )
 
     def _log_likelihood(self, particle: Any) -> jax.Array:
-        return jax.vmap(self.model.relative_log_likelihood)(particle.step_error)
+        return jax.vmap(self.program.relative_log_likelihood)(particle.step_error)

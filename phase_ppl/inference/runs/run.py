@@ -15,7 +15,7 @@ from numpyro.infer.mcmc import MCMCKernel
 from phase_ppl.inference.proposals.guide import bottom_up_guide
 from phase_ppl.inference.proposals.tables import BottomUpTables, padded, window_count
 from phase_ppl.inference.registry import KERNELS, Factory, KernelInfo, described
-from phase_ppl.inference.runs.length import run_length
+from phase_ppl.inference.runs.length import Length
 from phase_ppl.inference.settings import Budget, SimpleSettings
 from phase_ppl.models import priors
 from phase_ppl.models.density import remembered
@@ -153,7 +153,7 @@ class Run:
         """Make the kernel and trace a step of it, with nothing simulated."""
         kernel = make_kernel(self.recipe, self.data(0))
         n_frames = self.event.observation.n_frames
-        run_length(kernel, self.info, self.chains, iterations, budget, n_frames)
+        Length.of(kernel, self.info, self.chains, iterations, budget, n_frames)
         # one program: NumPyro's own kernels are made ready by init
         jax.eval_shape(
             lambda keys: kernel.sample(kernel.init(keys, 0, None, (), {}), (), {}),
