@@ -19,8 +19,7 @@ from phase_ppl.evaluation.metrics import (
     paired_difference,
     reference_models,
 )
-from phase_ppl.evaluation.prediction import Prediction
-from phase_ppl.evaluation.references import reference_predictions
+from phase_ppl.evaluation.prediction import Prediction, reference_predictions
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown, unknown_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import SCENARIOS
@@ -203,7 +202,7 @@ def reference_evaluation(events: Sequence[Event], name: str) -> Evaluation:
     model are in ``failures``.
 
     Args:
-        events: with their predictions (:mod:`phase_ppl.evaluation.references`).
+        events: with their predictions (:mod:`phase_ppl.evaluation.prediction`).
         name: of the model, as the events call it.
 
     Raises:

@@ -76,9 +76,13 @@ from phase_ppl.evaluation.doubt import (
     negative_entropy,
     split_half,
 )
-from phase_ppl.evaluation.prediction import GOAL_QUESTIONS, QUESTIONS, Prediction
+from phase_ppl.evaluation.prediction import (
+    GOAL_QUESTIONS,
+    QUESTIONS,
+    Prediction,
+    reference_predictions,
+)
 from phase_ppl.evaluation.ratings import Judgments, event_judgments
-from phase_ppl.evaluation.references import reference_predictions
 from phase_ppl.evaluation.tables import KINDS, Facts, Said, true_answer
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.event import Event
@@ -133,7 +137,7 @@ def reference_models(
     """Return name -> metrics of the models whose predictions the events carry.
 
     Arguments and errors as for :func:`evaluate_predictions` and
-    :func:`~phase_ppl.evaluation.references.reference_predictions`.
+    :func:`~phase_ppl.evaluation.prediction.reference_predictions`.
     """
     return metrics_of_each(events, reference_predictions(events), seed=seed, resamples=resamples)
 

@@ -16,13 +16,8 @@ import dataclasses
 import math
 from typing import TYPE_CHECKING, Any, Final, Protocol, TypeGuard, TypeVar
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-import numpyro.distributions as dist
-from jax import random
 from numpy.typing import NDArray
-from numpyro.distributions import constraints
 
 from phase_ppl.world.checks import positive_number
 from phase_ppl.world.names import ENTITIES
@@ -124,39 +119,3 @@ class RadialLikelihood:
         length = rng.gamma(N_COORDINATES, 1 / self.beta, positions.shape[:-2])
         noise: NDArray[np.float64] = positions + direction * length[..., None, None]
         return noise
-
-
-class RadialTrajectory(dist.Distribution):
-    """Distribution of observed positions around predicted ones (..., time, entity, 2), units."""
-
-    arg_constraints = {  # noqa: RUF012  (NumPyro's way to declare them)
-        "predicted": constraints.independent(constraints.real, 3),
-        "beta": constraints.positive,
-    }
-    support = constraints.independent(constraints.real, 3)
-    pytree_data_fields = ("predicted",)
-    pytree_aux_fields = ("beta",)
-
-    def __init__(
-        self, predicted: jax.Array, beta: float = 0.05, *, validate_args: bool | None = None
-    ) -> None:
-        self.predicted = jnp.asarray(predicted)
-        self.beta = beta
-        shape = self.predicted.shape
-        super().__init__(shape[:-3], shape[-3:], validate_args=validate_args)
-
-    def sample(self, key: jax.Array, sample_shape: tuple[int, ...] = ()) -> jax.Array:
-        """Draw positions: a direction by chance times a Gamma(d, beta) distance, per frame."""
-        key_direction, key_radius = random.split(key)
-        shape = sample_shape + self.batch_shape + self.event_shape
-        frames = (*shape[:-2], shape[-2] * shape[-1])
-        direction = random.normal(key_direction, frames)
-        direction /= jnp.linalg.norm(direction, axis=-1, keepdims=True)
-        radius = random.gamma(key_radius, frames[-1], frames[:-1]) / self.beta
-        return self.predicted + (direction * radius[..., None]).reshape(shape)
-
-    def log_prob(self, value: jax.Array) -> Any:
-        """Return the log density of positions (..., time, entity, 2), summed over frames."""
-        difference = jnp.asarray(value) - self.predicted
-        errors = jnp.sqrt(jnp.sum(difference**2, axis=(-2, -1)))
-        return RadialLikelihood(self.beta).log_prob(errors).sum(axis=-1)

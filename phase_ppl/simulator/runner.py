@@ -26,8 +26,7 @@ from phase_ppl.simulator.contract import (
     simulate_together,
     too_long,
 )
-from phase_ppl.simulator.jobs import Dispatch
-from phase_ppl.simulator.processes import BorrowedExecutor, CannotLoad, OwnWorkers
+from phase_ppl.simulator.processes import BorrowedExecutor, CannotLoad, Dispatch, OwnWorkers
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import number_of_workers, positive_number, whole_number
 from phase_ppl.world.errors import InvalidSettingError, SimulationError, shown, unknown_name

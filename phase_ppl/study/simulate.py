@@ -27,8 +27,8 @@ import numpy as np
 
 from phase_ppl.evaluation import evaluate as evaluation_module
 from phase_ppl.evaluation.evaluation import Evaluation
+from phase_ppl.evaluation.experiments import LABELS
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
-from phase_ppl.evaluation.tags import LABELS
 from phase_ppl.study import plan
 from phase_ppl.study.settings import Settings
 from phase_ppl.study.store import FILE, Store
@@ -389,8 +389,8 @@ class Person:
 def _figures(kind: str, out: Path, copy: Study) -> list[str]:
     """Draw what can be drawn of an export; return what to say of it."""
     from phase_ppl.evaluation import figures
+    from phase_ppl.evaluation.experiments import load_likeness
     from phase_ppl.evaluation.judgments import load_judgments
-    from phase_ppl.evaluation.likeness import load_likeness
 
     if kind == "tagging":
         figures.tags(out / "tags.csv", out / "tags.png")

@@ -27,7 +27,7 @@ from phase_ppl.dataset.generated import (
 )
 from phase_ppl.dataset.generation.making import Made, event_of, make
 from phase_ppl.dataset.generation.plan import PHASE500, Plan, Slot, scaled
-from phase_ppl.simulator.jobs import Failure, results
+from phase_ppl.simulator.processes import Failure, results
 from phase_ppl.world.checks import number_of_workers
 from phase_ppl.world.errors import (
     InvalidEventError,

@@ -16,11 +16,17 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeVar
 
 from phase_ppl.analysis.figures.style import written
 from phase_ppl.evaluation.comparison import ModelComparison
+from phase_ppl.evaluation.experiments import (
+    MAJORITY,
+    MARGIN,
+    Likeness,
+    Tags,
+    load_likeness,
+    load_tags,
+)
 from phase_ppl.evaluation.figures import grids as _grids
 from phase_ppl.evaluation.figures import rows as _rows
 from phase_ppl.evaluation.figures.layout import NothingToDrawError, Results, Source
-from phase_ppl.evaluation.likeness import MARGIN, Likeness, load_likeness
-from phase_ppl.evaluation.tags import MAJORITY, Tags, load_tags
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.files import writable_folder
 
@@ -179,8 +185,8 @@ def tags(
 ) -> Figure:
     """Draw in how many videos people see what, as the paper does of its 23 labels.
 
-    The labels, or their CSV file (:mod:`phase_ppl.evaluation.tags`), may be anybody's; a video has
-    a category from which on that share of its viewers, ``majority``, chose it.
+    The labels, or their CSV file (:mod:`phase_ppl.evaluation.experiments`), may be anybody's; a
+    video has a category from which on that share of its viewers, ``majority``, chose it.
 
     Raises:
         InvalidSettingError: ``source`` is neither labels nor a file, or ``majority`` no share.
@@ -197,8 +203,8 @@ def likeness(
 ) -> Figure:
     """Draw how likely people find it that people behave like this, in two groups of videos.
 
-    The ratings, or their CSV file (:mod:`phase_ppl.evaluation.likeness`), may be anybody's; groups
-    are equivalent if their mean ratings differ by less than ``margin``.
+    The ratings, or their CSV file (:mod:`phase_ppl.evaluation.experiments`), may be anybody's;
+    groups are equivalent if their mean ratings differ by less than ``margin``.
 
     Raises:
         InvalidSettingError: ``source`` is neither ratings nor a file, or ``margin`` not positive.

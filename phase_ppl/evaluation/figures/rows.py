@@ -12,6 +12,7 @@ from phase_ppl.analysis.figures.style import COLOURS, INK, NORMAL, SMALL, bare
 from phase_ppl.analysis.figures.style import GREY as TEXT_GREY
 from phase_ppl.evaluation.answer_sets import AnswerSet
 from phase_ppl.evaluation.cells import number
+from phase_ppl.evaluation.experiments import MAJORITY, MARGIN, RATINGS, Likeness, Tags
 from phase_ppl.evaluation.figures.layout import (
     GREY,
     KIND_TITLES,
@@ -27,10 +28,8 @@ from phase_ppl.evaluation.figures.layout import (
     title_row,
     width_of,
 )
-from phase_ppl.evaluation.likeness import MARGIN, RATINGS, Likeness
 from phase_ppl.evaluation.metrics import at
 from phase_ppl.evaluation.tables import facts, said
-from phase_ppl.evaluation.tags import MAJORITY, Tags
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS
 

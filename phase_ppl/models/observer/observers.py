@@ -28,7 +28,7 @@ import numpyro.distributions as dist
 from jax import Array
 from numpy.typing import ArrayLike
 
-from phase_ppl.models.observer.cues import CUES
+from phase_ppl.models.observer.perception import CUES
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.goals import N_GOALS

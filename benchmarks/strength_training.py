@@ -1,6 +1,6 @@
 """Training the network of strengths.
 
-    python -m phase_ppl.inference.proposals.strength_training FOLDER
+    python benchmarks/strength_training.py FOLDER
 
 Simulates events (or reads them from --events-file), blurs them with jitter, cuts windows of all
 lengths, trains, and writes FOLDER/strength_weights.npz and the report beside it,
@@ -32,8 +32,8 @@ from phase_ppl.inference.proposals.strength import (
     StrengthEstimates,
     StrengthNetwork,
     quality,
+    window_features,
 )
-from phase_ppl.inference.proposals.strength_features import window_features
 from phase_ppl.models.neural import needs_torch, threads
 from phase_ppl.simulator.joint import JointSimulator, simulate
 from phase_ppl.simulator.processes import mapped
