@@ -15,6 +15,7 @@ from typing import Any, Final, NoReturn, TypeVar, cast
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
+    PhasePPLError,
     UnknownNameError,
     shown,
     unknown_name,
@@ -207,7 +208,23 @@ def check_ids(ids: Sequence[str]) -> None:
         seen.add(name)
 
 
+def check_schema(record: Mapping[str, Any], schema: str, where: object = "") -> None:
+    """Raise InvalidEventError unless a document, which is in the file ``where``, is of a schema."""
+    if record.get("schema") != schema:
+        words = f"its schema is {shown(record.get('schema'))}, not {schema!r}"
+        raise InvalidEventError(f"{where}: {words}" if where else words)
+
+
 # --- files -----------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def in_front(words: str) -> Iterator[None]:
+    """Put words in front of an error's message."""
+    try:
+        yield
+    except PhasePPLError as error:
+        raise type(error)(f"{words}{error}") from None
 
 
 @contextlib.contextmanager

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from phase_ppl.analysis.summary import plain
-from phase_ppl.dataset.documents import of_kind, read_json
+from phase_ppl.dataset.documents import check_schema, of_kind, read_json
 from phase_ppl.dataset.load import load_events, save_events
 from phase_ppl.evaluation import differences
 from phase_ppl.evaluation.answer_sets import PEOPLE, AnswerSet, colours_of, label_of, people_answers
@@ -189,10 +189,7 @@ class ModelComparison:
         record = read_json(path / COMPARISON)
         events = load_events(path / EVENTS)
         try:
-            if record.get("schema") != SCHEMA:
-                raise InvalidEventError(
-                    f"its schema is {shown(record.get('schema'))}, not {SCHEMA!r}"
-                )
+            check_schema(record, SCHEMA)
             read = [_entry(one) for one in of_kind("models", record["models"], list)]
             ids = {event.id for event in events}
             for one in read:

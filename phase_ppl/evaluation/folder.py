@@ -28,7 +28,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from phase_ppl.dataset.documents import read_json
+from phase_ppl.dataset.documents import check_schema, read_json
 from phase_ppl.dataset.load import load_events, save_events
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.world.checks import number_or_nan
@@ -87,10 +87,7 @@ class ResultsFolder:
         if not (folder / SETTINGS).is_file():
             raise InvalidEventError(f"{folder} holds no evaluation: it has no {SETTINGS}")
         settings = read_json(folder / SETTINGS)
-        if settings.get("schema") != SCHEMA:
-            raise InvalidEventError(
-                f"{folder / SETTINGS}: its schema is {settings.get('schema')!r}, not {SCHEMA!r}"
-            )
+        check_schema(settings, SCHEMA, folder / SETTINGS)
         return cls(folder, settings, load_events(folder / EVENTS))
 
     @classmethod
@@ -211,11 +208,11 @@ class ResultsFolder:
         if not self.is_finished(event_id):
             return None
         source = self.folder_of(event_id) / PREDICTION
+        record = read_json(source)
         try:
-            prediction = Prediction.from_dict(read_json(source))
+            prediction = Prediction.from_dict(record)
         except PhasePPLError as error:
-            where = "" if str(source) in str(error) else f"{source}: "
-            raise InvalidEventError(f"{where}{error}") from None
+            raise InvalidEventError(f"{source}: {error}") from None
         if prediction.event_id != event_id:
             raise InvalidEventError(
                 f"{source}: is of the event {prediction.event_id!r}, not {event_id!r}"

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from phase_ppl.analysis.estimate import Estimate
-from phase_ppl.dataset.documents import of_kind
+from phase_ppl.dataset.documents import in_front, of_kind
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.errors import InvalidEventError, PhasePPLError, shown, unknown_name
+from phase_ppl.world.errors import InvalidEventError, shown, unknown_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import GOALS, goal_index
 from phase_ppl.world.hypothesis import RELATIONS, scenario
@@ -277,10 +277,8 @@ def reference_predictions(events: Sequence[Event]) -> dict[str, dict[str, Predic
         for model, record in (event.predictions or {}).items():
             if record is None:
                 continue
-            try:
+            with in_front(f"event {event.id}: predictions: {model}: "):
                 prediction = _prediction(event.id, record)
-            except PhasePPLError as error:
-                raise type(error)(f"event {event.id}: predictions: {model}: {error}") from None
             found.setdefault(str(model), {})[event.id] = prediction
     return found
 

@@ -76,19 +76,12 @@ _VIDEOS: Final = 100
 
 
 class Asked(NamedTuple):
-    """A model that is asked.
+    """A model that is asked."""
 
-    Attributes:
-        model: its name.
-        seconds: of one core, for a video of usual length; 0: next to none.
-        options: of the model.
-        whose: as which of the paper's models its numbers count.
-    """
-
-    model: str
-    seconds: float
-    options: Mapping[str, Any] = {}
-    whose: str = ""
+    model: str  # its name
+    seconds: float  # of one core, for a video of usual length; 0: next to none
+    options: Mapping[str, Any] = {}  # of the model
+    whose: str = ""  # as which of the paper's models its numbers count
 
 
 _FEW: Final = {"budget": simulations(30)}

@@ -431,17 +431,14 @@ def _figures(results: Results) -> tuple[list[tuple[str, Picture]], list[str]]:
 
 def comparison_page(comparison: ModelComparison, *, progress: bool | None = None) -> str:
     """Return the page of a comparison of models."""
-    results = Results(comparison)
-    shown = {answers.name: answers for answers in results.source.answers}
-    drawn, left_out = _figures(results)
-    settings = {one.name: {"folder": one.folder, **one.settings} for one in comparison.entries}
+    shown = {answers.name: answers for answers in comparison.answers}
+    drawn, left_out = _figures(Results(comparison))
     return page(
         "comparison.html",
         title="Comparison of models",
         # a model that predicts nothing has no answers
         names=[shown[n].label if n in shown else label_of(n) for n in comparison.models],
         notes=comparison.notes,
-        summary=_summary(results.source.measured),
         answers=shown,
         measures=_MEASURES,
         differences=[
@@ -453,13 +450,20 @@ def comparison_page(comparison: ModelComparison, *, progress: bool | None = None
         margin=comparison.settings["margin"],
         drawn=drawn,
         left_out=left_out,
-        items=[
-            _item(event, results.source.answers)
-            for event in counted(comparison.events, progress, "event", "showing")
-        ],
         settings=comparison.settings,
-        settings_of_models=list(flat(settings)),
+        **_compared(comparison, progress),
     )
+
+
+def _compared(comparison: ModelComparison, progress: bool | None) -> dict[str, Any]:
+    """Return metrics and settings of the models of a comparison, and what they said of events."""
+    settings = {one.name: {"folder": one.folder, **one.settings} for one in comparison.entries}
+    events = counted(comparison.events, progress, "event", "showing")
+    return {
+        "summary": _summary(comparison.measured),
+        "items": [_item(event, comparison.answers) for event in events],
+        "settings_of_models": list(flat(settings)),
+    }
 
 
 # --- the paper, cell by cell -----------------------------------------------------------------
@@ -467,14 +471,12 @@ def comparison_page(comparison: ModelComparison, *, progress: bool | None = None
 
 def reproduction_page(made: Reproduction, *, progress: bool | None = None) -> str:
     """Return the page of a reproduction."""
-    results = Results(made.comparison)
-    drawn, left_out = _figures(results)
+    drawn, left_out = _figures(Results(made.comparison))
     for title, alt, draw in made.drawn:
         try:
             drawn.append((title, figure_of(draw(), alt)))
         except InvalidSettingError as reason:
             left_out.append(f"{title}: {reason}.")
-    given = {one.name: {"folder": one.folder, **one.settings} for one in made.comparison.entries}
     return page(
         "reproduction.html",
         title="The paper, cell by cell" if made.real else "No reproduction: a try",
@@ -486,14 +488,9 @@ def reproduction_page(made: Reproduction, *, progress: bool | None = None) -> st
         ],
         counts=[(kind, sum(one.verdict == kind for one in made.cells)) for kind in VERDICTS],
         loose=LOOSE,
-        summary=_summary(results.source.measured),
         drawn=drawn,
         left_out=[*left_out, f"{NOT_DRAWN}."],
-        items=[
-            _item(event, results.source.answers)
-            for event in counted(made.comparison.events, progress, "event", "showing")
-        ],
-        settings_of_models=list(flat(given)),
+        **_compared(made.comparison, progress),
     )
 
 
