@@ -8,8 +8,6 @@ import json
 from collections import Counter
 from pathlib import Path
 
-ROOT = Path(__file__).parents[1] / "phase_ppl"
-
 
 def count(path: Path) -> Counter[str]:
     """Return the figures of a file; lines of code are neither empty, comments nor docstrings."""
@@ -24,7 +22,8 @@ def count(path: Path) -> Counter[str]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folder", nargs="?", type=Path, default=ROOT)
+    package = Path(__file__).parents[1] / "phase_ppl"
+    parser.add_argument("folder", nargs="?", type=Path, default=package)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there")
     options = parser.parse_args()
     found: dict[str, Counter[str]] = {}

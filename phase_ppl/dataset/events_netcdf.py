@@ -178,10 +178,7 @@ def _check_time(dataset: xr.Dataset) -> None:
 
 
 def _values(
-    dataset: xr.Dataset,
-    name: str,
-    dims: tuple[str, ...],
-    labels: Mapping[str, Sequence[str]],
+    dataset: xr.Dataset, name: str, dims: tuple[str, ...], labels: Mapping[str, Sequence[str]]
 ) -> Any:
     """Return the values of a variable along ``dims``, everything in the package's order."""
     if name not in dataset.variables:

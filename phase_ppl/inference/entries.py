@@ -89,11 +89,7 @@ class Entry:
 
 
 def entry(
-    label: str | None,
-    spec: Spec,
-    chains: int,
-    settings: SimpleSettings,
-    own_length: bool = False,
+    label: str | None, spec: Spec, chains: int, settings: SimpleSettings, own_length: bool = False
 ) -> Entry:
     """Return the kernel that a user names, called ``label`` or by its name.
 

@@ -165,11 +165,7 @@ PRESETS: Final[Mapping[str, Mapping[str, Any]]] = {
         "rule": "paper",
     },
     # the paper's proposal with the sign that its text describes, and Hastings' exact ratio
-    "as_intended": {
-        **_OF_THE_PAPER,
-        "settings": SimpleSettings(proposal="paper"),
-        "rule": "exact",
-    },
+    "as_intended": {**_OF_THE_PAPER, "settings": SimpleSettings(proposal="paper"), "rule": "exact"},
     # what ``infer`` does unasked: learned proposals, the exact rule, the fast planner
     "default": {},
     # twice the simulations: the paper's 15 chains, and as many particles that race

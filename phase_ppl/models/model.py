@@ -26,12 +26,7 @@ from phase_ppl.models.density import (
     remembered,
     site_shapes,
 )
-from phase_ppl.models.likelihood import (
-    InNats,
-    RadialLikelihood,
-    TrajectoryLikelihood,
-    is_stepwise,
-)
+from phase_ppl.models.likelihood import InNats, RadialLikelihood, TrajectoryLikelihood, is_stepwise
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, HYPOTHESIS_SITES, STRENGTH_SITES
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.goals import N_GOALS

@@ -29,13 +29,7 @@ from phase_ppl.evaluation.figures import drawings_of
 from phase_ppl.evaluation.figures.layout import NothingToDrawError, Results
 from phase_ppl.evaluation.folder import POSTERIOR
 from phase_ppl.evaluation.metrics import at
-from phase_ppl.evaluation.paper import (
-    LOOSE,
-    NO_REPRODUCTION,
-    NOT_DRAWN,
-    VERDICTS,
-    Reproduction,
-)
+from phase_ppl.evaluation.paper import LOOSE, NO_REPRODUCTION, NOT_DRAWN, VERDICTS, Reproduction
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
 from phase_ppl.evaluation.tables import true_answer
 from phase_ppl.inference.progress import counted

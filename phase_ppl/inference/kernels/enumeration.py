@@ -16,11 +16,7 @@ from numpyro.util import is_prng_key
 from phase_ppl.inference.kernels.particle import ParticleKernel, WeightedState
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.models.density import NO_DENSITY, log_density
-from phase_ppl.models.effective import (
-    drawn_stated,
-    log_prior_of_effective,
-    stated_hypotheses,
-)
+from phase_ppl.models.effective import drawn_stated, log_prior_of_effective, stated_hypotheses
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import EventProgram
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, HYPOTHESIS_SITES, STRENGTH_SITES
@@ -90,13 +86,7 @@ STRENGTHS: Final = (150.0, 300.0, 450.0, 600.0)  # grid of either agent's streng
 MAX_SIMULATIONS: Final = 50_000
 
 
-@register_kernel(
-    "enumerate",
-    validity="consistent",
-    keeps="start",
-    weighted=True,
-    any_length=True,
-)
+@register_kernel("enumerate", validity="consistent", keeps="start", weighted=True, any_length=True)
 class Enumeration(ParticleKernel[WeightedState]):
     """Enumeration of all pairs of effective goals on a grid of strengths.
 

@@ -176,11 +176,7 @@ class LocalMH(MetropolisKernel):
         rule, log_prior, memo = self._rule, self.program.log_prior(sites), self.memo(sites)
         before, log_windows = state.memo["log_proposal"], self.log_windows(state.step_error)
         known = log_before(
-            rule,
-            window,
-            (state.log_prior, log_prior),
-            (before, memo["log_proposal"]),
-            log_windows,
+            rule, window, (state.log_prior, log_prior), (before, memo["log_proposal"]), log_windows
         )
         return Move(
             sites,

@@ -202,12 +202,7 @@ class MetropolisKernel(ParticleKernel[MHState]):
         return proposed, jnp.stack(corrections)[which]
 
     def accept_reject(
-        self,
-        move: Move,
-        state: MHState,
-        key: jax.Array,
-        key_seed: jax.Array,
-        key_accept: jax.Array,
+        self, move: Move, state: MHState, key: jax.Array, key_seed: jax.Array, key_accept: jax.Array
     ) -> MHState:
         """Simulate what a move proposes, and return the state after its acceptance or rejection."""
         program = self.program

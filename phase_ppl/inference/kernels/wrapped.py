@@ -225,8 +225,7 @@ class Ensemble(UniformKernel):
         """Move one half of the ensemble, then the other."""
         with jax.ensure_compile_time_eval():  # it looks at its weights
             sampler = AIES(
-                potential_fn=self.potential,
-                moves={AIES.DEMove(): 0.5, AIES.StretchMove(): 0.5},
+                potential_fn=self.potential, moves={AIES.DEMove(): 0.5, AIES.StretchMove(): 0.5}
             )
         sampler.init(keys, 0, inner)
         none = jnp.zeros(())

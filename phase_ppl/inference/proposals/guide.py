@@ -91,10 +91,7 @@ def _local_program(
             replace[name] = functools.partial(_goal_distribution, logits[..., agent, :])
         for agent, name in enumerate(STRENGTH_SITES):
             normal = dist.TruncatedNormal(
-                estimate[agent],
-                sd[agent],
-                low=STRENGTH_RANGE[0],
-                high=STRENGTH_RANGE[1],
+                estimate[agent], sd[agent], low=STRENGTH_RANGE[0], high=STRENGTH_RANGE[1]
             )
             replace[name] = functools.partial(_strength_distribution, known[agent], normal)
         with (

@@ -17,12 +17,7 @@ from phase_ppl.models.bridge import Record, request_key
 from phase_ppl.models.effective import log_prior_of_effective, prior_of_pairs
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.model import Model
-from phase_ppl.models.sites import (
-    ALPHA_SITE,
-    GOAL_SITES,
-    HYPOTHESIS_SITES,
-    STRENGTH_SITES,
-)
+from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, HYPOTHESIS_SITES, STRENGTH_SITES
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import effective_table

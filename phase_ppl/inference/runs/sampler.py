@@ -43,12 +43,7 @@ from phase_ppl.models.likelihood import is_stepwise
 from phase_ppl.simulator.contract import Cancelled, OutOfTime, SimulationResult, Statistics
 from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.checks import check_memory, whole_number
-from phase_ppl.world.errors import (
-    InvalidSettingError,
-    OutputError,
-    SimulationError,
-    unknown_name,
-)
+from phase_ppl.world.errors import InvalidSettingError, OutputError, SimulationError, unknown_name
 from phase_ppl.world.identity import versions
 
 POLL_SECONDS: Final = 0.1  # how long Ctrl-C may go unnoticed
@@ -179,11 +174,7 @@ class Sampler:
     """
 
     def __init__(
-        self,
-        run: Run,
-        options: RunOptions,
-        runner: Runner | TableRunner,
-        saved: Checkpoint | None,
+        self, run: Run, options: RunOptions, runner: Runner | TableRunner, saved: Checkpoint | None
     ) -> None:
         self._run, self._options, self._runner = run, options, runner
         self._n_frames = run.event.observation.n_frames
