@@ -64,10 +64,8 @@ def too_large(limit: int) -> InvalidEventError:
 
 def read_json(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Return the JSON object in the file ``path``, as :func:`read_document`; errors name it."""
-    try:
+    with in_front(f"{path}: "):
         return read_document(path)
-    except InvalidEventError as error:
-        raise InvalidEventError(f"{path}: {error}") from None
 
 
 def parse_document(content: bytes) -> dict[str, Any]:

@@ -1,5 +1,7 @@
 """Compiled programs that are left at each simulation, so that what XLA makes of them can be kept.
 
+All this is for speed: but for the time it takes, ``Hosted(function)`` is ``jax.jit(function)``.
+
 A program that calls the simulator from within cannot be kept on disk: what it calls has an address
 that is another in every process. Here it is traced as a whole and cut at the simulations that it
 asks for. The pieces are compiled without them, and kept; the simulations are run in between.

@@ -18,6 +18,7 @@ from markupsafe import Markup
 
 import phase_ppl
 from phase_ppl.analysis import plots
+from phase_ppl.analysis.figures.over_time import TITLES
 from phase_ppl.analysis.hypotheses import HDI_PROBABILITY
 from phase_ppl.analysis.posterior import Posterior, load_posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
@@ -47,13 +48,6 @@ if TYPE_CHECKING:
     from PIL import Image
 
 REPLAY: Final = "replay.mp4"  # the film in the folder of a run
-
-ASKED: Final = {
-    "goal_red": "Goal of the red agent",
-    "goal_green": "Goal of the green agent",
-    "relation": "Relation",
-}
-"""Question -> how it is put to a reader."""
 
 MAX_ROWS: Final = 6  # most goals that are shown of an agent
 _WORTH_A_ROW: Final = 0.02  # probability from which on a goal is
@@ -195,7 +189,7 @@ def _item(
             true_answer(event, name),
             shown,
         )
-        for name, title in ASKED.items()
+        for name, title in TITLES.items()
         if any(name in one.predictions[event.id].answers for one in shown)
     ]
     right = [
@@ -301,7 +295,7 @@ def _bars(
     found: list[tuple[str, str, Sequence[tuple[str, float]]]] = []
     for name, colour in _COLOURS.items():
         entries = [entry for entry in post.top(name, MAX_ROWS) if entry[1] >= LEAST]
-        found.append((ASKED[name], colour, entries))
+        found.append((TITLES[name], colour, entries))
     for name in ("relation", "scenario"):
         found.append((name.capitalize(), MODEL_COLOUR, post.top(name, len(post.marginal(name)))))
     return found
