@@ -32,6 +32,7 @@ from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.inference.progress import Bar, counted
 from phase_ppl.models.neural import needs_torch
 from phase_ppl.models.socialgnn import store
+from phase_ppl.models.socialgnn.examples import Examples
 from phase_ppl.models.socialgnn.graphs import frame_graphs
 from phase_ppl.models.socialgnn.store import Trained, TrainingSettings
 from phase_ppl.world.arrays import FloatArray
@@ -169,7 +170,7 @@ def _train(
     settings: TrainingSettings,
     progress: bool | None,
 ) -> None:
-    from phase_ppl.models.socialgnn.training import Examples, fit
+    from phase_ppl.models.socialgnn.training import fit
 
     training, validation = (
         Examples(splits[name], settings.variant) for name in (TRAINING, VALIDATION)

@@ -102,8 +102,8 @@ def test_what_is_true_of_the_bundled_events_gets_more_than_its_share() -> None:
 
 @needs_torch
 def test_who_is_red_hardly_matters_to_the_relation() -> None:
+    from phase_ppl.models.socialgnn.examples import LOOKS, Examples
     from phase_ppl.models.socialgnn.network import Ensemble
-    from phase_ppl.models.socialgnn.training import LOOKS, Examples
 
     # learned, not built in: so only on average
     swapped = next(n for n, look in enumerate(LOOKS) if look == ("none", True, False))

@@ -13,6 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from phase_ppl.models.socialgnn import store
+from phase_ppl.models.socialgnn.examples import AS_IT_IS, LOOKS, Examples
 from phase_ppl.models.socialgnn.graphs import (
     CONTACT,
     NEAR,
@@ -26,7 +27,6 @@ from phase_ppl.models.socialgnn.graphs import (
     touching,
 )
 from phase_ppl.models.socialgnn.store import Trained, TrainingSettings, shapes
-from phase_ppl.models.socialgnn.training import AS_IT_IS, LOOKS, Examples
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from phase_ppl.world.geometry import touches
 from phase_ppl.world.goals import GOALS
