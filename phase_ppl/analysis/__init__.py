@@ -10,10 +10,6 @@ Numbers, each built on those before it:
 * ``comparison``: posteriors against a reference and each other; ``data_table``: statistics of a set
   of events beside another's.
 
-``diagnostics`` says whether a posterior can be trusted, ``_arviz`` hands draws to ArviZ. ``plots``
-lists the figures, which are in ``figures/``.
+``diagnostics`` says how chains went, ``convergence`` if they mixed, ``verdict`` whether they can be
+trusted; ``_arviz`` hands draws to ArviZ. ``plots`` lists the figures, which are in ``figures/``.
 """
-
-from phase_ppl.analysis.posterior import Posterior
-
-__all__ = ["Posterior"]

@@ -304,10 +304,11 @@ class RolesTable:
         ways, keys = company(len(self.world.agents)), self.world.keys
         found = {}
         for one, key in enumerate(keys):
-            for other, whom in enumerate(keys):
+            for other, other_key in enumerate(keys):
                 if one != other:
-                    signs = [w[one][1] if w[one] and w[one][0] == other else 0 for w in ways]
-                    found[f"alpha_{key}_{whom}"] = np.array(signs)[way] + 1
+                    towards = [way[one] or (one, 0) for way in ways]
+                    signs = [sign if whom == other else 0 for whom, sign in towards]
+                    found[f"alpha_{key}_{other_key}"] = np.array(signs)[way] + 1
         return found
 
     def over_time(self) -> Iterator[FloatArray]:
@@ -366,7 +367,8 @@ def relation_tables(world: World) -> dict[tuple[int, int], IntArray]:
         table = np.full((n_goals, n_goals), RELATIONS.index("neutral"))
         for goals in np.ndindex(n_goals, n_goals):
             if not any(is_self_referring(g, a, world) for g, a in zip(goals, pair, strict=True)):
-                name = RELATION_OF_SCENARIO[scenario(*goals, world, pair)]
+                one, other = goals
+                name = RELATION_OF_SCENARIO[scenario(one, other, world, pair)]
                 table[goals] = RELATIONS.index(name)
         found[pair] = table
     return found

@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.diagnostics import frames_text, overlap_sign, overlapping_frames, undecided
+from phase_ppl.analysis.diagnostics import overlapping_frames
 from phase_ppl.analysis.estimate import Jackknife
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.over_time import by_label
@@ -33,6 +33,7 @@ from phase_ppl.analysis.stepwise_table import (
     check,
 )
 from phase_ppl.analysis.summary import plain, wrapped
+from phase_ppl.analysis.verdict import frames_text, overlap_sign, undecided
 from phase_ppl.analysis.weights import log_sum_exp
 from phase_ppl.dataset.hdf5 import netcdf_bytes, read_netcdf, root_attribute
 from phase_ppl.world.arrays import FloatArray

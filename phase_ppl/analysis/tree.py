@@ -44,20 +44,21 @@ SITES: Final = (
 HYPOTHESIS: Final = SITES[2:]
 """The sites that the prior is a density of; the effective goals follow from them."""
 
-_SCENE_DIMS = ("entity", "coord", "landmark", "bound")
-_DRAW = ("chain", "draw")
-_SIMULATION = ("simulation",)
-_FRAME = ("time", "entity", "coord")
+_SCENE_DIMS: Final = ("entity", "coord", "landmark", "bound")
+DRAW: Final = ("chain", "draw")
+SIMULATION: Final = ("simulation",)
+FRAME: Final = ("time", "entity", "coord")
+"""Dimensions of what there is of each draw, of each simulation, and of a trajectory."""
 
 REQUIRED: Final[Mapping[str, Mapping[str, tuple[str, ...] | None]]] = {
-    "posterior": dict.fromkeys(SITES, _DRAW),
+    "posterior": dict.fromkeys(SITES, DRAW),
     "sample_stats": {
-        **dict.fromkeys(("log_joint", "total_error", "accepted", "window"), _DRAW),
-        **dict.fromkeys(("frames_simulated", "sim_seed"), _DRAW),
-        "step_error": (*_DRAW, "time"),
+        **dict.fromkeys(("log_joint", "total_error", "accepted", "window"), DRAW),
+        **dict.fromkeys(("frames_simulated", "sim_seed"), DRAW),
+        "step_error": (*DRAW, "time"),
     },
-    SIMULATED: {"trajectory": (*_DRAW, *_FRAME)},
-    "observed_data": {"trajectory": _FRAME},
+    SIMULATED: {"trajectory": (*DRAW, *FRAME)},
+    "observed_data": {"trajectory": FRAME},
     "simulations": dict.fromkeys(
         (
             *SITES,
@@ -65,14 +66,14 @@ REQUIRED: Final[Mapping[str, Mapping[str, tuple[str, ...] | None]]] = {
             "log_likelihood",
             *("total_error", "completed", "frames_simulated", "failed"),
         ),
-        _SIMULATION,
+        SIMULATION,
     ),
     "constant_data": dict.fromkeys(("start", "radius", "walls", "arena", "landmark_centres")),
 }
 """Group -> variable -> dimensions (None: any)."""
 
 OPTIONAL: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {
-    "sample_stats": dict.fromkeys(("log_weight", "log_evidence"), _DRAW),
+    "sample_stats": dict.fromkeys(("log_weight", "log_evidence"), DRAW),
     "simulations": {"step_log_likelihood": ("simulation", "time")},
 }
 """Group -> further variable -> dimensions: not all files and kernels have them."""

@@ -261,7 +261,7 @@ def _check_several(
     from phase_ppl.evaluation.entries import check_names, stored_label, stored_names
     from phase_ppl.evaluation.evaluate import settings_of
     from phase_ppl.evaluation.folder import SETTINGS, ResultsFolder, holds_predictions
-    from phase_ppl.evaluation.references import reference_predictions
+    from phase_ppl.evaluation.prediction import reference_predictions
     from phase_ppl.evaluation.registry import ready
 
     check_names(list(models))

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import phase_ppl
 from phase_ppl.cli import commands as cli
-from phase_ppl.inference.presets import completed
+from phase_ppl.inference.settings import completed
 from phase_ppl.world.errors import InvalidSettingError, OutputError, PhasePPLError
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import write_json

@@ -292,7 +292,7 @@ class HiddenState:
             left = np.arange(len(masses))
             at = place
             for agent in range(self._n_agents):
-                by_level = np.bincount(levels[left, agent], masses[left])
+                by_level: FloatArray = np.bincount(levels[left, agent], masses[left]).astype(float)
                 left = left[levels[left, agent] == _quantile(by_level, (at + 0.5) / n)]
                 # a permutation, so that the agents' quantiles are not those of equal strengths
                 at = (at * _stride(n) + n // 2) % n

@@ -73,12 +73,7 @@ class KernelInfo:
     any_length: bool = False
 
     def make(self, program: EventProgram, **options: Any) -> MCMCKernel:
-        """Return the kernel for the model of an event.
-
-        Args:
-            program: the model of the event.
-            **options: what the kernel needs, and its own options.
-        """
+        """Return the kernel for an event, from what it needs and its own options."""
         registered = self.validity in VALIDITIES  # and so has said what it needs
         for need in NEEDS:
             if registered and (need in options) != (need in self.needs):

@@ -121,7 +121,7 @@ def draw(world: World, seed: int, prior: Callable[..., object] = uniform) -> Rol
     return Roles(world, stated, towards, strengths)
 
 
-_READY_MADE: Final = {
+_READY_MADE: Final[dict[Any, RolePrior]] = {
     priors.uniform: uniform,
     priors.sparse_social: functools.partial(uniform, social=priors.SOCIAL),
     priors.no_social_goals: functools.partial(uniform, social=0.0),

@@ -89,9 +89,9 @@ class StepwiseLikelihood:
     def filter(
         self, scene: Scene, planner: PlannerConfig, seed: int, threads: int, log_prior: FloatArray
     ) -> GoalFilter:
-        """Return what gives a table over hypotheses for every frame.
+        """Return what takes in frames one by one, and gives a table over hypotheses for each.
 
-        See :class:`~phase_ppl.models.likelihood.TableLikelihood`.
+        ``log_prior`` is (goal_red, goal_green); the result does not depend on ``threads``.
         """
         return GoalFilter(
             *(scene, planner, self.tracking, self.conduct, seed, threads),

@@ -519,7 +519,7 @@ class Scene:
             ("walls", self.world.walls),
             ("arena", self.world.arena),
             ("landmark_centres", [(one.x, one.y) for one in places]),
-            ("landmark_half_width", _one_or_all([one.half_width for one in places])),
+            ("landmark_half_width", one_or_all([one.half_width for one in places])),
         ):
             if getattr(self, name) is None:
                 set_field(name, value)
@@ -629,6 +629,6 @@ def check_phase(scene: Scene, what: str) -> None:
         raise InvalidSettingError(f"{what} knows the world PHASE only, not {scene.world.name!r}")
 
 
-def _one_or_all(values: Sequence[float]) -> float | list[float]:
+def one_or_all(values: Sequence[float]) -> float | list[float]:
     """Return the value that all have, or all of them."""
     return values[0] if len(set(values)) == 1 else list(values)

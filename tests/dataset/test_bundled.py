@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from phase_ppl.dataset import (
+from phase_ppl.dataset.load import (
     bundled_events,
     load,
     load_bundled,

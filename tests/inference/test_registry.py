@@ -83,7 +83,7 @@ def test_a_kernel_may_be_a_class_a_function_or_an_instance(program: EventProgram
     assert isinstance(bound, LocalMH)
     assert bound.validity == "approximate"  # its options are kept
     assert LocalMH(rule="window").validity == "exact"
-    assert (bound.model, bound.settings) == (program, settings)
+    assert (bound.program, bound.settings) == (program, settings)
     with pytest.raises(InvalidSettingError, match="neither a name nor a kernel"):
         described(7)  # type: ignore[arg-type]
 

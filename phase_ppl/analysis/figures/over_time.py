@@ -38,14 +38,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-
-PANELS: Final = {
+TITLES: Final = {
     "goal_red": "Goal of the red agent",
     "goal_green": "Goal of the green agent",
     "relation": "Relation",
 }
-"""Quantity -> title of its panel."""
+"""Quantity -> title of what shows it."""
 
 _LINES: Final = 5  # lines of a panel; what else there is, is one more
 _SEEN: Final = 0.1  # probability that a goal must reach at some time to have a line
@@ -87,7 +85,7 @@ def over_time(
     colours = dict(zip(goals, MANY_COLOURS, strict=False)) | _RELATION_COLOURS
     shown["relation"] = list(_RELATION_COLOURS)
     panels = figure.subplots(3, 1, sharex=True, height_ratios=(5, 5, 4))
-    for axes, (name, title) in zip(panels, PANELS.items(), strict=True):
+    for axes, (name, title) in zip(panels, TITLES.items(), strict=True):
         dressed(axes, title, x=SIMULATED_TIME if axes is panels[-1] else "")
         _panel(axes, found[name], found.get(f"{name}_error"), shown[name], colours)
     return written(figure, path)
@@ -184,12 +182,8 @@ def _deciding(change: np.ndarray) -> list[int]:
 
 # --- as a film ------------------------------------------------------------------------------------
 
-_GROUPS: Final = {
-    "goal_red": ("Goal of the red agent", (214, 47, 47)),
-    "goal_green": ("Goal of the green agent", (28, 138, 60)),
-    "relation": ("Relation", (76, 91, 118)),
-}
-"""Quantity -> title and colour of its bars."""
+_FILLS: Final = {"goal_red": (214, 47, 47), "goal_green": (28, 138, 60), "relation": (76, 91, 118)}
+"""Quantity -> colour of its bars."""
 
 _GOALS: Final = 6
 _MARGIN: Final = 18
@@ -250,15 +244,14 @@ def _bars(groups: dict[str, list[tuple[str, float, float]]]) -> Image.Image:
     left, right = _MARGIN + _NAME_WIDTH, PANEL - _MARGIN - 40
     y = _MARGIN + 2 * _GAP
     for name, entries in groups.items():
-        title, colour = _GROUPS[name]
-        draw.text((_MARGIN, y), title, fill=_INK, font=title_font, anchor="lm")
+        draw.text((_MARGIN, y), TITLES[name], fill=_INK, font=title_font, anchor="lm")
         y += _ROW + 2
         for label, share, error in entries:
             draw.text((_MARGIN, y), label, fill=_INK, font=font, anchor="lm")
             draw.rectangle((left, y - 6, right, y + 6), fill=_SOFT)
             if share > 0:
                 end = left + max(1, round(share * (right - left)))
-                draw.rectangle((left, y - 6, end, y + 6), fill=colour)
+                draw.rectangle((left, y - 6, end, y + 6), fill=_FILLS[name])
             if error > 0:
                 reach = np.clip([share - error, share + error], 0, 1)
                 ends = [left + round(float(part) * (right - left)) for part in reach]

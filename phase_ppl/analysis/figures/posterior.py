@@ -92,9 +92,7 @@ def posteriors(
 ) -> Figure:
     """Draw goals and relation of several posteriors side by side, 7.5 inches wide.
 
-    Args:
-        posts: what each is called -> the posterior, such as of several priors or likelihoods.
-        path: where to write the figure as well.
+    ``posts`` has what each is called, such as the name of its prior or likelihood.
 
     Raises:
         InvalidSettingError: there is none, or something else among them.

@@ -95,11 +95,6 @@ class Draw:
 
     Rooms and landmarks share their numbers 0..3. Agents are red 0 and green 1, items blue 2 and
     pink 3; the colours are shuffled later.
-
-    Args:
-        rng: of this draw.
-        layout: number of the layout, of :data:`LAYOUTS`.
-        turning: which way agents can turn by themselves.
     """
 
     def __init__(self, rng: np.random.Generator, layout: int, turning: Turning = "both") -> None:
@@ -190,13 +185,8 @@ class Draw:
     ) -> Situation:
         """Return the situation with places and angles drawn, nothing overlapping.
 
-        Args:
-            goals: stated goals of red and green.
-            alpha: of red and of green.
-            rooms: where each of the four entities starts.
-            sizes: R of each of the four entities, units.
-            strengths: of red and green, newtons.
-            at: entity -> fixed place, units.
+        Goals are stated ones; ``rooms`` say where each of the four entities starts, ``sizes`` are
+        their R [units], ``strengths`` in newtons; ``at`` fixes the places [units] of some entities.
         """
         radius = np.array(sizes, np.float64)
         for start in self._arrangements(rooms, at or {}):
@@ -243,11 +233,8 @@ def overlaps(
 ) -> bool:
     """Whether any two shapes overlap, or one a wall.
 
-    Args:
-        start: (entity, coord) x, y [units], angle [rad].
-        radius: (entity,) sizes, units.
-        walls: (n, 2, 2) inner walls along the axes.
-        n_agents: so many of the entities are agents, the first ones.
+    The shapes start at (entity, coord) x, y [units], angle [rad], and have sizes (entity,) [units];
+    walls (n, 2, 2) are along the axes. The first entities are agents.
     """
     entities = range(len(start))
     pairs = itertools.combinations(entities, 2)
