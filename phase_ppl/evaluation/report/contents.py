@@ -18,8 +18,8 @@ from markupsafe import Markup
 
 import phase_ppl
 from phase_ppl.analysis import plots
-from phase_ppl.analysis.figures.over_time import TITLES
-from phase_ppl.analysis.hypotheses import HDI_PROBABILITY
+from phase_ppl.analysis.figures.over_time import titles
+from phase_ppl.analysis.hypotheses import HDI_PROBABILITY, Hypotheses
 from phase_ppl.analysis.posterior import Posterior, load_posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.evaluation.answer_sets import MODEL_COLOUR, AnswerSet, label_of
@@ -189,7 +189,7 @@ def _item(
             true_answer(event, name),
             shown,
         )
-        for name, title in TITLES.items()
+        for name, title in titles(Hypotheses).items()
         if any(name in one.predictions[event.id].answers for one in shown)
     ]
     right = [
@@ -295,7 +295,7 @@ def _bars(
     found: list[tuple[str, str, Sequence[tuple[str, float]]]] = []
     for name, colour in _COLOURS.items():
         entries = [entry for entry in post.top(name, MAX_ROWS) if entry[1] >= LEAST]
-        found.append((TITLES[name], colour, entries))
+        found.append((titles(Hypotheses)[name], colour, entries))
     for name in ("relation", "scenario"):
         found.append((name.capitalize(), MODEL_COLOUR, post.top(name, len(post.marginal(name)))))
     return found
