@@ -7,15 +7,17 @@ difference is least. What is covered by another body or a wall is thus no eviden
 
 from __future__ import annotations
 
-from typing import Final
+import math
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage, optimize
 
 from phase_ppl.dataset.films.layout import Colours, Pixels, Still
 from phase_ppl.render.frames import EYE_COLOUR, EYE_RADIUS, EYES, Painter
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.geometry import CENTRE_OF_MASS_Y, UNIT_TRAPEZOID, heading, is_agent, rotation
+from phase_ppl.world.geometry import CENTRE_OF_MASS_Y, UNIT_TRAPEZOID, heading, is_agent
 
 REACH: Final = float(np.hypot(*UNIT_TRAPEZOID.T).max())
 """How far an agent of size 1 reaches from its origin."""
@@ -26,13 +28,13 @@ SEEN: Final = 0.3
 _AREAS: Final = (4.0 - 2 * np.pi * EYE_RADIUS**2, np.pi)  # of an agent and an item of size 1
 _ANGLES: Final = 16  # of an agent, tried before the best is improved
 _OTHER: Final = 0.6  # radians by which an angle is another one
-_DOUBTFUL: Final = 0.8  # confidence below which another angle is improved too
+_SURE: Final = 0.9  # confidence from which on nothing else is tried
 _BLOB: Final = 0.06  # share of a body's area that must be seen in one piece
 _SWEEPS: Final = 3  # over those that others cover, or that cover others
 _MOVED: Final = 0.02  # units by which a body moves for its neighbours to be looked at again
 _ROOM: Final = 1.15  # windows reach so many times as far as the body
 _MARGIN: Final = 0.3  # and so much further, units
-_FINE: Final = 60  # pixels of a window's side up to which all are looked at
+_FINE: Final = 44  # pixels of a window's side up to which all are looked at
 _DELTA: Final = 0.25  # pixels by which slopes are measured
 _MOST_TRIES: Final = 30
 
@@ -148,26 +150,25 @@ class Bodies:
         radius: FloatArray,
     ) -> None:
         """Put into ``found`` the pose of a body that explains the frame best, given the others."""
-        starts = [found[entity, :3].copy()]
-        if not found[entity, 3] >= _DOUBTFUL:  # NaN before the first time
-            window = _Window(self, frame, labels, entity, found, radius, firsts[0], coarse=2)
-            costs = np.array([window.cost(first) for first in firsts])
-            starts.append(firsts[int(costs.argmin())])
-            if is_agent(entity, self._n_agents):
-                turned = np.array([first[2] - starts[1][2] for first in firsts])
-                other = np.abs(np.angle(np.exp(1j * turned))) > _OTHER
-                starts.append(firsts[int(np.where(other, costs, np.inf).argmin())])
-            if np.isnan(found[entity, 3]):
-                del starts[0]
         best = np.append(found[entity, :3], -1.0)
-        for start in starts:
+
+        def attempt(start: FloatArray) -> bool:
             window = _Window(self, frame, labels, entity, found, radius, start)
             pose = window.fit(start)
             sure = window.confidence(pose)
             if sure > best[3]:
-                best = np.append(pose[:3], sure)
-            if sure >= _DOUBTFUL:
-                break
+                best[:] = *pose[:3], sure
+            return bool(best[3] >= _SURE)
+
+        window = _Window(self, frame, labels, entity, found, radius, firsts[0], coarse=2)
+        improved = np.isfinite(found[entity, 3])
+        likely = [found[entity, :3].copy()] if improved else [firsts[0], firsts[-1]]
+        if not attempt(min(likely, key=window.cost)):
+            costs = np.array([window.cost(first) for first in firsts])
+            turned = np.array([first[2] for first in firsts]) - firsts[int(costs.argmin())][2]
+            other = np.abs(np.angle(np.exp(1j * turned))) > _OTHER
+            starts = [costs, *([np.where(other, costs, np.inf)] if other.any() else [])]
+            any(attempt(firsts[int(cost.argmin())]) for cost in starts)
         found[entity] = best
 
 
@@ -204,11 +205,11 @@ class _Window:
         top, bottom = (int(v) for v in np.clip([row - half, row + half], 0, height))
         place = slice(top, bottom, step), slice(left, right, step)
         rows, columns = np.mgrid[place] + 0.5
-        self._points = of.painter.units(np.stack([columns, rows], axis=-1))
-
-        self._own_colour = of.still.colours[entity]
-        self._frame, self._labelled = frame[place].astype(float), labels[place] == entity
-        wall, floor = of.walls[place], of.still.floor[place]
+        points = of.painter.units(np.stack([columns, rows], axis=-1))
+        self._x, self._y = (np.ascontiguousarray(points[..., axis]) for axis in (0, 1))
+        self._own_colour = of.still.colours[entity][:, None, None]
+        self._frame, self._labelled = _layers(frame[place]), labels[place] == entity
+        wall, floor = of.walls[place], _layers(of.still.floor[place])
         under, above, free = floor, np.zeros_like(floor), np.ones_like(wall)
         for other in of.order:
             if other == entity or not np.isfinite(poses[other, 0]):
@@ -217,41 +218,42 @@ class _Window:
             if apart > 1.5 * reach + REACH * radius[other]:
                 continue
             shape, own = self._cover(of.is_agent(other), poses[other], float(radius[other]))
-            colour = own[..., None] * of.still.colours[other]
-            colour = colour + (shape - own)[..., None] * np.array(EYE_COLOUR, float)
-            bare = 1 - shape[..., None]
+            colour = own * of.still.colours[other][:, None, None]
+            colour = colour + (shape - own) * np.array(EYE_COLOUR, float)[:, None, None]
             if of.order.index(other) < of.order.index(entity):
-                under = under * bare + colour
+                under = under * (1 - shape) + colour
             else:
-                above, free = above * bare + colour, free * bare[..., 0]
+                above, free = above * (1 - shape) + colour, free * (1 - shape)
         # walls are above all, and the floor has them
-        bare = (1 - wall)[..., None]
-        self._under, self._above = under, floor * wall[..., None] + above * bare
-        self._free = free * bare[..., 0]
+        self._under, self._above = under, floor * wall + above * (1 - wall)
+        self._free = free * (1 - wall)
 
     def _cover(self, agent: bool, pose: FloatArray, size: float) -> tuple[FloatArray, FloatArray]:
         """Return how far a body covers each pixel, and how far in its own colour."""
-        offset = self._points - pose[:2]
+        x, y = self._x - pose[0], self._y - pose[1]
         per_edge = self._painter.scale / self._soft
 
         def within(distance: FloatArray) -> FloatArray:
             return np.clip(0.5 - distance * per_edge, 0.0, 1.0)
 
         if not agent:
-            shape = within(np.hypot(offset[..., 0], offset[..., 1]) - size)
+            shape = within(np.hypot(x, y) - size)
             return shape, shape
-        local = offset @ rotation(float(pose[2]))
-        shape = within((local @ _NORMALS.T - size * _OFFSETS).max(axis=-1))
-        eyes = [np.hypot(*np.moveaxis(local - size * eye, -1, 0)) for eye in EYES]
-        return shape, shape - shape * within(np.minimum(*eyes) - size * EYE_RADIUS)
+        cos, sin = math.cos(pose[2]), math.sin(pose[2])
+        x, y = cos * x + sin * y, cos * y - sin * x
+        beyond = np.full_like(x, -np.inf)
+        for (across, along), offset in zip(_NORMALS, _OFFSETS, strict=True):
+            np.maximum(beyond, across * x + along * y - size * offset, out=beyond)
+        shape = within(beyond)
+        eyes = [np.hypot(x - size * across, y - size * along) for across, along in EYES]
+        return shape, shape * (1 - within(np.minimum(*eyes) - size * EYE_RADIUS))
 
     def _residual(self, pose: FloatArray) -> FloatArray:
         """Return drawn less seen, over all pixels and colours."""
         size = float(pose[3]) if len(pose) > 3 else self._size
         shape, own = self._cover(self._agent, pose, size)
-        body = self._under * (1 - shape[..., None]) + own[..., None] * self._own_colour
-        drawn = self._above + self._free[..., None] * body
-        return np.asarray((drawn - self._frame).ravel() / 255)
+        body = self._under * (1 - shape) + own * self._own_colour
+        return np.asarray((self._above + self._free * body - self._frame).ravel() / 255)
 
     def cost(self, pose: FloatArray) -> float:
         """Return the summed squared difference."""
@@ -274,17 +276,15 @@ class _Window:
             return self._residual(at(step))
 
         def slopes(step: FloatArray) -> FloatArray:
-            parts = [
-                residual(step + _DELTA * one) - residual(step - _DELTA * one)
-                for one in np.eye(len(free))
-            ]
-            return np.stack(parts, axis=1) / (2 * _DELTA)
+            here = residual(step)
+            parts = [residual(step + _DELTA * one) - here for one in np.eye(len(free))]
+            return np.stack(parts, axis=1) / _DELTA
 
         start = np.zeros(len(free))
-        if self._points.size // 2 * 3 < len(free):  # outside the picture
+        if 3 * self._x.size < len(free):  # outside the picture
             return base
         found = optimize.least_squares(
-            residual, start, slopes, method="lm", ftol=1e-4, xtol=1e-3, max_nfev=_MOST_TRIES
+            residual, start, slopes, method="lm", ftol=3e-3, xtol=1e-3, max_nfev=_MOST_TRIES
         )
         return at(found.x)
 
@@ -297,3 +297,8 @@ class _Window:
             return 0.0
         visible = float((shape * self._free).sum()) / max(float(shape.sum()), 1.0)
         return float((drawn & self._labelled).sum()) / union * min(1.0, 2 * visible)
+
+
+def _layers(picture: NDArray[Any]) -> FloatArray:
+    """Return (colour, height, width) of a picture."""
+    return np.ascontiguousarray(np.moveaxis(picture, -1, 0), float)

@@ -21,7 +21,7 @@ from phase_ppl.world.scene import Scene
 
 Mask = NDArray[np.bool_]
 
-MOST_SAMPLES: Final = 24
+MOST_SAMPLES: Final = 16
 BLACK: Final = 110  # largest channel below which a pixel is taken for a wall's
 _WIDEST: Final = 1280  # pixels; wider films are made smaller as they are decoded
 _ASPECT: Final = 0.1  # relative deviation of an arena's proportions that is allowed
@@ -35,7 +35,7 @@ class Film:
     Attributes:
         fps: frames per second, 0 where the file does not say.
         n_frames: how many there are.
-        samples: up to 24 of them, evenly spaced, the first among them.
+        samples: up to 16 of them, evenly spaced, the first among them.
 
     Raises:
         InvalidEventError: there is no such file, or it is no video.
@@ -183,7 +183,7 @@ def _lines(
         dark = np.maximum(255 - band, 0.0)
         plain = (band[0] > _WHITE) & (band[-1] > _WHITE)
         dark = np.maximum(BLACK - band, 0.0) if plain.mean() < 0.05 else dark[:, plain]
-        profile = dark.mean(axis=1)
+        profile = np.median(dark, axis=1)
         profile[profile < 0.03 * profile.max()] = 0.0
         places = np.arange(len(profile)) + max(first, 0) - 3 * thick + 0.5
         return float((profile * places).sum() / profile.sum())

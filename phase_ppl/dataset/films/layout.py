@@ -74,19 +74,19 @@ class Still:
         self._painter, self._colours = painter, colours
         total = np.zeros(samples[0].shape)
         count = np.zeros(samples[0].shape[:2])
-        self._seen = np.zeros((len(colours.names), *samples[0].shape[:2]), bool)
+        self._seen = np.zeros((len(colours.names) - n, *samples[0].shape[:2]), bool)
         self._lightest = np.max([frame.max(axis=2) for frame in samples], axis=0)
         self._agents = np.ones(samples[0].shape[:2], bool)  # where one is in every sample
-        own: list[list[FloatArray]] = [[] for _ in range(n)]
+        own: list[list[FloatArray]] = [[] for _ in range(n)]  # away from edges, which are mixed
         for frame in samples:
             labels = colours.labels(frame)
             self._agents &= labels < len(painter.scene.world.agents)
-            for part in range(len(colours.names)):
-                self._seen[part] |= labels == part
+            for part in range(n, len(colours.names)):
+                self._seen[part - n] |= labels == part
+            inner = ndimage.minimum_filter(labels, 5) == ndimage.maximum_filter(labels, 5)
             for entity in range(n):
-                inside = ndimage.binary_erosion(labels == entity, iterations=2)
-                own[entity].append(frame[inside].astype(float))
-            free = ~ndimage.binary_dilation(labels < n, iterations=3)
+                own[entity].append(frame[inner & (labels == entity)].astype(float))
+            free = ndimage.minimum_filter(labels, 7) >= n
             total[free] += frame[free]
             count[free] += 1
         plain = np.asarray(painter.floor, float)
@@ -215,8 +215,7 @@ class Still:
 
     def _mark(self, landmark: int) -> Mask:
         """Return where a landmark's colour is seen at some time; edges of other things are not."""
-        n = len(self._painter.scene.world.entities)
-        return np.asarray(ndimage.binary_opening(self._seen[n + landmark], np.ones((5, 5))))
+        return np.asarray(ndimage.binary_opening(self._seen[landmark], np.ones((5, 5))))
 
     def _square(self, centre: Sequence[float] | FloatArray, half: float) -> tuple[Mask, float]:
         """Return the pixels of a square, with some about it, and how many it has within."""

@@ -249,10 +249,11 @@ def _sizes(bodies: Bodies, samples: Sequence[Pixels], colours: Colours) -> Float
     areas = np.array([bodies.area(entity) for entity in range(n)])
     # of most pixels a body has, for some are covered at times
     radius = np.sqrt(np.quantile(pixels, 0.8, axis=0) / areas) / bodies.painter.scale
+    found: Sequence[FloatArray | None] = [None] * len(samples)
     for _ in range(_ROUNDS):
-        found = np.array([bodies.find(frame, None, radius) for frame in samples])
+        found = [bodies.find(*pair, radius) for pair in zip(samples, found, strict=True)]
         for entity in range(n):
-            sure = np.nan_to_num(found[:, entity, 3])
+            sure = np.nan_to_num([one[entity, 3] for one in found])
             best = [i for i in np.argsort(-sure)[:_SIZED_IN] if sure[i] >= SEEN]
             if best:
                 radius[entity] = np.median(
@@ -333,10 +334,6 @@ def _closed(
                     f"{seconds[begin]:.2f} to {seconds[end - 1]:.2f} s of the film; gaps of up to "
                     f"max_gap={max_gap} frames are bridged"
                 )
-        if lost[0] and known is None:
-            raise InvalidEventError(
-                f"the {name} is not found in the first frame, where it begins; a scene= tells it"
-            )
         if lost.mean() > _MOST_LOST:
             raise InvalidEventError(
                 f"the {name} is not found in {lost.sum()} of {len(lost)} frames, in gaps; at most "
