@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from phase_ppl.dataset.films.bodies import SEEN, Bodies
+from phase_ppl.dataset.films.bodies import REACH, SEEN, Bodies
 from phase_ppl.dataset.films.frames import Film, Mapping
 from phase_ppl.dataset.films.layout import Colours, Pixels, Still
 from phase_ppl.dataset.motion import observed_turning
@@ -176,16 +176,14 @@ def read_video(
         )
     else:
         still.check(scene)
-    softness = 1 / mapping.scale
-    bodies = Bodies(Painter(given), still, colours, softness)
+    bodies = Bodies(Painter(given), still, colours, softness=1 / mapping.scale)
     radius = given.radius if scene is not None else _sizes(bodies, samples, colours)
     found, pictures = _follow(film, mapping, bodies, radius, moments, progress)
     known = given.start if scene is not None else None
-    track, confidence = _closed(
-        found, given.world, moments / (film.fps or math.nan), max_gap, known
-    )
+    given = dataclasses.replace(given, radius=radius)
+    track, confidence = _closed(found, given, moments / (film.fps or math.nan), max_gap, known)
     if scene is None:
-        scene = dataclasses.replace(given, start=track[0], radius=radius)
+        scene = dataclasses.replace(given, start=track[0])
         if scene.world == PHASE:
             scene = dataclasses.replace(scene, turning=observed_turning(track, scene.radius))
     else:
@@ -311,17 +309,18 @@ def _turn(angle: NDArray[np.float64]) -> FloatArray:
 
 
 def _closed(
-    found: FloatArray, world: World, seconds: FloatArray, max_gap: int, known: FloatArray | None
+    found: FloatArray, scene: Scene, seconds: FloatArray, max_gap: int, known: FloatArray | None
 ) -> tuple[FloatArray, FloatArray]:
     """Return (time, entity, 3) without gaps, and the confidence.
 
     Args:
         found: (time, entity, 4), NaN where a body is lost.
-        world: whose they are.
+        scene: whose they are.
         seconds: (time,) of the film.
         max_gap: frames of a gap at most.
         known: (entity, 3) the first frame, if the scene says it.
     """
+    world = scene.world
     track, confidence = found[..., :3].copy(), np.nan_to_num(found[..., 3])
     times = np.arange(len(track))
     for entity, name in enumerate(world.entities):
@@ -339,8 +338,10 @@ def _closed(
                 f"the {name} is not found in {lost.sum()} of {len(lost)} frames, in gaps; at most "
                 f"{_MOST_LOST:.0%} are bridged"
             )
-        if lost[0] and known is not None:
-            track[0, entity], lost[0] = known[entity], False
+        if lost[0]:
+            first = known[entity] if known is not None else _below(found, scene, entity)
+            if first is not None:
+                track[0, entity], lost[0] = first, False
         if not is_agent(entity, len(world.agents)):
             track[:, entity, 2] = 0.0 if known is None else known[entity, 2]
         turned = np.unwrap(track[~lost, entity, 2])
@@ -351,6 +352,19 @@ def _closed(
             seen = track[~lost, entity, coord]
             track[:, entity, coord] = np.interp(times, times[~lost], seen)
     return track, confidence
+
+
+def _below(found: FloatArray, scene: Scene, entity: int) -> FloatArray | None:
+    """Return where a body may be that is not seen at first: below the one it comes out of."""
+    n_agents = len(scene.world.agents)
+    first = int(np.isfinite(found[:, entity, 0]).argmax())
+    above = [a for a in range(n_agents) if a > entity or not is_agent(entity, n_agents)]
+    apart = np.linalg.norm(found[0, above, :2] - found[first, entity, :2], axis=1)
+    reach = REACH * (scene.radius[above] + scene.radius[entity])
+    if not (apart < reach).any():
+        return None
+    nearest = above[int(np.where(apart < reach, apart, np.inf).argmin())]
+    return np.append(found[0, nearest, :2], found[first, entity, 2])
 
 
 def _check_start(scene: Scene, track: FloatArray) -> None:
