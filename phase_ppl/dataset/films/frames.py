@@ -23,7 +23,7 @@ Mask = NDArray[np.bool_]
 
 MOST_SAMPLES: Final = 16
 BLACK: Final = 110  # largest channel below which a pixel is taken for a wall's
-_WIDEST: Final = 1280  # pixels; wider films are made smaller as they are decoded
+_WIDEST: Final = 1280  # pixels; wider films are made smaller
 _ASPECT: Final = 0.1  # relative deviation of an arena's proportions that is allowed
 _SIDE: Final = 0.9  # share of each side of the border that must be black
 _WHITE: Final = 225
@@ -60,14 +60,16 @@ class Film:
         """Yield what ffmpeg says about the file, then its frames as pictures."""
         import imageio_ffmpeg
 
-        scale = ["-vf", f"scale='min({_WIDEST},iw)':-1"]
-        stream = imageio_ffmpeg.read_frames(str(self.path), output_params=scale)
+        stream = imageio_ffmpeg.read_frames(str(self.path))
         with contextlib.closing(stream):
             try:
                 about = next(stream)
                 yield about
+                width, height = about["size"]
+                smaller = _WIDEST, max(1, round(height * _WIDEST / width))
                 for data in stream:
-                    yield Image.frombytes("RGB", about["size"], data)
+                    frame = Image.frombytes("RGB", (width, height), data)
+                    yield frame if width <= _WIDEST else frame.resize(smaller)
             except (OSError, RuntimeError, KeyError, ValueError, AssertionError) as error:
                 raise InvalidEventError(
                     f"{shown_path(self.path)}: not a video that can be read ({_last_line(error)})"
