@@ -27,7 +27,8 @@ SEEN: Final = 0.3
 
 _AREAS: Final = (4.0 - 2 * np.pi * EYE_RADIUS**2, np.pi)  # of an agent and an item of size 1
 _ANGLES: Final = 16  # of an agent, tried before the best is improved
-_OTHER: Final = 0.6  # radians by which an angle is another one
+_OTHERS: Final = 4  # of those that are improved where the likely one does not do, and
+_APART: Final = 0.6  # radians by which they differ
 _SURE: Final = 0.9  # confidence from which on nothing else is tried
 _BLOB: Final = 0.06  # share of a body's area that must be seen in one piece
 _SWEEPS: Final = 3  # over those that others cover, or that cover others
@@ -86,8 +87,9 @@ class Bodies:
             was = found.copy()
             for entity in left:
                 self._improve(frame, labels, entity, found, firsts[entity], radius)
-            moved = np.flatnonzero(np.abs(found - was)[:, :2].max(axis=1) > _MOVED)
-            left = [e for e in left if any(self._meet(e, m, found, radius) for m in moved)]
+            moved = (np.abs(found - was)[:, :2].max(axis=1) > _MOVED) | (found[:, 3] < SEEN)
+            others = np.flatnonzero(moved)
+            left = [e for e in left if any(self._meet(e, m, found, radius) for m in others)]
         return found
 
     def size(self, frame: Pixels, poses: FloatArray, radius: FloatArray, entity: int) -> float:
@@ -103,7 +105,7 @@ class Bodies:
     def _firsts(
         self, labels: Pixels, entity: int, before: FloatArray | None, radius: float
     ) -> list[FloatArray]:
-        """Return poses from which to begin: where its pixels are, and where it was."""
+        """Return poses from which to begin: where its pixels are, the last ones where it was."""
         blob = self.blob(labels, entity, radius)
         if blob is None:
             return []
@@ -115,7 +117,8 @@ class Bodies:
         # where its colour is in the mean, not its origin
         shift = -CENTRE_OF_MASS_Y * radius
         angles = turn + 2 * np.pi * np.arange(_ANGLES) / _ANGLES
-        return [np.array([*(blob + shift * heading(a)), a]) for a in angles] + was
+        by_colour = [np.array([*(blob + shift * heading(a)), a]) for a in angles]
+        return by_colour + [np.array([*one[:2], a]) for one in was for a in angles[::-1]]
 
     def blob(self, labels: Pixels, entity: int, radius: float) -> FloatArray | None:
         """Return the middle of the pixels of a body's colour, units; None: they are too few."""
@@ -164,11 +167,14 @@ class Bodies:
         improved = np.isfinite(found[entity, 3])
         likely = [found[entity, :3].copy()] if improved else [firsts[0], firsts[-1]]
         if not attempt(min(likely, key=window.cost)):
+            angles = np.array([first[2] for first in firsts])
             costs = np.array([window.cost(first) for first in firsts])
-            turned = np.array([first[2] for first in firsts]) - firsts[int(costs.argmin())][2]
-            other = np.abs(np.angle(np.exp(1j * turned))) > _OTHER
-            starts = [costs, *([np.where(other, costs, np.inf)] if other.any() else [])]
-            any(attempt(firsts[int(cost.argmin())]) for cost in starts)
+            for _ in range(_OTHERS):
+                start = int(costs.argmin())
+                if not np.isfinite(costs[start]) or attempt(firsts[start]):
+                    break
+                near = np.abs(np.angle(np.exp(1j * (angles - angles[start])))) < _APART
+                costs[near if self.is_agent(entity) else start] = np.inf
         found[entity] = best
 
 
@@ -212,7 +218,8 @@ class _Window:
         wall, floor = of.walls[place], _layers(of.still.floor[place])
         under, above, free = floor, np.zeros_like(floor), np.ones_like(wall)
         for other in of.order:
-            if other == entity or not np.isfinite(poses[other, 0]):
+            lost = not np.isfinite(poses[other, 0]) or poses[other, 3] < SEEN
+            if other == entity or lost:
                 continue
             apart = float(np.linalg.norm(poses[other, :2] - about[:2]))
             if apart > 1.5 * reach + REACH * radius[other]:

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterator
+import re
+import subprocess
+import tempfile
+from collections.abc import Generator, Iterator
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,52 +46,62 @@ class Film:
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path: Path = existing_file(path)
-        with contextlib.closing(self._decoded()) as decoded:
-            self.fps = float(next(decoded)["fps"] or 0)
-            self.samples: list[Image.Image] = []
-            every, self.n_frames = 1, 0
-            for frame in decoded:
-                if self.n_frames % every == 0:
-                    self.samples.append(frame)
-                    if len(self.samples) > MOST_SAMPLES:
-                        self.samples, every = self.samples[::2], 2 * every
-                self.n_frames += 1
-        if not self.n_frames:
-            raise InvalidEventError(f"{shown_path(self.path)}: a video without frames")
-
-    def _decoded(self) -> Iterator[Any]:
-        """Yield what ffmpeg says about the file, then its frames as pictures."""
-        import imageio_ffmpeg
-
-        stream = imageio_ffmpeg.read_frames(str(self.path))
-        with contextlib.closing(stream):
-            try:
-                about = next(stream)
-                yield about
-                width, height = about["size"]
-                smaller = _WIDEST, max(1, round(height * _WIDEST / width))
-                for data in stream:
-                    frame = Image.frombytes("RGB", (width, height), data)
-                    yield frame if width <= _WIDEST else frame.resize(smaller)
-            except (OSError, RuntimeError, KeyError, ValueError, AssertionError) as error:
-                raise InvalidEventError(
-                    f"{shown_path(self.path)}: not a video that can be read ({_last_line(error)})"
-                ) from error
+        self.fps = 0.0
+        self.samples: list[Image.Image] = []
+        every, self.n_frames = 1, 0
+        for frame in self._decoded():
+            if self.n_frames % every == 0:
+                self.samples.append(frame)
+                if len(self.samples) > MOST_SAMPLES:
+                    self.samples, every = self.samples[::2], 2 * every
+            self.n_frames += 1
 
     def frames(self, wanted: set[int]) -> Iterator[tuple[int, Image.Image]]:
         """Yield (number, frame) of the wanted ones, in order."""
         with contextlib.closing(self._decoded()) as decoded:
-            next(decoded)
             for number, frame in enumerate(decoded):
                 if number in wanted:
                     yield number, frame
                 if number >= max(wanted):
                     return
 
+    def _decoded(self) -> Generator[Image.Image, None, None]:
+        """Yield all frames, and note how fast they are."""
+        import imageio_ffmpeg
 
-def _last_line(error: Exception) -> str:
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return lines[-1][:200] if lines else type(error).__name__
+        program = imageio_ffmpeg.get_ffmpeg_exe()
+        command = [program, "-hide_banner", "-nostats", "-i", str(self.path)]
+        command += ["-f", "image2pipe", "-c:v", "ppm", "-"]
+        some = False
+        with (
+            tempfile.TemporaryFile() as said,
+            subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=said
+            ) as process,
+        ):
+            assert process.stdout is not None
+            try:
+                while process.stdout.readline():  # of each picture: its kind, size, depth
+                    width, height = map(int, process.stdout.readline().split())
+                    process.stdout.readline()
+                    data = process.stdout.read(3 * width * height)
+                    if len(data) < 3 * width * height:
+                        break
+                    some, frame = True, Image.frombytes("RGB", (width, height), data)
+                    smaller = _WIDEST, max(1, round(height * _WIDEST / width))
+                    yield frame if width <= _WIDEST else frame.resize(smaller)
+                process.wait()
+            finally:
+                process.kill()
+            said.seek(0)
+            words = said.read().decode(errors="replace")
+        if not some:
+            last = (words.split("\n\n")[0].strip().splitlines() or ["it is empty"])[-1]
+            raise InvalidEventError(
+                f"{shown_path(self.path)}: not a video that can be read ({last.strip()[:200]})"
+            )
+        rate = re.search(r"Video:.* ([\d.]+) fps", words)
+        self.fps = float(rate[1]) if rate else 0.0
 
 
 class Mapping:

@@ -18,7 +18,7 @@ from phase_ppl.world.scene import Scene, World
 Pixels = NDArray[np.uint8]
 
 NOBODY: Final = 255  # label of a pixel that has nobody's colour
-_APART: Final = 40.0  # distance that colours must have, of 255, so that a film tells them apart
+_APART: Final = 20.0  # distance that colours must have, of 255, so that a film tells them apart
 _FAR: Final = 70.0  # distance from a colour beyond which a pixel is nobody's
 _BITS: Final = 5  # of a colour's part that decide its label
 _SNAP: Final = 0.15  # units within which what is measured is taken for what the world says

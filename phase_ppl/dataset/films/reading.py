@@ -71,8 +71,11 @@ class VideoReading:
         Outlines are the bodies as read, in magenta where the confidence is below 0.5; lines are
         the ways since the picture before. Below stand the frame and the least confidence in it.
         """
-        painter = Painter(self.event.scene)
-        frames = sorted(self._pictures)
+        with atomic_output(path, (".png",)) as part:
+            self._drawn().save(part, "PNG")
+
+    def _drawn(self) -> Image.Image:
+        painter, frames = Painter(self.event.scene), sorted(self._pictures)
         panels = [
             self._panel(painter, frame, before)
             for before, frame in zip([0, *frames[:-1]], frames, strict=True)
@@ -84,8 +87,7 @@ class VideoReading:
         picture = Image.new("RGB", (rows[0].width, sum(row.height for row in rows)), BACKGROUND)
         for index, row in enumerate(rows):
             picture.paste(row, (0, index * rows[0].height))
-        with atomic_output(path, (".png",)) as part:
-            picture.save(part, "PNG")
+        return picture
 
     def _panel(self, painter: Painter, frame: int, before: int) -> Image.Image:
         drawn = self._pictures[frame]
