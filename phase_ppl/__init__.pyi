@@ -11,6 +11,7 @@ from phase_ppl.analysis.posterior import Posterior as Posterior
 from phase_ppl.analysis.posterior import load_posterior as load_posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior as StepwisePosterior
 from phase_ppl.closed_loop.hidden_state import Tracking as Tracking
+from phase_ppl.dataset.environment import env as env
 from phase_ppl.dataset.events_netcdf import event_dataset as event_dataset
 from phase_ppl.dataset.events_netcdf import event_from_dataset as event_from_dataset
 from phase_ppl.dataset.films.reading import VideoReading as VideoReading
