@@ -11,8 +11,11 @@ from phase_ppl.analysis.posterior import Posterior as Posterior
 from phase_ppl.analysis.posterior import load_posterior as load_posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior as StepwisePosterior
 from phase_ppl.closed_loop.hidden_state import Tracking as Tracking
+from phase_ppl.dataset.environment import env as env
 from phase_ppl.dataset.events_netcdf import event_dataset as event_dataset
 from phase_ppl.dataset.events_netcdf import event_from_dataset as event_from_dataset
+from phase_ppl.dataset.films.reading import VideoReading as VideoReading
+from phase_ppl.dataset.films.reading import read_video as read_video
 from phase_ppl.dataset.generated import GeneratedEvents as GeneratedEvents
 from phase_ppl.dataset.generation.families import available_families as available_families
 from phase_ppl.dataset.generation.families import register_family as register_family

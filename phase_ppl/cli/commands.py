@@ -40,6 +40,7 @@ COMMANDS: Final = {
     "goals": ("events", "list the 36 goals that an agent can have"),
     "simulate": ("events", "run the joint simulator from an event's start under a hypothesis"),
     "render": ("events", "film an event, or draw a frame or a film strip of it"),
+    "read-video": ("read_video", "read an event back from a film of it"),
     "compare": (
         "compare",
         "compare kernels on an event: same budget, several seeds, against a reference",
