@@ -351,6 +351,18 @@ class TestQuery:
             "             ^",
         ]
 
+    def test_quantities_that_a_file_defines(
+        self, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        own = tmp_path / "own.txt"
+        own.write_text("# pairs\nsame: goal_red = goal_green\n")
+        ask = ["query", str(folder), "P(same=True or goal_red=get to green agent)"]
+        assert main([*ask, "--define", str(own)]) == 0
+        assert capsys.readouterr().out.endswith(" = 1.00 ± 0.19\n")
+        own.write_text("same: goal_red = goal_gren\n")
+        assert main([*ask, "--define", str(own)]) == 2
+        assert "goal_red = goal_gren\n             ^" in capsys.readouterr().err
+
     def test_files_and_weights_that_do_not_exist(
         self, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:

@@ -14,6 +14,7 @@ import xarray as xr
 from phase_ppl.analysis._arviz import arviz_data
 from phase_ppl.analysis.diagnostics import diagnostics
 from phase_ppl.analysis.event_posterior import EventPosterior
+from phase_ppl.analysis.hypotheses import KEPT_DEFINITIONS
 from phase_ppl.analysis.over_time import over_time
 from phase_ppl.analysis.prior_change import (
     changed_text,
@@ -114,6 +115,7 @@ class Posterior(EventPosterior):
         rows = dataclasses.replace(rows, values=columns)
         super().__init__(known, rows, groups, halves(tree, name, rows))
         self._scenario = scenario
+        self._define_kept(tree.attrs)
 
     @property
     def tree(self) -> xr.DataTree:
@@ -150,6 +152,10 @@ class Posterior(EventPosterior):
             tree.attrs["settings"], prior, effective_size=sizes[0], effective_size_before=sizes[1]
         )
         return changed._defining(self._own)
+
+    def _under_weights(self, weights: str) -> Posterior:
+        other = Posterior(self._tree, weights, burn_in=self._burn_in, scenario=self._scenario)
+        return other._defining(self._own)
 
     def map(self) -> Hypothesis:
         """Return the hypothesis of the completed simulation with the highest log joint.
@@ -242,13 +248,15 @@ class Posterior(EventPosterior):
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write draws and simulations to ``path`` as NetCDF, whole or not at all.
 
-        The weighting and the burn-in in use become the file's defaults.
+        The weighting and the burn-in in use become the file's defaults; what was defined in words
+        is kept.
 
         Raises:
             OutputError: the file cannot be written there, or its name does not end in .nc.
         """
         tree = self._tree.copy()
         tree.attrs["weights"], tree.attrs["burn_in"] = self._weights, self._burn_in
+        tree.attrs[KEPT_DEFINITIONS] = self._definitions_to_keep()
         return write_tree(tree, path)
 
     @classmethod

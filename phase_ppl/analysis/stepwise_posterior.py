@@ -12,9 +12,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from phase_ppl.analysis.definitions import defined
 from phase_ppl.analysis.diagnostics import frames_text, overlap_sign, overlapping_frames, undecided
 from phase_ppl.analysis.estimate import Jackknife
 from phase_ppl.analysis.event_posterior import EventPosterior
+from phase_ppl.analysis.hypotheses import KEPT_DEFINITIONS
 from phase_ppl.analysis.over_time import by_label
 from phase_ppl.analysis.prior_change import changed_text, settings_under
 from phase_ppl.analysis.quantities import (
@@ -110,6 +112,7 @@ class StepwisePosterior(EventPosterior):
         columns |= derived_codes(columns["goal_red"], columns["goal_green"], scenario)
         self._attrs, self._constant = found.attrs, found
         super().__init__(quantities(), dataclasses.replace(rows, values=columns))
+        self._define_kept(found.attrs)
 
     def _jackknife(self, share: float) -> Jackknife | None:
         """Leave out single sets of searches, of which there are few, whatever is asked."""
@@ -254,8 +257,8 @@ class StepwisePosterior(EventPosterior):
         """Return which frames speak for ``event``, and against what.
 
         Args:
-            event: such as ``"relation=friendly"`` or ``"goal_red=get to green agent"``; several
-                conditions are joined by commas.
+            event: conditions in words, such as ``"goal_red=get to green agent"`` or
+                ``"strength_red > strength_green, not relation=friendly"``.
             over: what to compare with, likewise; by default that ``event`` is false.
 
         Returns:
@@ -269,8 +272,11 @@ class StepwisePosterior(EventPosterior):
         """
         columns = self._table.columns()
         columns |= derived_codes(columns["goal_red"], columns["goal_green"], self._scenario)
-        wanted = _satisfied(columns, event)
-        other = ~wanted if over is None else _satisfied(columns, over)
+        known = quantities()
+        for name, definition in self._own.items():
+            known[name], columns[name] = defined(name, definition, known, columns)
+        wanted = conditions(known, event).holds(columns)
+        other = ~wanted if over is None else conditions(known, over).holds(columns)
         odds = np.empty(self._frame + 1)
         without = np.full((self.planner_seeds, len(odds)), np.nan)
 
@@ -308,12 +314,15 @@ class StepwisePosterior(EventPosterior):
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write everything to ``path`` as NetCDF, whole or not at all.
 
+        What was defined in words is kept.
+
         Raises:
             OutputError: the file cannot be written there, or its name does not end in .nc.
         """
         check_output(path, (".nc",))
         how = {"fletcher32": True, "zlib": True, "complevel": 4}
-        write_bytes(path, (".nc",), netcdf_bytes({"/": self._found}, how, sealed=True))
+        kept = self._found.assign_attrs({KEPT_DEFINITIONS: self._definitions_to_keep()})
+        write_bytes(path, (".nc",), netcdf_bytes({"/": kept}, how, sealed=True))
         return Path(path)
 
     @classmethod
@@ -419,15 +428,6 @@ def _verdict(found: Mapping[str, Any]) -> str:
             f"a leading probability: {errors[worst]:.2g})."
         )
     return " ".join(signs)
-
-
-def _satisfied(columns: Mapping[str, NDArray[np.float64]], text: str) -> NDArray[np.bool_]:
-    """Return which hypotheses fulfil conditions in words."""
-    known = quantities()
-    found = np.ones(len(next(iter(columns.values()))), bool)
-    for name, wanted in conditions(known, text).items():
-        found &= known[name].satisfied(columns[name], wanted)
-    return found
 
 
 def is_stepwise(path: str | os.PathLike[str]) -> bool:

@@ -47,9 +47,12 @@ spread between the particles.
   H(goal_red)       I(goal_red; goal_green)  entropy, mutual information, nats
 
 "|" adds what is given: P(relation=friendly | goal_red=Get blue item to red lm).
-Conditions: =, !=, in {a, b}; for numbers <, <=, >, >=, in [a, b]. Brackets after
-the first word may be left out. Values in any case and spacing, in quotes where
-they hold a special character."""
+Conditions: =, !=, in {a, b}; for numbers <, <=, >, >=, in [a, b]; with another
+quantity in place of a value: P(strength_red > strength_green). They are joined by
+"or", "and", "not", round brackets, and "," for what holds as well: P(relation=friendly
+or target_red = target_green, not alpha=(0, 0)). Brackets after the first word may be
+left out. Values in any case and spacing, in quotes where they hold a special character.
+--define FILE adds quantities, a line each: same_goal: goal_red = goal_green"""
 
 _QUANTITIES: Final = """\
 quantities: goal_A, goal_kind_A, target_A, landmark_A, sign_A, stated_goal_A and
@@ -76,6 +79,7 @@ def _add_query(commands: Any) -> None:
     _add_posterior(parser)
     cli.add(parser, "questions QUESTION", nargs="+")
     cli.add(parser, "--prior NAME", "under another prior: a name, or FILE.py:NAME, which is run")
+    cli.add(parser, "--define FILE", "quantities of your own, a line each: NAME: CONDITIONS", Path)
     cli.add(parser, "--json", "answers as JSON, a list")
 
 
@@ -84,6 +88,8 @@ def _query(options: argparse.Namespace) -> int:
     if options.prior is not None:
         post = post.with_prior(cli.prior_named(options.prior))
     try:
+        if options.define is not None:
+            post.define_from(options.define)
         answers = [post.query(question) for question in options.questions]
     except QueryError as error:  # its lines show the place
         print(f"phase-ppl: error: {error}", file=sys.stderr)
