@@ -14,6 +14,7 @@ import numpy as np
 import phase_ppl
 from phase_ppl.analysis.summary import LABEL, plain, wrapped
 from phase_ppl.cli import commands as cli
+from phase_ppl.cli import own
 from phase_ppl.world.errors import InvalidSettingError, QueryError
 from phase_ppl.world.files import writable_folder
 
@@ -86,7 +87,7 @@ def _add_query(commands: Any) -> None:
 def _query(options: argparse.Namespace) -> int:
     post = cli.posterior(options.file, options.weights)
     if options.prior is not None:
-        post = post.with_prior(cli.prior_named(options.prior))
+        post = post.with_prior(own.taken(options.prior, "prior"))
     try:
         if options.define is not None:
             post.define_from(options.define)

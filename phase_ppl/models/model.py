@@ -97,7 +97,7 @@ def _checked(prior: Program) -> dict[str, tuple[int, ...]]:
         raise InvalidSettingError(
             f"JAX has no processor to work on, with JAX_PLATFORMS={platforms!r}: {_reason(error)}"
         ) from error
-    if any(prior is known for _, known in priors.PRIORS.items()):
+    if priors.is_ready_made(prior):
         return site_shapes(prior)  # to draw takes seconds, and the tests do
     try:
         trace = handlers.trace(handlers.seed(prior, random.key(0))).get_trace()
