@@ -191,6 +191,8 @@ class Hypotheses:
         Raises:
             InvalidSettingError: twice the same name, no name, or too large a table.
         """
+        if (of := self._knowing(*names, given=given)) is not self:
+            return of.joint(*names, given=given)
         labels = [self._quantity(name).categories() for name in _distinct(names)]
         shape = tuple(map(len, labels))
         if math.prod(shape) > MOST_CELLS:
@@ -229,7 +231,8 @@ class Hypotheses:
         """
         if not event:
             raise InvalidSettingError("name the event, as in probability(relation='friendly')")
-        return self._number(estimate.share, self._satisfied(event), given)
+        of = self._knowing(*event, given=given)
+        return of._number(estimate.share, of._satisfied(event), given)
 
     def top(self, name: str, n: int = N_TOP, *, given: Given = None) -> list[tuple[str, Estimate]]:
         """Return the ``n`` (from 1) most probable labels of a quantity, ties in label order."""
@@ -244,6 +247,8 @@ class Hypotheses:
 
         Its ``.error`` is the probability that another label leads in truth.
         """
+        if (of := self._knowing(name, given=given)) is not self:
+            return of.mode(name, given=given)
         labels = self._quantity(name).categories()
         rows, weights, without = self._weighed(given)
         codes, size = self._rows.values[name][rows], len(labels)
@@ -279,6 +284,8 @@ class Hypotheses:
 
         It is that of the weights; of few draws it comes out too low.
         """
+        if (of := self._knowing(*names, given=given)) is not self:
+            return of.entropy(*names, given=given)
         codes = np.zeros(len(self._rows.weights), np.int64)
         for name in _distinct(names):
             size = len(self._quantity(name).categories())
@@ -290,6 +297,8 @@ class Hypotheses:
 
         It is that of the weights; of few draws it comes out too high.
         """
+        if (of := self._knowing(first, second, given=given)) is not self:
+            return of.mutual_information(first, second, given=given)
         size = len(self._quantity(second).categories())
         self._quantity(first).categories()
         codes = self._rows.values[first] * size + self._rows.values[second]
@@ -305,15 +314,18 @@ class Hypotheses:
 
     def mean(self, name: str, *, given: Given = None) -> Estimate:
         """Return the mean of a quantity with numbers, such as a strength in newtons."""
-        return self._number(estimate.mean, self._numbers(name), given)
+        of = self._knowing(name, given=given)
+        return of._number(estimate.mean, of._numbers(name), given)
 
     def sd(self, name: str, *, given: Given = None) -> Estimate:
         """Return the standard deviation of a quantity with numbers."""
-        return self._number(estimate.sd, self._numbers(name), given)
+        of = self._knowing(name, given=given)
+        return of._number(estimate.sd, of._numbers(name), given)
 
     def median(self, name: str, *, given: Given = None) -> Estimate:
         """Return the median of a quantity with numbers, the lower one of two."""
-        return self._number(estimate.median, self._numbers(name), given)
+        of = self._knowing(name, given=given)
+        return of._number(estimate.median, of._numbers(name), given)
 
     def hdi(self, name: str, prob: float = HDI_PROBABILITY, *, given: Given = None) -> xr.DataArray:
         """Return the shortest interval with probability ``prob`` of a quantity with numbers.
@@ -326,6 +338,8 @@ class Hypotheses:
         """
         if not 0 < prob <= 1:
             raise InvalidSettingError(f"prob={prob} must lie in (0, 1]")
+        if (of := self._knowing(name, given=given)) is not self:
+            return of.hdi(name, prob, given=given)
         values = self._numbers(name)
         rows, weights, without = self._weighed(given, LEFT_OUT_OF_INTERVALS)
         levels, codes = np.unique(values[rows], return_inverse=True)
@@ -365,6 +379,8 @@ class Hypotheses:
         """
         if weights is not None:
             return self._under_weights(weights).query(question)
+        if (of := self._knowing(given=question)) is not self:
+            return of.query(question)
         query, event, given = understood(question, self._quantities)
         if given is not None and not self._rows.weights[given.holds(self._rows.values)].sum() > 0:
             reason = f"cannot condition on this: {self._why_impossible(given)}"
@@ -464,6 +480,10 @@ class Hypotheses:
         return lines
 
     # --- rows, conditions, and how far answers differ between chains ---------------------------
+
+    def _knowing(self, *names: str, given: Given = None) -> Hypotheses:
+        """Return the table that knows what is named; in ``given`` words may name it."""
+        return self
 
     def _quantity(self, name: str) -> Quantity:
         if name not in self._quantities:

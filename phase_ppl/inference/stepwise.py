@@ -19,6 +19,7 @@ from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.analysis.stepwise_table import (
     DIMENSIONS,
     SCHEMA,
+    SITES,
     STRENGTHS,
     log_prior_of_pairs,
 )
@@ -26,6 +27,7 @@ from phase_ppl.analysis.tree import scene_dataset
 from phase_ppl.closed_loop.goal_filter import Reading
 from phase_ppl.inference.progress import counted, is_shown
 from phase_ppl.models.model import Model
+from phase_ppl.models.own_sites import further_sites
 from phase_ppl.models.stepwise import StepwiseLikelihood, level_of, prior_table
 from phase_ppl.physics.actions import ACTION_NAMES
 from phase_ppl.simulator.contract import Cancelled, SimulationResult, Statistics
@@ -140,7 +142,7 @@ class Watch:
         """
         if not self._frames:
             raise InvalidSettingError("nothing was watched yet: update(frame) takes in a frame")
-        return StepwisePosterior(self._dataset())
+        return StepwisePosterior(self._dataset(), prior=self.model.prior)
 
     def _dataset(self) -> xr.Dataset:
         readings = self._readings[: len(self._frames)]
@@ -186,6 +188,7 @@ class Watch:
                 "settings": json.dumps(settings, default=repr),
                 "cost": json.dumps(cost),
                 "version": phase_ppl.__version__,
+                SITES: json.dumps(list(further_sites(self.model.prior))),
             },
         )
         return found.merge(scene_dataset(scene), combine_attrs="no_conflicts")

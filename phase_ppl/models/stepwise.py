@@ -114,7 +114,9 @@ def level_of(strength: float, levels: FloatArray) -> int:
 
 
 @remembered(_PRIORS_KEPT)
-def prior_table(prior: Any, levels: tuple[float, ...]) -> FloatArray:
+def prior_table(
+    prior: Any, levels: tuple[float, ...], own: tuple[tuple[str, tuple[float, ...]], ...] = ()
+) -> FloatArray:
     """Return log prior masses of goals, alpha and levels of strength, their sum 1.
 
     A level stands for all strengths nearer to it than to any other and has their mass: with
@@ -124,15 +126,17 @@ def prior_table(prior: Any, levels: tuple[float, ...]) -> FloatArray:
     Args:
         prior: NumPyro program over the hypothesis sites.
         levels: (n,) of strength, newtons, ascending.
+        own: further sites of the prior, with all the values that each can take.
 
     Returns:
-        (stated_goal_red, stated_goal_green, alpha, strength_red, strength_green).
+        (stated_goal_red, stated_goal_green, alpha, *own, strength_red, strength_green).
     """
     strengths = np.array(levels)
     nodes = [_nodes(prior, name, strengths) for name in STRENGTH_SITES]
     stated = {name: np.arange(N_GOALS) for name in GOAL_SITES} | {
         ALPHA_SITE: np.arange(len(ALPHAS))
     }
+    stated |= {name: np.array(values) for name, values in own}
     forces = {name: values for name, (values, _) in zip(STRENGTH_SITES, nodes, strict=True)}
     if strengths_apart(prior):  # a thousand times fewer densities
         densities = _densities(prior, stated)[..., None, None] + _densities(prior, forces)
@@ -144,7 +148,7 @@ def prior_table(prior: Any, levels: tuple[float, ...]) -> FloatArray:
     if not np.isfinite(highest):
         raise InvalidSettingError("the prior gives no mass to any hypothesis")
     masses = np.exp(densities - highest)
-    for axis, (values, _) in enumerate(nodes, 3):
+    for axis, (values, _) in enumerate(nodes, len(stated)):
         place = np.searchsorted(cells(strengths)[1:-1], values)
         of_levels = [masses.compress(place == i, axis).sum(axis) for i in range(len(levels))]
         masses = np.stack(of_levels, axis)
