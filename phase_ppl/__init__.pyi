@@ -84,6 +84,7 @@ from phase_ppl.models.observer import observers as observers
 from phase_ppl.models.observer.observers import Observer as Observer
 from phase_ppl.models.observer.perception import Perception as Perception
 from phase_ppl.models.priors import register_prior as register_prior
+from phase_ppl.models.program import EventProgram as EventProgram
 from phase_ppl.models.stepwise import StepwiseLikelihood as StepwiseLikelihood
 from phase_ppl.render.explain import explain as explain
 from phase_ppl.simulator.joint import JointSimulator as JointSimulator

@@ -28,3 +28,7 @@ __all__ = [
     "training_curves",
     "why",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -45,7 +45,7 @@ from phase_ppl.analysis.tree import (
 from phase_ppl.analysis.weights import WEIGHTINGS, chain_groups, halves
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import whole_number
-from phase_ppl.world.errors import InvalidSettingError, unknown_name
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, unknown_name
 from phase_ppl.world.files import existing_file
 from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
 
@@ -268,11 +268,15 @@ class Posterior(EventPosterior):
         burn_in: int | None = None,
         scenario: ScenarioFunction | None = None,
     ) -> Posterior:
-        """Read a posterior that :meth:`save` wrote.
+        """Read a posterior that :meth:`save` wrote; :func:`phase_ppl.load_posterior` of any kind.
 
         Raises:
             InvalidEventError: there is no such file, or it is damaged or of another kind.
         """
+        if is_stepwise(existing_file(path)):
+            raise InvalidEventError(
+                f"{path} was read step by step: load_posterior or StepwisePosterior.load reads it"
+            )
         return cls(read_tree(path), weights, burn_in=burn_in, scenario=scenario)
 
     def summary(self) -> dict[str, Any]:
@@ -339,23 +343,32 @@ def _cost(cost: Mapping[str, Any], found: Mapping[str, Any]) -> str:
 
 
 def load_posterior(
-    path: str | os.PathLike[str], weights: str | None = None
+    path: str | os.PathLike[str],
+    weights: str | None = None,
+    *,
+    burn_in: int | None = None,
+    scenario: ScenarioFunction | None = None,
 ) -> Posterior | StepwisePosterior:
     """Read a posterior that was saved, sampled or read step by step.
 
+    Where it is known which, ``Posterior.load`` and ``StepwisePosterior.load`` do the same and
+    refuse the other.
+
     Args:
         path: the .nc file.
-        weights: of the draws of a sampled one; by default those it was saved with.
+        weights, burn_in: of the draws of a sampled one; by default those it was saved with.
+        scenario: as of :class:`phase_ppl.Posterior`.
 
     Raises:
         InvalidEventError: there is no such file, or it is damaged or of another kind.
-        InvalidSettingError: weights for one that has no draws.
+        InvalidSettingError: weights or a burn-in for one that has no draws.
         UnknownNameError: there are no such weights.
     """
     if not is_stepwise(existing_file(path)):
-        return Posterior.load(path, weights)
-    if weights is not None:
-        raise InvalidSettingError(
-            f"weights={weights!r}: {path} was read step by step and has no draws to be weighted"
-        )
-    return StepwisePosterior.load(path)
+        return Posterior.load(path, weights, burn_in=burn_in, scenario=scenario)
+    for name, given in (("weights", weights), ("burn_in", burn_in)):
+        if given is not None:
+            raise InvalidSettingError(
+                f"{name}={given!r}: {path} was read step by step and has no draws to be weighted"
+            )
+    return StepwisePosterior.load(path, scenario=scenario)

@@ -410,12 +410,16 @@ class StepwisePosterior(EventPosterior):
     def load(
         cls, path: str | os.PathLike[str], *, scenario: ScenarioFunction | None = None
     ) -> StepwisePosterior:
-        """Read a posterior that :meth:`save` wrote.
+        """Read a posterior that :meth:`save` wrote; :func:`phase_ppl.load_posterior` of any kind.
 
         Raises:
             InvalidEventError: there is no such file, or it is damaged or of another kind.
         """
         source = existing_file(path)
+        if not is_stepwise(source):
+            raise InvalidEventError(
+                f"{source} was not read step by step: load_posterior or Posterior.load reads it"
+            )
         try:
             return cls(read_netcdf(source)["/"], scenario=scenario)
         except InvalidEventError as error:

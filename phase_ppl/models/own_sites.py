@@ -111,7 +111,9 @@ def drawn_beside(
         site -> (row,) values, and (row,) log weights.
     """
     n = len(places[0])
-    given = {name: np.asarray(hypotheses[name], np.int32) for name in (*GOAL_SITES, ALPHA_SITE)}
+    given: dict[str, NDArray[Any]] = {
+        name: np.asarray(hypotheses[name], np.int32) for name in (*GOAL_SITES, ALPHA_SITE)
+    }
     if strengths_apart(prior):
         flat = log_prior.reshape(*log_prior.shape[:3], -1)
         log_own = np.logaddexp.reduce(flat, axis=-1)[places[:3]]
@@ -148,13 +150,13 @@ def _within(
     levels: FloatArray,
     place: NDArray[np.int64],
     rng: np.random.Generator,
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[NDArray[np.float32], FloatArray]:
     """Return strengths drawn evenly from the cells of levels, and the logs of the cells' sizes."""
     edges = cells(levels)
     site = _single_sites(prior)[name]
     if site.values is None:
         low, high = edges[place], edges[place + 1]
-        return rng.uniform(low, high).astype(np.float32), np.log(high - low)
+        return np.asarray(rng.uniform(low, high), np.float32), np.log(high - low)
     values = np.array(site.values)
     cell = np.searchsorted(edges[1:-1], values)
     drawn, sizes = np.empty(len(place), np.float32), np.ones(len(place))

@@ -42,6 +42,20 @@ from phase_ppl.world.hypothesis import (
 )
 from phase_ppl.world.registry import Registry
 
+__all__ = [
+    "available",
+    "correlated_strengths",
+    "named",
+    "no_social_goals",
+    "register_prior",
+    "relation_first",
+    "sparse_social",
+    "strength_levels",
+    "symmetric_alphas",
+    "uniform",
+]
+
+
 AnyProgram = TypeVar("AnyProgram", bound=Program)
 SOCIAL: Final = 0.1  # probability of a social goal under ``sparse_social``; 2/3 under ``uniform``
 
@@ -61,7 +75,8 @@ def register_prior(name: str) -> Callable[[AnyProgram], AnyProgram]:
     Raises:
         InvalidSettingError: the name is taken by another prior.
     """
-    return PRIORS.register(name, lambda program, _: program)
+    keep: Callable[[AnyProgram], AnyProgram] = PRIORS.register(name, lambda program, _: program)
+    return keep
 
 
 def _ready_made(prior: AnyProgram) -> AnyProgram:
@@ -247,3 +262,7 @@ def available() -> list[str]:
 def named(name: str) -> Program:
     """Return the ready-made prior of that name."""
     return PRIORS[name]
+
+
+def __dir__() -> list[str]:
+    return __all__

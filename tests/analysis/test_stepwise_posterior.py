@@ -167,7 +167,7 @@ def test_it_is_saved_and_read_again(tmp_path: Path) -> None:
             again.joint("goal_red", "relation"), post.joint("goal_red", "relation")
         )
         assert str(again) == str(post)
-    with pytest.raises(InvalidEventError, match="schema"):
+    with pytest.raises(InvalidEventError, match="read step by step: load_posterior"):
         ppl.Posterior.load(file)
     with pytest.raises(InvalidSettingError, match="no draws"):
         ppl.load_posterior(file, "count")
