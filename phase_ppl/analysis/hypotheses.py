@@ -158,8 +158,8 @@ class Hypotheses:
             self.define(name, definition)
         return self
 
-    def _definitions_to_keep(self) -> str:
-        """Return as JSON the definitions in words that need no function."""
+    def _definitions_to_keep(self) -> dict[str, str]:
+        """Return the attribute of a file with the definitions in words that need no function."""
         known = {name: q for name, q in self._quantities.items() if name not in self._own}
         kept: dict[str, str] = {}
         for name, definition in self._own.items():
@@ -167,7 +167,7 @@ class Hypotheses:
                 with contextlib.suppress(QueryError):
                     conditions(known, definition)
                     known[name], kept[name] = self._quantities[name], definition
-        return json.dumps(kept)
+        return {KEPT_DEFINITIONS: json.dumps(kept)} if kept else {}
 
     def _define_kept(self, attributes: Mapping[Hashable, Any]) -> None:
         """Define what a file has kept."""

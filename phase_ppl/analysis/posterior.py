@@ -256,7 +256,8 @@ class Posterior(EventPosterior):
         """
         tree = self._tree.copy()
         tree.attrs["weights"], tree.attrs["burn_in"] = self._weights, self._burn_in
-        tree.attrs[KEPT_DEFINITIONS] = self._definitions_to_keep()
+        tree.attrs.pop(KEPT_DEFINITIONS, None)
+        tree.attrs |= self._definitions_to_keep()
         return write_tree(tree, path)
 
     @classmethod

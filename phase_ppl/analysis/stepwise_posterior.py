@@ -402,7 +402,9 @@ class StepwisePosterior(EventPosterior):
         """
         check_output(path, (".nc",))
         how = {"fletcher32": True, "zlib": True, "complevel": 4}
-        kept = self._found.assign_attrs({KEPT_DEFINITIONS: self._definitions_to_keep()})
+        attributes = {k: v for k, v in self._found.attrs.items() if k != KEPT_DEFINITIONS}
+        kept = self._found.copy()
+        kept.attrs = {**attributes, **self._definitions_to_keep()}
         write_bytes(path, (".nc",), netcdf_bytes({"/": kept}, how, sealed=True))
         return Path(path)
 
