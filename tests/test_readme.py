@@ -121,3 +121,11 @@ def test_the_two_commands_are_named_and_exist(name: str) -> None:
     makefile = (README.parent / "Makefile").read_text(encoding="utf-8")
     assert name in README.read_text(encoding="utf-8")
     assert f"\n{name.removeprefix('make ')}:" in makefile
+
+
+def test_citation_and_changelog_are_of_this_version() -> None:
+    citation = (README.parent / "CITATION.cff").read_text(encoding="utf-8")
+    released = dict(re.findall(r"^(version|date-released): (\S+)$", citation, re.MULTILINE))
+    changes = (README.parent / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert released["version"] == ppl.__version__
+    assert f"\n## [{ppl.__version__}] - {released['date-released']}\n" in changes
