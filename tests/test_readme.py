@@ -52,7 +52,9 @@ def test_all_pages_with_examples_are_known() -> None:
         "long_runs": 1,
         "many_events": 1,
     }
-    notebooks = "closed_loop diagnostics first_posterior how_it_works making_events own_kernel"
+    notebooks = (
+        "closed_loop design diagnostics first_posterior how_it_works making_events own_kernel"
+    )
     notebooks += " own_prior own_simulator queries what_if worlds"
     assert [page.stem for page in NOTEBOOKS] == notebooks.split()
 
