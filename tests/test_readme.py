@@ -94,11 +94,21 @@ def test_the_readmes_lines_print_a_posterior_and_write_its_files(
     tmp_path: Path, run_script: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shorten(monkeypatch, 30)
-    (shown,) = examples(README)
+    shown, _ = examples(README)
     printed = run_script(saved(shown, tmp_path))
     assert "Get pink item to red lm" in printed
     for name in ("run.nc", "run.png", "why.mp4"):
         assert (tmp_path / name).stat().st_size > 1000
+
+
+def test_the_readmes_scene_is_simulated_and_drawn(
+    tmp_path: Path, run_script: Callable[..., str]
+) -> None:
+    _, shown = examples(README)
+    run_script(saved(shown.replace("frames=50", "frames=12"), tmp_path))
+    for name in ("helps.png", "hinders.png"):
+        assert (tmp_path / name).stat().st_size > 1000
+        assert (DOCS / "images" / name).is_file()
 
 
 @pytest.mark.slow
