@@ -5,6 +5,7 @@ from phase_ppl import study as study
 from phase_ppl.agents.config import PlannerConfig as PlannerConfig
 from phase_ppl.analysis import plots as _plots
 from phase_ppl.analysis.comparison import Comparison as Comparison
+from phase_ppl.analysis.design import Design as Design
 from phase_ppl.analysis.estimate import Estimate as Estimate
 from phase_ppl.analysis.figures.over_time import watch_film as watch_film
 from phase_ppl.analysis.posterior import Posterior as Posterior
@@ -33,6 +34,7 @@ from phase_ppl.dataset.statistics import statistics as statistics
 from phase_ppl.evaluation import figures as figures
 from phase_ppl.evaluation.comparison import ModelComparison as ModelComparison
 from phase_ppl.evaluation.comparison import compare_models as compare_models
+from phase_ppl.evaluation.design import design as design
 from phase_ppl.evaluation.evaluate import EvaluationInterrupted as EvaluationInterrupted
 from phase_ppl.evaluation.evaluate import evaluate as evaluate
 from phase_ppl.evaluation.evaluation import Evaluation as Evaluation
@@ -87,6 +89,8 @@ from phase_ppl.models.model import Model as Model
 from phase_ppl.models.observer import observers as observers
 from phase_ppl.models.observer.observers import Observer as Observer
 from phase_ppl.models.observer.perception import Perception as Perception
+from phase_ppl.models.priors import register_prior as register_prior
+from phase_ppl.models.program import EventProgram as EventProgram
 from phase_ppl.models.stepwise import StepwiseLikelihood as StepwiseLikelihood
 from phase_ppl.render.explain import explain as explain
 from phase_ppl.simulator.joint import JointSimulator as JointSimulator

@@ -84,6 +84,7 @@ class RolesPosterior(StepwisePosterior):
             check(found)
             table = RolesTable(found)
         self._found, self._table, self._scenario = found, table, None
+        self._prior, self._of_sites = None, {}  # further sites are for PHASE
         last = table.n_frames - 1
         self._frame = last if frame is None else frame
         if not 0 <= self._frame <= last:
@@ -102,6 +103,7 @@ class RolesPosterior(StepwisePosterior):
         self.scenarios_of = MappingProxyType({})
         self._attrs, self._constant = found.attrs, found
         EventPosterior.__init__(self, known, rows)
+        self._define_kept(found.attrs)
 
     def _weights_without(self) -> FloatArray:
         return self._without
@@ -112,7 +114,8 @@ class RolesPosterior(StepwisePosterior):
         return self._table.world  # type: ignore[no-any-return]
 
     def at(self, frame: int) -> RolesPosterior:
-        return RolesPosterior(self._found, frame, table=self._table)._defining(self._own)
+        at = RolesPosterior(self._found, frame, table=self._table)
+        return at._defining(self.definitions)
 
     def under(self, prior: Callable[..., object]) -> RolesPosterior:
         from phase_ppl.models.roles import factors
@@ -126,7 +129,7 @@ class RolesPosterior(StepwisePosterior):
             }
         )
         found.attrs["settings"] = settings_under(found.attrs["settings"], prior)
-        return RolesPosterior(found, self._frame)._defining(self._own)
+        return RolesPosterior(found, self._frame)._defining(self.definitions)
 
     @property
     def log_evidence(self) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from concurrent.futures import Executor
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, overload
 
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
@@ -27,6 +27,7 @@ from phase_ppl.world.scene import PHASE
 
 if TYPE_CHECKING:
     from phase_ppl.agents.config import PlannerConfig
+    from phase_ppl.models.stepwise import StepwiseLikelihood
 
 CHAINS: Final = 15  # M, the paper's number of particles
 
@@ -35,6 +36,18 @@ _NOT_REFUSED: Final = ("workers", "progress", "versions", "began")
 every call."""
 
 
+@overload
+def infer(event: Event, model: None = None, **options: Any) -> Posterior: ...
+@overload
+def infer(event: Event, model: Model[Any], *, kernel: Kernel, **options: Any) -> Posterior: ...
+@overload
+def infer(event: Event, model: Model[RadialLikelihood], **options: Any) -> Posterior: ...
+@overload
+def infer(
+    event: Event, model: Model[StepwiseLikelihood], *, kernel: None = None, **options: Any
+) -> StepwisePosterior: ...
+@overload
+def infer(event: Event, model: Model | None, **options: Any) -> Posterior | StepwisePosterior: ...
 def infer(
     event: Event,
     model: Model | None = None,

@@ -7,7 +7,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, ClassVar, Final, Self
+from typing import Any, Final, Self
 
 import numpy as np
 import xarray as xr
@@ -23,6 +23,7 @@ from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.analysis.stepwise_table import (
     DIMENSIONS,
     SCHEMA,
+    SITES,
     STRENGTHS,
     log_prior_of_pairs,
 )
@@ -31,6 +32,7 @@ from phase_ppl.closed_loop.goal_filter import Reading
 from phase_ppl.closed_loop.world_filter import WorldFilter, WorldReading
 from phase_ppl.inference.progress import counted, is_shown
 from phase_ppl.models.model import Model
+from phase_ppl.models.own_sites import further_sites
 from phase_ppl.models.roles import factors
 from phase_ppl.models.stepwise import StepwiseLikelihood, level_of, prior_table
 from phase_ppl.physics.actions import ACTION_NAMES
@@ -185,9 +187,10 @@ class Watch:
             "version": phase_ppl.__version__,
         }
         found = found.merge(scene_dataset(scene), combine_attrs="no_conflicts")
-        return self._kind(found)
+        return self._posterior(found)
 
-    _kind: ClassVar[type[StepwisePosterior]] = StepwisePosterior
+    def _posterior(self, found: xr.Dataset) -> StepwisePosterior:
+        return StepwisePosterior(found, prior=self.model.prior)
 
     def _read(self) -> xr.Dataset:
         """Return what the frames so far say."""
@@ -207,14 +210,15 @@ class Watch:
                 "alpha": [str(alpha) for alpha in ALPHAS],
                 **{name: list(self._likelihood.tracking.strengths) for name in STRENGTHS},
             },
-            attrs={"schema": SCHEMA},
+            attrs={"schema": SCHEMA, SITES: json.dumps(list(further_sites(self.model.prior)))},
         )
 
 
 class RolesWatch(Watch):
     """An observer of an event of another world than PHASE; :func:`watch` returns one."""
 
-    _kind = RolesPosterior
+    def _posterior(self, found: xr.Dataset) -> RolesPosterior:
+        return RolesPosterior(found)
 
     def _begin(self, planner: PlannerConfig) -> None:
         likelihood, scene = self._likelihood, self._scene

@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import os
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Generic, Literal, overload
 
 import jax
 import jax.numpy as jnp
@@ -35,9 +35,17 @@ from phase_ppl.world.hypothesis import ALPHAS
 from phase_ppl.world.identity import qualified_name, source_hash
 
 if TYPE_CHECKING:
+    from typing_extensions import TypeVar
+
     from phase_ppl.agents.config import PlannerConfig
     from phase_ppl.models.stepwise import StepwiseLikelihood
     from phase_ppl.simulator.contract import Simulator
+
+    Kind = TypeVar("Kind", default=Any)
+else:
+    from typing import TypeVar
+
+    Kind = TypeVar("Kind")  # of likelihood
 
 Noise = Literal["fresh", "fixed"]
 
@@ -58,8 +66,11 @@ class _PriorField:
 
 
 @dataclasses.dataclass(frozen=True)
-class Model:
+class Model(Generic[Kind]):
     """Prior, simulator and likelihood.
+
+    Type checkers know a model by its likelihood, as ``Model[StepwiseLikelihood]``, and by that
+    what :func:`phase_ppl.infer` returns.
 
     Attributes:
         prior: NumPyro program that samples the five hypothesis sites, and perhaps more; or the
@@ -86,6 +97,41 @@ class Model:
     )
     planner: str | PlannerConfig | None = None
     noise: Noise = "fresh"
+
+    if TYPE_CHECKING:
+
+        @overload
+        def __init__(
+            self: Model[RadialLikelihood],
+            prior: Program | str = ...,
+            simulator: Simulator | None = ...,
+            likelihood: RadialLikelihood = ...,
+            planner: str | PlannerConfig | None = ...,
+            noise: Noise = ...,
+        ) -> None: ...
+
+        @overload
+        def __init__(
+            self: Model[StepwiseLikelihood],
+            prior: Program | str = ...,
+            simulator: None = ...,
+            *,
+            likelihood: StepwiseLikelihood,
+            planner: str | PlannerConfig | None = ...,
+            noise: Noise = ...,
+        ) -> None: ...
+
+        @overload
+        def __init__(
+            self,
+            prior: Program | str = ...,
+            simulator: Simulator | None = ...,
+            likelihood: TrajectoryLikelihood | StepwiseLikelihood = ...,
+            planner: str | PlannerConfig | None = ...,
+            noise: Noise = ...,
+        ) -> None: ...
+
+        def __init__(self, *args: Any, **fields: Any) -> None: ...
 
     def __post_init__(self) -> None:
         if self.noise not in ("fresh", "fixed"):
@@ -211,7 +257,7 @@ def _checked(prior: Program) -> dict[str, tuple[int, ...]]:
         raise InvalidSettingError(
             f"JAX has no processor to work on, with JAX_PLATFORMS={platforms!r}: {_reason(error)}"
         ) from error
-    if any(prior is known for _, known in priors.PRIORS.items()):
+    if priors.is_ready_made(prior):
         return site_shapes(prior)  # to draw takes seconds, and the tests do
     try:
         trace = handlers.trace(handlers.seed(prior, random.key(0))).get_trace()

@@ -120,7 +120,9 @@ def place_of_level(strengths: Any, levels: FloatArray) -> Any:
 
 
 @remembered(_PRIORS_KEPT)
-def prior_table(prior: Any, levels: tuple[float, ...]) -> FloatArray:
+def prior_table(
+    prior: Any, levels: tuple[float, ...], own: tuple[tuple[str, tuple[float, ...]], ...] = ()
+) -> FloatArray:
     """Return log prior masses of goals, alpha and levels of strength, their sum 1.
 
     A level stands for all strengths nearer to it than to any other and has their mass: with
@@ -130,9 +132,10 @@ def prior_table(prior: Any, levels: tuple[float, ...]) -> FloatArray:
     Args:
         prior: NumPyro program over the hypothesis sites.
         levels: (n,) of strength, newtons, ascending.
+        own: further sites of the prior, with all the values that each can take.
 
     Returns:
-        (stated_goal_red, stated_goal_green, alpha, strength_red, strength_green).
+        (stated_goal_red, stated_goal_green, alpha, *own, strength_red, strength_green).
     """
     strengths = np.array(levels)
     trace = handlers.trace(handlers.seed(prior, jax.random.key(0))).get_trace()
@@ -140,6 +143,7 @@ def prior_table(prior: Any, levels: tuple[float, ...]) -> FloatArray:
     stated = {name: np.arange(N_GOALS) for name in GOAL_SITES} | {
         ALPHA_SITE: np.arange(len(ALPHAS))
     }
+    stated |= {name: np.array(values) for name, values in own}
     forces = {name: values for name, (values, _) in zip(STRENGTH_SITES, nodes, strict=True)}
     if strengths_apart(prior):  # a thousand times fewer densities
         densities = _densities(prior, stated)[..., None, None] + _densities(prior, forces)
@@ -151,7 +155,7 @@ def prior_table(prior: Any, levels: tuple[float, ...]) -> FloatArray:
     if not np.isfinite(highest):
         raise InvalidSettingError("the prior gives no mass to any hypothesis")
     masses = np.exp(densities - highest)
-    for axis, (values, _) in enumerate(nodes, 3):
+    for axis, (values, _) in enumerate(nodes, len(stated)):
         place = place_of_level(values, strengths)
         of_levels = [masses.compress(place == i, axis).sum(axis) for i in range(len(levels))]
         masses = np.stack(of_levels, axis)

@@ -6,8 +6,8 @@ import dataclasses
 import functools
 import itertools
 import math
-from collections.abc import Mapping
-from typing import Any, ClassVar, Final
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -165,6 +165,17 @@ class Hypothesis:
     alpha: tuple[int, int] = (0, 0)
     strength_red: float = STRENGTH
     strength_green: float = STRENGTH
+
+    if TYPE_CHECKING:  # what fields can be made of
+
+        def __init__(
+            self,
+            goal_red: str | int,
+            goal_green: str | int,
+            alpha: Sequence[int] = (0, 0),
+            strength_red: float = STRENGTH,
+            strength_green: float = STRENGTH,
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         for holder, name in ((RED, "goal_red"), (GREEN, "goal_green")):

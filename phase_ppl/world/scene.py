@@ -12,9 +12,10 @@ import functools
 import math
 import re
 from collections.abc import Mapping, Sequence
-from typing import Any, Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import instance_of, number_or_nan, whole_number
@@ -510,6 +511,21 @@ class Scene:
     landmark_half_width: Any = None
     resets_velocity: bool = False
     world: World = PHASE
+
+    if TYPE_CHECKING:  # what fields can be made of
+
+        def __init__(
+            self,
+            start: ArrayLike,
+            radius: ArrayLike,
+            walls: ArrayLike | None = None,
+            turning: Turning = "both",
+            arena: Sequence[float] | None = None,
+            landmark_centres: ArrayLike | None = None,
+            landmark_half_width: ArrayLike | None = None,
+            resets_velocity: bool = False,
+            world: World = PHASE,
+        ) -> None: ...
 
     def __post_init__(self) -> None:
         instance_of("world", self.world, World, "a phase_ppl.World")

@@ -33,6 +33,23 @@ from phase_ppl.world.files import writable_folder
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+__all__ = [
+    "DRAWINGS",
+    "accuracy",
+    "confusion",
+    "correlation",
+    "costs",
+    "differences",
+    "draw_figures",
+    "equivalence",
+    "film_strips",
+    "likeness",
+    "people",
+    "scatter_goals",
+    "scatter_relations",
+    "tags",
+]
+
 _Data = TypeVar("_Data")
 
 FOLDER: Final = "figures"
@@ -211,3 +228,7 @@ def likeness(
         InvalidEventError: the file holds no ratings; the message names file and line.
     """
     return written(_rows.likeness(_read(source, Likeness, load_likeness), margin), path)
+
+
+def __dir__() -> list[str]:
+    return __all__

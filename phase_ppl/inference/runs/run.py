@@ -117,6 +117,8 @@ class Run:
         """Return what makes the run again from a file; None for what is no plain data."""
         model = self.model
         prior = next((name for name, known in priors.PRIORS.items() if known is model.prior), None)
+        if not getattr(model.prior, "__module__", "").startswith(_OURS):
+            prior = None  # another package's may not be there, or be another by then
         stored = None
         if prior and model.simulator is None and type(model.likelihood) is RadialLikelihood:
             stored = {

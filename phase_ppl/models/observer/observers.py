@@ -34,6 +34,28 @@ from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import RELATIONS
 
+__all__ = [
+    "ANSWERS",
+    "HALF_LIVES",
+    "OBSERVERS",
+    "Belief",
+    "Evidence",
+    "Observer",
+    "cues",
+    "lapse",
+    "leak",
+    "log_shares",
+    "observer_named",
+    "prior",
+    "respond",
+    "samples",
+    "saturation",
+    "sharpness",
+    "tilt",
+    "weight",
+]
+
+
 HALF_LIVES: Final = (math.inf, 40.0, 10.0)
 """Frames after which what was seen counts half, for each table of ``log_likelihood``."""
 
@@ -302,3 +324,7 @@ def observer_named(name: str) -> Observer:
     if name not in OBSERVERS:
         raise unknown_name("observer", name, OBSERVERS)
     return OBSERVERS[name]
+
+
+def __dir__() -> list[str]:
+    return __all__
