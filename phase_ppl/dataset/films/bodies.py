@@ -88,7 +88,7 @@ class Bodies:
             for entity in left:
                 self._improve(frame, labels, entity, found, firsts[entity], radius)
             moved = (np.abs(found - was)[:, :2].max(axis=1) > _MOVED) | (found[:, 3] < SEEN)
-            others = np.flatnonzero(moved)
+            others = np.flatnonzero(moved).tolist()
             left = [e for e in left if any(self._meet(e, m, found, radius) for m in others)]
         return found
 

@@ -238,7 +238,7 @@ def _moments(film: Film, frames_per_step: float | None, start: float) -> FloatAr
             f"{name} has {film.n_frames} frames, {film.fps:g} a second: with start={start:g} and "
             f"frames_per_step={frames_per_step:g} fewer than {MIN_FRAMES} frames of an event"
         )
-    return first + np.arange(math.floor(steps + 1e-6) + 1) * float(frames_per_step)
+    return np.asarray(first + np.arange(math.floor(steps + 1e-6) + 1) * float(frames_per_step))
 
 
 def _sizes(bodies: Bodies, samples: Sequence[Pixels], colours: Colours) -> FloatArray:
@@ -249,9 +249,10 @@ def _sizes(bodies: Bodies, samples: Sequence[Pixels], colours: Colours) -> Float
     areas = np.array([bodies.area(entity) for entity in range(n)])
     # of most pixels a body has, for some are covered at times
     radius = np.sqrt(np.quantile(pixels, 0.8, axis=0) / areas) / bodies.painter.scale
-    found: Sequence[FloatArray | None] = [None] * len(samples)
-    for _ in range(_ROUNDS):
-        found = [bodies.find(*pair, radius) for pair in zip(samples, found, strict=True)]
+    found = [bodies.find(frame, None, radius) for frame in samples]
+    for again in range(_ROUNDS):
+        if again:
+            found = [bodies.find(*pair, radius) for pair in zip(samples, found, strict=True)]
         for entity in range(n):
             sure = np.nan_to_num([one[entity, 3] for one in found])
             best = [i for i in np.argsort(-sure)[:_SIZED_IN] if sure[i] >= SEEN]
