@@ -1,8 +1,8 @@
 """How well are events read back from films? Real videos are filmed, read, and compared.
 
 With their scene, or by the layout PHASE alone; as they are, or smaller and more compressed. With
-`--closed-loop N`, what the closed loop says of both agents' goals on the tracks as read, beside what
-it says on the true ones, for the N shortest videos.
+`--closed-loop N`, what the closed loop says of both agents' goals on the tracks as read, beside
+what it says on the true ones, for the N shortest videos.
 """
 
 from __future__ import annotations
@@ -118,7 +118,8 @@ def main() -> None:
             + "  (50, 99, 100 %)"
         )
     print(
-        f"interpolated   {report['interpolated']:.4f} of all places; {len(report['refused'])} refused"
+        f"interpolated   {report['interpolated']:.4f} of all places; "
+        f"{len(report['refused'])} refused"
     )
     if options.layout:
         print(f"size off by at most {max(row['size'] for row in rows):.3f} units")

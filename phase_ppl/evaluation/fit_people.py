@@ -110,7 +110,8 @@ def evidence_from(
                 dataclasses.replace(event, observation=of[i])
                 for event, of in zip(events, readings, strict=True)
             ]
-            asked = evaluate(seen, source, out=Path(folder) / str(i), **options)
+            model: Any = source
+            asked = evaluate(seen, model, out=Path(folder) / str(i), **options)
             for event, one in _made(asked).items():
                 made[event].append(one)
         return evidence_of(events, made)

@@ -75,8 +75,7 @@ def register_prior(name: str) -> Callable[[AnyProgram], AnyProgram]:
     Raises:
         InvalidSettingError: the name is taken by another prior.
     """
-    keep: Callable[[AnyProgram], AnyProgram] = PRIORS.register(name, lambda program, _: program)
-    return keep
+    return PRIORS.register(name, lambda program, _: program)  # type: ignore[return-value]
 
 
 def _ready_made(prior: AnyProgram) -> AnyProgram:
