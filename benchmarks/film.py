@@ -98,6 +98,8 @@ def main() -> None:
                     )
                     for name in true
                 }
+                most = max(report["closed_loop"][event.id].values())
+                print(f"{event.id}: a goal's share changes by at most {most:.3f}", flush=True)
     parts = (np.concatenate([part.ravel() for part in each]) for each in zip(*kept, strict=True))
     off, turned, sure = parts
     rows, n = report["videos"].values(), len(report["videos"])
@@ -111,8 +113,6 @@ def main() -> None:
         print(f"sizes off by at most {max(row['size'] for row in rows):.3f} units")
         for name in ("walls", "turning"):
             print(f"{name} right in {sum(row[name] for row in rows)} of {n}")
-    for name, changes in report["closed_loop"].items():
-        print(f"{name}: a goal's share changes by at most {max(changes.values()):.3f}")
     write(report, options.json)
 
 
