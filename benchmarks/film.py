@@ -1,8 +1,8 @@
 """How well are events read back from films? Real videos are filmed, read, and compared.
 
 With their scene, or by the layout PHASE alone; as they are, or smaller and more compressed. With
-`--closed-loop N`, what the closed loop says of both agents' goals on the tracks as read, beside
-what it says on the true ones, for the N shortest videos.
+`--closed-loop N`, what the closed loop says of goals on the tracks as read, beside what it says on
+the true ones, for the N shortest videos.
 """
 
 from __future__ import annotations
@@ -33,9 +33,8 @@ def filmed(event: Event, folder: Path, width: int | None, crf: int | None) -> Pa
         return film
     worse = folder / "worse.mp4"
     program = imageio_ffmpeg.get_ffmpeg_exe()
-    scale = ["-vf", f"scale={width or 'iw'}:-2:flags=bicubic", "-crf", str(crf or 18)]
-    command = [program, "-v", "error", "-y", "-i", str(film), *scale, str(worse)]
-    subprocess.run(command, check=True)
+    change = ["-vf", f"scale={width or 'iw'}:-2", "-crf", str(crf or 18)]
+    subprocess.run([program, "-v", "error", "-y", "-i", film, *change, worse], check=True)
     return worse
 
 
@@ -48,9 +47,7 @@ def errors(read: Event, true: Event) -> tuple[NDArray[Any], NDArray[Any]]:
 
 
 def same_walls(one: Event, other: Event) -> bool:
-    first, second = (
-        sorted(map(np.ndarray.tolist, e.scene.walls.reshape(-1, 4))) for e in (one, other)
-    )
+    first, second = (sorted(e.scene.walls.reshape(-1, 4).tolist()) for e in (one, other))
     return len(first) == len(second) and np.allclose(first, second, atol=0.051)
 
 
@@ -82,14 +79,12 @@ def main() -> None:
             except ppl.PhasePPLError as error:
                 report["refused"][event.id] = str(error)
                 continue
-            found = errors(reading.event, event)
+            found, scene = errors(reading.event, event), reading.event.scene
             kept.append((*found, reading.confidence))
-            scene = reading.event.scene
             report["videos"][event.id] = {
                 "frames": event.observation.n_frames,
                 "position": np.quantile(found[0], QUANTILES).tolist(),
                 "angle": np.quantile(found[1], QUANTILES).tolist(),
-                "interpolated": int((reading.confidence == 0).sum()),
                 "size": float(np.abs(scene.radius - event.scene.radius).max()),
                 "walls": same_walls(reading.event, event),
                 "turning": scene.turning == event.scene.turning,
@@ -103,30 +98,21 @@ def main() -> None:
                     )
                     for name in true
                 }
-    off, turned, sure = (
-        np.concatenate([part.ravel() for part in parts]) for parts in zip(*kept, strict=True)
-    )
-    report["position"] = np.quantile(off, QUANTILES).tolist()
-    report["position_seen"] = np.quantile(off[sure > 0], QUANTILES).tolist()
-    report["angle"] = np.quantile(turned, QUANTILES).tolist()
+                most = max(report["closed_loop"][event.id].values())
+                print(f"{event.id}: a goal's share changes by at most {most:.3f}", flush=True)
+    parts = (np.concatenate([part.ravel() for part in each]) for each in zip(*kept, strict=True))
+    off, turned, sure = parts
+    rows, n = report["videos"].values(), len(report["videos"])
     report["interpolated"] = float((sure == 0).mean())
-    rows = report["videos"].values()
-    for name in ("position", "position_seen", "angle"):
-        print(
-            f"{name:14} "
-            + "  ".join(f"{value:.3f}" for value in report[name])
-            + "  (50, 99, 100 %)"
-        )
-    print(
-        f"interpolated   {report['interpolated']:.4f} of all places; "
-        f"{len(report['refused'])} refused"
-    )
+    print(f"{n} videos read, {len(report['refused'])} refused; median, 99 %, largest error")
+    for name, values in (("position", off), ("seen", off[sure > 0]), ("angle", turned)):
+        report[name] = np.quantile(values, QUANTILES).tolist()
+        print(f"{name:9}" + "".join(f"{value:8.3f}" for value in report[name]))
+    print(f"{report['interpolated']:.4f} of all places interpolated")
     if options.layout:
-        print(f"size off by at most {max(row['size'] for row in rows):.3f} units")
+        print(f"sizes off by at most {max(row['size'] for row in rows):.3f} units")
         for name in ("walls", "turning"):
-            print(f"{name} right in {sum(row[name] for row in rows)} of {len(rows)}")
-    for name, parts in report["closed_loop"].items():
-        print(f"{name}: largest change of a goal's share {max(parts.values()):.3f}")
+            print(f"{name} right in {sum(row[name] for row in rows)} of {n}")
     write(report, options.json)
 
 

@@ -81,7 +81,7 @@ def test_what_agents_do_that_are_reset_is_understood_by_that_rule_alone() -> Non
         densities = [hidden.advance(frame) for frame in frames]
         explained[rule] = sum(float(np.logaddexp.reduce(d, axis=None)) for d in densities)
         if rule:
-            found = hidden.strengths()
+            found = hidden.strengths().reshape(4, 4)
             for density, actions in zip(densities, CARRY, strict=True):
                 own = density.max(axis=1)
                 assert own[actions[0]] > own.max() - 1.0
