@@ -43,7 +43,7 @@ from phase_ppl.analysis.verdict import frames_text, overlap_sign, undecided
 from phase_ppl.analysis.weights import log_sum_exp
 from phase_ppl.dataset.hdf5 import netcdf_bytes, read_netcdf, root_attribute
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, QueryError
 from phase_ppl.world.files import check_output, existing_file, write_bytes
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
@@ -170,6 +170,14 @@ class StepwisePosterior(EventPosterior):
         if isinstance(given, str):
             asked |= {*re.findall(r"\w+", given)}
         return self if asked.isdisjoint({*self._site_names, *self._of_sites}) else self.sites
+
+    def query(self, question: str, *, weights: str | None = None) -> Any:
+        try:
+            return super().query(question, weights=weights)
+        except QueryError:
+            if self._prior is None or not self._site_names:
+                raise
+            return self.sites.query(question)  # its error knows the further names
 
     def define(self, name: str, definition: Definition) -> Self:
         words = {*re.findall(r"\w+", definition)} if isinstance(definition, str) else set()

@@ -7,7 +7,7 @@ import os
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
 from phase_ppl.analysis.posterior import load_posterior
 from phase_ppl.evaluation.evaluate import evaluate
@@ -110,8 +110,9 @@ def evidence_from(
                 dataclasses.replace(event, observation=of[i])
                 for event, of in zip(events, readings, strict=True)
             ]
-            model: Any = source
-            asked = evaluate(seen, model, out=Path(folder) / str(i), **options)
+            asked = evaluate(
+                seen, cast("str | Model", source), out=Path(folder) / str(i), **options
+            )
             for event, one in _made(asked).items():
                 made[event].append(one)
         return evidence_of(events, made)

@@ -75,12 +75,16 @@ def register_prior(name: str) -> Callable[[AnyProgram], AnyProgram]:
     Raises:
         InvalidSettingError: the name is taken by another prior.
     """
-    return PRIORS.register(name, lambda program, _: program)  # type: ignore[return-value]
+
+    def decorate(prior: AnyProgram) -> AnyProgram:
+        keep: Callable[[AnyProgram], AnyProgram] = PRIORS.register(name, lambda one, _: one)
+        return keep(prior)
+
+    return decorate
 
 
 def _ready_made(prior: AnyProgram) -> AnyProgram:
-    keep: Callable[[AnyProgram], AnyProgram] = register_prior(prior.__name__)
-    return keep(prior)
+    return register_prior(prior.__name__)(prior)
 
 
 def is_ready_made(prior: Program) -> bool:

@@ -117,6 +117,8 @@ def test_definitions_and_what_is_missing(tmp_path: Path, post: StepwisePosterior
         post.why("hostile=1")
     with pytest.raises(QueryError, match="unknown hostile 'maybe'"):
         post.query("P(hostile=maybe)")
+    with pytest.raises(QueryError, match="did you mean 'hostile'"):
+        post.query("E[hostil]")
 
     again = StepwisePosterior.load(post.save(tmp_path / "x.nc"))
     assert again.query("P(same=True)") == post.query("P(same=True)")

@@ -24,7 +24,7 @@ from phase_ppl.analysis.figures.style import (
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_NAME: Final = 24  # characters of an id that are shown
+_NAME: Final = 32  # characters of an id that are shown
 
 
 @figure_of(Design)
