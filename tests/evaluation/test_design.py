@@ -14,6 +14,8 @@ import xarray as xr
 import phase_ppl as ppl
 from phase_ppl.analysis.design import checked
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+from phase_ppl.evaluation.observers.answers import evidence_of
+from phase_ppl.evaluation.observers.stored import observer_of
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import RELATIONS
@@ -179,6 +181,19 @@ def test_a_function_can_be_told_from_a_prior(
         events[:2], {"uniform": "uniform", "kind": friendly}, source=read, workers=1, progress=False
     )
     np.testing.assert_allclose(found.probabilities.values[1], [[0.8, 0.1, 0.1]] * 2)
+
+
+def test_people_can_be_told_from_an_ideal_observer(
+    videos: tuple[list[ppl.Event], dict[str, StepwisePosterior]],
+) -> None:
+    events, read = videos
+    people = observer_of("people", "stepwise")
+    found = ppl.design(
+        events[:3], {"people": people, "ideal": "uniform"}, source=read, progress=False
+    )
+    expected = people.predict(evidence_of(events[:3], read))["video 2"].probabilities["relation"]
+    np.testing.assert_allclose(found.probabilities.values[0, 2], expected)
+    assert (found.information.values >= 0).all()
 
 
 def test_what_cannot_be_is_refused(
