@@ -27,8 +27,7 @@ SEEN: Final = 0.3
 
 _AREAS: Final = (4.0 - 2 * np.pi * EYE_RADIUS**2, np.pi)  # of an agent and an item of size 1
 _ANGLES: Final = 16  # of an agent, tried before the best is improved
-_OTHERS: Final = 4  # of those that are improved where the likely one does not do, and
-_APART: Final = 0.6  # radians by which they differ
+_OTHERS: Final = 6  # of those, the best, that are improved where the likely one does not do
 _SURE: Final = 0.9  # confidence from which on nothing else is tried
 _BLOB: Final = 0.06  # share of a body's area that must be seen in one piece
 _SWEEPS: Final = 3  # over those that others cover, or that cover others
@@ -167,14 +166,8 @@ class Bodies:
         improved = np.isfinite(found[entity, 3])
         likely = [found[entity, :3].copy()] if improved else [firsts[0], firsts[-1]]
         if not attempt(min(likely, key=window.cost)):
-            angles = np.array([first[2] for first in firsts])
-            costs = np.array([window.cost(first) for first in firsts])
-            for _ in range(_OTHERS):
-                start = int(costs.argmin())
-                if not np.isfinite(costs[start]) or attempt(firsts[start]):
-                    break
-                near = np.abs(np.angle(np.exp(1j * (angles - angles[start])))) < _APART
-                costs[near if self.is_agent(entity) else start] = np.inf
+            costs = [window.cost(first) for first in firsts]
+            any(attempt(firsts[start]) for start in np.argsort(costs)[:_OTHERS])
         found[entity] = best
 
 
