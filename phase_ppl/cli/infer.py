@@ -20,6 +20,7 @@ from phase_ppl.world.errors import InvalidSettingError, OutputError, PhasePPLErr
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import write_json
 from phase_ppl.world.observation import SHOWN_SECONDS_PER_FRAME
+from phase_ppl.world.scene import PHASE
 
 if TYPE_CHECKING:
     from phase_ppl.analysis.posterior import Posterior
@@ -45,8 +46,8 @@ def add_to(commands: Any) -> None:
     infer.set_defaults(planner=None)  # the preset's
     cli.add(infer, "--preset NAME", cli.PRESET, default="default")
     says = (
-        "simple: whole simulations, sampled (the default); stepwise: every frame given those "
-        "before it, over all hypotheses"
+        "simple: whole simulations, sampled (the default in PHASE); stepwise: every frame given "
+        "those before it, over all hypotheses (in other worlds the only one)"
     )
     cli.add(infer, "--model", says, choices=("simple", "stepwise"))
     own.add_model(infer)
@@ -106,6 +107,8 @@ def _add_run_options(parser: argparse.ArgumentParser) -> None:
 
 def _infer(options: argparse.Namespace) -> int:
     event = cli.load(options)
+    if event.scene.world != PHASE and options.model is None and options.likelihood is None:
+        options.model = "stepwise"
     stepwise = _is_stepwise(options)
     if options.watch and (not stepwise or options.kernel is not None):
         raise InvalidSettingError("--watch needs --model stepwise, and no kernel")
@@ -276,9 +279,10 @@ def _write_results(
         phase_ppl.render.video(event, out / "replay.mp4", compare=post.replay())
         written: tuple[str, ...] = _SAMPLED
     else:
-        best, second = (name for name, _ in post.top("relation", 2))
+        asked = next(iter((*post.relations_of.values(), *post.goals_of.values())))
+        best, second = (label for label, _ in post.top(asked, 2))
         phase_ppl.plot.over_time(post, path=out / "over_time.png")
-        phase_ppl.plot.why(post, f"relation={best}", f"relation={second}", path=out / "why.png")
+        phase_ppl.plot.why(post, f"{asked}={best}", f"{asked}={second}", path=out / "why.png")
         phase_ppl.watch_film(post, out / "watch.mp4")
         written = _STEPWISE
     for name in set(_RESULTS) - set(written):  # of another run, which was to be overwritten
@@ -290,6 +294,7 @@ def _write_results(
 # --- watching --------------------------------------------------------------------------------
 
 _BAR: Final = 24
+_TITLE: Final = 10
 _NAME: Final = 32
 _LINES_A_SECOND: Final = 4
 """Frames between two lines where the output is no terminal: one a second of the video."""
@@ -351,17 +356,24 @@ class _Screen:
 
 def _bars(post: StepwisePosterior) -> list[str]:
     lines = []
-    for title, name, n in (("red", "goal_red", 3), ("green", "goal_green", 3), ("", "relation", 3)):
-        for label, share in post.top(name, n):
+    for title, name in _followed(post).items():
+        for label, share in post.top(name, 3):
             bar = "#" * round(share * _BAR)
-            lines.append(f"{title:<6}{label:<{_NAME}}{share:5.2f}  {bar}")
+            lines.append(f"{title:<{_TITLE}}{label:<{_NAME}}{share:5.2f}  {bar}")
             title = ""
     return lines
 
 
+def _followed(post: StepwisePosterior) -> dict[str, str]:
+    """Return title -> quantity of what is shown as the video plays."""
+    return {title.removesuffix(" agent"): name for title, name in post.goals_of.items()} | dict(
+        post.relations_of
+    )
+
+
 def _in_a_line(post: StepwisePosterior) -> str:
     parts = []
-    for title, name in (("red", "goal_red"), ("green", "goal_green"), ("relation", "relation")):
+    for title, name in _followed(post).items():
         label, share = post.top(name, 1)[0]
         parts.append(f"{title}: {label} {share:.2f}")
     return "; ".join(parts)
