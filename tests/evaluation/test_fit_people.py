@@ -49,12 +49,7 @@ def fitted(name: str, evidence: Evidence, answers: Answers) -> PeopleFit:
 
 @pytest.fixture(scope="module")
 def fits() -> dict[str, PeopleFit]:
-    """Fits of two observers; what is fitted again needs a sampler that is forgotten soon."""
-    found = {}
-    for name in ("saturating", "distance"):
-        found[name] = fitted(name, *world())
-        found[name].elpd  # noqa: B018
-    return found
+    return {name: fitted(name, *world()) for name in ("distance", "saturating")}
 
 
 def test_left_out_videos_are_predicted_as_by_a_fit_without_them(fits: dict[str, PeopleFit]) -> None:

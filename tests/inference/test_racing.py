@@ -19,17 +19,17 @@ from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.scene import Scene
 from tests.inference.toy import few_goals, total_variation, walking_event
 
-EVENT = walking_event()
+EVENT = walking_event(5)
 SEEDS = 4
-ASIDE = 6.0 * np.random.default_rng(5).gamma(2.0, 1.0, (N_GOALS, N_GOALS, SEEDS))
+ASIDE = 16.8 * np.random.default_rng(5).gamma(2.0, 1.0, (N_GOALS, N_GOALS, SEEDS))
 """(goal_red, goal_green, seed) units by which a simulation is off: 4 nats between seeds."""
 PAIRS = [tuple(pair) for pair in np.argwhere(prior_of_pairs(few_goals) > 1e-9).tolist()]
 
 
 def noisy(scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator) -> Iterator[FloatArray]:
-    aside = ASIDE[(*hypothesis.effective_goals, rng.integers(SEEDS))]
-    for frame in itertools.cycle(EVENT.observation.trajectory):
-        yield frame + [aside, 0.0, 0.0] * (np.arange(4) == 0)[:, None]
+    frames = EVENT.observation.trajectory.copy()
+    frames[:, 0, 0] += ASIDE[(*hypothesis.effective_goals, rng.integers(SEEDS))]
+    return itertools.cycle(frames)
 
 
 def exact() -> FloatArray:
