@@ -66,7 +66,7 @@ def walk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An event of the toy world, which is simulated instead of the real one."""
     monkeypatch.setattr(phase_ppl.Model, "build_simulator", lambda self: walkers)
     path = tmp_path / "walk.json"
-    phase_ppl.save_event(walking_event(), path)
+    phase_ppl.save_event(walking_event(5), path)
     return path
 
 

@@ -143,8 +143,8 @@ def test_infer_takes_single_settings_and_writes_the_word_down(
     assert "unknown preset 'printed'" in capsys.readouterr().err
     monkeypatch.undo()
     walk = tmp_path / "walk.json"
-    ppl.save_event(walking_event(), walk)
+    ppl.save_event(walking_event(5), walk)
     assert main(["infer", str(walk), "--preset", "as_intended", "--planner", "fast", "--chains",
-                 "2", "--iterations", "1", "--kernel", "prior_mh", "--workers", "1",
+                 "4", "--iterations", "1", "--kernel", "prior_mh", "--workers", "1",
                  "--quiet", "--out", str(tmp_path / "out")]) == 0  # fmt: skip
     assert json.loads((tmp_path / "out" / "summary.json").read_text())["preset"] == "as_intended"
