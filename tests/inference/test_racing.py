@@ -19,9 +19,9 @@ from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.scene import Scene
 from tests.inference.toy import few_goals, total_variation, walking_event
 
-EVENT = walking_event(5)
+EVENT = walking_event()
 SEEDS = 4
-ASIDE = 16.8 * np.random.default_rng(5).gamma(2.0, 1.0, (N_GOALS, N_GOALS, SEEDS))
+ASIDE = 6.0 * np.random.default_rng(5).gamma(2.0, 1.0, (N_GOALS, N_GOALS, SEEDS))
 """(goal_red, goal_green, seed) units by which a simulation is off: 4 nats between seeds."""
 PAIRS = [tuple(pair) for pair in np.argwhere(prior_of_pairs(few_goals) > 1e-9).tolist()]
 
