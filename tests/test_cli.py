@@ -107,19 +107,6 @@ def test_summary_has_all_its_parts(results: Path) -> None:
     assert "workers" not in json.dumps(summary["settings"])
 
 
-def test_the_same_seed_gives_the_same_summary_with_one_and_with_two_workers(
-    results: Path, tmp_path: Path, short: str
-) -> None:
-    tiny = [*TINY]
-    tiny[tiny.index("--workers") + 1] = "2"
-    assert main(["infer", short, *tiny, "--out", str(tmp_path), "--keep-checkpoint"]) == 0
-    one, two = (json.loads((p / "summary.json").read_text()) for p in (results, tmp_path))
-    for summary in (one, two):
-        del summary["cost"]
-    assert one == two
-    assert (tmp_path / "run.ckpt").exists()
-
-
 def test_resume_extends_a_run_beside_its_file_and_then_deletes_it(
     walk: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

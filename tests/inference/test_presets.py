@@ -118,6 +118,8 @@ def test_a_run_that_goes_on_keeps_its_weights(tmp_path: Path) -> None:
     )  # fmt: skip
     assert isinstance(post, ppl.Posterior)
     assert post.weights == "count"
+    assert post.settings["kernel"] == {"name": "local_mh", "rule": "paper"}
+    assert post.tree.attrs["validity"] == "approximate"
     again = ppl.resume(file, model=model, iterations=2, progress=False, workers=1)
     assert again.weights == "count"
     assert ppl.resume(file, model=model, weights="importance", progress=False).weights != "count"
