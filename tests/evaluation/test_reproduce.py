@@ -229,7 +229,7 @@ def test_what_cannot_be_read_loses_nothing(
 
 
 def test_generated_events_are_no_reproduction_and_say_so_everywhere(
-    cheap: None, tmp_path: Path
+    models: None, tmp_path: Path
 ) -> None:
     data = make_set(tmp_path / "set", eight(), ["train"] * 4 + ["test"] * 4)
     made = ppl.reproduce(tmp_path / "out", data, workers=1, progress=False, say=lambda line: None)
