@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import ctypes
+import gc
 import os
 import runpy
 import signal
 import subprocess
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -87,6 +90,55 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         for part in (first, then)
         for item in part[len(part) * worker // n : len(part) * (worker + 1) // n]
     ]
+
+
+MOST_MEMORY = 1.3e9
+"""Bytes of a process, beyond which what XLA has compiled is forgotten after a file of tests."""
+
+
+def resident() -> int:
+    """Return the bytes that this process has in memory; 0 where it cannot be told."""
+    file = Path("/proc/self/statm")
+    pages = int(file.read_text().split()[1]) if file.exists() else 0
+    return pages * os.sysconf("SC_PAGE_SIZE")
+
+
+@pytest.fixture(scope="session")
+def _kept() -> list[float]:
+    """The bytes that were left when memory was given back last."""
+    return [0.0]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _memory_is_given_back(_kept: list[float]) -> Iterator[None]:
+    """Forget compiled programs once they fill a process; they are read again from the disk."""
+    yield
+    # not after every file where nothing is gained, as what is forgotten is traced again
+    if "jax" not in sys.modules or resident() < max(MOST_MEMORY, 1.2 * _kept[0]):
+        return
+    import jax
+
+    jax.clear_caches()
+    gc.collect()
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # of glibc
+    if trim is not None:
+        trim(0)
+    _kept[0] = resident()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _figures_of_few_pixels() -> Iterator[None]:
+    """Drawing them well takes most of the time, and tests look at what is in them."""
+    from matplotlib.figure import Figure
+
+    save = Figure.savefig
+
+    def coarsely(self: Figure, *arguments: Any, **options: Any) -> None:
+        save(self, *arguments, **{**options, "dpi": 50})
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "savefig", coarsely)
+        yield
 
 
 @pytest.fixture

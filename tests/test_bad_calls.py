@@ -96,9 +96,9 @@ def test_a_call_that_cannot_work_is_refused_in_one_line(
 
 
 def test_numbers_of_numpy_are_numbers(tmp_path: Path) -> None:
-    options = {**OPTIONS, "chains": np.int64(2), "iterations": np.int32(1), "seed": np.uint8(3)}
+    options = {**OPTIONS, "chains": np.int64(4), "iterations": np.int32(1), "seed": np.uint8(3)}
     post = ppl.infer(EVENT, MODEL, checkpoint=tmp_path / "run.ckpt", **options)
-    assert post.settings["chains"] == 2
+    assert post.settings["chains"] == 4
     assert ppl.resume(tmp_path / "run.ckpt", model=MODEL, workers=1).settings["seed"] == 3
 
 
@@ -120,7 +120,7 @@ EDITED: dict[str, Callable[[dict[str, Any], dict[str, Any]], Any]] = {
 @pytest.mark.parametrize("edit", EDITED)
 def test_an_edited_checkpoint_is_refused_in_one_line(tmp_path: Path, edit: str) -> None:
     path = tmp_path / "run.ckpt"
-    ppl.infer(EVENT, MODEL, checkpoint=path, **{**OPTIONS, "chains": 2, "iterations": 1})
+    ppl.infer(EVENT, MODEL, checkpoint=path, **{**OPTIONS, "iterations": 1})
     document, arrays = read_archive(path)
     EDITED[edit](document, arrays)
     write_archive(path, document, arrays)
@@ -148,10 +148,10 @@ def late(scene: Any, hypothesis: Any, rng: Any) -> Iterator[Any]:
 def test_a_simulator_that_is_not_what_it_should_be_is_told_of_once(
     simulator: Any, message: str
 ) -> None:
-    options = {**OPTIONS, "chains": 2, "iterations": 1}
+    options = {**OPTIONS, "iterations": 1}
     with pytest.warns(UserWarning, match=message):
         post = ppl.infer(EVENT, ppl.Model(simulator=simulator), **options)
-    assert post.cost["simulations"] == len(post.tree["simulations"]["seed"]) == 4
+    assert post.cost["simulations"] == len(post.tree["simulations"]["seed"]) == 8
     ppl.infer(EVENT, ppl.Model(simulator=simulator), **options)
     assert simulator in sampler._known_simulators
 

@@ -78,7 +78,7 @@ def test_links_lead_to_files_that_are_there(page: Path) -> None:
 
 
 def shorten(monkeypatch: pytest.MonkeyPatch, frames: int) -> None:
-    """Let bundled events be their first frames only."""
+    """Let bundled events be their first frames only, and the usual planner a faster one."""
     load = ppl.load_event
 
     def begins(name: str) -> ppl.Event:
@@ -88,12 +88,14 @@ def shorten(monkeypatch: pytest.MonkeyPatch, frames: int) -> None:
         )
 
     monkeypatch.setattr(ppl, "load_event", begins)
+    faster = ppl.PlannerConfig(simulations=20, paired=True)
+    monkeypatch.setattr(ppl.PlannerConfig, "fast", lambda: faster)
 
 
 def test_the_readmes_lines_print_a_posterior_and_write_its_files(
     tmp_path: Path, run_script: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    shorten(monkeypatch, 30)
+    shorten(monkeypatch, 20)
     shown, _ = examples(README)
     printed = run_script(saved(shown, tmp_path))
     assert "Get pink item to red lm" in printed

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 from pathlib import Path
 
@@ -18,17 +19,18 @@ from tests.analysis.readings import BLUE_NOT_TO_RED, BLUE_TO_RED, LEVELS, readin
 FOUND = reading()
 
 
+@functools.cache
 def by_hand(frame: int) -> dict[tuple[int, int, int, int, int], float]:
     """Return the mass of every hypothesis: stated goals, alpha, strengths."""
     likelihood = FOUND["log_likelihood"].values[: frame + 1].sum(axis=0)
+    log_prior, strengths = FOUND["log_prior"].values, FOUND["strengths"].values[frame]
     masses = {}
     for red, green, alpha, fr, fg in itertools.product(
         range(N_GOALS), range(N_GOALS), range(len(ALPHAS)), range(2), range(2)
     ):
         pair = effective_goals(red, green, ALPHAS[alpha])
-        log_mass = float(FOUND["log_prior"].values[red, green, alpha, fr, fg])
-        strength = float(FOUND["strengths"].values[frame, fr, fg])
-        masses[red, green, alpha, fr, fg] = np.exp(log_mass + 0.5 * likelihood[pair]) * strength
+        mass = np.exp(log_prior[red, green, alpha, fr, fg] + 0.5 * likelihood[pair])
+        masses[red, green, alpha, fr, fg] = float(mass * strengths[fr, fg])
     total = sum(masses.values())
     return {hypothesis: mass / total for hypothesis, mass in masses.items()}
 

@@ -163,7 +163,7 @@ def test_a_run_with_a_simulator_of_its_own_does_not_go_on_from_a_frame() -> None
 
 # --- another prior --------------------------------------------------------------------------------
 
-SIZE = {"kernel": "enumerate", "chains": 1, "iterations": None, "strengths": [300.0], "workers": 1}
+SIZE = {"kernel": "enumerate", "chains": 35, "iterations": None, "strengths": [300.0], "workers": 1}
 
 
 def related(share: float) -> None:
@@ -243,7 +243,7 @@ def test_own_sites_are_weighted_with_the_rest() -> None:
         ppl.sites.strengths()
 
     model = ppl.Model(prior=lambda: friendlier(0.0), simulator=runs.MODEL.simulator)
-    options = {**runs.OPTIONS, "chains": 20, "iterations": 20}
+    options = {**runs.OPTIONS, "iterations": 25}
     post = ppl.infer(runs.EVENT, model, **options)
     changed = post.with_prior(lambda: friendlier(0.5))
     kept = post.table.values["kindness"] >= 0.5

@@ -277,7 +277,6 @@ def test_a_model_that_answers_nothing_is_right_about_nothing(tmp_path: Path) -> 
     text = ppl.report(tmp_path, progress=False).read_text("utf-8")
     assert "right, silent, nothing on 12 events" in text
     assert text.count("right in all they answered: right<") == 12
-    draw_figures(c, tmp_path, progress=False)
     assert c.metrics["nothing"]["relation_accuracy"] is None
     assert c.differences == []
 

@@ -20,6 +20,7 @@ from phase_ppl.evaluation.paper import (
     Printed,
     verdict,
 )
+from phase_ppl.evaluation.report import contents
 from phase_ppl.evaluation.reproduce import Asked, expected_seconds, models_of
 from phase_ppl.world.errors import InvalidSettingError, OutputError, UnknownNameError
 from tests.evaluation.judged import COLLABORATIVE, COMPETING, INDEPENDENT, OPPOSING, make_event
@@ -103,7 +104,7 @@ def test_profiles_ask_more_and_more() -> None:
 
 
 @pytest.fixture
-def cheap(monkeypatch: pytest.MonkeyPatch) -> None:
+def models(monkeypatch: pytest.MonkeyPatch) -> None:
     """Have two models that take no time, and one that is not installed."""
     asked = {
         "simple": Asked("last_frame", 1, whose=SIMPLE),
@@ -117,6 +118,13 @@ def cheap(monkeypatch: pytest.MonkeyPatch) -> None:
     )
     absent = {"absent": "torch is not installed"}
     monkeypatch.setattr(module, "_not_installed", absent.get)
+
+
+@pytest.fixture
+def cheap(models: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have pages without figures too, which take most of the time."""
+    monkeypatch.setattr(module, "_drawings", lambda *given: iter(()))
+    monkeypatch.setattr(contents, "drawings_of", lambda results: {})
 
 
 @pytest.fixture(scope="module")
@@ -133,7 +141,7 @@ def cells(made: ppl.Reproduction) -> dict[tuple[str, str], Any]:
 
 
 def test_real_videos_give_cells_figures_and_one_page(
-    cheap: None, videos: Path, tmp_path: Path
+    models: None, videos: Path, tmp_path: Path
 ) -> None:
     tags = tmp_path / "tags.csv"
     tags.write_text(TAGS)
@@ -221,7 +229,7 @@ def test_what_cannot_be_read_loses_nothing(
 
 
 def test_generated_events_are_no_reproduction_and_say_so_everywhere(
-    cheap: None, tmp_path: Path
+    models: None, tmp_path: Path
 ) -> None:
     data = make_set(tmp_path / "set", eight(), ["train"] * 4 + ["test"] * 4)
     made = ppl.reproduce(tmp_path / "out", data, workers=1, progress=False, say=lambda line: None)

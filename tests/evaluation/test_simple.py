@@ -163,9 +163,7 @@ def test_what_a_simulator_consists_of_is_kept_with_the_run() -> None:
 def test_without_social_goals_alpha_is_zero_in_every_draw() -> None:
     assert model("no_social_goals").prior is priors.no_social_goals
     lesion = model("no_social_goals", simulator=walkers)
-    post = ppl.infer(
-        walking_event(), lesion, chains=4, iterations=1, workers=1, progress=False, checkpoint=None
-    )
+    post = ppl.infer(EVENT, lesion, workers=1, progress=False, checkpoint=None, **TINY)
     assert post.cost["simulations"] == 8
     assert np.all(post.tree["posterior"]["alpha"].values == 0)
 

@@ -27,9 +27,9 @@ PAIRS = [tuple(pair) for pair in np.argwhere(prior_of_pairs(few_goals) > 1e-9).t
 
 
 def noisy(scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator) -> Iterator[FloatArray]:
-    aside = ASIDE[(*hypothesis.effective_goals, rng.integers(SEEDS))]
-    for frame in itertools.cycle(EVENT.observation.trajectory):
-        yield frame + [aside, 0.0, 0.0] * (np.arange(4) == 0)[:, None]
+    frames = EVENT.observation.trajectory.copy()
+    frames[:, 0, 0] += ASIDE[(*hypothesis.effective_goals, rng.integers(SEEDS))]
+    return itertools.cycle(frames)
 
 
 def exact() -> FloatArray:

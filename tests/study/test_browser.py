@@ -171,13 +171,15 @@ def made(tmp_path: Path, clips: Path, kind: str = "judgment", **given: Any) -> S
 @pytest.mark.parametrize("kind", ["judgment", "tagging", "likeness"])
 def test_from_consent_to_the_code(browser: Any, clips: Path, tmp_path: Path, kind: str) -> None:
     study = made(tmp_path, clips, kind, refuse_repeats="PROLIFIC_PID")
+    stumbles = kind == "judgment"  # over what is the same for all kinds
     with serving(study) as address:
         window = Window(browser, study, address, query="?PROLIFIC_PID=77abc")
         window.agree()
         assert window.page.url == address, "a platform's id is not left in the address"
-        window.read()
-        window.answer_quiz(right=False)
-        window.says("Some of these answers were not right")
+        if stumbles:
+            window.read()
+            window.answer_quiz(right=False)
+            window.says("Some of these answers were not right")
         window.read()
         window.answer_quiz()
 
@@ -197,18 +199,20 @@ def test_from_consent_to_the_code(browser: Any, clips: Path, tmp_path: Path, kin
         window.judge()
 
         window.sees("Animation 2 of 3")
-        window.page.reload()  # in the middle
-        window.sees("Animation 2 of 3")
+        if stumbles:
+            window.page.reload()  # in the middle
+            window.sees("Animation 2 of 3")
         window.watch()
-        window.context.set_offline(True)
+        window.context.set_offline(stumbles)
         window.judge()
         window.sees("Animation 3 of 3")
-        window.says("There is no connection.")
-        pages = "SELECT count(*) AS n FROM response WHERE page LIKE 'trial-%'"
-        assert rows(study, pages) == [{"n": 1}]
-        window.context.set_offline(False)
-        window.page.get_by_text("There is no connection.").wait_for(state="detached")
-        assert rows(study, pages) == [{"n": 2}]
+        if stumbles:
+            window.says("There is no connection.")
+            pages = "SELECT count(*) AS n FROM response WHERE page LIKE 'trial-%'"
+            assert rows(study, pages) == [{"n": 1}]
+            window.context.set_offline(False)
+            window.page.get_by_text("There is no connection.").wait_for(state="detached")
+            assert rows(study, pages) == [{"n": 2}]
         window.watch()
         window.judge()
 
@@ -218,15 +222,14 @@ def test_from_consent_to_the_code(browser: Any, clips: Path, tmp_path: Path, kin
         window.sees(study.settings.title)
         assert window.page.locator("#code").text_content() == study.settings.codes["finished"]
         window.says(window.id)
-        window.page.reload()
-        window.says("Your completion code")
+        if stumbles:
+            window.page.reload()
+            window.says("Your completion code")
         assert window.page.evaluate("Object.keys(localStorage)") == []
         assert window.faults == []
 
-    quizzes = rows(
-        study, "SELECT attempt, correct FROM response WHERE page='quiz' ORDER BY attempt"
-    )
-    assert quizzes == [{"attempt": 1, "correct": 0}, {"attempt": 2, "correct": 1}]
+    quizzes = rows(study, "SELECT correct FROM response WHERE page='quiz' ORDER BY attempt")
+    assert [quiz["correct"] for quiz in quizzes] == ([0, 1] if stumbles else [1])
     trials = rows(study, "SELECT * FROM response WHERE page LIKE 'trial-%' ORDER BY page")
     assert [trial["attempt"] for trial in trials] == [1, 1, 1]
     for trial in trials:
@@ -234,7 +237,7 @@ def test_from_consent_to_the_code(browser: Any, clips: Path, tmp_path: Path, kin
         assert trial["plays"] >= 1
     assert rows(study, "SELECT age, gender FROM person") == [{"age": 44, "gender": None}]
     notes = {note["what"] for note in rows(study, "SELECT what FROM note")}
-    assert {"resume", "retry"} <= notes
+    assert {"resume", "retry"} <= notes or not stumbles
     assert study.status().counts["finished"] == 1
     everything = b"".join(file.read_bytes() for file in study.folder.glob("study.db*"))
     for word in (b"77abc", b"127.0.0.1", b"Mozilla"):

@@ -38,6 +38,7 @@ KEPT: Final = 200  # draws of the parameters that a file keeps: a mean over them
 UNRELIABLE: Final = 0.7  # Pareto k from which on what is left out is left out by fitting again
 _NOT_PARAMETERS: Final = ("log_likelihood", "rater", "own_pace")
 _AT_A_TIME: Final = 50
+_REMEMBERED: Final = 4  # samplers, so that observers fitted side by side are compiled once each
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -263,12 +264,12 @@ def sampled(
     )
 
 
-@functools.lru_cache(maxsize=1)
+@functools.lru_cache(maxsize=_REMEMBERED)
 def _given(evidence: Evidence, questions: tuple[str, ...]) -> Evidence:
     return evidence.condensed() if questions == ("relation",) else evidence
 
 
-@functools.lru_cache(maxsize=1)
+@functools.lru_cache(maxsize=_REMEMBERED)
 def _sampler(
     observer: Program, given: Evidence, answers: Answers, draws: int, warmup: int, chains: int
 ) -> MCMC:

@@ -428,15 +428,15 @@ def test_the_terminal_makes_films_checks_and_says_what_was_kept(
 
 def test_events_with_the_fast_planner_show_what_they_should(tmp_path: Path) -> None:
     out = tmp_path / "set"
-    arguments = ["generate", "--n", "10", "--seed", "7", "--planner", "fast", "--quiet"]
+    arguments = ["generate", "--n", "6", "--seed", "7", "--planner", "fast", "--quiet"]
     assert main([*arguments, "--workers", "1", "--out", str(out)]) == 0
     assert main(["verify", str(out)]) == 0
     made = ppl.load_events(out)
     assert isinstance(made, ppl.GeneratedEvents)
-    cells = {cell: n for cell, n in scaled(PHASE500, 10).items() if n}
+    cells = {cell: n for cell, n in scaled(PHASE500, 6).items() if n}
     assert {cell: n for cell, n in made.manifest["kept"].items() if n} == cells
     assert Counter(entry["split"] for entry in made.entries) == {
-        "train": 6, "validation": 2, "test": 2,
+        "train": 4, "validation": 1, "test": 1,
     }  # fmt: skip
     for event, entry in zip(made, made.entries, strict=True):
         assert event.truth is not None
@@ -453,6 +453,6 @@ def test_events_with_the_fast_planner_show_what_they_should(tmp_path: Path) -> N
             assert is_on(last[literal.subject, :2], centre, half)
             assert not is_on(first[literal.subject, :2], centre, half)
     found = ppl.evaluate(made, "last_frame", workers=1, progress=False)
-    assert found.metrics["n_events"] == 10
+    assert found.metrics["n_events"] == 6
     goals = found.metrics["by_scenario"]["collaborative"]["goal_accuracy"]["value"]
     assert goals > 1 / 36

@@ -155,7 +155,7 @@ def test_options_of_sampling_are_refused(options: Any) -> None:
 )
 @pytest.mark.parametrize(
     ("kernel", "chains", "iterations"),
-    [("importance", 400, 40), pytest.param("prior_mh", 40, 2000, marks=pytest.mark.slow)],
+    [("importance", 400, 15), pytest.param("prior_mh", 40, 2000, marks=pytest.mark.slow)],
 )
 def test_kernels_that_sample_find_the_same(
     kernel: str, chains: int, iterations: int, prior: str
