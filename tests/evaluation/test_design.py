@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from phase_ppl.evaluation.observers.stored import observer_of
 
 import phase_ppl as ppl
 from phase_ppl.analysis.design import checked
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.evaluation.observers.answers import evidence_of
+from phase_ppl.evaluation.observers.fit import observer_of
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import RELATIONS
