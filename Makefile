@@ -18,7 +18,7 @@ VENV = .venv
 BIN = $(VENV)/bin
 INSTALL = $(BIN)/python -m pip install --disable-pip-version-check -c constraints.txt
 
-.PHONY: help demo docs test test-all check lint types imports format clean
+.PHONY: help demo docs test test-all check lint types imports dist format clean
 
 help:
 	@echo "make demo     infer who wants what in a bundled event; results in $(OUT)/"
@@ -27,6 +27,7 @@ help:
 	@echo "make lint       style and format of the code (ruff)"
 	@echo "make types      type hints (mypy)"
 	@echo "make imports    which folder imports which (import-linter)"
+	@echo "make dist     build the package into dist/, and check it as an index would"
 	@echo "make format   put the code into the project's format"
 	@echo "make docs     build the documentation site in site/"
 	@echo "make clean    remove the virtual environment, caches and demo-out/"
@@ -54,6 +55,11 @@ imports: $(VENV)/.installed-dev
 
 docs: $(VENV)/.installed-docs
 	$(BIN)/mkdocs build
+
+dist: $(VENV)/.installed-dev
+	rm -rf dist
+	PIP_CONSTRAINT=$$PWD/constraints.txt $(BIN)/python -m build
+	$(BIN)/twine check --strict dist/*
 
 format: $(VENV)/.installed-dev
 	$(BIN)/ruff check --fix-only

@@ -28,7 +28,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # the simulator is the tests
 
 import phase_ppl as ppl
 from phase_ppl.models.density import draw
-from phase_ppl.models.likelihood import RadialLikelihood, RadialTrajectory
+from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
 from phase_ppl.world.observation import Observation
@@ -110,8 +110,8 @@ def ranked(task: tuple[int, str, int, dict[str, Any]]) -> list[int]:
 
 def drawn_event(model: ppl.Model, seed: int) -> tuple[Hypothesis, Event]:
     """Return a hypothesis from the prior and an event in which it is true."""
-    key_prior, key_noise = jax.random.split(jax.random.key(seed))
-    sites = {name: np.asarray(v) for name, v in draw(model.prior, key_prior).items()}
+    key = jax.random.key(seed)
+    sites = {name: np.asarray(v) for name, v in draw(model.prior, key).items()}
     truth = Hypothesis(
         int(sites["goal_red"]),
         int(sites["goal_green"]),
@@ -123,7 +123,7 @@ def drawn_event(model: ppl.Model, seed: int) -> tuple[Hypothesis, Event]:
     scene = dataclasses.replace(walking_event().scene, arena=ARENA)
     rng = np.random.default_rng([seed, 7])
     frames = np.array(list(itertools.islice(walkers(scene, truth, rng), FRAMES)))
-    frames[..., :2] = RadialTrajectory(frames[..., :2], BETA).sample(key_noise)
+    frames[..., :2] = RadialLikelihood(BETA).replicate(frames[..., :2], rng)
     return truth, Event(scene, Observation(frames), id=f"drawn-{seed}")
 
 

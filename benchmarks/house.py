@@ -1,72 +1,37 @@
-"""How large is the package, folder by folder? Files, lines, lines of code, and `raise`.
-
-A line of code is one on which a statement's tokens stand: no comment, docstring or empty line.
-"""
+"""How large is the package, folder by folder? Files and lines, of code and of docstrings."""
 
 from __future__ import annotations
 
 import argparse
 import ast
 import json
-import sys
-import tokenize
 from collections import Counter
 from pathlib import Path
 
-ROOT = Path(__file__).parents[1]
-COLUMNS = ("files", "lines", "code", "raise")
-_EMPTY = (
-    tokenize.COMMENT,
-    tokenize.NL,
-    tokenize.NEWLINE,
-    tokenize.INDENT,
-    tokenize.DEDENT,
-    tokenize.ENCODING,
-    tokenize.ENDMARKER,
-)
-
 
 def count(path: Path) -> Counter[str]:
-    """Return the figures of a file of Python."""
+    """Return the figures of a file; lines of code are neither empty, comments nor docstrings."""
     text = path.read_text("utf-8")
-    tree = ast.parse(text)
-    with path.open("rb") as file:
-        tokens = [each for each in tokenize.tokenize(file.readline) if each.type not in _EMPTY]
-    code = {line for each in tokens for line in range(each.start[0], each.end[0] + 1)}
-    for node in ast.walk(tree):  # texts that stand alone: docstrings, and those of constants
-        if isinstance(node, ast.Expr) and isinstance(getattr(node.value, "value", None), str):
-            code -= set(range(node.lineno, (node.end_lineno or node.lineno) + 1))
-    raises = sum(isinstance(node, ast.Raise) for node in ast.walk(tree))
-    return Counter({"files": 1, "lines": text.count("\n"), "code": len(code), "raise": raises})
-
-
-def by_folder(root: Path, depth: int) -> dict[str, Counter[str]]:
-    """Return the figures of each folder, down to ``depth`` folders below ``root``."""
-    found: dict[str, Counter[str]] = {}
-    for path in sorted(root.rglob("*.py")):
-        parts = path.relative_to(root.parent).parent.parts[: depth + 1]
-        found.setdefault("/".join(parts), Counter()).update(count(path))
-    return found
+    nodes = (n for n in ast.walk(ast.parse(text)) if isinstance(n, ast.Expr))
+    texts = [n for n in nodes if isinstance(n.value, ast.Constant)]
+    docs = {i for n in texts for i in range(n.lineno, (n.end_lineno or n.lineno) + 1)}
+    lines = [line.strip() for line in text.splitlines()]
+    code = sum(line[:1] not in ("", "#") and i not in docs for i, line in enumerate(lines, 1))
+    return Counter({"files": 1, "lines": len(lines), "code": code, "docs": len(docs)})
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folders", nargs="*", type=Path, default=[ROOT / "phase_ppl"])
-    parser.add_argument("--depth", type=int, default=1, help="folders below that are told apart")
+    package = Path(__file__).parents[1] / "phase_ppl"
+    parser.add_argument("folder", nargs="?", type=Path, default=package)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there")
     options = parser.parse_args()
     found: dict[str, Counter[str]] = {}
-    for folder in options.folders:
-        if not folder.is_dir():
-            sys.exit(f"{folder} is no folder")
-        parts = by_folder(folder.resolve(), options.depth)
-        found |= parts
-        found[f"{folder.name}, all"] = sum(parts.values(), Counter())
-    width = max(map(len, found))
-    print(f"{'':{width}}", *(f"{name:>7}" for name in (*COLUMNS, "mean")))
+    for path in sorted(options.folder.rglob("*.py")):
+        found.setdefault(path.relative_to(options.folder).parts[0], Counter()).update(count(path))
+    found["all"] = sum(found.values(), Counter())
     for name, figures in found.items():
-        mean = round(figures["lines"] / figures["files"])
-        print(f"{name:{width}}", *(f"{figures[column]:7}" for column in COLUMNS), f"{mean:7}")
+        print(f"{name:12}", *(f"{n:7} {what}" for what, n in figures.items()))
     if options.json:
         options.json.write_text(json.dumps(found, indent=1) + "\n", "utf-8")
 

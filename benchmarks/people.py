@@ -16,7 +16,7 @@ from __future__ import annotations
 import argparse
 import functools
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,10 +30,10 @@ from phase_ppl.evaluation.doubt import doubt_of
 from phase_ppl.evaluation.evaluation import Evaluation
 from phase_ppl.evaluation.metrics import evaluate_predictions
 from phase_ppl.evaluation.observers.answers import Answers, people
-from phase_ppl.evaluation.observers.fit import PeopleFit, chosen_inside
-from phase_ppl.evaluation.prediction import Prediction
-from phase_ppl.evaluation.references import reference_predictions
+from phase_ppl.evaluation.observers.fit import PeopleFit
+from phase_ppl.evaluation.prediction import Prediction, reference_predictions
 from phase_ppl.models.observer.observers import OBSERVERS, Evidence, observer_named
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import RELATIONS
 
@@ -293,6 +293,35 @@ def draw(rows: list[dict[str, Any]], path: str) -> None:
     figure.supxlabel("true", fontsize=NORMAL)
     figure.supylabel("inferred, with 90 % interval", fontsize=NORMAL)
     written(figure, path)
+
+
+def chosen_inside(fits: Sequence[PeopleFit]) -> tuple[dict[str, Prediction], dict[str, int]]:
+    """Predict each video by the fit that predicts the OTHER videos best without this one.
+
+    So the choice of an observer sees nothing of the video it is judged by: for each video, draws
+    are reweighted to leave it out, and of these each other video in turn. Also returns event id ->
+    place of the fit that was chosen.
+    """
+    n = len(fits[0].evidence.events)
+    without = np.array([_elpd_without(fit) for fit in fits])  # fit, left out, event
+    judged = fits[0].answers.judged > 0
+    best = np.array([without[:, i, judged & (np.arange(n) != i)].sum(axis=1) for i in range(n)])
+    chosen = best.argmax(axis=1)
+    names = fits[0].evidence.events
+    return (
+        {name: fits[k].left_out[name] for name, k in zip(names, chosen, strict=True)},
+        dict(zip(names, chosen.tolist(), strict=True)),
+    )
+
+
+def _elpd_without(fit: PeopleFit) -> FloatArray:
+    """Return (left out, event) log predictive densities of events, both left out."""
+    logs = fit.log_likelihood.T
+    found = np.empty((len(logs), len(logs)))
+    for i, one in enumerate(logs):
+        weights, _ = pareto_smoothed(-logs - one)
+        found[i] = np.logaddexp.reduce(np.log(weights) + logs, axis=1)
+    return found
 
 
 def main() -> None:

@@ -33,8 +33,8 @@ import numpy as np
 from videos import own, reading
 
 import phase_ppl as ppl
-from phase_ppl.closed_loop.goal_filter import Conduct
 from phase_ppl.closed_loop.hidden_state import HiddenState, Tracking
+from phase_ppl.closed_loop.search_sets import Conduct
 from phase_ppl.models.stepwise import StepwiseLikelihood
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import goal_index
@@ -184,7 +184,8 @@ def _evidence(task: tuple[Event, float]) -> tuple[Any, tuple[int, int]]:
     for frame in seen.observation.trajectory[1:]:
         hidden.advance(frame)
     with np.errstate(divide="ignore"):
-        return np.log(hidden.strengths()) / Tracking().strength_weight, reading.levels_of(event)
+        strengths = hidden.strengths().reshape([len(Tracking().strengths)] * 2)
+        return np.log(strengths) / Tracking().strength_weight, reading.levels_of(event)
 
 
 def _of_strengths(marginals: list[Any], true: list[int]) -> dict[str, float]:

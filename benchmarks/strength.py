@@ -12,6 +12,7 @@ from typing import Any
 
 import common
 import numpy as np
+from strength_training import blurred
 
 from phase_ppl.inference.proposals.strength import (
     ESTIMATORS,
@@ -22,7 +23,6 @@ from phase_ppl.inference.proposals.strength import (
     estimated_strengths,
     quality,
 )
-from phase_ppl.inference.proposals.strength_training import blurred
 from phase_ppl.inference.proposals.tables import window_count, window_length
 from phase_ppl.world.event import Event
 from phase_ppl.world.observation import Observation

@@ -101,6 +101,15 @@ def test_reference_beside_what_it_says_of_itself(figures: Figures) -> None:
         assert row["ranked_wrong"] <= row["ranked"]
 
 
+@REAL
+@pytest.mark.slow
+def test_one_video_is_filmed_and_read(figures: Figures) -> None:
+    report: dict[str, Any] = figures("film.py", "--limit", "1")
+    assert report["refused"] == {}
+    assert report["position"][0] < 0.08
+    assert report["position"][1] < 0.4
+
+
 @pytest.mark.slow
 def test_a_few_attacks_of_each_kind_are_withstood(figures: Figures) -> None:
     report: dict[str, Any] = figures("attack.py", "--inputs", "12", "--kills", "2")

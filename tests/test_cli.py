@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import json
 import os
 import re
@@ -350,6 +351,18 @@ class TestQuery:
             "             ^",
         ]
 
+    def test_quantities_that_a_file_defines(
+        self, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        own = tmp_path / "own.txt"
+        own.write_text("# pairs\nsame: goal_red = goal_green\n")
+        ask = ["query", str(folder), "P(same=True or goal_red=get to green agent)"]
+        assert main([*ask, "--define", str(own)]) == 0
+        assert capsys.readouterr().out.endswith(" = 1.00 ± 0.19\n")
+        own.write_text("same: goal_red = goal_gren\n")
+        assert main([*ask, "--define", str(own)]) == 2
+        assert "goal_red = goal_gren\n             ^" in capsys.readouterr().err
+
     def test_files_and_weights_that_do_not_exist(
         self, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:
@@ -446,6 +459,100 @@ def test_a_prior_is_taken_out_of_a_file(tmp_path: Path, capsys: pytest.CaptureFi
     assert "aloof" in capsys.readouterr().err
     assert main(["query", kept, question, "--prior", f"{tmp_path}/none.py:aloof"]) == 2
     assert main(["query", kept, question, "--prior", "sparse_social"]) == 0
+
+
+MINE = """
+import numpy as np
+from phase_ppl.inference.kernels.generic_mh import PriorMH
+
+def still(scene, hypothesis, rng):
+    while True:
+        yield np.array(scene.start)
+
+def plain(program):
+    return PriorMH(program)
+
+class Flat:
+    def __init__(self, beta=0.01): self.beta = beta
+    def log_prob(self, errors): return -self.beta * errors
+    def max_total_error(self, log_floor, n_frames): return -log_floor / self.beta
+
+flat = Flat(0.5)
+"""
+
+
+class TestOwnParts:
+    """Simulators, kernels and likelihoods out of a file, and settings of likelihoods."""
+
+    @pytest.fixture
+    def asked(self, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+        """Return what inference is asked for, which then ends."""
+        found: dict[str, Any] = {}
+        signature = inspect.signature(phase_ppl.infer)
+
+        def infer(event: Any, model: Any, **given: Any) -> Any:
+            found.update(given, model=model)
+            raise phase_ppl.SimulationError("asked")
+
+        infer.__signature__ = signature  # type: ignore[attr-defined]
+        monkeypatch.setattr(phase_ppl, "infer", infer)
+        return found
+
+    def test_they_are_what_inference_gets(
+        self, tmp_path: Path, asked: dict[str, Any], capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        file = tmp_path / "mine.py"
+        file.write_text(MINE)
+        own = {name: f"{file}:{name}" for name in ("still", "plain", "Flat", "flat")}
+        given = ["--simulator", own["still"], "--kernel", own["plain"], "--noise", "fixed"]
+        given += ["--likelihood", f"{own['Flat']}:beta=0.2"]
+        assert main(["infer", "collaborate", *given]) == 2
+        assert f"running {file} for its simulator still" in capsys.readouterr().err
+        model = asked["model"]
+        assert (model.simulator.__name__, asked["kernel"].__name__) == ("still", "plain")
+        assert (model.likelihood.beta, model.noise) == (0.2, "fixed")
+        assert main(["infer", "collaborate", "--likelihood", own["flat"]]) == 2
+        assert asked["model"].likelihood.beta == 0.5
+        capsys.readouterr()
+        assert "asked" in fails(capsys, "infer", "collaborate", "--likelihood", "radial:beta=0.3")
+        assert asked["model"].likelihood == phase_ppl.RadialLikelihood(0.3)
+
+    def test_settings_of_the_closed_loop(
+        self, asked: dict[str, Any], capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        given = ["--option", "weight=1", "--option", "planner_seeds=2", "--option", "tail=5"]
+        assert "asked" in fails(capsys, "infer", "collaborate", "--model", "stepwise", *given)
+        expected = phase_ppl.StepwiseLikelihood(
+            weight=1, planner_seeds=2, tracking=phase_ppl.Tracking(tail=5)
+        )
+        assert asked["model"].likelihood == expected
+        text = "stepwise:weight=1:planner_seeds=2:tail=5"
+        assert "asked" in fails(capsys, "infer", "collaborate", "--likelihood", text)
+        assert asked["model"].likelihood == expected
+
+    @pytest.mark.parametrize(
+        ("given", "said"),
+        [
+            ("--simulator joint", "--simulator joint: expected FILE.py:NAME"),
+            ("--simulator FILE", "mine.py: expected"),
+            ("--simulator FILE:stil", "did you mean 'still'?"),
+            ("--likelihood radal", "did you mean 'radial'?"),
+            ("--likelihood radial:beta", "'beta' in 'radial:beta' is no OPTION=VALUE"),
+            ("--likelihood stepwise:speed=1", "unexpected keyword argument 'speed'"),
+            ("--likelihood FILE:flat:beta=1", "is an object, which takes no settings"),
+            ("--model stepwise --likelihood radial", "is not that of --model stepwise"),
+            ("--model simple --likelihood stepwise", "is not that of --model simple"),
+            ("--simulator FILE:still --planner fast", "planner applies to the joint simulator"),
+        ],
+    )
+    def test_what_cannot_be_is_refused(
+        self, given: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        (tmp_path / "mine.py").write_text(MINE)
+        words = given.replace("FILE", str(tmp_path / "mine.py")).split()
+        assert main(["infer", "collaborate", *words]) == 2
+        *_, last = capsys.readouterr().err.splitlines()
+        assert said in last
 
 
 def test_help_lists_all_commands_and_imports_none_of_them() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from phase_ppl.analysis import Posterior
+from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.cli import main
 from phase_ppl.cli.results import table
 from tests.analysis.factory import random_tree

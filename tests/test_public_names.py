@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 import phase_ppl as ppl
 
+ROOT = Path(__file__).parent.parent
 HEAVY = {"arviz", "jax", "matplotlib", "numba", "numpy", "numpyro", "pandas", "torch", "xarray"}
 
 
@@ -24,6 +26,42 @@ def test_names_are_those_of_the_stub_which_type_checkers_read() -> None:
     assert {"infer", "Posterior", "render", "plot", "GOALS", "__version__"} <= set(dir(ppl))
     with pytest.raises(AttributeError, match="'phase_ppl' has no attribute 'infers'"):
         _ = ppl.infers  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    "name", ["plot", "render", "study", "figures", "priors", "sites", "worlds", "observers"]
+)
+def test_completion_in_a_module_shows_what_is_meant_for_users(name: str) -> None:
+    module = getattr(ppl, name)
+    shown = dir(module)
+    assert shown == sorted(module.__all__)
+    assert not {"np", "os", "Any", "jax", "annotations"} & set(shown)
+    for one in shown:
+        assert getattr(module, one) is not None
+
+
+@pytest.mark.slow
+def test_a_models_likelihood_says_what_infer_returns(tmp_path: Path) -> None:
+    closed_loop = "ppl.Model(likelihood=ppl.StepwiseLikelihood())"
+    lines = (
+        "ppl.infer(event, seed=0).replay()",
+        "ppl.infer(event, ppl.Model(prior='uniform'), kernel='smc').map()",
+        f"ppl.infer(event, {closed_loop}).at(3).why('alpha=(0, 0)')",
+        f"ppl.infer(event, {closed_loop}, kernel='smc').replay()",
+        "ppl.Scene([[8, 20, 0]] * 4, radius=[0.8] * 4, walls=[[[16, 12], [16, 17]]]).start.shape",
+        "ppl.Hypothesis('Get blue item to blue lm', 'get to red agent').goal_red + 1",
+        "ppl.Observation([[[8.0, 20, 0]] * 4] * 2).n_frames",
+    )
+    wrong = f"ppl.infer(event, {closed_loop}).replay()"
+    file = tmp_path / "user.py"
+    text = "import phase_ppl as ppl\n\nevent = ppl.load_event('collaborate')\n"
+    file.write_text(text + "\n".join((*lines, wrong)) + "\n")
+    options = ["--strict", "--config-file=", "--follow-imports=silent"]
+    command = [sys.executable, "-m", "mypy", *options, "--cache-dir", tmp_path / "cache", file]
+    run = subprocess.run(command, capture_output=True, text=True, check=False, cwd=ROOT)
+    errors = [line for line in run.stdout.splitlines() if "user.py" in line]
+    assert len(errors) == 1, run.stdout
+    assert '"StepwisePosterior" has no attribute "replay"' in errors[0]
 
 
 def test_nothing_is_imported_before_it_is_used() -> None:

@@ -52,7 +52,9 @@ def test_all_pages_with_examples_are_known() -> None:
         "long_runs": 1,
         "many_events": 1,
     }
-    notebooks = "closed_loop diagnostics first_posterior how_it_works making_events own_kernel"
+    notebooks = (
+        "closed_loop design diagnostics first_posterior how_it_works making_events own_kernel"
+    )
     notebooks += " own_prior own_simulator queries what_if worlds"
     assert [page.stem for page in NOTEBOOKS] == notebooks.split()
 
@@ -94,11 +96,21 @@ def test_the_readmes_lines_print_a_posterior_and_write_its_files(
     tmp_path: Path, run_script: Callable[..., str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shorten(monkeypatch, 20)
-    (shown,) = examples(README)
+    shown, _ = examples(README)
     printed = run_script(saved(shown, tmp_path))
     assert "Get pink item to red lm" in printed
     for name in ("run.nc", "run.png", "why.mp4"):
         assert (tmp_path / name).stat().st_size > 1000
+
+
+def test_the_readmes_scene_is_simulated_and_drawn(
+    tmp_path: Path, run_script: Callable[..., str]
+) -> None:
+    _, shown = examples(README)
+    run_script(saved(shown.replace("frames=50", "frames=12"), tmp_path))
+    for name in ("helps.png", "hinders.png"):
+        assert (tmp_path / name).stat().st_size > 1000
+        assert (DOCS / "images" / name).is_file()
 
 
 @pytest.mark.slow
@@ -123,3 +135,11 @@ def test_the_two_commands_are_named_and_exist(name: str) -> None:
     makefile = (README.parent / "Makefile").read_text(encoding="utf-8")
     assert name in README.read_text(encoding="utf-8")
     assert f"\n{name.removeprefix('make ')}:" in makefile
+
+
+def test_citation_and_changelog_are_of_this_version() -> None:
+    citation = (README.parent / "CITATION.cff").read_text(encoding="utf-8")
+    released = dict(re.findall(r"^(version|date-released): (\S+)$", citation, re.MULTILINE))
+    changes = (README.parent / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert released["version"] == ppl.__version__
+    assert f"\n## [{ppl.__version__}] - {released['date-released']}\n" in changes

@@ -76,7 +76,8 @@ def own_event(number: int, likelihood: StepwiseLikelihood, n_frames: int = 41) -
             meant.append(Action(int(rng.choice(N_ACTIONS, p=found))))
             agent.done(meant[-1])
         done = [executed(action, scene.turning) for action in meant]
-        inverse.attempt(bodies[0], held[0], weld[0], *done, params, scratch, trial)
+        trial.actions[:] = done
+        inverse.attempt(bodies[0], held[0], weld[0], params, scratch, trial)
         frame = trial.frame + noise(rng, tracking.scale, tracking.angle_scale, tracking.tail)
         x0, x1, y0, y1 = scene.arena
         frame[:, 0], frame[:, 1] = frame[:, 0].clip(x0, x1), frame[:, 1].clip(y0, y1)

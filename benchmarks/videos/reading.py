@@ -12,13 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.closed_loop.goal_filter import (
-    Conduct,
-    GoalFilter,
-    Looked,
-    frame_log_likelihood,
-)
+from phase_ppl.closed_loop.goal_filter import GoalFilter, frame_log_likelihood
 from phase_ppl.closed_loop.hidden_state import HiddenState, Tracking
+from phase_ppl.closed_loop.search_sets import Conduct, Looked
 from phase_ppl.models import priors
 from phase_ppl.models.effective import log_prior_of_effective
 from phase_ppl.models.stepwise import StepwiseLikelihood
@@ -56,8 +52,8 @@ class Told(HiddenState):
     """A filter that is told the actions."""
 
     def tell(self, pair: NDArray[np.int64]) -> None:
-        self._log_prior = np.full((len(Action), len(Action)), -np.inf)
-        self._log_prior[pair[0], pair[1]] = 0.0
+        self._log_prior = np.full(len(Action) ** 2, -np.inf)
+        self._log_prior[pair[0] * len(Action) + pair[1]] = 0.0
 
 
 def compare_with_replay(task: tuple[Event, dict[str, Any]]) -> dict[str, Any]:
@@ -190,14 +186,18 @@ class Recorder(GoalFilter):
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         self.searched: list[tuple[list[list[Looked]], NDArray[np.bool_]]] = []
+        look = self._sets.look
 
-    def _look(self, wanted: NDArray[np.bool_]) -> list[list[Looked]]:
-        looked = super()._look(wanted)
-        small = [
-            [one._replace(of_pair=one.of_pair.astype(np.int16)) for one in pair] for pair in looked
-        ]
-        self.searched.append((small, wanted))
-        return looked
+        def looked(wanted: Any) -> list[list[Looked]]:
+            found = look(wanted)
+            small = [
+                [one._replace(intent_of=one.intent_of.astype(np.int16)) for one in pair]
+                for pair in found
+            ]
+            self.searched.append((small, wanted[0].reshape(N_GOALS, N_GOALS)))
+            return found
+
+        self._sets.look = looked  # type: ignore[method-assign]
 
 
 def levels_of(event: Event) -> tuple[int, int]:
@@ -225,13 +225,13 @@ def record(event: Event, likelihood: StepwiseLikelihood, seed: int = 0) -> Kept:
         weight=likelihood.weight,
         log_prior=log_prior(),
     ) as goals:
-        advance = goals._hidden.advance
+        advance = goals._sets.hidden.advance
 
         def advanced(*arguments: Any) -> FloatArray:
             densities.append(advance(*arguments))
             return densities[-1]
 
-        goals._hidden.advance = advanced  # type: ignore[method-assign]
+        goals._sets.hidden.advance = advanced  # type: ignore[method-assign]
         readings = [goals.read(frame) for frame in event.observation.trajectory[1:]]
     seconds = time.process_time() - began
     unexplained, log_peak = (

@@ -11,9 +11,7 @@ have one filter of beliefs, and make each search once for all the goals that cal
 
 from __future__ import annotations
 
-import functools
 import hashlib
-import itertools
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
@@ -24,16 +22,16 @@ from numpy.typing import NDArray
 from phase_ppl.agents import pomcp, symbols
 from phase_ppl.agents.beliefs import Beliefs, Perception
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.agents.subgoals import Stance, stance, subgoal_planners
+from phase_ppl.agents.standpoints import Alike, alike, standpoints
+from phase_ppl.agents.subgoals import Stance, subgoal_planners
 from phase_ppl.agents.world_model import WorldModel
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import Action
 from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
-from phase_ppl.world.goals import goal_literal, is_self_referring
+from phase_ppl.world.goals import goal_literal
 from phase_ppl.world.names import AGENTS, NOTHING, STOP, Literal, Predicate
-from phase_ppl.world.scene import World
 
-NO_INTENT = -1  # stands for a pair of goals that is none
+NO_INTENT = -1  # of goals that cannot be, or were not asked for
 
 
 class Intent(NamedTuple):
@@ -119,40 +117,6 @@ def reflex(
     return Action.ATTACH if item == subgoal.target else None
 
 
-class _Alike(NamedTuple):
-    """A goal of an agent, and goals of another towards which it then stands alike.
-
-    A subgoal depends on the other's goal only in whether it is the same, or the opposite; and,
-    when helping the other to get somewhere, in whether that is reached.
-    """
-
-    own: int
-    literal: Literal
-    towards: Stance
-    others: list[int]
-
-
-def _alike(agent: int, goals: Iterable[tuple[int, ...]], world: World) -> list[_Alike]:
-    """Return goals of all agents in classes that lead one agent to the same intent."""
-    classes: dict[tuple[int, Literal, Stance], list[int]] = defaultdict(list)
-    literal = functools.cache(lambda goal, holder: goal_literal(goal, holder, world))
-    for each in goals:
-        literals = [literal(goal, holder) for holder, goal in enumerate(each)]
-        towards = stance(agent, literals)
-        other = agent if towards.other == NOTHING else towards.other
-        classes[each[agent], literals[agent], towards].append(each[other])
-    return [_Alike(*key, others) for key, others in classes.items()]
-
-
-@functools.cache
-def _all_alike(agent: int, world: World) -> list[_Alike]:
-    possible = [
-        [goal for goal in range(len(world.goals)) if not is_self_referring(goal, holder, world)]
-        for holder in range(len(world.agents))
-    ]
-    return sorted(_alike(agent, itertools.product(*possible), world), key=lambda one: one.own)
-
-
 class Policies:
     """One agent's beliefs, and its intents under the effective goals that all may have.
 
@@ -163,13 +127,12 @@ class Policies:
         seed: of beliefs and searches. From a whole number, the step and the intent follows the
             seed of each search, whose result does not depend on what else is searched then. From
             a generator one search after the other takes its random numbers.
-        goals: of all agents, that it can be asked for; None: all, of two agents.
+        goals: of all agents, that it can be asked for; None: all.
 
     Attributes:
         intents: those of the last observation.
-        of_pair: (goal_red, goal_green) -> index into ``intents``, or ``NO_INTENT`` where this
-            agent's goal names itself, or the pair was not asked for. In other company: own goal,
-            goal of whom it concerns.
+        intent_of: (standpoint,) index into ``intents``, or ``NO_INTENT``. The standpoints are those
+            of :func:`~phase_ppl.agents.standpoints.standpoints`, or the given ``goals``.
     """
 
     def __init__(
@@ -189,13 +152,18 @@ class Policies:
         self._search = pomcp.Search.of(config)
         world = model.scene.world
         self._counts = len(world.entities), len(world.agents)
-        self._alike = _all_alike(agent, world) if goals is None else _alike(agent, goals, world)
+        if goals is None:
+            every = standpoints(agent, world)
+            self._alike, n = every.alike, every.n
+        else:
+            n = len(goals)
+            self._alike = alike(agent, goals, range(n), world)
         asked = {(agent, one.own) for one in self._alike}
         asked |= {
             (one.towards.other, other)
             for one in self._alike
             for other in one.others
-            if one.towards.other != NOTHING
+            if one.towards.helps_along
         }
         self._rows = {goal: row for row, goal in enumerate(sorted(asked))}
         self._codes = np.array(
@@ -209,7 +177,7 @@ class Policies:
         self._groups: dict[bytes, list[tuple[symbols.SymbolicState, list[int]]]] = {}
         self._step = 0
         self.intents: list[Intent] = []
-        self.of_pair = np.full((len(world.goals),) * 2, NO_INTENT)
+        self.intent_of = np.full(n, NO_INTENT)
 
     @property
     def beliefs(self) -> Beliefs:
@@ -237,22 +205,24 @@ class Policies:
 
         Args:
             bodies, held, weld: the true state as ``physics.compiled.from_state`` gives it.
-            wanted: (goal_red, goal_green) the pairs whose intents are needed; None: all.
+            wanted: (standpoint,) those whose intents are needed; None: all.
         """
         self._step += 1
         self._perception.observe(bodies, held, weld)
         self._describe()
         found: dict[Intent, int] = {}
-        of_pair = self.of_pair.T if self.agent == 1 else self.of_pair
-        of_pair[:] = NO_INTENT
-        asked = wanted if wanted is None or self.agent != 1 else wanted.T
+        self.intent_of[:] = NO_INTENT
         for one in self._alike:
-            own, towards, others = one.own, one.towards, one.others
-            chosen = others if asked is None else [other for other in others if asked[own, other]]
-            for same in self._by_done(chosen, towards) if towards.helps_along else [chosen]:
+            chosen = [
+                (other, place)
+                for other, place in zip(one.others, one.places, strict=True)
+                if wanted is None or wanted[place]
+            ]
+            for same in self._by_done(chosen, one.towards) if one.towards.helps_along else [chosen]:
                 if same:
-                    intent = self._intent(one, same[0])
-                    of_pair[own, same] = found.setdefault(intent, len(found))
+                    intent = self._intent(one, same[0][0])
+                    places = [place for _, place in same]
+                    self.intent_of[places] = found.setdefault(intent, len(found))
         self.intents = list(found)
 
     def _describe(self) -> None:
@@ -269,14 +239,17 @@ class Policies:
         self._observed = tuple(beliefs.observed.tolist())
         self._groups = {}
 
-    def _by_done(self, others: Iterable[int], towards: Stance) -> Iterable[list[int]]:
-        """Return the other's goals in classes that are reached in the same particles."""
-        classes: dict[bytes, list[int]] = defaultdict(list)
+    def _by_done(
+        self, others: Iterable[tuple[int, int]], towards: Stance
+    ) -> Iterable[list[tuple[int, int]]]:
+        """Return the other's goals with their standpoints, by where they are reached."""
+        classes: dict[bytes, list[tuple[int, int]]] = defaultdict(list)
         for other in others:
-            classes[self._done[self._rows[towards.other, other]].tobytes()].append(other)
+            done = self._done[self._rows[towards.other, other[0]]]
+            classes[done.tobytes()].append(other)
         return classes.values()
 
-    def _intent(self, one: _Alike, other: int) -> Intent:
+    def _intent(self, one: Alike, other: int) -> Intent:
         """Return what the agent is about with its own goal and the other's."""
         row, towards = self._rows[self.agent, one.own], one.towards
         done = self._done[row]
@@ -408,7 +381,7 @@ class Agent(Policies):
 
     def look(self, bodies: FloatArray, held: IntArray, weld: FloatArray, action: Action) -> None:
         """Observe a past state, and take note of what was done then, without deciding anything."""
-        self.observe(bodies, held, weld, np.zeros_like(self.of_pair, np.bool_))
+        self.observe(bodies, held, weld, np.zeros_like(self.intent_of, np.bool_))
         self.done(action)
 
 

@@ -4,16 +4,13 @@ Numbers, each built on those before it:
 
 * ``tree``: the draws of a run and their file; ``quantities``: what can be asked for.
 * ``weights``: from draws to a weighted table of hypotheses; ``over_time``: on ever more frames.
-* ``estimate``: statistics of such a table with their errors; ``query``: questions in words.
+* ``estimate``: statistics of such a table with their errors; ``query``: questions in words;
+  ``definitions``: quantities of one's own.
 * ``hypotheses``: what one can ask a table; ``posterior`` and ``stepwise_posterior`` (with
   ``stepwise_table``) are such tables, which print themselves by means of ``summary``.
 * ``comparison``: posteriors against a reference and each other; ``data_table``: statistics of a set
   of events beside another's.
 
-``diagnostics`` says whether a posterior can be trusted, ``_arviz`` hands draws to ArviZ. ``plots``
-lists the figures, which are in ``figures/``.
+``diagnostics`` says how chains went, ``convergence`` if they mixed, ``verdict`` whether they can be
+trusted; ``_arviz`` hands draws to ArviZ. ``plots`` lists the figures, which are in ``figures/``.
 """
-
-from phase_ppl.analysis.posterior import Posterior
-
-__all__ = ["Posterior"]

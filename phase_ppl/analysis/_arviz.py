@@ -10,14 +10,8 @@ from typing import Any, Final
 import numpy as np
 import xarray as xr
 
-from phase_ppl.analysis.diagnostics import (
-    MASS,
-    MIN_DRAWS,
-    arviz_module,
-    categorical_draws,
-    chain_halves,
-    scalars,
-)
+from phase_ppl.analysis.convergence import MIN_DRAWS, arviz_module, chain_halves
+from phase_ppl.analysis.diagnostics import MASS, categorical_draws, scalars
 from phase_ppl.analysis.quantities import ScenarioFunction, quantities
 from phase_ppl.analysis.tree import SIMULATED, log_weight_of_draws
 from phase_ppl.world.arrays import FloatArray

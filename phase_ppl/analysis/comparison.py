@@ -14,7 +14,7 @@ import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.diagnostics import ess
+from phase_ppl.analysis.convergence import ess
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.summary import plain
 from phase_ppl.analysis.tree import array

@@ -19,7 +19,7 @@ from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.identity import qualified_name
-from phase_ppl.world.scene import Scene
+from phase_ppl.world.scene import Scene, check_phase
 
 if TYPE_CHECKING:
     from phase_ppl.analysis.what_if import Source, WhatIf
@@ -160,6 +160,7 @@ class EventPosterior(Hypotheses):
     def _source(self) -> Source:
         from phase_ppl.analysis.what_if import Source
 
+        check_phase(self.scene, "what if")
         return Source(self.event_id, self.settings, self.scene, self.observed(), self.table)
 
     def do(

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
-import keyword
+import json
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, Final, Self
+import os
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, Final, Self, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -15,24 +18,28 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from phase_ppl.analysis import estimate
+from phase_ppl.analysis.definitions import Definition, check_name, defined, read_definitions
 from phase_ppl.analysis.estimate import Estimate, Jackknife, Mode, doubt, leaving_out, with_unseen
 from phase_ppl.analysis.quantities import Quantity
-from phase_ppl.analysis.query import understood
+from phase_ppl.analysis.query import Conditions, conditions, understood
 from phase_ppl.analysis.summary import LABEL, bars
 from phase_ppl.analysis.weights import Rows
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import whole_number
-from phase_ppl.world.errors import InvalidSettingError, QueryError, shown, unknown_name
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    InvalidSettingError,
+    QueryError,
+    unknown_name,
+)
 from phase_ppl.world.names import AGENTS
 from phase_ppl.world.picture import preformatted
 
-Definition = Callable[["Named"], bool | int | float | str]
-"""(hypothesis in plain names) -> its value."""
+Given: TypeAlias = Mapping[str, Any] | str | Conditions | None
+"""What to condition on: quantity -> value, or conditions in words; None: nothing."""
 
-RESERVED_QUANTITIES: Final = frozenset(
-    ("given", "self", "weight", "chain", "draw", "simulation", "error", "bound", "probability")
-)
-"""Names that are taken by arguments, columns and coordinates of results."""
+KEPT_DEFINITIONS: Final = "definitions"
+"""Attribute of a file that holds definitions in words, JSON."""
 
 HDI_PROBABILITY: Final = 0.94  # mass of the intervals that summaries report
 N_TOP: Final = 3  # number of labels that ``top`` returns where nothing else is asked for
@@ -44,9 +51,6 @@ MOST_CELLS: Final = 10_000_000  # size of a joint table above which it is refuse
 GOALS_OF: Final = dict(zip(AGENTS, ("goal_red", "goal_green"), strict=True))
 STRENGTHS_OF: Final = dict(zip(AGENTS, ("strength_red", "strength_green"), strict=True))
 """Agent -> the quantity that is its goal, its strength."""
-
-_SHOWN: Final = ("goal_red", "goal_green", "alpha", "strength_red", "strength_green")
-"""What a message says of a hypothesis."""
 
 _LISTED: Final = 5  # labels that a message names at most, the most probable first
 
@@ -64,7 +68,8 @@ class Hypotheses:
     errors are found, and when they are NaN, is in :mod:`phase_ppl.analysis.estimate`.
 
     Every question takes ``given``, what to condition on: quantity -> value, where a value is a
-    label, a list of labels of which any will do, or for numbers an interval (low, high).
+    label, a list of labels of which any will do, or for numbers an interval (low, high); or
+    conditions in words, as ``"relation=friendly or strength_red > strength_green"``.
     :mod:`phase_ppl.analysis.quantities` lists the quantities. All questions raise
     UnknownNameError, which names close matches, where there is no such quantity or label, and
     InvalidSettingError where a quantity has not what is asked for, or ``given`` has probability 0.
@@ -76,6 +81,12 @@ class Hypotheses:
             chains.
         halves: masks (row,) of the first and the last half of the draws, if these are to agree.
     """
+
+    # what summaries tell of: in words -> quantity
+    goals_of: Mapping[str, str] = GOALS_OF
+    relations_of: Mapping[str, str] = MappingProxyType({"relation": "relation"})
+    scenarios_of: Mapping[str, str] = MappingProxyType({"scenario": "scenario"})
+    strengths_of: Mapping[str, str] = STRENGTHS_OF
 
     def __init__(
         self,
@@ -99,55 +110,96 @@ class Hypotheses:
         """What one can ask for: quantity -> its labels, None for a real number."""
         return {name: quantity.labels for name, quantity in self._quantities.items()}
 
-    def define(self, name: str, function: Definition) -> Self:
+    def define(self, name: str, definition: Definition) -> Self:
         """Add a quantity of your own, to be asked for like any other; return the posterior.
 
         Args:
             name: of the quantity. One that was defined before may be defined anew.
-            function: hypothesis -> a truth value, a whole number or a string, for a quantity
-                with categories (of which those of numbers have means too), or a real number. It
-                is called at once, once per distinct hypothesis, which offers the quantities by
-                name, as in ``h.goal_red`` (:class:`phase_ppl.analysis.hypotheses.Named`).
+            definition: conditions in words (:mod:`phase_ppl.analysis.query`), which hold or do
+                not; or a function, hypothesis -> a truth value, a whole number or a string, for
+                a quantity with categories (of which those of numbers have means too), or a real
+                number. It is called at once, once per distinct hypothesis, which offers the
+                quantities by name, as in ``h.goal_red``
+                (:class:`phase_ppl.analysis.definitions.Named`).
 
-        A function cannot be written to a file: define it again after :meth:`Posterior.load`.
+        Words are saved along with the posterior. A function cannot be written to a file: define
+        it again after :meth:`Posterior.load`, and what is defined by it.
 
         Example:
-            ``post.define("same_goal", lambda h: h.goal_red == h.goal_green)``, then
-            ``post.probability(same_goal=True)``
+            ``post.define("same_goal", "goal_red = goal_green")`` or ``post.define("same_goal",
+            lambda h: h.goal_red == h.goal_green)``, then ``post.probability(same_goal=True)``
 
         Raises:
+            QueryError: the conditions cannot be read; the message points at the place.
             InvalidSettingError: the name is taken or no name; or the function raises, or returns
                 NaN, something else or values of several kinds. The message names the hypothesis.
         """
-        _check_name(name, self._quantities.keys() - self._own.keys())
+        check_name(name, self._quantities.keys() - self._own.keys())
         others = {key: quantity for key, quantity in self._quantities.items() if key != name}
-        quantity, column = _defined(name, function, others, self._rows.values)
+        quantity, column = defined(name, definition, others, self._rows.values)
         self._quantities = {**others, name: quantity}
         self._rows = dataclasses.replace(self._rows, values={**self._rows.values, name: column})
-        self._own[name] = function
+        self._own[name] = definition
         return self
+
+    def define_from(self, path: str | os.PathLike[str]) -> Self:
+        """Add the quantities that a text file defines, a line each; return the posterior.
+
+        A line has a name, a colon and conditions, as in ``same_goal: goal_red = goal_green``; it
+        may use names that were defined before. Lines that begin with # are left out.
+
+        Raises:
+            InvalidEventError: there is no such file, or it has a line of another form.
+            QueryError, InvalidSettingError: as of :meth:`define`.
+        """
+        return self._defining(read_definitions(path))
+
+    @property
+    def definitions(self) -> dict[str, Definition]:
+        """What was defined: name -> conditions in words, or a function."""
+        return dict(self._own)
 
     def _defining(self, others: Mapping[str, Definition]) -> Self:
         """Define what another posterior of the same event has; return this one."""
-        for name, function in others.items():
-            self.define(name, function)
+        for name, definition in others.items():
+            self.define(name, definition)
         return self
+
+    def _definitions_to_keep(self) -> dict[str, str]:
+        """Return the attribute of a file with the definitions in words that need no function."""
+        known = {name: q for name, q in self._quantities.items() if name not in self._own}
+        kept: dict[str, str] = {}
+        for name, definition in self._own.items():
+            if isinstance(definition, str):
+                with contextlib.suppress(QueryError):
+                    conditions(known, definition)
+                    known[name], kept[name] = self._quantities[name], definition
+        return {KEPT_DEFINITIONS: json.dumps(kept)} if kept else {}
+
+    def _define_kept(self, attributes: Mapping[Hashable, Any]) -> None:
+        """Define what a file has kept."""
+        try:
+            self._defining(dict(json.loads(attributes.get(KEPT_DEFINITIONS, "{}"))))
+        except ValueError as error:  # of ours too
+            raise InvalidEventError(f"{KEPT_DEFINITIONS}: {error}") from None
 
     @property
     def table(self) -> Rows:
         """Codes or numbers of every quantity, row by row, and the weights."""
         return self._rows
 
-    def marginal(self, name: str, *, given: Mapping[str, Any] | None = None) -> xr.DataArray:
+    def marginal(self, name: str, *, given: Given = None) -> xr.DataArray:
         """Return the probability of every label of a quantity with categories, sum 1."""
         return self.joint(name, given=given)
 
-    def joint(self, *names: str, given: Mapping[str, Any] | None = None) -> xr.DataArray:
+    def joint(self, *names: str, given: Given = None) -> xr.DataArray:
         """Return the joint probability of quantities with categories, a dim for each.
 
         Raises:
             InvalidSettingError: twice the same name, no name, or too large a table.
         """
+        if (of := self._knowing(*names, given=given)) is not self:
+            return of.joint(*names, given=given)
         labels = [self._quantity(name).categories() for name in _distinct(names)]
         shape = tuple(map(len, labels))
         if math.prod(shape) > MOST_CELLS:
@@ -170,11 +222,11 @@ class Hypotheses:
             table, {**coords, "error": (names, error)}, dims=names, name="probability"
         )
 
-    def probability(self, given: Mapping[str, Any] | None = None, **event: Any) -> Estimate:
+    def probability(self, given: Given = None, **event: Any) -> Estimate:
         """Return P(event | given).
 
         Args:
-            given: quantity -> value, what to condition on.
+            given: what to condition on.
             **event: quantity -> value. A value is a label, a list of labels of which any will
                 do, or for a strength an interval (low, high) in newtons.
 
@@ -186,11 +238,10 @@ class Hypotheses:
         """
         if not event:
             raise InvalidSettingError("name the event, as in probability(relation='friendly')")
-        return self._number(estimate.share, self._satisfied(event), given)
+        of = self._knowing(*event, given=given)
+        return of._number(estimate.share, of._satisfied(event), given)
 
-    def top(
-        self, name: str, n: int = N_TOP, *, given: Mapping[str, Any] | None = None
-    ) -> list[tuple[str, Estimate]]:
+    def top(self, name: str, n: int = N_TOP, *, given: Given = None) -> list[tuple[str, Estimate]]:
         """Return the ``n`` (from 1) most probable labels of a quantity, ties in label order."""
         n = whole_number("n", n)
         marginal = self.marginal(name, given=given)
@@ -198,11 +249,13 @@ class Hypotheses:
         labels, errors = marginal[name].values, marginal["error"].values
         return [(str(labels[i]), Estimate(marginal.values[i], errors[i])) for i in order]
 
-    def mode(self, name: str, *, given: Mapping[str, Any] | None = None) -> Mode:
+    def mode(self, name: str, *, given: Given = None) -> Mode:
         """Return the most probable label of a quantity, the first in label order of equals.
 
         Its ``.error`` is the probability that another label leads in truth.
         """
+        if (of := self._knowing(name, given=given)) is not self:
+            return of.mode(name, given=given)
         labels = self._quantity(name).categories()
         rows, weights, without = self._weighed(given)
         codes, size = self._rows.values[name][rows], len(labels)
@@ -221,7 +274,7 @@ class Hypotheses:
             :data:`SURE` errors. With errors that are not known nothing is sure.
         """
         found = {}
-        for name in (*GOALS_OF.values(), "relation"):
+        for name in (*self.goals_of.values(), *self.relations_of.values()):
             (label, share), (second, second_share) = self.top(name, 2)
             found[name] = {
                 "label": label,
@@ -233,24 +286,26 @@ class Hypotheses:
             }
         return found
 
-    def entropy(self, *names: str, given: Mapping[str, Any] | None = None) -> Estimate:
+    def entropy(self, *names: str, given: Given = None) -> Estimate:
         """Return the entropy, in nats, of the joint distribution of quantities with categories.
 
         It is that of the weights; of few draws it comes out too low.
         """
+        if (of := self._knowing(*names, given=given)) is not self:
+            return of.entropy(*names, given=given)
         codes = np.zeros(len(self._rows.weights), np.int64)
         for name in _distinct(names):
             size = len(self._quantity(name).categories())
             _, codes = np.unique(codes * size + self._rows.values[name], return_inverse=True)
         return self._number(_entropy_of_codes, codes, given)
 
-    def mutual_information(
-        self, first: str, second: str, *, given: Mapping[str, Any] | None = None
-    ) -> Estimate:
+    def mutual_information(self, first: str, second: str, *, given: Given = None) -> Estimate:
         """Return how much two quantities with categories tell of each other, in nats.
 
         It is that of the weights; of few draws it comes out too high.
         """
+        if (of := self._knowing(first, second, given=given)) is not self:
+            return of.mutual_information(first, second, given=given)
         size = len(self._quantity(second).categories())
         self._quantity(first).categories()
         codes = self._rows.values[first] * size + self._rows.values[second]
@@ -264,21 +319,22 @@ class Hypotheses:
 
         return self._number(information, codes, given)
 
-    def mean(self, name: str, *, given: Mapping[str, Any] | None = None) -> Estimate:
+    def mean(self, name: str, *, given: Given = None) -> Estimate:
         """Return the mean of a quantity with numbers, such as a strength in newtons."""
-        return self._number(estimate.mean, self._numbers(name), given)
+        of = self._knowing(name, given=given)
+        return of._number(estimate.mean, of._numbers(name), given)
 
-    def sd(self, name: str, *, given: Mapping[str, Any] | None = None) -> Estimate:
+    def sd(self, name: str, *, given: Given = None) -> Estimate:
         """Return the standard deviation of a quantity with numbers."""
-        return self._number(estimate.sd, self._numbers(name), given)
+        of = self._knowing(name, given=given)
+        return of._number(estimate.sd, of._numbers(name), given)
 
-    def median(self, name: str, *, given: Mapping[str, Any] | None = None) -> Estimate:
+    def median(self, name: str, *, given: Given = None) -> Estimate:
         """Return the median of a quantity with numbers, the lower one of two."""
-        return self._number(estimate.median, self._numbers(name), given)
+        of = self._knowing(name, given=given)
+        return of._number(estimate.median, of._numbers(name), given)
 
-    def hdi(
-        self, name: str, prob: float = HDI_PROBABILITY, *, given: Mapping[str, Any] | None = None
-    ) -> xr.DataArray:
+    def hdi(self, name: str, prob: float = HDI_PROBABILITY, *, given: Given = None) -> xr.DataArray:
         """Return the shortest interval with probability ``prob`` of a quantity with numbers.
 
         Returns:
@@ -289,6 +345,8 @@ class Hypotheses:
         """
         if not 0 < prob <= 1:
             raise InvalidSettingError(f"prob={prob} must lie in (0, 1]")
+        if (of := self._knowing(name, given=given)) is not self:
+            return of.hdi(name, prob, given=given)
         values = self._numbers(name)
         rows, weights, without = self._weighed(given, LEFT_OUT_OF_INTERVALS)
         levels, codes = np.unique(values[rows], return_inverse=True)
@@ -302,8 +360,13 @@ class Hypotheses:
         coords = {"bound": ["lower", "upper"], "error": ("bound", error)}
         return xr.DataArray(list(bounds), coords, dims="bound", name=name)
 
-    def query(self, question: str) -> Any:
+    def query(self, question: str, *, weights: str | None = None) -> Any:
         """Return the answer to a question in words, such as ``"P(relation=friendly)"``.
+
+        Args:
+            question: in words.
+            weights: of draws, instead of those in use (:mod:`phase_ppl.analysis.weights`); for
+                posteriors that were sampled.
 
         :mod:`phase_ppl.analysis.query` has the grammar. The answer is that of the method that
         asks the same:
@@ -321,12 +384,16 @@ class Hypotheses:
                 does not have, or conditions on what has probability 0; the message points at
                 the place.
         """
+        if weights is not None:
+            return self._under_weights(weights).query(question)
+        if (of := self._knowing(given=question)) is not self:
+            return of.query(question)
         query, event, given = understood(question, self._quantities)
-        if given and not self.probability(**given) > 0:
+        if given is not None and not self._rows.weights[given.holds(self._rows.values)].sum() > 0:
             reason = f"cannot condition on this: {self._why_impossible(given)}"
             raise QueryError(reason, question, query.given_at)
-        if event:
-            return self.probability(given, **event)
+        if event is not None:
+            return self._number(estimate.share, event.holds(self._rows.values), given)
         names, number = [name.text for name in query.names], query.number
         try:
             match query.question:
@@ -348,6 +415,9 @@ class Hypotheses:
         except InvalidSettingError as error:  # too large a table
             raise QueryError(str(error), question, query.names[0].at) from None
 
+    def _under_weights(self, weights: str) -> Hypotheses:
+        raise InvalidSettingError(f"weights={weights!r}: this has no draws to be weighted")
+
     def to_dataframe(self) -> pd.DataFrame:
         """Return one row per draw (or visited hypothesis): labels, numbers, ``weight``.
 
@@ -366,10 +436,11 @@ class Hypotheses:
 
     def _answers(self) -> dict[str, Any]:
         """Return what summaries have of goals, relation, scenario and strengths, with errors."""
-        names = (*GOALS_OF.values(), "relation", "scenario")
+        others = (*self.relations_of.values(), *self.scenarios_of.values())
+        names = (*self.goals_of.values(), *others)
         tables = {name: self.marginal(name) for name in names}
         numbers: dict[str, dict[str, tuple[float, float]]] = {}
-        for agent, name in STRENGTHS_OF.items():
+        for agent, name in self.strengths_of.items():
             mean, sd, interval = self.mean(name), self.sd(name), self.hdi(name)
             low, high = zip(interval.values, interval["error"].values, strict=True)
             numbers[agent] = {
@@ -392,9 +463,8 @@ class Hypotheses:
                 for name, table in tables.items()
             }
             return {
-                "goals": {agent: found[name] for agent, name in GOALS_OF.items()},
-                "relation": found["relation"],
-                "scenario": found["scenario"],
+                "goals": {agent: found[name] for agent, name in self.goals_of.items()},
+                **{name: found[name] for name in others},
                 "strengths": {
                     agent: {key: pair[part] for key, pair in pairs.items()}
                     for agent, pairs in numbers.items()
@@ -406,17 +476,21 @@ class Hypotheses:
     def _answer_lines(self) -> list[str]:
         """Return the lines of a table about goals, relation, scenario and strengths."""
         lines: list[str] = []
-        for agent, name in GOALS_OF.items():
+        for agent, name in self.goals_of.items():
             lines += bars(agent, [entry for entry in self.top(name, 3) if entry[1] > 0])
-        lines += bars("relation", self.top("relation", 3))
-        lines += bars("scenario", self.top("scenario", 4))
-        for agent, name in STRENGTHS_OF.items():
+        for label, name in (*self.relations_of.items(), *self.scenarios_of.items()):
+            lines += bars(label, self.top(name, 4))
+        for place, (agent, name) in enumerate(self.strengths_of.items()):
             low, high = self.hdi(name).values
             text = f"{agent}: {self.mean(name)} N (94 % interval {low:.0f} to {high:.0f} N)"
-            lines.append(f"{'strength' if agent == AGENTS[0] else '':<{LABEL}}{text}")
+            lines.append(f"{'' if place else 'strength':<{LABEL}}{text}")
         return lines
 
     # --- rows, conditions, and how far answers differ between chains ---------------------------
+
+    def _knowing(self, *names: str, given: Given = None) -> Hypotheses:
+        """Return the table that knows what is named; in ``given`` words may name it."""
+        return self
 
     def _quantity(self, name: str) -> Quantity:
         if name not in self._quantities:
@@ -426,19 +500,33 @@ class Hypotheses:
     def _numbers(self, name: str) -> FloatArray:
         return self._quantity(name).numbers(self._rows.values[name])
 
-    def _satisfied(self, conditions: Mapping[str, Any]) -> NDArray[np.bool_]:
+    def _satisfied(self, wanted: Given) -> NDArray[np.bool_]:
+        if isinstance(wanted, str):
+            wanted = conditions(self._quantities, wanted)
+        if isinstance(wanted, Conditions):
+            return wanted.holds(self._rows.values)
         result = np.ones(len(self._rows.weights), bool)
-        for name, wanted in conditions.items():
-            result &= self._quantity(name).satisfied(self._rows.values[name], wanted)
+        for name, value in (wanted or {}).items():
+            result &= self._quantity(name).satisfied(self._rows.values[name], value)
         return result
 
-    def _why_impossible(self, given: Mapping[str, Any]) -> str:
+    def _why_impossible(self, given: Given) -> str:
         """Return why nothing can be conditioned on ``given``, and what could be instead."""
         why = "it has probability 0 in this posterior"
-        for name, wanted in given.items():
-            quantity, values = self._quantity(name), self._rows.values[name]
-            if self._rows.weights[quantity.satisfied(values, wanted)].sum() > 0:
+        if isinstance(given, str):
+            given = conditions(self._quantities, given)
+        if isinstance(given, Conditions):
+            parts = [(part.quantity, part.holds(self._rows.values)) for part in given.clauses]
+        else:
+            parts = [
+                (name, self._satisfied({name: value})) for name, value in (given or {}).items()
+            ]
+        for name, satisfied in parts:
+            if self._rows.weights[satisfied].sum() > 0:
                 continue
+            if name is None:  # several are compared
+                return why
+            quantity, values = self._quantity(name), self._rows.values[name]
             has_mass = values[self._rows.weights > 0]
             if quantity.labels is None:
                 return f"{why}, where {name} is between {has_mass.min():g} and {has_mass.max():g}"
@@ -471,7 +559,7 @@ class Hypotheses:
         if without is None or self._groups is None:
             return math.nan
         sizes = []
-        for name in GOALS_OF.values():
+        for name in self.goals_of.values():
             codes = self._rows.values[name]
             mass = estimate.shares(codes, self._rows.weights)
             error = without.error(estimate.shares(codes, without.weights), mass)
@@ -491,19 +579,18 @@ class Hypotheses:
         )
 
     def _weighed(
-        self, given: Mapping[str, Any] | None, share: float = 0.0
+        self, given: Given, share: float = 0.0
     ) -> tuple[NDArray[np.bool_], FloatArray, Jackknife | None]:
         """Return which rows fulfil ``given``, and of these the weights, sum 1.
 
         Third, those without sets with a ``share`` of the chains; None where unknown.
         """
-        rows = self._satisfied(given or {})
+        rows = self._satisfied(given)
         weights = self._rows.weights[rows]
         total = weights.sum()
         if not total > 0:
-            raise InvalidSettingError(
-                f"cannot condition on {dict(given or {})}: {self._why_impossible(given or {})}"
-            )
+            said = given.text if isinstance(given, Conditions) else given
+            raise InvalidSettingError(f"cannot condition on {said}: {self._why_impossible(given)}")
         without = self._jackknife(share)
         return rows, weights / total, None if without is None else without.only(rows)
 
@@ -511,7 +598,7 @@ class Hypotheses:
         self,
         statistic: Callable[[NDArray[Any], FloatArray], FloatArray],
         values: NDArray[Any],
-        given: Mapping[str, Any] | None,
+        given: Given,
     ) -> Estimate:
         """Return ``statistic`` of values (row,) and weights (..., row), with its error."""
         rows, weights, without = self._weighed(given)
@@ -541,98 +628,3 @@ def _distinct(names: tuple[str, ...]) -> tuple[str, ...]:
 
 def _entropy_of_codes(codes: NDArray[np.int64], weights: FloatArray) -> FloatArray:
     return estimate.entropy(estimate.shares(codes, weights))
-
-
-# --- quantities of the user's own ------------------------------------------------------------
-
-
-class Named:
-    """A hypothesis as functions of :meth:`Posterior.define` see it: ``h.goal_red`` and so on.
-
-    Its attributes are all quantities of the posterior, those defined before too: labels as
-    strings, strengths as floats, ``alpha`` as a pair such as (1, 0). Goals are effective ones.
-    """
-
-    __slots__ = ("_columns", "_quantities", "_row")
-
-    def __init__(
-        self, quantities: Mapping[str, Quantity], columns: Mapping[str, NDArray[Any]], row: int
-    ) -> None:
-        self._quantities = quantities
-        self._columns = columns
-        self._row = row
-
-    def __getattr__(self, name: str) -> Any:
-        if name.startswith("__") or name not in self._quantities:
-            raise AttributeError(str(unknown_name("quantity", name, self._quantities)))
-        return self._quantities[name].value(self._columns[name][self._row])
-
-    def __dir__(self) -> Iterable[str]:
-        return sorted(self._quantities)
-
-    def __repr__(self) -> str:
-        return ", ".join(f"{name}={getattr(self, name)!r}" for name in _SHOWN)
-
-
-def _check_name(name: object, taken: Iterable[str]) -> None:
-    if not isinstance(name, str) or not name.isidentifier() or keyword.iskeyword(name):
-        raise InvalidSettingError(
-            f"a quantity cannot be called {shown(name)}: expected a name as of a Python variable"
-        )
-    if name in taken:
-        raise InvalidSettingError(f"there is a quantity {name!r} already: choose another name")
-    if name in RESERVED_QUANTITIES:
-        raise InvalidSettingError(f"{name!r} is a reserved name: choose another")
-
-
-def _defined(
-    name: str,
-    function: Definition,
-    quantities: Mapping[str, Quantity],
-    columns: Mapping[str, NDArray[Any]],
-) -> tuple[Quantity, NDArray[Any]]:
-    """Return the quantity that ``function`` defines, and its column as codes or numbers.
-
-    Truth values, whole numbers and strings are categories, in order of their values; numbers
-    that are not all whole are real.
-    """
-    if not callable(function):
-        raise InvalidSettingError(
-            f"define({name!r}, {shown(function)}): expected a function of a hypothesis, such as "
-            "lambda h: h.goal_red == h.goal_green"
-        )
-    table = pd.DataFrame({column: columns[column] for column in quantities})
-    number = table.groupby(list(table), sort=False, dropna=False).ngroup().to_numpy()
-    _, first = np.unique(number, return_index=True)
-    views = [Named(quantities, columns, int(row)) for row in first]
-    results = [_value(name, function, view) for view in views]
-    kinds = {type(result): view for result, view in zip(results, views, strict=True)}
-    if set(kinds) == {int, float}:
-        kinds, results = {float: kinds[float]}, [float(result) for result in results]
-    if len(kinds) > 1:
-        listed = " and ".join(f"{kind.__name__} (for {view!r})" for kind, view in kinds.items())
-        raise InvalidSettingError(f"{name} has values of several kinds: {listed}")
-    if float in kinds:
-        return Quantity(name), np.array(results, np.float64)[number]
-    values: list[Any] = [False, True] if bool in kinds else sorted(set(results))
-    code = {value: index for index, value in enumerate(values)}
-    quantity = Quantity(name, tuple(map(str, values)), tuple(values))
-    return quantity, np.array([code[result] for result in results], np.int64)[number]
-
-
-def _value(name: str, function: Definition, view: Named) -> bool | int | float | str:
-    try:
-        found = function(view)
-    except Exception as error:  # whatever a user's function does
-        reason = " ".join(f"{type(error).__name__}: {error}".split())
-        raise InvalidSettingError(f"{name} failed for {view!r}: {reason}") from error
-    if isinstance(found, np.generic):
-        found = found.item()
-    for kind in (bool, int, float, str):  # a bool is an int too
-        if isinstance(found, kind):
-            if isinstance(found, float) and not math.isfinite(found):
-                raise InvalidSettingError(f"{name} is {found} for {view!r}: expected a number")
-            return kind(found)
-    raise InvalidSettingError(
-        f"{name} is {shown(found)} for {view!r}: expected a truth value, a number or a string"
-    )

@@ -14,6 +14,7 @@ import xarray as xr
 from phase_ppl.analysis._arviz import arviz_data
 from phase_ppl.analysis.diagnostics import diagnostics
 from phase_ppl.analysis.event_posterior import EventPosterior
+from phase_ppl.analysis.hypotheses import KEPT_DEFINITIONS
 from phase_ppl.analysis.over_time import over_time
 from phase_ppl.analysis.prior_change import (
     changed_text,
@@ -29,6 +30,7 @@ from phase_ppl.analysis.quantities import (
     quantities,
     relation_codes,
 )
+from phase_ppl.analysis.roles_posterior import RolesPosterior, is_of_roles
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior, is_stepwise
 from phase_ppl.analysis.summary import plain, wrapped
 from phase_ppl.analysis.tree import (
@@ -44,7 +46,7 @@ from phase_ppl.analysis.tree import (
 from phase_ppl.analysis.weights import WEIGHTINGS, chain_groups, halves
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import whole_number
-from phase_ppl.world.errors import InvalidSettingError, unknown_name
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, unknown_name
 from phase_ppl.world.files import existing_file
 from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
 
@@ -114,6 +116,7 @@ class Posterior(EventPosterior):
         rows = dataclasses.replace(rows, values=columns)
         super().__init__(known, rows, groups, halves(tree, name, rows))
         self._scenario = scenario
+        self._define_kept(tree.attrs)
 
     @property
     def tree(self) -> xr.DataTree:
@@ -150,6 +153,10 @@ class Posterior(EventPosterior):
             tree.attrs["settings"], prior, effective_size=sizes[0], effective_size_before=sizes[1]
         )
         return changed._defining(self._own)
+
+    def _under_weights(self, weights: str) -> Posterior:
+        other = Posterior(self._tree, weights, burn_in=self._burn_in, scenario=self._scenario)
+        return other._defining(self._own)
 
     def map(self) -> Hypothesis:
         """Return the hypothesis of the completed simulation with the highest log joint.
@@ -242,13 +249,16 @@ class Posterior(EventPosterior):
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write draws and simulations to ``path`` as NetCDF, whole or not at all.
 
-        The weighting and the burn-in in use become the file's defaults.
+        The weighting and the burn-in in use become the file's defaults; what was defined in words
+        is kept.
 
         Raises:
             OutputError: the file cannot be written there, or its name does not end in .nc.
         """
         tree = self._tree.copy()
         tree.attrs["weights"], tree.attrs["burn_in"] = self._weights, self._burn_in
+        tree.attrs.pop(KEPT_DEFINITIONS, None)
+        tree.attrs |= self._definitions_to_keep()
         return write_tree(tree, path)
 
     @classmethod
@@ -260,11 +270,15 @@ class Posterior(EventPosterior):
         burn_in: int | None = None,
         scenario: ScenarioFunction | None = None,
     ) -> Posterior:
-        """Read a posterior that :meth:`save` wrote.
+        """Read a posterior that :meth:`save` wrote; :func:`phase_ppl.load_posterior` of any kind.
 
         Raises:
             InvalidEventError: there is no such file, or it is damaged or of another kind.
         """
+        if is_stepwise(existing_file(path)):
+            raise InvalidEventError(
+                f"{path} was read step by step: load_posterior or StepwisePosterior.load reads it"
+            )
         return cls(read_tree(path), weights, burn_in=burn_in, scenario=scenario)
 
     def summary(self) -> dict[str, Any]:
@@ -331,23 +345,35 @@ def _cost(cost: Mapping[str, Any], found: Mapping[str, Any]) -> str:
 
 
 def load_posterior(
-    path: str | os.PathLike[str], weights: str | None = None
+    path: str | os.PathLike[str],
+    weights: str | None = None,
+    *,
+    burn_in: int | None = None,
+    scenario: ScenarioFunction | None = None,
 ) -> Posterior | StepwisePosterior:
     """Read a posterior that was saved, sampled or read step by step.
 
+    Where it is known which, ``Posterior.load`` and ``StepwisePosterior.load`` do the same and
+    refuse the other.
+
     Args:
         path: the .nc file.
-        weights: of the draws of a sampled one; by default those it was saved with.
+        weights, burn_in: of the draws of a sampled one; by default those it was saved with.
+        scenario: as of :class:`phase_ppl.Posterior`.
 
     Raises:
         InvalidEventError: there is no such file, or it is damaged or of another kind.
-        InvalidSettingError: weights for one that has no draws.
+        InvalidSettingError: weights or a burn-in for one that has no draws.
         UnknownNameError: there are no such weights.
     """
-    if not is_stepwise(existing_file(path)):
-        return Posterior.load(path, weights)
-    if weights is not None:
-        raise InvalidSettingError(
-            f"weights={weights!r}: {path} was read step by step and has no draws to be weighted"
-        )
-    return StepwisePosterior.load(path)
+    of_roles = is_of_roles(existing_file(path))
+    if not (of_roles or is_stepwise(path)):
+        return Posterior.load(path, weights, burn_in=burn_in, scenario=scenario)
+    for name, given in (("weights", weights), ("burn_in", burn_in)):
+        if given is not None:
+            raise InvalidSettingError(
+                f"{name}={given!r}: {path} was read step by step and has no draws to be weighted"
+            )
+    if of_roles:
+        return RolesPosterior.load(path)
+    return StepwisePosterior.load(path, scenario=scenario)

@@ -42,7 +42,10 @@ def settings_under(settings: str, program: Any, **found: float) -> str:
     record = json.loads(settings)
     model = dict(record.get("model", {}))
     first = record.get("reweighted", {}).get("from", model.get("prior", "unknown"))
-    model |= {"prior": qualified_name(program), "prior_source": source_hash(program)}
+    now = {"prior": qualified_name(program), "prior_source": source_hash(program)}
+    if now["prior_source"] is not None and now.items() <= model.items():
+        return settings  # the run's own, given again
+    model |= now
     return json.dumps({**record, "model": model, "reweighted": {"from": first, **found}})
 
 

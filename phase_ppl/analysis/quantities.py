@@ -75,9 +75,9 @@ class Quantity:
 
     @property
     def numeric(self) -> bool:
-        """Whether it has means and intervals: real numbers, whole numbers and truth values do."""
+        """Whether it has means and intervals: numbers and truth values do."""
         return self.labels is None or (
-            self.values is not None and all(isinstance(value, int) for value in self.values)
+            self.values is not None and all(isinstance(value, int | float) for value in self.values)
         )
 
     def numbers(self, entries: NDArray[Any]) -> NDArray[np.float64]:

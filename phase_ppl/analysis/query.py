@@ -2,8 +2,8 @@
 
 ::
 
-    question   = asked [ "|" conditions ]
-    asked      = "P" conditions               probability
+    question   = asked [ "|" event ]
+    asked      = "P" event                    probability
                | "P" names                    probabilities of all values, of all combinations
                | "E" name | "sd" name         mean, standard deviation of numbers
                | "median" name                of numbers
@@ -13,28 +13,34 @@
                | "H" names                    entropy, nats
                | "I" name ";" name            mutual information, nats
     names      = name { "," name }
-    conditions = condition { "," condition }  all of them hold
-    condition  = name "=" value
-               | name "!=" value
+    event      = either { "," either }        all of them hold
+    either     = both { "or" both }
+    both       = single { "and" single }
+    single     = "not" single | "(" event ")" | condition
+    condition  = name ( "=" | "!=" ) ( value | name )
+               | name ( "<" | "<=" | ">" | ">=" ) ( number | name )
                | name "in" "{" value { "," value } "}"                 any of them
                | name "in" "[" number "," number "]"                   ends included
-               | name ( "<" | "<=" | ">" | ">=" ) number
 
 What follows the first word may stand in round or square brackets: ``P(relation=friendly)``,
-``E[strength_red | relation=friendly]``, ``top 3 goal_red``. "|" reads "given". Values are written
-as they are, ``goal_red = Get blue item to red lm``, in any case and spacing; with quotes, single
-or double, where they hold one of ``, | = < > ! ( ) [ ] { }`` or a quote. ``alpha=(1, 0)`` needs
-none. A quantity's name may be quoted too.
+``E[strength_red | relation=friendly]``, ``top 3 goal_red``. "|" reads "given". Two quantities are
+compared by what they are called, as in ``P(strength_red > strength_green)`` or ``P(target_red =
+target_green)``. A comma reads "and" and binds the least: ``P(a=x or b=y, c=z)`` is of (a=x or b=y)
+and c=z. Values are written as they are, ``goal_red = Get blue item to red lm``, in any case and
+spacing; with quotes, single or double, where they hold one of ``, | = < > ! ( ) [ ] { }``, a quote,
+or the word "and" or "or". ``alpha=(1, 0)`` needs none. A quantity's name may be quoted too.
 """
 
 from __future__ import annotations
 
 import math
+import operator
 import re
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, NamedTuple, NoReturn, TypeVar
+from typing import Any, Final, Literal, NamedTuple, NoReturn, TypeAlias, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from phase_ppl.analysis.quantities import Quantity
 from phase_ppl.world.errors import QueryError, UnknownNameError, shown, unknown_name
@@ -50,7 +56,20 @@ _WORD: Final = re.compile(r"[^\W\d]\w*")
 _NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?")
 _OPERATOR: Final = re.compile(r"!=|<=|>=|=|<|>|in(?!\w)")
 _BARE: Final = re.compile(r"""[^,|()\[\]{}=<>!"']*""")
+_JOINING: Final = re.compile(r"\s(?:and|or)(?![^\s(])", re.IGNORECASE)
+"""What ends a value that is not quoted."""
+
 _CLOSING: Final = {"(": ")", "[": "]", "{": "}"}
+_DEEPEST: Final = 50  # brackets and "not" within each other
+
+_COMPARED: Final[Mapping[str, Callable[[Any, Any], Any]]] = {
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+    "=": operator.eq,
+    "!=": operator.ne,
+}
 
 
 class Word(NamedTuple):
@@ -61,62 +80,98 @@ class Word(NamedTuple):
 
 
 class Condition(NamedTuple):
-    """What a quantity is to be: labels after =, != and "in {"; one number after <, two in [ ]."""
+    """What a quantity is to be.
+
+    Labels after =, != and "in {"; one number after <, two in [ ]; or the other quantity, which
+    after = and != is a label until it is known what there is.
+    """
 
     name: Word
     operator: Word
     labels: tuple[Word, ...] = ()
     numbers: tuple[float, ...] = ()
+    other: Word | None = None
+
+
+class Junction(NamedTuple):
+    """Events of which all hold, or any, or one that does not."""
+
+    kind: Literal["and", "or", "not"]
+    parts: tuple[Event, ...]
+
+
+Event: TypeAlias = Condition | Junction
 
 
 class Query(NamedTuple):
     """What is asked, one of :data:`QUESTIONS`: of quantities by name, or for P of an event.
 
-    The number is that of ``top`` and ``hdi``, a share for ``hdi``; None: the default.
+    The number is that of ``top`` and ``hdi``, a share for ``hdi``; None: the default. Of an event
+    and of what is given all parts hold.
     """
 
     question: str
     number: float | None
     names: tuple[Word, ...]
-    event: tuple[Condition, ...]
-    given: tuple[Condition, ...]
+    event: tuple[Event, ...]
+    given: tuple[Event, ...]
     given_at: int
+
+
+Columns: TypeAlias = Mapping[str, NDArray[Any]]
+"""Quantity -> (row,) codes or numbers."""
+
+
+class Clause(NamedTuple):
+    """An event that can be looked up, and the quantity that it alone is about, if it is."""
+
+    holds: Callable[[Columns], NDArray[np.bool_]]
+    quantity: str | None = None
+
+
+class Conditions(NamedTuple):
+    """What a text says of hypotheses: all clauses hold."""
+
+    text: str
+    clauses: tuple[Clause, ...]
+
+    def holds(self, columns: Columns) -> NDArray[np.bool_]:
+        """Return (row,) whether they hold."""
+        return np.logical_and.reduce([clause.holds(columns) for clause in self.clauses])
 
 
 def understood(
     text: str, quantities: Mapping[str, Quantity]
-) -> tuple[Query, dict[str, Any], dict[str, Any]]:
-    """Return what ``text`` asks, its event and what is given, these as quantity -> value."""
-    query = _parsed(text)
+) -> tuple[Query, Conditions | None, Conditions | None]:
+    """Return what ``text`` asks, its event and what is given, None where there is none."""
+    query = _Parser(_checked(text)).query()
     meaning = _Meaning(quantities, text)
     for place, name in enumerate(query.names):
         meaning.check_asked(query.question, name, query.names[:place])
-    return query, meaning.conditions(query.event), meaning.conditions(query.given)
+    event, given = (meaning.conditions(part) if part else None for part in query[3:5])
+    return query, event, given
 
 
-def conditions(quantities: Mapping[str, Quantity], text: str) -> Mapping[str, Any]:
-    """Return conditions in words, such as ``"relation=friendly"``, as quantity -> value."""
-    question = f"P({text})"
-    query = _parsed(question)
-    if not query.event or query.given:
-        raise QueryError("expected conditions, such as relation=friendly", question, 2)
-    return _Meaning(quantities, question).conditions(query.event)
+def conditions(quantities: Mapping[str, Quantity], text: str) -> Conditions:
+    """Return what a text such as ``"relation=friendly or strength_red > 400"`` says."""
+    return _Meaning(quantities, text).conditions(_Parser(_checked(text)).event_alone())
 
 
-def _parsed(text: str) -> Query:
+def _checked(text: object) -> str:
     if not isinstance(text, str):
         raise QueryError(f"a question is text, not {shown(text)}", "", 0)
     if len(text) > LONGEST:
         raise QueryError(
             f"a question of {len(text)} characters is too long: at most {LONGEST}", text, LONGEST
         )
-    return _Parser(text).query()
+    return text
 
 
 class _Parser:
     def __init__(self, text: str) -> None:
         self._text = text
         self._at = 0
+        self._depth = 0
 
     # --- the grammar ---------------------------------------------------------------------------
 
@@ -125,8 +180,8 @@ class _Parser:
         number = self._share_or_count(question)
         closing = next((_CLOSING[sign] for sign in _CLOSING if self._take(sign)), None)
         names: tuple[Word, ...] = ()
-        event: tuple[Condition, ...] = ()
-        given: tuple[Condition, ...] = ()
+        event: tuple[Event, ...] = ()
+        given: tuple[Event, ...] = ()
         if question == "P":
             names, event = self._names_or_event()
         elif question == "H":
@@ -140,7 +195,7 @@ class _Parser:
         bar = self._take("|")
         given_at = self._skip()
         if bar:
-            given = self._listed(self._condition)
+            given = self._listed(self._either)
         self._end(closing, bar, lists=bool(given) or question in ("P", "H"))
         return Query(question, number, names, event, given, given_at)
 
@@ -168,16 +223,54 @@ class _Parser:
             self._fail("a share in (0, 1] or percent, as in hdi 94% strength_red", start)
         return number
 
-    def _names_or_event(self) -> tuple[tuple[Word, ...], tuple[Condition, ...]]:
+    def event_alone(self) -> tuple[Event, ...]:
+        found = self._listed(self._either)
+        if self._skip() < len(self._text):
+            self._fail("',', 'and', 'or' or the end")
+        return found
+
+    def _names_or_event(self) -> tuple[tuple[Word, ...], tuple[Event, ...]]:
+        start = self._skip()
+        negated = self._word("not")
+        self._at = start
+        if negated or self._text.startswith("(", start):
+            return (), self._listed(self._either)
         name = self._name()
         self._skip()
         if _OPERATOR.match(self._text, self._at):
-            return (), self._listed(self._condition, self._condition(name))
+            self._at = start
+            return (), self._listed(self._either)
         names = self._listed(self._name, name)
         place = self._skip()
         if _OPERATOR.match(self._text, place):
             self._fail("names only or conditions only; what is given comes after '|'", place)
         return names, ()
+
+    def _either(self) -> Event:
+        return self._joined("or", lambda: self._joined("and", self._single))
+
+    def _joined(self, kind: Literal["and", "or"], one: Callable[[], Event]) -> Event:
+        found = [one()]
+        while self._word(kind):
+            found.append(one())
+        return found[0] if len(found) == 1 else Junction(kind, tuple(found))
+
+    def _single(self) -> Event:
+        start = self._skip()
+        negated = self._word("not")
+        if not negated and not self._take("("):
+            return self._condition()
+        self._depth += 1
+        if self._depth > _DEEPEST:
+            self._fail(f"at most {_DEEPEST} brackets and 'not' within each other", start)
+        if negated:
+            found: Event = Junction("not", (self._single(),))
+        else:
+            parts = self._listed(self._either)
+            self._expect(")", "',' or ')'")
+            found = parts[0] if len(parts) == 1 else Junction("and", parts)
+        self._depth -= 1
+        return found
 
     def _listed(self, one: Callable[[], T], first: T | None = None) -> tuple[T, ...]:
         found = [one() if first is None else first]
@@ -185,13 +278,13 @@ class _Parser:
             found.append(one())
         return tuple(found)
 
-    def _condition(self, name: Word | None = None) -> Condition:
-        name = name or self._name()
+    def _condition(self) -> Condition:
+        name = self._name()
         start = self._skip()
-        operator = self._match(_OPERATOR)
-        if operator in ("=", "!="):
-            return Condition(name, Word(operator, start), labels=(self._label(name.text),))
-        if operator == "in":
+        sign = self._match(_OPERATOR)
+        if sign in ("=", "!="):
+            return Condition(name, Word(sign, start), labels=(self._label(name.text, joined=True),))
+        if sign == "in":
             if self._take("{"):
                 labels = self._listed(lambda: self._label(name.text))
                 self._expect("}", "',' or '}'")
@@ -199,9 +292,15 @@ class _Parser:
             if self._take("["):
                 return Condition(name, Word("in [", start), numbers=self._interval())
             self._fail("{ and labels, or [ and an interval's ends, after 'in'")
-        if operator:
-            return Condition(name, Word(operator, start), numbers=(self._number("a number"),))
-        self._fail(f"=, !=, <, <=, >, >= or in after {shown(name.text)}")
+        if sign:
+            place = self._skip()
+            if _WORD.match(self._text, place) or self._text.startswith(("'", '"'), place):
+                return Condition(name, Word(sign, start), other=self._name())
+            number = self._number("a number, or the name of a quantity")
+            return Condition(name, Word(sign, start), numbers=(number,))
+        before = self._text[: name.at].split()[-1:]
+        hint = f"; one of several values: in {{a, {name.text}}}" if before == ["or"] else ""
+        self._fail(f"=, !=, <, <=, >, >= or in after {shown(name.text)}{hint}")
 
     def _interval(self) -> tuple[float, float]:
         start = self._skip()
@@ -234,8 +333,11 @@ class _Parser:
             self._fail(_QUANTITY)
         return Word(word, start)
 
-    def _label(self, name: str) -> Word:
-        """Read a label: quoted, a pair such as (1, 0), or words up to the next sign."""
+    def _label(self, name: str, joined: bool = False) -> Word:
+        """Read a label: quoted, a pair such as (1, 0), or words up to the next sign.
+
+        Where it may be ``joined`` to other conditions, up to the next "and" or "or" too.
+        """
         start = self._skip()
         quoted = self._quoted()
         if quoted is not None:
@@ -247,6 +349,8 @@ class _Parser:
             self._expect(")", "')'")
         else:
             self._match(_BARE)
+            if joined and (end := _JOINING.search(self._text, start - 1, self._at)):
+                self._at = end.start()
         text = self._text[start : self._at].strip()
         if not text:
             self._fail(f"a value of {shown(name)}", start)
@@ -287,6 +391,14 @@ class _Parser:
             return ""
         self._at = found.end()
         return found.group()
+
+    def _word(self, word: str) -> bool:
+        """Take a word in any case, if it comes next."""
+        start = self._skip()
+        if self._match(_WORD).lower() == word:
+            return True
+        self._at = start
+        return False
 
     def _take(self, sign: str) -> bool:
         self._skip()
@@ -330,43 +442,111 @@ class _Meaning:
         if name.text in [word.text for word in before]:
             self._fail(f"{name.text} is named twice: expected different quantities", name.at)
 
-    def conditions(self, conditions: Sequence[Condition]) -> dict[str, Any]:
-        """Return quantity -> labels or interval, what fulfils all conditions on it."""
-        found: dict[str, Any] = {}
-        for condition in conditions:
-            name = condition.name.text
-            quantity = self._quantity(condition.name)
-            if quantity.labels is None:
-                low, high = self._interval(condition)
-                before = found.get(name, (-math.inf, math.inf))
-                found[name] = (max(low, before[0]), min(high, before[1]))
-                possible = found[name][0] <= found[name][1]
-            else:
-                labels = self._labels(quantity, condition)
-                found[name] = [label for label in labels if label in found.get(name, labels)]
-                possible = bool(found[name])
-            if not possible:
+    def conditions(self, events: Sequence[Event]) -> Conditions:
+        """Return what is said of hypotheses; QueryError if nothing can fulfil it."""
+        clauses: list[Clause] = []
+        said: dict[str, list[Condition]] = {}
+        for event in _all_of(events):
+            clauses.append(self._clause(event))
+            if isinstance(event, Junction) or self._other(event) is not None:
+                continue
+            name = event.name.text
+            said.setdefault(name, []).append(event)
+            if not self._can_be(said[name]):
                 self._fail(
-                    f"no value of {name} fulfils this and what is said before", condition.name.at
+                    f"no value of {name} fulfils this and what is said before", event.name.at
                 )
-        return found
+        return Conditions(self._text, tuple(clauses))
 
-    def _labels(self, quantity: Quantity, condition: Condition) -> list[str]:
-        if condition.numbers:
-            if not quantity.numeric:
+    def _can_be(self, said: Sequence[Condition]) -> bool:
+        """Return whether any value of a quantity fulfils all conditions on it."""
+        quantity = self._quantities[said[0].name.text]
+        if quantity.labels is None:  # at an end, or right beside one
+            ends = np.array([number for one in said for number in one.numbers])
+            values = np.concatenate([np.nextafter(ends, way) for way in (-np.inf, ends, np.inf)])
+        else:
+            values = np.arange(len(quantity.labels))
+        fulfilled = [self._simple(one)(quantity, values) for one in said]
+        return bool(np.logical_and.reduce(fulfilled).any())
+
+    def _clause(self, event: Event) -> Clause:
+        if isinstance(event, Junction):
+            parts = [self._clause(part).holds for part in event.parts]
+            if event.kind == "not":
+                return Clause(lambda columns: ~parts[0](columns))
+            join = np.logical_and if event.kind == "and" else np.logical_or
+            return Clause(lambda columns: join.reduce([part(columns) for part in parts]))
+        quantity = self._quantity(event.name)
+        if (other := self._other(event)) is not None:
+            return Clause(self._comparison(quantity, other, event))
+        wanted = self._simple(event)
+        return Clause(lambda columns: wanted(quantity, columns[quantity.name]), quantity.name)
+
+    def _other(self, condition: Condition) -> Quantity | None:
+        """Return the quantity that another one is compared with; None: it is with values."""
+        if condition.other is not None:
+            return self._quantity(condition.other)
+        if condition.operator.text not in ("=", "!=") or not condition.labels:
+            return None
+        (label,) = condition.labels
+        if self._text[label.at] in "\"'":
+            return None
+        labels = self._quantity(condition.name).labels or ()
+        return None if label.text in labels else self._quantities.get(label.text)
+
+    def _comparison(
+        self, first: Quantity, second: Quantity, condition: Condition
+    ) -> Callable[[Columns], NDArray[np.bool_]]:
+        sign = condition.operator.text
+        compare, names = _COMPARED[sign], (first.name, second.name)
+        if sign in ("=", "!="):
+            if first.labels is None or second.labels is None:
+                real = first if first.labels is None else second
                 self._fail(
-                    f"{quantity.name} has categories, not numbers: expected =, != or in {{...}}",
+                    f"{real.name} is a real number: expected <, <=, >, >= to compare it",
                     condition.operator.at,
                 )
-            low, high = self._interval(condition)
-            numbers = quantity.numbers(np.arange(len(quantity.categories())))
-            inside = (numbers >= low) & (numbers <= high)
-            return [label for label, i in zip(quantity.categories(), inside, strict=True) if i]
-        labels = quantity.categories()
-        codes = [self._code(quantity, label) for label in condition.labels]
-        if condition.operator.text == "!=":
-            return [label for code, label in enumerate(labels) if code not in codes]
-        return [labels[code] for code in codes]
+            codes = {label: code for code, label in enumerate(first.labels)}
+            same = np.array([codes.get(label, -1) for label in second.labels])
+            if (same < 0).all():
+                self._fail(
+                    f"{names[0]} and {names[1]} have no value in common", condition.operator.at
+                )
+            return lambda columns: compare(columns[names[0]], same[columns[names[1]]])
+        for quantity in (first, second):
+            if not quantity.numeric:
+                self._fail(
+                    f"{quantity.name} has categories, not numbers: expected = or !=",
+                    condition.operator.at,
+                )
+        return lambda columns: compare(
+            first.numbers(columns[names[0]]), second.numbers(columns[names[1]])
+        )
+
+    def _simple(self, condition: Condition) -> _Simple:
+        """Return what a condition on a single quantity asks of its codes or numbers."""
+        quantity = self._quantity(condition.name)
+        if not condition.numbers:
+            if quantity.labels is None:
+                self._fail(
+                    f"{quantity.name} is a real number: expected <, <=, >, >= or in [low, high]",
+                    condition.operator.at,
+                )
+            codes = [self._code(quantity, label) for label in condition.labels]
+            negated = condition.operator.text == "!="
+            return lambda _, values: np.isin(values, codes, invert=negated)
+        if not quantity.numeric:
+            self._fail(
+                f"{quantity.name} has categories, not numbers: expected =, != or in {{...}}",
+                condition.operator.at,
+            )
+        ends = condition.numbers
+        if len(ends) == 2:
+            return lambda quantity, values: (
+                (quantity.numbers(values) >= ends[0]) & (quantity.numbers(values) <= ends[1])
+            )
+        compare = _COMPARED[condition.operator.text]
+        return lambda quantity, values: compare(quantity.numbers(values), ends[0])
 
     def _code(self, quantity: Quantity, label: Word) -> int:
         try:
@@ -374,19 +554,19 @@ class _Meaning:
         except UnknownNameError as error:
             self._fail(str(error), label.at)
 
-    def _interval(self, condition: Condition) -> tuple[float, float]:
-        if not condition.numbers:
-            self._fail(
-                f"{condition.name.text} is a real number: expected <, <=, >, >= or in [low, high]",
-                condition.operator.at,
-            )
-        ends = condition.numbers
-        if len(ends) == 2:
-            return ends[0], ends[1]
-        number, operator = ends[0], condition.operator.text
-        if operator[0] == "<":
-            return -math.inf, number if operator == "<=" else math.nextafter(number, -math.inf)
-        return number if operator == ">=" else math.nextafter(number, math.inf), math.inf
-
     def _fail(self, reason: str, at: int) -> NoReturn:
         raise QueryError(reason, self._text, at)
+
+
+_Simple: TypeAlias = Callable[[Quantity, NDArray[Any]], NDArray[np.bool_]]
+
+
+def _all_of(events: Sequence[Event]) -> list[Event]:
+    """Return what is joined by "and" one by one."""
+    found: list[Event] = []
+    for event in events:
+        if isinstance(event, Junction) and event.kind == "and":
+            found += _all_of(event.parts)
+        else:
+            found.append(event)
+    return found

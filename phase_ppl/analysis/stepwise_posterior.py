@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
+import json
 import os
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.diagnostics import frames_text, overlap_sign, overlapping_frames, undecided
+from phase_ppl.analysis.definitions import Definition, defined
+from phase_ppl.analysis.diagnostics import overlapping_frames
 from phase_ppl.analysis.estimate import Jackknife
 from phase_ppl.analysis.event_posterior import EventPosterior
+from phase_ppl.analysis.hypotheses import KEPT_DEFINITIONS, Given, Hypotheses
 from phase_ppl.analysis.over_time import by_label
+from phase_ppl.analysis.own_sites import WithSites, with_sites
 from phase_ppl.analysis.prior_change import changed_text, settings_under
 from phase_ppl.analysis.quantities import (
     ScenarioFunction,
@@ -27,15 +33,17 @@ from phase_ppl.analysis.query import conditions
 from phase_ppl.analysis.stepwise_table import (
     DIMENSIONS,
     SCHEMA,
+    SITES,
     STRENGTHS,
     Table,
     check,
 )
 from phase_ppl.analysis.summary import plain, wrapped
+from phase_ppl.analysis.verdict import frames_text, overlap_sign, undecided
 from phase_ppl.analysis.weights import log_sum_exp
 from phase_ppl.dataset.hdf5 import netcdf_bytes, read_netcdf, root_attribute
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, QueryError
 from phase_ppl.world.files import check_output, existing_file, write_bytes
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
@@ -84,6 +92,7 @@ class StepwisePosterior(EventPosterior):
     Args:
         found: what was read (:mod:`phase_ppl.analysis.stepwise_table`).
         frame: the posterior given the frames up to this one; by default all.
+        prior: the program whose masses ``found`` has, for questions about further sites of it.
         scenario: as of :class:`phase_ppl.analysis.posterior.Posterior`.
 
     Raises:
@@ -96,29 +105,104 @@ class StepwisePosterior(EventPosterior):
         found: xr.Dataset,
         frame: int | None = None,
         *,
+        prior: Callable[..., object] | None = None,
         scenario: ScenarioFunction | None = None,
     ) -> None:
         check(found)
-        self._found, self._scenario = found, scenario
+        self._found, self._scenario, self._prior = found, scenario, prior
         self._table = Table(found)
         last = self._table.n_frames - 1
         self._frame = last if frame is None else frame
+        self._of_sites: dict[str, Definition] = {}  # defined in terms of further sites
         if not 0 <= self._frame <= last:
             raise InvalidSettingError(f"frame={frame!r}, expected a number in 0..{last}")
         rows = self._table.rows(self._frame)
-        columns = dict(rows.values)
-        columns |= derived_codes(columns["goal_red"], columns["goal_green"], scenario)
         self._attrs, self._constant = found.attrs, found
+        columns = self._derived(dict(rows.values))
         super().__init__(quantities(), dataclasses.replace(rows, values=columns))
+        self._define_kept(found.attrs)
+
+    def _derived(self, columns: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+        """Return columns of hypotheses with what follows from them."""
+        goals = columns["goal_red"], columns["goal_green"]
+        return columns | derived_codes(*goals, self._scenario)
+
+    @functools.cached_property
+    def sites(self) -> WithSites:
+        """The table of hypotheses and of the sites that a prior of one's own samples beside them.
+
+        Questions that name such a site are answered from it
+        (:mod:`phase_ppl.analysis.own_sites`): exactly, where these sites have up to 64
+        combinations of values; otherwise from 20 000 seeded draws, with their Monte-Carlo error.
+
+        Raises:
+            InvalidSettingError: the prior has none, or is not known, as after :meth:`load`.
+        """
+        if self._prior is None and self._site_names:
+            raise InvalidSettingError(
+                f"{', '.join(self._site_names)}: a site of the prior "
+                f"{self.settings['model']['prior']}, which a file cannot hold: give it again, "
+                "post.with_prior(prior)"
+            )
+        if self._prior is None or not self._site_names:
+            raise InvalidSettingError("the prior samples nothing but the sites of a hypothesis")
+        found = with_sites(self._prior, self._table, self._frame, quantities(), self._derived)
+        return found._defining({**self._own, **self._of_sites})
+
+    @functools.cached_property
+    def _site_names(self) -> tuple[str, ...]:
+        """The further sites of the prior."""
+        if self._prior is None:
+            return tuple(json.loads(self._found.attrs.get(SITES, "[]")))
+        from phase_ppl.models.own_sites import further_sites
+
+        return tuple(further_sites(self._prior))
+
+    @property
+    def quantities(self) -> dict[str, tuple[str, ...] | None]:
+        """What one can ask for: quantity -> its labels, None for a real number."""
+        if self._prior is None or not self._site_names:
+            return super().quantities
+        return {**super().quantities, **self.sites.quantities}
+
+    def _knowing(self, *names: str, given: Given = None) -> Hypotheses:
+        asked = {*names, *(given if isinstance(given, Mapping) else ())}
+        if isinstance(given, str):
+            asked |= {*re.findall(r"\w+", given)}
+        return self if asked.isdisjoint({*self._site_names, *self._of_sites}) else self.sites
+
+    def query(self, question: str, *, weights: str | None = None) -> Any:
+        try:
+            return super().query(question, weights=weights)
+        except QueryError:
+            if self._prior is None or not self._site_names:
+                raise
+            return self.sites.query(question)  # its error knows the further names
+
+    def define(self, name: str, definition: Definition) -> Self:
+        words = {*re.findall(r"\w+", definition)} if isinstance(definition, str) else set()
+        if words.isdisjoint({*self._site_names, *self._of_sites}):
+            if name in self._site_names:
+                raise InvalidSettingError(f"the prior has a site {name!r}: choose another name")
+            self._of_sites.pop(name, None)
+            super().define(name, definition)
+            if "sites" in vars(self):
+                self.sites.define(name, definition)
+            return self
+        self.sites.define(name, definition)
+        self._of_sites[name] = definition
+        return self
 
     def _jackknife(self, share: float) -> Jackknife | None:
         """Leave out single sets of searches, of which there are few, whatever is asked."""
         if 0.0 not in self._jackknives:
             n = self.planner_seeds
-            self._jackknives[0.0] = (
-                Jackknife(self._table.weights_without(self._frame), n - 1.0) if n > 1 else None
-            )
+            self._jackknives[0.0] = Jackknife(self._weights_without(), n - 1.0) if n > 1 else None
         return self._jackknives[0.0]
+
+    def _weights_without(self) -> FloatArray:
+        """Return (planner_seed, row) the weights without each set of searches."""
+        return self._table.weights_without(self._frame)
 
     @property
     def planner_seeds(self) -> int:
@@ -141,17 +225,24 @@ class StepwisePosterior(EventPosterior):
         Raises:
             InvalidSettingError: there is no such frame.
         """
-        at = StepwisePosterior(self._found, frame, scenario=self._scenario)
-        return at._defining(self._own)
+        at = StepwisePosterior(self._found, frame, prior=self._prior, scenario=self._scenario)
+        return at._defining(self.definitions)
+
+    @property
+    def definitions(self) -> dict[str, Definition]:
+        """What was defined: name -> conditions in words, or a function."""
+        return {**self._own, **self._of_sites}
 
     def under(self, prior: Callable[..., object]) -> StepwisePosterior:
+        from phase_ppl.models.own_sites import further_sites
         from phase_ppl.models.stepwise import prior_table
 
         table = prior_table(prior, tuple(self._found[STRENGTHS[0]].values.tolist()))
         found = self._found.assign(log_prior=(DIMENSIONS["log_prior"], table))
+        found.attrs[SITES] = json.dumps(list(further_sites(prior)))
         found.attrs["settings"] = settings_under(found.attrs["settings"], prior)
-        changed = StepwisePosterior(found, self._frame, scenario=self._scenario)
-        return changed._defining(self._own)
+        changed = StepwisePosterior(found, self._frame, prior=prior, scenario=self._scenario)
+        return changed._defining(self.definitions)
 
     @property
     def log_evidence(self) -> float:
@@ -254,8 +345,8 @@ class StepwisePosterior(EventPosterior):
         """Return which frames speak for ``event``, and against what.
 
         Args:
-            event: such as ``"relation=friendly"`` or ``"goal_red=get to green agent"``; several
-                conditions are joined by commas.
+            event: conditions in words, such as ``"goal_red=get to green agent"`` or
+                ``"strength_red > strength_green, not relation=friendly"``.
             over: what to compare with, likewise; by default that ``event`` is false.
 
         Returns:
@@ -267,24 +358,30 @@ class StepwisePosterior(EventPosterior):
             QueryError, UnknownNameError: it cannot be read, or names something unknown.
             InvalidSettingError: one of them is impossible under the prior.
         """
-        columns = self._table.columns()
-        columns |= derived_codes(columns["goal_red"], columns["goal_green"], self._scenario)
-        wanted = _satisfied(columns, event)
-        other = ~wanted if over is None else _satisfied(columns, over)
+        if self._knowing(given=event) is not self or self._knowing(given=over) is not self:
+            raise InvalidSettingError(
+                f"{over or event}: frames speak of hypotheses, not of further sites of the prior"
+            )
+        columns, known = self._columns(), dict(self._quantities)
+        for name, definition in self._own.items():
+            known[name], columns[name] = defined(name, definition, known, columns)
+        wanted = conditions(known, event).holds(columns)
+        other = ~wanted if over is None else conditions(known, over).holds(columns)
         odds = np.empty(self._frame + 1)
         without = np.full((self.planner_seeds, len(odds)), np.nan)
 
-        def log_odds(log_mass: FloatArray) -> float:
-            flat = log_mass.ravel()
-            with np.errstate(invalid="ignore"):
-                return float(log_sum_exp(flat[wanted]) - log_sum_exp(flat[other]))
-
+        possible = False
         for t in range(self._frame + 1):
-            odds[t] = log_odds(self._table.log_mass(t))
-            for place, mass in enumerate(self._table.log_masses_without(t)):
-                without[place, t] = log_odds(mass)
+            for place, mass in enumerate(self._log_masses(t)):
+                for_it, against = log_sum_exp(mass[wanted]), log_sum_exp(mass[other])
+                possible |= bool(np.isfinite(for_it))
+                with np.errstate(invalid="ignore"):
+                    found = float(for_it - against)
+                if place:
+                    without[place - 1, t] = found
+                else:
+                    odds[t] = found
         if not np.isfinite(odds[0]):
-            possible = np.isfinite(log_sum_exp(self._table.log_mass(0).ravel()[wanted]))
             raise InvalidSettingError(
                 f"{over if possible else event} is impossible under the prior: there are no odds"
             )
@@ -301,6 +398,17 @@ class StepwisePosterior(EventPosterior):
             attrs={"event": event, "over": over or f"not {event}"},
         )
 
+    def _columns(self) -> dict[str, NDArray[Any]]:
+        """Return the codes of all hypotheses, as :meth:`_log_masses` has them."""
+        columns = self._table.columns()
+        return columns | derived_codes(columns["goal_red"], columns["goal_green"], self._scenario)
+
+    def _log_masses(self, frame: int) -> Iterator[FloatArray]:
+        """Yield (hypothesis,) log masses at a frame: all in all, then without each set."""
+        yield self._table.log_mass(frame).ravel()
+        for mass in self._table.log_masses_without(frame):
+            yield mass.ravel()
+
     def observed(self) -> FloatArray:
         """Return the trajectory (time, entity, [x, y, angle]) that was explained."""
         return np.asarray(self._found["trajectory"].values, np.float64)[: self._frame + 1]
@@ -308,24 +416,33 @@ class StepwisePosterior(EventPosterior):
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write everything to ``path`` as NetCDF, whole or not at all.
 
+        What was defined in words is kept.
+
         Raises:
             OutputError: the file cannot be written there, or its name does not end in .nc.
         """
         check_output(path, (".nc",))
         how = {"fletcher32": True, "zlib": True, "complevel": 4}
-        write_bytes(path, (".nc",), netcdf_bytes({"/": self._found}, how, sealed=True))
+        attributes = {k: v for k, v in self._found.attrs.items() if k != KEPT_DEFINITIONS}
+        kept = self._found.copy()
+        kept.attrs = {**attributes, **self._definitions_to_keep()}
+        write_bytes(path, (".nc",), netcdf_bytes({"/": kept}, how, sealed=True))
         return Path(path)
 
     @classmethod
     def load(
         cls, path: str | os.PathLike[str], *, scenario: ScenarioFunction | None = None
     ) -> StepwisePosterior:
-        """Read a posterior that :meth:`save` wrote.
+        """Read a posterior that :meth:`save` wrote; :func:`phase_ppl.load_posterior` of any kind.
 
         Raises:
             InvalidEventError: there is no such file, or it is damaged or of another kind.
         """
         source = existing_file(path)
+        if not is_stepwise(source):
+            raise InvalidEventError(
+                f"{source} was not read step by step: load_posterior or Posterior.load reads it"
+            )
         try:
             return cls(read_netcdf(source)["/"], scenario=scenario)
         except InvalidEventError as error:
@@ -356,7 +473,8 @@ class StepwisePosterior(EventPosterior):
             f"{self.event_id}: read step by step, {found['frames']} frames; all hypotheses, "
             f"{searched}"
         )
-        lines = [*wrapped("posterior", head), *wrapped("verdict", found["verdict"]), ""]
+        lines = [*wrapped("posterior", head), *wrapped("verdict", found["verdict"])]
+        lines += [*self._notes(), ""]
         lines += [*self._answer_lines(), ""]
         if changed := changed_text(self.settings):
             lines += wrapped("prior", changed)
@@ -373,6 +491,10 @@ class StepwisePosterior(EventPosterior):
             words += f", in {seconds:.1f} s; the film of {simulated:.1f} simulated s "
             words += f"lasts {lasts:.1f} s"
         return "\n".join([*lines, *wrapped("cost", words)])
+
+    def _notes(self) -> list[str]:
+        """Return what else is to be said above the answers."""
+        return []
 
     def __repr__(self) -> str:
         return f"<StepwisePosterior of {self.event_id} after frame {self._frame}>"
@@ -419,15 +541,6 @@ def _verdict(found: Mapping[str, Any]) -> str:
             f"a leading probability: {errors[worst]:.2g})."
         )
     return " ".join(signs)
-
-
-def _satisfied(columns: Mapping[str, NDArray[np.float64]], text: str) -> NDArray[np.bool_]:
-    """Return which hypotheses fulfil conditions in words."""
-    known = quantities()
-    found = np.ones(len(next(iter(columns.values()))), bool)
-    for name, wanted in conditions(known, text).items():
-        found &= known[name].satisfied(columns[name], wanted)
-    return found
 
 
 def is_stepwise(path: str | os.PathLike[str]) -> bool:

@@ -17,6 +17,9 @@ from phase_ppl.world.hypothesis import ALPHAS, effective_pairs
 
 SCHEMA: Final = "phase_ppl/stepwise/2"
 
+SITES: Final = "sites"
+"""Attribute that names the further sites of the prior, JSON."""
+
 STATED: Final = ("stated_goal_red", "stated_goal_green", "alpha")
 STRENGTHS: Final = ("strength_red", "strength_green")
 
@@ -67,12 +70,18 @@ def check(found: xr.Dataset) -> None:
 
 
 class Table:
-    """All hypotheses of a video and their log masses at any frame."""
+    """All hypotheses of a video and their log masses at any frame.
+
+    Attributes:
+        log_prior: log masses before the video, dimensions as in :data:`DIMENSIONS`.
+        levels: of strength, newtons, ascending.
+    """
 
     def __init__(self, found: xr.Dataset) -> None:
         self._weight = float(found.attrs["weight"])
         self._levels = found[STRENGTHS[0]].values, found[STRENGTHS[1]].values
-        self._log_prior = found["log_prior"].values
+        self.levels = self._levels[0]
+        self.log_prior = found["log_prior"].values
         self._likelihood = found["log_likelihood"].values
         self._without = found["log_likelihood_without"].values
         so_far = np.cumsum(self._likelihood, axis=0)
@@ -98,11 +107,17 @@ class Table:
         weight = self._weight if weight is None else weight
         return self._masses(frame, weight * self._so_far[frame])
 
+    def log_likelihood(self, frame: int) -> FloatArray:
+        """Return log likelihoods, shaped as ``log_prior``, of the frames up to ``frame``."""
+        return self._of_hypotheses(frame, self._weight * self._so_far[frame])
+
     def _masses(self, frame: int, of_pairs: FloatArray) -> FloatArray:
+        return np.asarray(self.log_prior + self._of_hypotheses(frame, of_pairs))
+
+    def _of_hypotheses(self, frame: int, of_pairs: FloatArray) -> FloatArray:
         # over the equal probabilities that they began with: the prior has its own of strengths
         strengths = self._log_strengths[frame] + np.log(self._log_strengths[frame].size)
-        of_hypotheses = of_pairs[effective_pairs()][..., None, None]
-        return np.asarray(self._log_prior + of_hypotheses + strengths)
+        return np.asarray(of_pairs[effective_pairs()][..., None, None] + strengths)
 
     def _kept(self, frame: int) -> tuple[tuple[IntArray, ...], FloatArray]:
         """Return the places of the rows, and their weights."""
@@ -119,7 +134,7 @@ class Table:
     def columns(self, places: tuple[IntArray, ...] | None = None) -> dict[str, NDArray[Any]]:
         """Return codes and strengths of the hypotheses at some places of ``log_prior``, or all."""
         if places is None:
-            places = tuple(column.ravel() for column in np.indices(self._log_prior.shape))
+            places = tuple(column.ravel() for column in np.indices(self.log_prior.shape))
         red, green = np.unravel_index(effective_pairs()[places[:3]], (N_GOALS, N_GOALS))
         values: dict[str, NDArray[Any]] = dict(zip(STATED, places[:3], strict=True))
         values |= {"goal_red": red, "goal_green": green}
@@ -154,7 +169,7 @@ class Table:
         flat = effective_pairs().ravel()
         n = self._levels[0].size * self._levels[1].size
         by_strength = np.full((size, n), -np.inf)
-        np.logaddexp.at(by_strength, flat, self._log_prior.reshape(-1, n))
+        np.logaddexp.at(by_strength, flat, self.log_prior.reshape(-1, n))
         found = np.empty((self.n_frames, size))
         for frame in range(self.n_frames):
             log_strengths = self._log_strengths[frame].ravel()

@@ -31,7 +31,7 @@ def bars(label: str, entries: Sequence[tuple[str, float]]) -> Iterator[str]:
     """Yield a line for each name and probability, the first of which begins with the label."""
     for name, probability in entries:
         bar = "#" * round(probability * _BAR)
-        yield f"{label:<{LABEL}}{name:<{_NAME}}{probability!s:<{_NUMBER}}{bar}".rstrip()
+        yield f"{f'{label} ':<{LABEL}}{name:<{_NAME}}{probability!s:<{_NUMBER}}{bar}".rstrip()
         label = ""
 
 

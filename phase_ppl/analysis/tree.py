@@ -6,6 +6,7 @@ numbers only, so that it survives NetCDF unchanged.
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,13 +16,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.dataset.events_json import LABELS
+from phase_ppl.dataset.events_json import labels_of
 from phase_ppl.dataset.hdf5 import netcdf_bytes, read_netcdf
 from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.files import check_output, existing_file, write_bytes
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS
-from phase_ppl.world.scene import Scene
+from phase_ppl.world.scene import PHASE, Scene, World
 
 SCHEMA: Final = "phase-ppl-posterior-2"  # value of the root attribute ``schema``
 
@@ -43,19 +44,21 @@ SITES: Final = (
 HYPOTHESIS: Final = SITES[2:]
 """The sites that the prior is a density of; the effective goals follow from them."""
 
-_DRAW = ("chain", "draw")
-_SIMULATION = ("simulation",)
-_FRAME = ("time", "entity", "coord")
+_SCENE_DIMS: Final = ("entity", "coord", "landmark", "bound")
+DRAW: Final = ("chain", "draw")
+SIMULATION: Final = ("simulation",)
+FRAME: Final = ("time", "entity", "coord")
+"""Dimensions of what there is of each draw, of each simulation, and of a trajectory."""
 
 REQUIRED: Final[Mapping[str, Mapping[str, tuple[str, ...] | None]]] = {
-    "posterior": dict.fromkeys(SITES, _DRAW),
+    "posterior": dict.fromkeys(SITES, DRAW),
     "sample_stats": {
-        **dict.fromkeys(("log_joint", "total_error", "accepted", "window"), _DRAW),
-        **dict.fromkeys(("frames_simulated", "sim_seed"), _DRAW),
-        "step_error": (*_DRAW, "time"),
+        **dict.fromkeys(("log_joint", "total_error", "accepted", "window"), DRAW),
+        **dict.fromkeys(("frames_simulated", "sim_seed"), DRAW),
+        "step_error": (*DRAW, "time"),
     },
-    SIMULATED: {"trajectory": (*_DRAW, *_FRAME)},
-    "observed_data": {"trajectory": _FRAME},
+    SIMULATED: {"trajectory": (*DRAW, *FRAME)},
+    "observed_data": {"trajectory": FRAME},
     "simulations": dict.fromkeys(
         (
             *SITES,
@@ -63,14 +66,14 @@ REQUIRED: Final[Mapping[str, Mapping[str, tuple[str, ...] | None]]] = {
             "log_likelihood",
             *("total_error", "completed", "frames_simulated", "failed"),
         ),
-        _SIMULATION,
+        SIMULATION,
     ),
     "constant_data": dict.fromkeys(("start", "radius", "walls", "arena", "landmark_centres")),
 }
 """Group -> variable -> dimensions (None: any)."""
 
 OPTIONAL: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {
-    "sample_stats": dict.fromkeys(("log_weight", "log_evidence"), _DRAW),
+    "sample_stats": dict.fromkeys(("log_weight", "log_evidence"), DRAW),
     "simulations": {"step_log_likelihood": ("simulation", "time")},
 }
 """Group -> further variable -> dimensions: not all files and kernels have them."""
@@ -219,6 +222,12 @@ def read_tree(path: str | os.PathLike[str]) -> xr.DataTree:
 
 def scene_dataset(scene: Scene) -> xr.Dataset:
     """Return a scene as a dataset, its arrays as variables and the rest as attributes."""
+    of_world: dict[str, Any] = {}
+    if scene.world == PHASE:
+        of_world["landmark_half_width"] = float(scene.landmark_half_width)
+    else:
+        half_widths = scene.half_widths.tolist()
+        of_world["world"] = json.dumps([scene.world.to_dict(), half_widths])
     return xr.Dataset(
         {
             "start": (("entity", "coord"), scene.start),
@@ -227,11 +236,11 @@ def scene_dataset(scene: Scene) -> xr.Dataset:
             "arena": (("bound",), np.array(scene.arena)),
             "landmark_centres": (("landmark", "xy"), scene.landmark_centres),
         },
-        {dim: list(LABELS[dim]) for dim in ("entity", "coord", "landmark", "bound")},
+        {dim: list(labels_of(scene.world)[dim]) for dim in _SCENE_DIMS},
         {
             "turning": scene.turning,
             "resets_velocity": int(scene.resets_velocity),
-            "landmark_half_width": float(scene.landmark_half_width),
+            **of_world,
         },
     )
 
@@ -239,6 +248,11 @@ def scene_dataset(scene: Scene) -> xr.Dataset:
 def kept_scene(kept: xr.Dataset) -> Scene:
     """Return the scene that :func:`scene_dataset` wrote into a dataset."""
     x0, x1, y0, y1 = (float(v) for v in kept["arena"].values)
+    if "world" in kept.attrs:
+        record, half_width = json.loads(kept.attrs["world"])
+        world = World.from_dict(record)
+    else:
+        world, half_width = PHASE, float(kept.attrs["landmark_half_width"])
     return Scene(
         start=kept["start"].values,
         radius=kept["radius"].values,
@@ -247,5 +261,6 @@ def kept_scene(kept: xr.Dataset) -> Scene:
         turning=kept.attrs["turning"],
         resets_velocity=bool(kept.attrs.get("resets_velocity", 0)),
         arena=(x0, x1, y0, y1),
-        landmark_half_width=float(kept.attrs["landmark_half_width"]),
+        landmark_half_width=half_width,
+        world=world,
     )

@@ -5,9 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import importlib
-import inspect
 import json
-import runpy
 import shlex
 import sys
 from collections.abc import Iterator, Sequence
@@ -17,14 +15,12 @@ from typing import TYPE_CHECKING, Any, Final
 import phase_ppl
 from phase_ppl.world.errors import (
     InvalidEventError,
-    InvalidSettingError,
     OutputError,
     PhasePPLError,
     shown,
-    unknown_name,
 )
 from phase_ppl.world.event import Event
-from phase_ppl.world.files import as_path, existing_file, locked, writable_folder
+from phase_ppl.world.files import as_path, locked, writable_folder
 from phase_ppl.world.scene import TURNINGS
 
 if TYPE_CHECKING:
@@ -40,6 +36,7 @@ COMMANDS: Final = {
     "goals": ("events", "list the 36 goals that an agent can have"),
     "simulate": ("events", "run the joint simulator from an event's start under a hypothesis"),
     "render": ("events", "film an event, or draw a frame or a film strip of it"),
+    "read-video": ("read_video", "read an event back from a film of it"),
     "compare": (
         "compare",
         "compare kernels on an event: same budget, several seeds, against a reference",
@@ -112,27 +109,6 @@ def one_line(error: BaseException) -> str:
 def load(options: argparse.Namespace) -> Event:
     """Return the event that the options name."""
     return phase_ppl.load_event(options.event, video=options.video, turning=options.turning)
-
-
-def prior_named(text: str) -> Any:
-    """Return the name of a ready-made prior, or of ``FILE.py:NAME`` what that file calls so.
-
-    The file is run, which is said on stderr.
-    """
-    file, _, name = text.rpartition(":")
-    if not file.endswith(".py"):
-        return text
-    path = existing_file(file)
-    print(f"phase-ppl: running {path} for its prior {name}", file=sys.stderr)
-    try:
-        found = runpy.run_path(str(path))
-    except Exception as error:  # whatever a user's file does
-        reason = f"{type(error).__name__}: {one_line(error)}"
-        raise InvalidSettingError(f"{path} cannot be run: {reason}") from error
-    if name not in found:
-        known = [key for key, value in found.items() if inspect.isfunction(value)]
-        raise unknown_name(f"prior in {path}", name, known)
-    return found[name]
 
 
 def posterior(path: Path, weights: str | None = None) -> Posterior | StepwisePosterior:

@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import phase_ppl
 from phase_ppl.cli import commands as cli
+from phase_ppl.cli import own
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.event import Event
 
@@ -27,7 +28,7 @@ def add_to(commands: Any) -> None:
     )
     says = (
         "names, with options as NAME:OPTION=VALUE:OPTION=VALUE; as_printed, as_intended and "
-        "default are SIMPLE by a preset, on this planner and these weights"
+        "default are SIMPLE by a preset, on this planner and these weights; " + own.FILE
     )
     cli.add(parser, "--kernels A,B", says, required=True)
     cli.add(
@@ -35,8 +36,8 @@ def add_to(commands: Any) -> None:
     )
     cli.add(parser, "--repeats R", "default 8", cli.whole(1), 8)
     cli.add(parser, "--chains M", "default 15", cli.whole(1), 15)
-    cli.add(parser, "--prior NAME", "default uniform; or FILE.py:NAME", default="uniform")
-    cli.add_planner(parser)
+    own.add_model(parser)
+    cli.add(parser, "--planner", "default fast", choices=("fast", "paper"))
     says = (
         "a posterior's .nc file, 'enumeration' (more precise: enumeration:per_pair=16) or a "
         "kernel, with options as in --kernels; default: what is affordable"
@@ -65,7 +66,7 @@ def _compared(event: Event, out: Path | None, options: argparse.Namespace) -> in
     try:
         found = phase_ppl.compare(
             event,
-            phase_ppl.Model(prior=cli.prior_named(options.prior), planner=options.planner),
+            own.model(options, options.planner),
             kernels=_kernels(options.kernels),
             budget=options.budget,
             repeats=options.repeats,
@@ -99,23 +100,15 @@ def _kernels(text: str) -> dict[str, Any]:
     for label in (part.strip() for part in text.split(",")):
         if not label.partition(":")[0] or label in found:
             raise InvalidSettingError(f"--kernels {text}: expected different names, as in a,b,c")
-        found[label] = _with_options(label, "--kernels")
+        name, given = own.with_settings(label, "--kernels")
+        found[label] = own.taken(name, "kernel"), given
     return found
-
-
-def _with_options(text: str, where: str) -> tuple[str, dict[str, Any]]:
-    """Return name and options of ``name:option=value:option=value``."""
-    name, *given = text.split(":")
-    options = {}
-    for option in given:
-        key, equals, value = option.partition("=")
-        if not (key and equals and value):
-            raise InvalidSettingError(f"{where}: {option!r} in {text!r} is no OPTION=VALUE")
-        options[key] = cli.option_value(value)
-    return name, options
 
 
 def _reference(text: str | None) -> Any:
     if text is not None and text.endswith(".nc"):
         return phase_ppl.Posterior.load(text)
-    return _with_options(text, "--reference") if text and ":" in text else text
+    if text is None or ":" not in text:
+        return text
+    name, given = own.with_settings(text, "--reference")
+    return own.taken(name, "kernel"), given

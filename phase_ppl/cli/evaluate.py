@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import phase_ppl
 from phase_ppl.cli import commands as cli
+from phase_ppl.cli import own
 from phase_ppl.world.errors import InvalidSettingError, OutputError, unknown_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import writable_folder, write_json
@@ -24,7 +25,8 @@ if TYPE_CHECKING:
 AGAINST: Final = "against.json"
 """The file in the folder of results that holds the differences from another model."""
 
-_SHORT_FOR: Final = ("preset", "planner", "kernel", "budget", "weights", "prior")
+_OWN: Final = ("kernel", "prior", "simulator")
+_SHORT_FOR: Final = ("preset", "planner", *_OWN, "budget", "weights")
 """Options of models that have options of the command of their own."""
 
 _OF_WORK: Final = (
@@ -82,10 +84,11 @@ def add_to(commands: Any) -> None:
     )
     cli.add(model, "--preset NAME", cli.PRESET)
     cli.add(model, "--planner", choices=("fast", "paper"))
-    cli.add(model, "--kernel NAME")
+    cli.add(model, "--kernel NAME", own.FILE)
+    cli.add(model, "--prior NAME", own.FILE)
+    cli.add(model, "--simulator FILE.py:NAME", "runs that file")
     cli.add(model, "--budget B", cli.BUDGET, cli.budget)
     cli.add(model, "--weights NAME")
-    cli.add(model, "--prior NAME")
     says = (
         "any other, such as chains=15 or rule=paper, or of one of several models, such as "
         "simple.chains=15; may be given several times"
@@ -166,7 +169,10 @@ def _evaluate(options: argparse.Namespace) -> int:
     several = len(models) > 1 or list(models) != list(models.values())
     if options.resume and options.out is None:
         raise InvalidSettingError("--resume needs --out, the folder to go on in")
-    of_models = options_of(models, cli.given(options, *_SHORT_FOR), options.option)
+    plain = cli.given(options, *_SHORT_FOR)
+    for name in plain.keys() & {*_OWN}:
+        plain[name] = own.taken(plain[name], name, named=name != "simulator")
+    of_models = options_of(models, plain, options.option)
     events = all_events(options.events, options.split)
     (_check_several if several else _check_one)(options, events, models, of_models)
     if options.out is not None:
@@ -261,7 +267,7 @@ def _check_several(
     from phase_ppl.evaluation.entries import check_names, stored_label, stored_names
     from phase_ppl.evaluation.evaluate import settings_of
     from phase_ppl.evaluation.folder import SETTINGS, ResultsFolder, holds_predictions
-    from phase_ppl.evaluation.references import reference_predictions
+    from phase_ppl.evaluation.prediction import reference_predictions
     from phase_ppl.evaluation.registry import ready
 
     check_names(list(models))

@@ -8,17 +8,19 @@ import inspect
 import shlex
 import shutil
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import phase_ppl
 from phase_ppl.cli import commands as cli
-from phase_ppl.inference.presets import completed
+from phase_ppl.cli import own
+from phase_ppl.inference.settings import completed
 from phase_ppl.world.errors import InvalidSettingError, OutputError, PhasePPLError
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import write_json
 from phase_ppl.world.observation import SHOWN_SECONDS_PER_FRAME
+from phase_ppl.world.scene import PHASE
 
 if TYPE_CHECKING:
     from phase_ppl.analysis.posterior import Posterior
@@ -43,21 +45,21 @@ def add_to(commands: Any) -> None:
     cli.add_planner(infer)
     infer.set_defaults(planner=None)  # the preset's
     cli.add(infer, "--preset NAME", cli.PRESET, default="default")
-    says = "default uniform; FILE.py:NAME takes one of your own, and runs that file"
-    cli.add(infer, "--prior NAME", says, default="uniform")
     says = (
-        "simple: whole simulations, sampled (the default); stepwise: every frame given those "
-        "before it, over all hypotheses"
+        "simple: whole simulations, sampled (the default in PHASE); stepwise: every frame given "
+        "those before it, over all hypotheses (in other worlds the only one)"
     )
-    cli.add(infer, "--model", says, choices=("simple", "stepwise"), default="simple")
+    cli.add(infer, "--model", says, choices=("simple", "stepwise"))
+    own.add_model(infer)
     says = "of the stepwise model: show what it believes as the video plays, and film it"
     cli.add(infer, "--watch", says)
-    cli.add(infer, "--kernel NAME", "default local_mh; of the stepwise model none, no sampling")
+    says = f"default local_mh; of the stepwise model none, no sampling; {own.FILE}"
+    cli.add(infer, "--kernel NAME", says)
     cli.add(infer, "--chains M", "default 15", cli.whole(1))
     cli.add_options(
         infer,
-        "of the kernel, such as rule=paper, or of SIMPLE's settings, such as beta=0.1; may "
-        "be given several times",
+        "of the kernel, such as rule=paper, of SIMPLE's settings, such as beta=0.1, or of the "
+        "stepwise model, such as weight=1 or planner_seeds=8; may be given several times",
     )
     cli.add(infer, "--out DIR", "for the posterior, a figure and a film", Path)
     cli.add_overwrite(infer)
@@ -71,6 +73,8 @@ def add_to(commands: Any) -> None:
         "Go on with an interrupted run, or extend one, as if it had never stopped.",
     )
     cli.add(resume, "file FILE", "the run.ckpt that it left", Path)
+    own.add_model(resume)
+    cli.add(resume, "--kernel NAME", "as before, if it was one of your own")
     cli.add(resume, "--out DIR", "default: where FILE is", Path)
     cli.add_overwrite(resume)
     cli.add_other_versions(resume)
@@ -103,7 +107,10 @@ def _add_run_options(parser: argparse.ArgumentParser) -> None:
 
 def _infer(options: argparse.Namespace) -> int:
     event = cli.load(options)
-    if options.watch and (options.model != "stepwise" or options.kernel is not None):
+    if event.scene.world != PHASE and options.model is None and options.likelihood is None:
+        options.model = "stepwise"
+    stepwise = _is_stepwise(options)
+    if options.watch and (not stepwise or options.kernel is not None):
         raise InvalidSettingError("--watch needs --model stepwise, and no kernel")
     kept = None if options.out is None else options.out / CHECKPOINT
     if kept is not None and kept.exists():
@@ -114,16 +121,18 @@ def _infer(options: argparse.Namespace) -> int:
     with cli.results_folder(options.out, _RESULTS, options.overwrite) as out:
         if options.watch:
             return _watched(event, out, options)
-        exact = options.model == "stepwise" and options.kernel is None
+        exact = stepwise and options.kernel is None
+        model, of_kernel = _model_of(options, stepwise)
         given = {
             **_run_options(options),
-            **_kernel_options(options.option),
-            **cli.given(options, "kernel", "chains", "planner"),
+            **_kernel_options(of_kernel),
+            **_kernel(options),
+            **cli.given(options, "chains", "planner"),
         }
         run = functools.partial(
             phase_ppl.infer,
             event,
-            _model_of(options),
+            model,
             seed=options.seed,
             checkpoint=None if exact else kept,
             **completed(options.preset, given),
@@ -131,31 +140,69 @@ def _infer(options: argparse.Namespace) -> int:
         return _finish(run, event, out, kept, options)
 
 
-def _model_of(options: argparse.Namespace) -> phase_ppl.Model:
-    prior = cli.prior_named(options.prior)
-    if options.model == "simple":
-        return phase_ppl.Model(prior=prior)
-    likelihood = phase_ppl.StepwiseLikelihood()
-    return phase_ppl.Model(prior=prior, planner=options.planner, likelihood=likelihood)
+def _is_stepwise(options: argparse.Namespace) -> bool:
+    named = own.is_stepwise(options.likelihood)
+    if named and options.model == "simple":
+        raise InvalidSettingError("--likelihood stepwise is not that of --model simple")
+    if options.model == "stepwise" and options.likelihood is None:
+        options.likelihood = "stepwise"
+    elif options.model == "stepwise" and not named:
+        raise InvalidSettingError(
+            f"--likelihood {options.likelihood} is not that of --model stepwise"
+        )
+    return named or options.model == "stepwise"
+
+
+def _model_of(
+    options: argparse.Namespace, stepwise: bool
+) -> tuple[phase_ppl.Model, list[tuple[str, Any]]]:
+    """Return the model, and those of ``--option`` that are not of its likelihood."""
+    if not stepwise:  # its planner is an argument of ``infer``, where a preset may have one
+        return own.model(options), options.option
+    names = own.stepwise_settings()
+    of_likelihood = [pair for pair in options.option if pair[0] in names]
+    twice = [name for place, (name, _) in enumerate(of_likelihood)
+             if name in dict(of_likelihood[:place])]  # fmt: skip
+    if twice:
+        raise InvalidSettingError(f"--option {twice[0]}: given twice")
+    rest = [pair for pair in options.option if pair[0] not in names]
+    return own.model(options, options.planner, **dict(of_likelihood)), rest
+
+
+def _kernel(options: argparse.Namespace) -> dict[str, Any]:
+    return {} if options.kernel is None else {"kernel": own.taken(options.kernel, "kernel")}
 
 
 def _resume(options: argparse.Namespace) -> int:
     from phase_ppl.inference.runs.checkpoint import Checkpoint
 
-    event = Checkpoint(options.file).event
-    own = options.file.parent
+    saved = Checkpoint(options.file)
+    folder = options.file.parent
     # what is beside the file is of the same run
-    elsewhere = options.out is not None and options.out.resolve() != own.resolve()
+    elsewhere = options.out is not None and options.out.resolve() != folder.resolve()
     with cli.results_folder(
-        options.out or own, _RESULTS if elsewhere else (), options.overwrite
+        options.out or folder, _RESULTS if elsewhere else (), options.overwrite
     ) as out:
         run = functools.partial(
             phase_ppl.resume,
             options.file,
+            model=_model_again(options, saved.identity["model"]),
             other_versions=options.other_versions,
+            **_kernel(options),
             **_run_options(options),
         )
-        return _finish(run, event, out, options.file, options)
+        return _finish(run, saved.event, out, options.file, options)
+
+
+def _model_again(options: argparse.Namespace, before: Mapping[str, Any]) -> phase_ppl.Model | None:
+    """Return the model of a run that has parts of one's own; None where none are given."""
+    if not own.is_given(options):
+        return None
+    planner = None
+    if options.simulator is None and before["planner"] is not None:
+        planner = phase_ppl.PlannerConfig.from_dict(before["planner"])
+    options.noise = options.noise or before["noise"]
+    return own.model(options, planner)
 
 
 def _finish(
@@ -189,10 +236,17 @@ def _finish(
         _write_results(post, event, out, **told)
     if kept is not None and kept.exists():
         if code:
-            print(f"Go on with: phase-ppl resume {shlex.quote(str(kept))}")
+            again = own.given_again(options, "kernel") if _has_own(options) else ""
+            print(f"Go on with: phase-ppl resume {shlex.quote(str(kept))}{again}")
         elif not options.keep_checkpoint:
             kept.unlink()
     return code
+
+
+def _has_own(options: argparse.Namespace) -> bool:
+    """Return whether a file cannot hold all of a run: parts out of a file, or its likelihood."""
+    given = (options.prior, options.simulator, options.kernel, options.likelihood)
+    return any(text is not None and (".py:" in text or "stepwise" in text) for text in given)
 
 
 def _run_options(options: argparse.Namespace) -> dict[str, Any]:
@@ -225,9 +279,10 @@ def _write_results(
         phase_ppl.render.video(event, out / "replay.mp4", compare=post.replay())
         written: tuple[str, ...] = _SAMPLED
     else:
-        best, second = (name for name, _ in post.top("relation", 2))
+        asked = next(iter((*post.relations_of.values(), *post.goals_of.values())))
+        best, second = (label for label, _ in post.top(asked, 2))
         phase_ppl.plot.over_time(post, path=out / "over_time.png")
-        phase_ppl.plot.why(post, f"relation={best}", f"relation={second}", path=out / "why.png")
+        phase_ppl.plot.why(post, f"{asked}={best}", f"{asked}={second}", path=out / "why.png")
         phase_ppl.watch_film(post, out / "watch.mp4")
         written = _STEPWISE
     for name in set(_RESULTS) - set(written):  # of another run, which was to be overwritten
@@ -239,6 +294,7 @@ def _write_results(
 # --- watching --------------------------------------------------------------------------------
 
 _BAR: Final = 24
+_TITLE: Final = 10
 _NAME: Final = 32
 _LINES_A_SECOND: Final = 4
 """Frames between two lines where the output is no terminal: one a second of the video."""
@@ -248,13 +304,15 @@ def _watched(event: Event, out: Path | None, options: argparse.Namespace) -> int
     """Show the posterior after every frame; print and keep the last one."""
     sampling = ("chains", "iterations", "budget", "on_failure", "retries")
     given = [f"--{name.replace('_', '-')}" for name in sampling if getattr(options, name)]
-    if given or options.option:
-        raise InvalidSettingError(f"{', '.join(given) or '--option'}: nothing is sampled")
+    given += [f"--option {name}" for name, _ in options.option
+              if name not in own.stepwise_settings()]  # fmt: skip
+    if given:
+        raise InvalidSettingError(f"{', '.join(given)}: nothing is sampled")
     code = 0
     screen = _Screen(sys.stdout.isatty() and not options.quiet)
     with phase_ppl.watch(
         event.scene,
-        _model_of(options),
+        _model_of(options, True)[0],
         seed=options.seed,
         threads=options.workers,
         event_id=event.id,
@@ -298,17 +356,24 @@ class _Screen:
 
 def _bars(post: StepwisePosterior) -> list[str]:
     lines = []
-    for title, name, n in (("red", "goal_red", 3), ("green", "goal_green", 3), ("", "relation", 3)):
-        for label, share in post.top(name, n):
+    for title, name in _followed(post).items():
+        for label, share in post.top(name, 3):
             bar = "#" * round(share * _BAR)
-            lines.append(f"{title:<6}{label:<{_NAME}}{share:5.2f}  {bar}")
+            lines.append(f"{title:<{_TITLE}}{label:<{_NAME}}{share:5.2f}  {bar}")
             title = ""
     return lines
 
 
+def _followed(post: StepwisePosterior) -> dict[str, str]:
+    """Return title -> quantity of what is shown as the video plays."""
+    return {title.removesuffix(" agent"): name for title, name in post.goals_of.items()} | dict(
+        post.relations_of
+    )
+
+
 def _in_a_line(post: StepwisePosterior) -> str:
     parts = []
-    for title, name in (("red", "goal_red"), ("green", "goal_green"), ("relation", "relation")):
+    for title, name in _followed(post).items():
         label, share = post.top(name, 1)[0]
         parts.append(f"{title}: {label} {share:.2f}")
     return "; ".join(parts)

@@ -14,6 +14,7 @@ import numpy as np
 import phase_ppl
 from phase_ppl.analysis.summary import LABEL, plain, wrapped
 from phase_ppl.cli import commands as cli
+from phase_ppl.cli import own
 from phase_ppl.world.errors import InvalidSettingError, QueryError
 from phase_ppl.world.files import writable_folder
 
@@ -47,9 +48,12 @@ spread between the particles.
   H(goal_red)       I(goal_red; goal_green)  entropy, mutual information, nats
 
 "|" adds what is given: P(relation=friendly | goal_red=Get blue item to red lm).
-Conditions: =, !=, in {a, b}; for numbers <, <=, >, >=, in [a, b]. Brackets after
-the first word may be left out. Values in any case and spacing, in quotes where
-they hold a special character."""
+Conditions: =, !=, in {a, b}; for numbers <, <=, >, >=, in [a, b]; with another
+quantity in place of a value: P(strength_red > strength_green). They are joined by
+"or", "and", "not", round brackets, and "," for what holds as well: P(relation=friendly
+or target_red = target_green, not alpha=(0, 0)). Brackets after the first word may be
+left out. Values in any case and spacing, in quotes where they hold a special character.
+--define FILE adds quantities, a line each: same_goal: goal_red = goal_green"""
 
 _QUANTITIES: Final = """\
 quantities: goal_A, goal_kind_A, target_A, landmark_A, sign_A, stated_goal_A and
@@ -76,14 +80,17 @@ def _add_query(commands: Any) -> None:
     _add_posterior(parser)
     cli.add(parser, "questions QUESTION", nargs="+")
     cli.add(parser, "--prior NAME", "under another prior: a name, or FILE.py:NAME, which is run")
+    cli.add(parser, "--define FILE", "quantities of your own, a line each: NAME: CONDITIONS", Path)
     cli.add(parser, "--json", "answers as JSON, a list")
 
 
 def _query(options: argparse.Namespace) -> int:
     post = cli.posterior(options.file, options.weights)
     if options.prior is not None:
-        post = post.with_prior(cli.prior_named(options.prior))
+        post = post.with_prior(own.taken(options.prior, "prior"))
     try:
+        if options.define is not None:
+            post.define_from(options.define)
         answers = [post.query(question) for question in options.questions]
     except QueryError as error:  # its lines show the place
         print(f"phase-ppl: error: {error}", file=sys.stderr)

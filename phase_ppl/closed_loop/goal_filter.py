@@ -10,21 +10,14 @@ inside the logarithm: the log of one noisy policy is too low, and says too much 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any, Final, NamedTuple
+from collections.abc import Sequence
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from phase_ppl.agents.agent import Policies, RootStatistics
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.agents.world_model import WorldModel
-from phase_ppl.closed_loop.hidden_state import (
-    Expected,
-    HiddenState,
-    Tracking,
-    most_probable_actions,
-)
+from phase_ppl.closed_loop.hidden_state import Tracking, most_probable_actions
+from phase_ppl.closed_loop.search_sets import Conduct, Looked, SearchSets
 from phase_ppl.physics.actions import N_ACTIONS
 from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
 from phase_ppl.world.goals import N_GOALS
@@ -56,32 +49,8 @@ class Reading(NamedTuple):
     searches: int  # searches that were made
 
 
-class Conduct(NamedTuple):
-    """How agents act on their plans."""
-
-    sharpness: float  # exponent of a search's root visits
-    lapse: float  # probability, by frame, that an agent does anything whatever
-
-    def policy(self, root: RootStatistics) -> FloatArray:
-        """Return (action,) probabilities of an agent, from what its search found.
-
-        pi = (1 - lapse) visits^sharpness / Z + lapse / |A|
-        """
-        found = np.full(N_ACTIONS, self.lapse / N_ACTIONS)
-        share = (root.visits / root.visits.max()) ** self.sharpness
-        found[root.actions] += (1.0 - self.lapse) * share / share.sum()
-        return found
-
-
-class Looked(NamedTuple):
-    """One agent's plans at one moment, by one set of beliefs and searches."""
-
-    roots: list[RootStatistics]  # of every intent, what its search found
-    of_pair: IntArray  # (goal_red, goal_green) -> index of the intent, or ``NO_INTENT``
-
-
 class GoalFilter:
-    """Takes in a video frame by frame; what it says of a frame never changes afterwards.
+    """Takes in a video of PHASE frame by frame; what it says of a frame never changes afterwards.
 
     Args:
         scene: where everything starts, at rest.
@@ -90,8 +59,7 @@ class GoalFilter:
         conduct: how agents act on their plans.
         seed: of beliefs and searches.
         threads: at most so many at a time; the result does not depend on it.
-        planner_seeds: independent sets of beliefs and searches. Each plans with strengths of its
-            own, which together stand for what is believed of them.
+        planner_seeds: independent sets of beliefs and searches.
         weight: what a frame counts as evidence, and
         log_prior: (goal_red, goal_green) log prior masses; both only say which pairs of goals are
             improbable enough for one set of searches to do. None: all alike.
@@ -111,19 +79,9 @@ class GoalFilter:
         weight: float = 1.0,
         log_prior: FloatArray | None = None,
     ) -> None:
-        self._scene, self._planner = scene, planner
         self._conduct, self._weight = conduct, weight
-        self._hidden = HiddenState(scene, tracking, threads)
-        self._models: dict[tuple[float, float], WorldModel] = {}
-        self._policies = [
-            [
-                Policies(agent, self._model(expected.strengths), planner, _seed(seed, place))
-                for agent in range(len(AGENTS))
-            ]
-            for place, expected in enumerate(self._hidden.spread(planner_seeds))
-        ]
+        self._sets = SearchSets(scene, planner, tracking, seed, threads, planner_seeds)
         self._log_mass = np.zeros((N_GOALS, N_GOALS)) if log_prior is None else log_prior.copy()
-        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
 
     def __enter__(self) -> GoalFilter:
         return self
@@ -133,14 +91,14 @@ class GoalFilter:
 
     def close(self) -> None:
         """End the threads."""
-        if self._pool is not None:
-            self._pool.shutdown(cancel_futures=True)
+        self._sets.close()
 
     def read(self, frame: FloatArray) -> Reading:
         """Take in the next frame, (4, 3) x, y [units], angle [rad]."""
         wanted = self._probable_pairs()
-        looked = self._look(wanted)
-        density = self._hidden.advance(frame, self._share)
+        hidden = self._sets.hidden
+        looked = self._sets.look([wanted.ravel()] * len(AGENTS))
+        density = hidden.advance(frame, self._sets.map)
         highest = float(density.max())
         relative = np.exp(density - highest)
         likelihood, without = frame_log_likelihood(
@@ -149,24 +107,18 @@ class GoalFilter:
         likelihood += highest
         without += highest
         self._log_mass += self._weight * likelihood
-        for agent, action in enumerate(most_probable_actions(density)):
-            for both in self._policies:
-                both[agent].done(action)
+        self._sets.done(most_probable_actions(density))
         actions = np.stack([relative.sum(axis=1), relative.sum(axis=0)])
         return Reading(
             likelihood,
             without,
-            self._hidden.strengths(),
+            hidden.strengths().reshape([len(hidden.tracking.strengths)] * 2),
             actions / actions.sum(axis=1, keepdims=True),
-            self._hidden.best().held.copy(),
-            self._hidden.log_peak - highest,
-            self._hidden.log_peak,
+            hidden.best().held.copy(),
+            hidden.log_peak - highest,
+            hidden.log_peak,
             sum(len(root.actions) > 1 for both in looked for one in both for root in one.roots),
         )
-
-    def _share(self, function: Callable[..., Any], tasks: Iterable[Any]) -> Iterator[Any]:
-        """Return the function's results, in order, from the threads if there are any."""
-        return map(function, tasks) if self._pool is None else self._pool.map(function, tasks)
 
     def _probable_pairs(self) -> BoolArray:
         """Return which pairs of goals together have nearly all of the mass."""
@@ -177,31 +129,6 @@ class GoalFilter:
         found = np.zeros(flat.shape, bool)
         found[order[before < SEARCHED_BY_ALL * mass.sum()]] = True
         return found.reshape(self._log_mass.shape)
-
-    def _look(self, wanted: BoolArray) -> list[list[Looked]]:
-        """Return (set, agent) what the planners make of what was seen so far."""
-
-        def observe(task: tuple[Policies, Expected, BoolArray | None]) -> None:
-            policies, expected, asked = task
-            policies.observe(expected.bodies, expected.held, expected.weld, asked)
-
-        observing = []
-        for place, expected in enumerate(self._hidden.spread(len(self._policies))):
-            for policies in self._policies[place]:
-                policies.model = self._model(expected.strengths)
-                observing.append((policies, expected, wanted if place else None))
-        list(self._share(observe, observing))
-        searches = [(one, intent) for one, _, _ in observing for intent in one.intents]
-        roots = iter(list(self._share(lambda task: task[0].root_statistics(task[1]), searches)))
-        return [
-            [Looked([next(roots) for _ in one.intents], one.of_pair.copy()) for one in both]
-            for both in self._policies
-        ]
-
-    def _model(self, strengths: tuple[float, float]) -> WorldModel:
-        if strengths not in self._models:
-            self._models[strengths] = WorldModel.of(self._scene, strengths, self._planner)
-        return self._models[strengths]
 
 
 def frame_log_likelihood(
@@ -235,7 +162,8 @@ def frame_log_likelihood(
             table = np.zeros((len(one.roots) + 1, N_ACTIONS))
             for row, root in enumerate(one.roots):
                 table[row] = conduct.policy(root)
-            policies[place, agent] = table[one.of_pair]  # the last row for NO_INTENT, which is -1
+            # the last row for NO_INTENT, which is -1
+            policies[place, agent] = table[one.intent_of.reshape(N_GOALS, N_GOALS)]
     possible = (policies[0].sum(axis=-1) > 0).all(axis=0)
     alone = np.where(possible, _density(policies[0], relative), 0.0)
     with np.errstate(divide="ignore"):
@@ -258,13 +186,6 @@ def _density(policies: FloatArray, relative: FloatArray) -> FloatArray:
     """Return (...) the density of a frame; policies are (agent, ..., A), ``relative`` (A, A)."""
     red, green = policies
     return np.asarray(((red @ relative) * green).sum(axis=-1))
-
-
-def _seed(seed: int, place: int) -> int:
-    """Return the seed of one of several sets of searches; the first has the seed itself."""
-    if place == 0:
-        return seed
-    return int(np.random.SeedSequence([seed, place]).generate_state(1, np.uint64)[0])
 
 
 def warm_up() -> None:

@@ -5,8 +5,10 @@ every joint action is tried from each of them; the states after those that expla
 go on, corrected by what was seen. Frames are compared like with like: means over the substeps of a
 step.
 
-Each pair of strengths has a filter of its own, and its evidence is the product over the frames of
-how probable that filter found them, so that none is lost by being dropped from the beam.
+Some combinations of strengths are followed: all of two agents; of three and more as many, in which
+every agent has every strength equally often, and so has every pair of the first two or three. Each
+has a filter of its own, and its evidence is the product over the frames of how probable that filter
+found them, so that none is lost by being dropped from the beam.
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -28,9 +30,8 @@ from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.checks import nonnegative_number, positive_number
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS, STRENGTH_RANGE
-from phase_ppl.world.names import AGENTS, BLUE_ITEM, ENTITIES
 from phase_ppl.world.observation import State
-from phase_ppl.world.scene import Scene, check_phase
+from phase_ppl.world.scene import Scene
 
 UNSEEN: Final = 0.05  # units that are assumed before there is anything to estimate the noise from
 _MEDIAN: Final = 0.6745  # median of |x| for a standard normal x
@@ -51,24 +52,26 @@ class NoiseEstimate:
 
     Args:
         known: units; None: to be estimated.
-        start: (4, 3) the first frame.
+        start: (entity, 3) the first frame.
+        n_agents: of the entities, so many are agents.
 
     Attributes:
         now: the estimate from the frames so far, units; before there are three, ``UNSEEN``. A
             frame is to be scored with the one from the frames before it.
     """
 
-    def __init__(self, known: float | None, start: FloatArray) -> None:
+    def __init__(self, known: float | None, start: FloatArray, n_agents: int) -> None:
         self._known = known
-        self._last: list[FloatArray] = [start[BLUE_ITEM:, :2]]
+        self._items = slice(n_agents if len(start) > n_agents else 0, None)  # agents if need be
+        self._last: list[FloatArray] = [start[self._items, :2]]
         self._differences: list[FloatArray] = []
         self.now = UNSEEN if known is None else known
 
     def update(self, observed: FloatArray) -> None:
-        """Take in a frame, (4, 3)."""
+        """Take in a frame, (entity, 3)."""
         if self._known is not None:
             return
-        self._last = [*self._last[-2:], observed[BLUE_ITEM:, :2]]
+        self._last = [*self._last[-2:], observed[self._items, :2]]
         if len(self._last) == 3:
             before, between, now = self._last
             self._differences.append(np.abs(now - 2 * between + before))
@@ -158,18 +161,18 @@ class Beam:
     bodies: FloatArray  # (B, entity, 9), as in ``physics.compiled``, like those below
     held: IntArray  # (B, agent)
     weld: FloatArray  # (B, agent, 3)
-    pair: IntArray  # (B,) the pair of strengths, as an index
-    within: FloatArray  # (B,) log probabilities given the pair of strengths
+    combination: IntArray  # (B,) of strengths, as an index
+    within: FloatArray  # (B,) log probabilities given the strengths
 
     def __len__(self) -> int:
         return len(self.bodies)
 
 
 class Expected(NamedTuple):
-    """A pair of strengths, and the most probable state given it."""
+    """Strengths of all agents, and the most probable state given them."""
 
-    strengths: tuple[float, float]  # of red and green, newtons
-    bodies: FloatArray  # (4, 9), (2,), (2, 3), as in ``compiled``
+    strengths: tuple[float, ...]  # (agent,) newtons
+    bodies: FloatArray  # (entity, 9), (agent,), (agent, 3), as in ``compiled``
     held: IntArray
     weld: FloatArray
 
@@ -184,14 +187,16 @@ class HiddenState:
 
     Attributes:
         beam: states after the last frame.
+        combinations: (combination, agent) newtons, those that are followed.
         log_peak: log density that the last frame would have had exactly where an action puts it.
     """
 
     def __init__(self, scene: Scene, tracking: Tracking, threads: int = 1) -> None:
-        check_phase(scene, "the closed loop")
         self.tracking = tracking
-        self._pairs = np.array(list(itertools.product(tracking.strengths, repeat=len(AGENTS))))
-        n = len(self._pairs)
+        n_agents, n_bodies = len(scene.world.agents), len(scene.world.entities)
+        self._n_agents = n_agents
+        self.combinations = balanced(tracking.strengths, n_agents)
+        n = len(self.combinations)
         bodies, held, weld = compiled.from_state(State.at_start(scene), scene.radius)
         self.beam = Beam(
             np.repeat(bodies[None], n, axis=0),
@@ -202,21 +207,22 @@ class HiddenState:
         )
         self._evidence = np.zeros(n)  # log, of each pair of strengths
         # each part of the beam has a work space; its forces are overwritten state by state
-        strongest = (max(tracking.strengths),) * 2
+        strongest = (max(tracking.strengths),) * n_agents
         self._spaces = [
             (
                 compiled.make_params(scene, strongest, inner_steps=WORLD_INNER_STEPS),
-                compiled.make_scratch(),
-                inverse.make_trial(),
+                compiled.make_scratch(n_bodies, n_agents),
+                inverse.make_trial(n_bodies, n_agents),
             )
             for _ in range(1 if threads == 1 else min(_PARTS_PER_THREAD * threads, n))
         ]
         self._executed = np.array([executed(a, scene.turning) for a in range(N_ACTIONS)])
-        intended = np.zeros((N_ACTIONS, N_ACTIONS))
-        np.add.at(intended, np.ix_(self._executed, self._executed), 1.0 / N_ACTIONS**2)
+        self._all_executed = np.ix_(*[self._executed] * n_agents)
+        intended = np.zeros((N_ACTIONS,) * n_agents)
+        np.add.at(intended, self._all_executed, 1.0 / N_ACTIONS**n_agents)
         with np.errstate(divide="ignore"):
-            self._log_prior = np.log(intended)
-        self._noise = NoiseEstimate(tracking.noise, scene.start)
+            self._log_prior = np.log(intended.ravel())
+        self._noise = NoiseEstimate(tracking.noise, scene.start, n_agents)
         self.log_peak = 0.0
 
     def advance(
@@ -225,17 +231,20 @@ class HiddenState:
         """Take in the next frame.
 
         Args:
-            observed: (4, 3) x, y [units], angle [rad].
+            observed: (entity, 3) x, y [units], angle [rad].
             share: as ``map``, from whichever threads; the result does not depend on it.
 
         Returns:
-            (A, A) log density of the frame after every pair of intended actions, red's first.
+            (action of the first agent, of the second, ...) log density of the frame after every
+            combination of intended actions.
         """
         tracking, beam = self.tracking, self.beam
         scale = float(np.hypot(tracking.scale, self._noise.now))  # from the frames before
-        self.log_peak = _log_peak(scale, tracking.angle_scale, tracking.tail)
-        found = np.empty((len(beam), N_ACTIONS, N_ACTIONS))
-        strengths = self._pairs[beam.pair]
+        self.log_peak = _log_peak(
+            *(scale, tracking.angle_scale, tracking.tail, len(observed), self._n_agents)
+        )
+        found = np.empty((len(beam), len(self._log_prior)))
+        strengths = self.combinations[beam.combination]
         bounds = np.linspace(0, len(beam), len(self._spaces) + 1).astype(int)
 
         def try_part(part: int) -> None:
@@ -248,86 +257,88 @@ class HiddenState:
 
         for _ in share(try_part, range(len(self._spaces))):
             pass
-        found += beam.within[:, None, None]
+        found += beam.within[:, None]
         before = self._log_strengths()
-        density = np.logaddexp.reduce(found + before[beam.pair][:, None, None], axis=0)
+        density = np.logaddexp.reduce(found + before[beam.combination][:, None], axis=0)
         self._noise.update(observed)
         self._go_on(
             found + self._log_prior, observed, filter_gains(tracking.scale, self._noise.now)
         )
-        return np.asarray(density[np.ix_(self._executed, self._executed)])
+        return np.asarray(density.reshape((N_ACTIONS,) * self._n_agents)[self._all_executed])
 
     def strengths(self) -> FloatArray:
-        """Return (strength of red, strength of green) probabilities, by the settings' order."""
-        n = len(self.tracking.strengths)
-        return np.exp(self._log_strengths()).reshape(n, n)
+        """Return (combination,) probabilities."""
+        return np.exp(self._log_strengths())
 
     def _log_strengths(self) -> FloatArray:
-        """Return (pair,) log probabilities of the pairs of strengths."""
+        """Return (combination,) log probabilities."""
         found = self.tracking.strength_weight * self._evidence
         return np.asarray(found - np.logaddexp.reduce(found))
 
     def best(self) -> Expected:
         """Return the most probable state."""
-        row = int((self.beam.within + self._log_strengths()[self.beam.pair]).argmax())
+        row = int((self.beam.within + self._log_strengths()[self.beam.combination]).argmax())
         return self._expected(row)
 
     def spread(self, n: int) -> list[Expected]:
-        """Return ``n`` pairs of strengths that stand for what is believed of them, with states.
+        """Return ``n`` combinations of strengths that stand for what is believed of them.
 
-        They are quantiles of the probabilities: of red's strength, and of green's given red's,
-        evenly spread over both; one alone is the median.
+        They are quantiles of the probabilities: of the first agent's strength, and of each other's
+        given those before, evenly spread over all; one alone is the median.
         """
-        table = self.strengths()
-        found = []
+        masses, found = self.strengths(), []
+        levels = np.searchsorted(self.tracking.strengths, self.combinations)
         for place in range(n):
-            red = _quantile(table.sum(axis=1), (place + 0.5) / n)
-            # a permutation, so that the agents' quantiles are not those of equal strengths
-            green = _quantile(table[red], ((place * _stride(n) + n // 2) % n + 0.5) / n)
-            (rows,) = np.nonzero(self.beam.pair == red * len(table) + green)
+            left = np.arange(len(masses))
+            at = place
+            for agent in range(self._n_agents):
+                by_level: FloatArray = np.bincount(levels[left, agent], masses[left]).astype(float)
+                left = left[levels[left, agent] == _quantile(by_level, (at + 0.5) / n)]
+                # a permutation, so that the agents' quantiles are not those of equal strengths
+                at = (at * _stride(n) + n // 2) % n
+            (rows,) = np.nonzero(self.beam.combination == left[0])
             found.append(self._expected(int(rows[self.beam.within[rows].argmax()])))
         return found
 
     def _expected(self, row: int) -> Expected:
         beam = self.beam
-        red, green = self._pairs[beam.pair[row]].tolist()
-        return Expected((red, green), beam.bodies[row], beam.held[row], beam.weld[row])
+        strengths = tuple(self.combinations[beam.combination[row]].tolist())
+        return Expected(strengths, beam.bodies[row], beam.held[row], beam.weld[row])
 
-    def _go_on(self, joint: FloatArray, observed: FloatArray, gains: FloatArray) -> None:
-        """Replace the beam by the best states after the frame; ``joint`` is (B, A, A)."""
-        beam, n_pairs = self.beam, len(self._pairs)
-        flat = joint.reshape(len(beam), -1)
-        evidence = np.full(n_pairs, -np.inf)
-        np.logaddexp.at(evidence, beam.pair, np.logaddexp.reduce(flat, axis=1))
+    def _go_on(self, flat: FloatArray, observed: FloatArray, gains: FloatArray) -> None:
+        """Replace the beam by the best states after the frame; ``flat`` is (B, joint action)."""
+        beam, n_combinations = self.beam, len(self.combinations)
+        evidence = np.full(n_combinations, -np.inf)
+        np.logaddexp.at(evidence, beam.combination, np.logaddexp.reduce(flat, axis=1))
         self._evidence += evidence
         self._evidence -= self._evidence.max()
-        flat = flat - evidence[beam.pair][:, None]
-        # the best of every pair of strengths, then the most probable of all
+        flat = flat - evidence[beam.combination][:, None]
+        # the best of every combination of strengths, then the most probable of all
         highest = flat.max(axis=1)
-        order = np.lexsort((-highest, beam.pair))
-        states = order[np.searchsorted(beam.pair[order], np.arange(n_pairs))]
+        order = np.lexsort((-highest, beam.combination))
+        states = order[np.searchsorted(beam.combination[order], np.arange(n_combinations))]
         first = states * flat.shape[1] + flat[states].argmax(axis=1)
-        overall = (flat + self._log_strengths()[beam.pair][:, None]).ravel()
+        overall = (flat + self._log_strengths()[beam.combination][:, None]).ravel()
         overall[first] = -np.inf
         n = min(len(overall), _TRIED * self.tracking.states)
         rest = np.argpartition(-overall, n - 1)[:n]
         rest = rest[np.argsort(-overall[rest], kind="stable")]
         rest = rest[overall[rest] > -_LEAST]
         chosen = np.concatenate([first, rest])
-        parents, red, green = np.unravel_index(chosen, joint.shape)
+        parents, joint = np.divmod(chosen, flat.shape[1])
         n = len(chosen)
-        bodies = np.empty((n, len(ENTITIES), beam.bodies.shape[2]))
-        held = np.empty((n, len(AGENTS)), np.int64)
-        weld = np.empty((n, len(AGENTS), 3))
-        done = np.column_stack([red, green]).astype(np.int64)
+        bodies = np.empty((n, *beam.bodies.shape[1:]))
+        held = np.empty((n, self._n_agents), np.int64)
+        weld = np.empty((n, self._n_agents, 3))
+        done = np.column_stack(np.unravel_index(joint, (N_ACTIONS,) * self._n_agents))
         params, scratch, trial = self._spaces[0]
         inverse.follow(
             beam.bodies,
             beam.held,
             beam.weld,
-            self._pairs[beam.pair],
+            self.combinations[beam.combination],
             parents.astype(np.int64),
-            done,
+            done.astype(np.int64),
             observed,
             gains,
             params,
@@ -337,25 +348,26 @@ class HiddenState:
             held,
             weld,
         )
-        pair = beam.pair[parents]
-        rows, mass = self._merged(bodies, held, pair, flat.ravel()[chosen])
-        pair = pair[rows]
-        total = np.full(n_pairs, -np.inf)
-        np.logaddexp.at(total, pair, mass)
-        self.beam = Beam(bodies[rows], held[rows], weld[rows], pair, mass - total[pair])
+        combination = beam.combination[parents]
+        rows, mass = self._merged(bodies, held, combination, flat.ravel()[chosen])
+        combination = combination[rows]
+        total = np.full(n_combinations, -np.inf)
+        np.logaddexp.at(total, combination, mass)
+        log_within = mass - total[combination]
+        self.beam = Beam(bodies[rows], held[rows], weld[rows], combination, log_within)
 
     def _merged(
-        self, bodies: FloatArray, held: IntArray, pair: IntArray, weight: FloatArray
+        self, bodies: FloatArray, held: IntArray, combination: IntArray, weight: FloatArray
     ) -> tuple[list[int], FloatArray]:
         """Return which states go on, and their log weights; the first stands for all alike."""
         places: dict[tuple[float, ...], int] = {}
         alike: dict[tuple[float, ...], int] = {}
         rows: list[int] = []
         mass: list[float] = []
-        room = len(self._pairs) + self.tracking.states
+        room = len(self.combinations) + self.tracking.states
         velocities = np.round(bodies[:, :, 3:5].reshape(len(bodies), -1) / _VELOCITY_BIN)
         for row, (holds, strengths, velocity) in enumerate(
-            zip(held.tolist(), pair.tolist(), velocities.tolist(), strict=True)
+            zip(held.tolist(), combination.tolist(), velocities.tolist(), strict=True)
         ):
             kind = (*holds, strengths)
             key = (*kind, *velocity)
@@ -370,7 +382,19 @@ class HiddenState:
         return rows, np.array(mass)
 
 
-def _log_peak(scale: float, angle_scale: float, tail: float) -> float:
+def balanced(levels: Sequence[float], n_agents: int) -> FloatArray:
+    """Return (combination, agent) strengths to follow, of one agent or two all there are.
+
+    A third agent's place among the levels is the sum of the first two's, a fourth's the difference:
+    any two of the first three have all pairs of levels once, as in a Latin square.
+    """
+    n = len(levels)
+    free = np.array(list(itertools.product(range(n), repeat=min(n_agents, 2))))
+    more = [free.sum(axis=1), free[:, 0] - free[:, -1]][: max(0, n_agents - 2)]
+    return np.asarray(np.array(levels)[np.column_stack([free, *more]) % n])
+
+
+def _log_peak(scale: float, angle_scale: float, tail: float, n_bodies: int, n_agents: int) -> float:
     """Return the log density of a frame that is exactly where it was expected.
 
     The density is that of :func:`phase_ppl.physics.inverse.try_all`.
@@ -378,7 +402,7 @@ def _log_peak(scale: float, angle_scale: float, tail: float) -> float:
     angle = math.lgamma(0.5 * (tail + 1)) - math.lgamma(0.5 * tail)
     angle -= 0.5 * math.log(tail * math.pi) + math.log(angle_scale)
     position = -math.log(2 * math.pi) - 2 * math.log(scale)
-    return len(ENTITIES) * position + len(AGENTS) * angle
+    return n_bodies * position + n_agents * angle
 
 
 def _quantile(masses: FloatArray, share: float) -> int:
@@ -393,7 +417,7 @@ def _stride(n: int) -> int:
 
 
 def reconstructed(scene: Scene, trajectory: FloatArray, tracking: Tracking | None = None) -> Past:
-    """Return the most probable states and actions behind a trajectory, (time, 4, 3)."""
+    """Return the most probable states and actions behind a trajectory, (time, entity, 3)."""
     hidden = HiddenState(scene, tracking or Tracking())
     states, actions = [State.at_start(scene)], []
     for frame in trajectory[1:]:
@@ -403,11 +427,11 @@ def reconstructed(scene: Scene, trajectory: FloatArray, tracking: Tracking | Non
     return Past(states, actions)
 
 
-def most_probable_actions(density: FloatArray) -> tuple[Action, Action]:
-    """Return the pair of intended actions under which a frame is most probable.
+def most_probable_actions(density: FloatArray) -> tuple[Action, ...]:
+    """Return the intended actions of all agents under which a frame is most probable.
 
     Args:
-        density: (A, A) from :meth:`HiddenState.advance`.
+        density: from :meth:`HiddenState.advance`.
     """
-    red, green = np.unravel_index(int(density.argmax()), density.shape)
-    return Action(int(red)), Action(int(green))
+    best = np.unravel_index(int(density.argmax()), density.shape)
+    return tuple(Action(int(action)) for action in best)

@@ -15,6 +15,7 @@ from typing import Any, Final, NoReturn, TypeVar, cast
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
+    PhasePPLError,
     UnknownNameError,
     shown,
     unknown_name,
@@ -63,10 +64,8 @@ def too_large(limit: int) -> InvalidEventError:
 
 def read_json(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Return the JSON object in the file ``path``, as :func:`read_document`; errors name it."""
-    try:
+    with in_front(f"{path}: "):
         return read_document(path)
-    except InvalidEventError as error:
-        raise InvalidEventError(f"{path}: {error}") from None
 
 
 def parse_document(content: bytes) -> dict[str, Any]:
@@ -207,7 +206,23 @@ def check_ids(ids: Sequence[str]) -> None:
         seen.add(name)
 
 
+def check_schema(record: Mapping[str, Any], schema: str, where: object = "") -> None:
+    """Raise InvalidEventError unless a document, which is in the file ``where``, is of a schema."""
+    if record.get("schema") != schema:
+        words = f"its schema is {shown(record.get('schema'))}, not {schema!r}"
+        raise InvalidEventError(f"{where}: {words}" if where else words)
+
+
 # --- files -----------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def in_front(words: str) -> Iterator[None]:
+    """Put words in front of an error's message."""
+    try:
+        yield
+    except PhasePPLError as error:
+        raise type(error)(f"{words}{error}") from None
 
 
 @contextlib.contextmanager

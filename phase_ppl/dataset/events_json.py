@@ -69,7 +69,7 @@ from phase_ppl.world.event import Event, Truth
 from phase_ppl.world.hypothesis import Roles
 from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS
 from phase_ppl.world.observation import Observation
-from phase_ppl.world.scene import PHASE, Scene, Turning, World, finite_array
+from phase_ppl.world.scene import PHASE, Scene, Turning, World, finite_array, one_or_all
 
 EVENT_FORMAT: Final = "phase-ppl-event-1"
 EVENTS_FORMAT: Final = "phase-ppl-events-1"
@@ -262,7 +262,7 @@ def event_record(event: Event) -> dict[str, Any]:
     instance_of("event", event, Event, "a phase_ppl.Event")
     scene, world = event.scene, event.scene.world
     arrays = {name: np.asarray(getattr(scene, name)).tolist() for name in SCENE}
-    arrays["landmark_half_width"] = one_or_all(scene.half_widths)
+    arrays["landmark_half_width"] = one_or_all(scene.half_widths.tolist())
     record: dict[str, Any] = {
         "format": EVENT_FORMAT,
         "id": event_id({"id": event.id}),
@@ -295,12 +295,6 @@ def scene_record(
         "radius": dict(zip(world.entities, arrays["radius"], strict=True)),
         "start": dict(zip(world.entities, arrays["start"], strict=True)),
     }
-
-
-def one_or_all(widths: FloatArray) -> float | list[float]:
-    """Return the half-width that all landmarks have, or that of each."""
-    found: list[float] = widths.tolist()
-    return found[0] if len(set(found)) == 1 else found
 
 
 def arena_record(arena: Sequence[float]) -> dict[str, list[float]]:

@@ -45,7 +45,6 @@ from phase_ppl.dataset.events_json import (
     event_record,
     fields_of,
     labels_of,
-    one_or_all,
     scene_record,
     to_text,
     turned,
@@ -56,7 +55,7 @@ from phase_ppl.world.errors import InvalidEventError, shown
 from phase_ppl.world.event import Event
 from phase_ppl.world.names import AGENTS
 from phase_ppl.world.observation import FRAMES_PER_SECOND
-from phase_ppl.world.scene import PHASE, Turning, World, finite_array
+from phase_ppl.world.scene import PHASE, Turning, World, finite_array, one_or_all
 
 _FORCE: Final = Field("", (), "N")
 _TEXT: Final = Field("", (), "")
@@ -146,7 +145,7 @@ def event_from_dataset(dataset: xr.Dataset) -> Event:
         "trajectories": dict(zip(world.entities, tracks, strict=True)),
     }
     if text:
-        record["scene"]["landmark_half_width"] = one_or_all(found["landmark_half_width"])
+        record["scene"]["landmark_half_width"] = one_or_all(found["landmark_half_width"].tolist())
         record["world"] = world.to_dict()
         known = _text(dataset, "truth")
         record["truth"] = _document("truth", known) if known else None
@@ -179,10 +178,7 @@ def _check_time(dataset: xr.Dataset) -> None:
 
 
 def _values(
-    dataset: xr.Dataset,
-    name: str,
-    dims: tuple[str, ...],
-    labels: Mapping[str, Sequence[str]],
+    dataset: xr.Dataset, name: str, dims: tuple[str, ...], labels: Mapping[str, Sequence[str]]
 ) -> Any:
     """Return the values of a variable along ``dims``, everything in the package's order."""
     if name not in dataset.variables:

@@ -22,9 +22,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final, Self
 
-from phase_ppl.dataset.documents import read_json
+from phase_ppl.dataset.documents import check_schema, read_json
 from phase_ppl.dataset.events_netcdf import StoredEvents, checksum
-from phase_ppl.world.errors import InvalidEventError, PhasePPLError, shown
+from phase_ppl.world.errors import InvalidEventError, PhasePPLError
 from phase_ppl.world.event import Event
 from phase_ppl.world.identity import differences
 from phase_ppl.world.picture import preformatted
@@ -125,10 +125,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         unfinished = " yet: its generation can be resumed" if (folder / PLAN).is_file() else ""
         raise InvalidEventError(f"{folder} holds no generated data set{unfinished}")
     manifest = read_json(source)
-    if manifest.get("schema") != MANIFEST_SCHEMA:
-        raise InvalidEventError(
-            f"{source}: its schema is {shown(manifest.get('schema'))}, not {MANIFEST_SCHEMA!r}"
-        )
+    check_schema(manifest, MANIFEST_SCHEMA, source)
     entries = manifest.get("entries")
     wanted = ("id", "split", "checksum")
     if not isinstance(entries, list) or not all(

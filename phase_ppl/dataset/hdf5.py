@@ -62,13 +62,11 @@ def is_hdf5(path: str | os.PathLike[str]) -> bool:
 def netcdf_bytes(
     groups: Mapping[str, xr.Dataset], how: Mapping[str, Any], *, sealed: bool = False
 ) -> bytes:
-    """Return groups as the content of a NetCDF 4 file.
+    """Return groups, path ("/" the root) -> content, as the content of a NetCDF 4 file.
 
-    Args:
-        groups: path, "/" of the root -> content.
-        how: encoding of arrays of numbers, in xarray's terms; filters and checksums are for
-            those that are not empty.
-        sealed: whether the root gets a checksum of everything, which :func:`read_netcdf` compares.
+    ``how`` is the encoding of arrays of numbers, in xarray's terms; filters and checksums are for
+    those that are not empty. Where ``sealed``, the root gets a checksum of everything, which
+    :func:`read_netcdf` compares.
     """
     import h5netcdf
     from xarray.backends import H5NetCDFStore
@@ -182,10 +180,8 @@ def _text_of(file: Any, name: str) -> str:
 def check_hdf5(source: str | os.PathLike[str] | BinaryIO, *, groups: bool = False) -> None:
     """Raise InvalidEventError unless a file is HDF5 with nothing but arrays of bounded size.
 
-    Args:
-        source: the file, or its content.
-        groups: whether it may hold groups of arrays, and is a posterior's. One that is large is
-            read then, if it is no larger in memory than twice what it is on the disk.
+    With ``groups`` it may hold groups of arrays, and is a posterior's. One that is large is read
+    then, if it is no larger in memory than twice what it is on the disk.
     """
     import h5py
 

@@ -54,15 +54,11 @@ def items_held(
 ) -> NDArray[np.int64]:
     """Return (time, agent): the item that the agent seems to hold, or ``NOTHING``.
 
-    A held item is fixed in front of, behind or beside its holder, the two shapes touching at a
-    grab point. An item that stays there for three frames counts as held; of two, the one nearer
-    to its place. So do one pushed dead centre and one left where it was let go of; one held for a
-    moment does not. Of simulated events this tells the share of time with an error of some 0.015.
-
-    Args:
-        trajectory: (time, entity, coord) x, y [units], angle [rad].
-        radius: (entity,) sizes, units.
-        within: how far an item may be from its place at a grab point, units.
+    A held item is fixed in front of, behind or beside its holder, the two shapes touching at a grab
+    point. An item that stays ``within`` so many units of that place for three frames counts as
+    held; of two, the one nearer to its place. So do one pushed dead centre and one left where it
+    was let go of; one held for a moment does not. Of simulated events this tells the share of time
+    with an error of some 0.015.
     """
     off = np.full((len(trajectory), len(AGENTS), len(ITEMS)), np.inf)
     for agent in range(len(AGENTS)):
@@ -135,13 +131,9 @@ def full_turn(radius: float) -> float:
 def count_turns(trajectory: NDArray[np.float64], radius: NDArray[np.float64]) -> tuple[int, int]:
     """Return how often (counter-clockwise, clockwise) an agent turned at its full rate.
 
-    Frames are means over a step. A turn of several steps therefore shows as increments of the
-    full rate between a smaller first and last one, which add up to one more turn; only increments
-    of the full rate, and lone turns spread over two frames, are counted.
-
-    Args:
-        trajectory: (time, entity, coord) with coord = x, y, angle.
-        radius: (4,) sizes of the entities.
+    Frames are means over a step. A turn of several steps therefore shows as increments of the full
+    rate between a smaller first and last one, which add up to one more turn; only increments of the
+    full rate, and lone turns spread over two frames, are counted.
     """
     counts = [0, 0]
     low, high = FIRST_PART

@@ -163,8 +163,7 @@ def statistics(
 class _Motion:
     """Numbers about how bodies move, gathered in one pass: name -> an array for each event.
 
-    Args:
-        units: per event the unit that it belongs to; units are what is resampled.
+    ``units`` are, per event, the unit that it belongs to; units are what is resampled.
     """
 
     def __init__(self, units: Sequence[str]) -> None:

@@ -6,9 +6,8 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
+from phase_ppl.evaluation.prediction import QUESTIONS, Prediction, reference_predictions
 from phase_ppl.evaluation.ratings import event_judgments
-from phase_ppl.evaluation.references import reference_predictions
 from phase_ppl.world.event import Event
 
 PEOPLE: Final = "people"

@@ -103,15 +103,11 @@ def divided(total: FloatArray, count: FloatArray) -> FloatArray:
 
 
 def figure(values: FloatArray, n: int) -> Figure | None:
-    """Return value and 95 % interval (percentiles of the resampled values).
+    """Return value and 95 % interval (percentiles of the resampled values); None without a value.
 
-    Args:
-        values: (1 + resamples,) the value, then the resampled ones; those that are NaN, such as
-            of resamples without the events that count, are left out of the interval.
-        n: number of events that count; with one there is no interval (None, None).
-
-    Returns:
-        None where there is no value.
+    Values are (1 + resamples,), the value first; those that are NaN, such as of resamples without
+    the events that count, are left out of the interval. With ``n`` = 1 event there is none (None,
+    None).
     """
     if not np.isfinite(values[0]):
         return None
@@ -120,18 +116,12 @@ def figure(values: FloatArray, n: int) -> Figure | None:
 
 
 def proportion(values: ArrayLike) -> Figure | None:
-    """Return the mean of answers' scores from 0 to 1 with its 95 % interval.
+    """Return the mean of scores (event, answer) from 0 to 1, NaN: none, with its 95 % interval.
 
-    Answers about one event go together: two that are always both right or both wrong are worth
-    one. Of scores 0 and 1 the design effect is estimated from how alike the answers of an event
-    are; of shares, such as that of people who are right, from how much the events' means vary,
-    with the quantile of Student's t.
-
-    Args:
-        values: (event, answer) scores in [0, 1]; NaN where there is none.
-
-    Returns:
-        None where there is no score; with those of one event there is no interval (None, None).
+    Answers about one event go together: two that are always both right or both wrong are worth one.
+    Of scores 0 and 1 the design effect is estimated from how alike the answers of an event are; of
+    shares, such as that of people who are right, from how much the events' means vary, with the
+    quantile of Student's t. None without a score; of one event there is no interval (None, None).
     """
     given = np.asarray(values, np.float64)
     given = given.reshape(len(given), int(np.prod(given.shape[1:])))

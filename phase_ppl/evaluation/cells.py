@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 NOTHING: Final = "-"  # what a table of a terminal has where there is no figure
@@ -34,6 +34,20 @@ def aligned(table: Sequence[Sequence[str]]) -> list[str]:
         padded = [f"{cell:>{width}}" for cell, width in zip(cells, widths[1:], strict=True)]
         lines.append("  ".join([f"{name:<{widths[0]}}", *padded]).rstrip())
     return lines
+
+
+def fitting(widths: Mapping[int, int], room: int) -> Iterator[list[int]]:
+    """Yield as many columns, by their widths, as fit side by side, again and again."""
+    block: list[int] = []
+    left = room
+    for column, width in widths.items():
+        if block and width > left:
+            yield block
+            block, left = [], room
+        block.append(column)
+        left -= width
+    if block:
+        yield block
 
 
 def short(name: str, most: int) -> str:

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from phase_ppl.analysis.summary import plain
-from phase_ppl.dataset.documents import of_kind, read_json
+from phase_ppl.dataset.documents import check_schema, of_kind, read_json
 from phase_ppl.dataset.load import load_events, save_events
 from phase_ppl.evaluation import differences
 from phase_ppl.evaluation.answer_sets import PEOPLE, AnswerSet, colours_of, label_of, people_answers
 from phase_ppl.evaluation.bootstrap import LEVEL, Figure, figure, resampled, weighted_mean
-from phase_ppl.evaluation.cells import NOTHING, aligned, figure_text, p_text, short
+from phase_ppl.evaluation.cells import NOTHING, aligned, figure_text, fitting, p_text, short
 from phase_ppl.evaluation.differences import LEAST_EVENTS
 from phase_ppl.evaluation.entries import (
     Entry,
@@ -189,10 +189,7 @@ class ModelComparison:
         record = read_json(path / COMPARISON)
         events = load_events(path / EVENTS)
         try:
-            if record.get("schema") != SCHEMA:
-                raise InvalidEventError(
-                    f"its schema is {shown(record.get('schema'))}, not {SCHEMA!r}"
-                )
+            check_schema(record, SCHEMA)
             read = [_entry(one) for one in of_kind("models", record["models"], list)]
             ids = {event.id for event in events}
             for one in read:
@@ -458,12 +455,7 @@ def _table(title: str, columns: Mapping[str, str], rows: Sequence[_Row]) -> list
     used = [j for j in range(len(columns)) if any(row[j] != NOTHING for _, row in kept)]
     widths = {j: max(len(headings[j]), *(len(row[j]) for _, row in kept)) + 2 for j in used}
     lines = ["", title]
-    while used:
-        block: list[int] = []
-        left = WIDTH - max(len(name) for name, _ in kept)
-        while used and widths[used[0]] <= left:
-            block.append(used.pop(0))
-            left -= widths[block[-1]]
+    for block in fitting(widths, WIDTH - max(len(name) for name, _ in kept)):
         table = [["", *(headings[j] for j in block)]]
         table += [
             [name, *(row[j] for j in block)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import io
 import os
@@ -10,26 +9,23 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from phase_ppl.dataset.documents import MAX_BYTES
-from phase_ppl.world.errors import InvalidEventError, PhasePPLError
+from phase_ppl.dataset.documents import MAX_BYTES, in_front, reading_bytes, too_large
+from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.files import existing_file
 
 
 def csv_text(source: Path) -> str:
-    """Return the text of a file (InvalidEventError: it is none; begins with a colon)."""
-    try:
-        with open(source, "rb") as file:
-            content = file.read(MAX_BYTES + 1)
-    except OSError as error:
-        raise InvalidEventError(f": cannot be read: {error.strerror or error}") from None
+    """Return the text of a file (InvalidEventError: it is none)."""
+    with reading_bytes("a CSV file"), open(source, "rb") as file:
+        content = file.read(MAX_BYTES + 1)
     if len(content) > MAX_BYTES:
-        raise InvalidEventError(f": is larger than the {MAX_BYTES // 2**20} MB that are read")
+        raise too_large(MAX_BYTES)
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise InvalidEventError(f": is no CSV file: byte {error.start} is not UTF-8") from None
+        raise InvalidEventError(f"is no CSV file: byte {error.start} is not UTF-8") from None
     if "\0" in text:
-        raise InvalidEventError(": is no CSV file in UTF-8: it holds zero bytes")
+        raise InvalidEventError("is no CSV file in UTF-8: it holds zero bytes")
     return text
 
 
@@ -48,15 +44,6 @@ def csv_lines(text: str) -> Iterator[tuple[int, list[str]]]:
             yield line, cells
 
 
-@contextlib.contextmanager
-def naming_line(line: int) -> Iterator[None]:
-    """Begin the messages of errors in the block with the line."""
-    try:
-        yield
-    except PhasePPLError as error:
-        raise type(error)(f", line {line}: {error}") from None
-
-
 def read_rows(
     path: str | os.PathLike[str],
     check: Callable[[dict[str, str], int], dict[str, Any]],
@@ -64,27 +51,25 @@ def read_rows(
 ) -> list[dict[str, Any]]:
     """Return the rows of a CSV file; an error's message begins with file and line.
 
-    Args:
-        path: of the file.
-        check: makes of column -> cell, and the number of its line, what is returned of a row.
-        check_header: is given the names of the columns.
+    ``check`` makes what is returned of a row, of column -> cell and the number of its line;
+    ``check_header`` is given the names of the columns.
     """
     source = existing_file(path)
     found = []
-    try:
-        lines = csv_lines(csv_text(source))
+    with in_front(f"{source}: "):
+        text = csv_text(source)
+    with in_front(str(source)):
+        lines = csv_lines(text)
         line, header = next(lines, (0, []))
         if not header:
             raise InvalidEventError(": is empty")
-        with naming_line(line):
+        with in_front(f", line {line}: "):
             check_header(header)
         for line, cells in lines:
-            with naming_line(line):
+            with in_front(f", line {line}: "):
                 if len(cells) != len(header):
                     raise InvalidEventError(f"has {len(cells)} cells, expected {len(header)}")
                 found.append(check(dict(zip(header, cells, strict=True)), line))
-    except PhasePPLError as error:
-        raise type(error)(f"{source}{error}") from None
     return found
 
 

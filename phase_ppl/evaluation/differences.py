@@ -39,11 +39,8 @@ def differences(
 ) -> list[Row]:
     """Return how much higher one model scores than another, for every pair and measure.
 
-    Args:
-        events: that are compared.
-        compared: the models.
-        against: name of a model, with which alone the others are compared.
-        seed, resamples: of the events, the same for all pairs.
+    With ``against`` the others are compared with that model alone. All pairs have the same
+    resamples of the events.
 
     Returns:
         Rows of ``one``, ``other``, ``measure`` (place in the metrics, such as "human.js"),
@@ -98,15 +95,9 @@ def equivalence(
     """Return how much more often a model is right than people, and whether that is next to nothing.
 
     Tested is the mean, over the events that the model and people answered, of the model's being
-    right (1 or 0; for goals the mean of both agents) minus the share of people who are right.
-    Two one-sided tests: that it is not below ``-margin``, and not above ``margin``; as a whole
-    they reject a difference of the margin or more if the 90 % interval lies between.
-
-    Args:
-        events: those with truth and judgments count.
-        compared: the models.
-        margin: of equivalence, a difference of shares.
-        seed, resamples: of the events.
+    right (1 or 0; for goals the mean of both agents) minus the share of people who are right. Two
+    one-sided tests: that it is not below ``-margin``, and not above ``margin``; as a whole they
+    reject a difference of the margin or more if the 90 % interval lies between.
 
     Returns:
         Rows of ``model``, ``measure`` ("goal_accuracy", "relation_accuracy"), ``scenario`` (None:

@@ -111,13 +111,10 @@ def doubt(
 def pearson(
     weights: FloatArray, x: FloatArray, y: FloatArray, truth: IntArray | None = None
 ) -> FloatArray:
-    """Return (row,) Pearson's r over events and answers, NaN where one is constant.
+    """Return (row,) Pearson's r of x and y (row or 1, event, answer), NaN where one is constant.
 
-    Args:
-        weights: (row, event).
-        x, y: (row or 1, event, answer).
-        truth: (event,) true answers; then r is of what is left when the mean over the events of
-            the same truth is taken off each answer, and events of unknown truth (-1) do not count.
+    Weights are (row, event). With ``truth`` (event,) it is the r of what is left when the mean over
+    the events of the same truth is taken off each answer; those of unknown truth (-1) do not count.
     """
     groups = np.zeros(weights.shape[1], np.int64) if truth is None else truth
     weights = np.where(groups < 0, 0.0, weights)[..., None]
@@ -315,17 +312,9 @@ def split_half(
     """Return the mean over random splits of the correlation between two halves of the raters.
 
     There is no Spearman-Brown correction: it is the r of halves. With an odd number one half has
-    one rater more. An event counts in a split if both halves rated a question.
-
-    Args:
-        judged: the judgments of each event.
-        questions: whose answers make the vectors that are correlated.
-        weights: (row, event), see :func:`~phase_ppl.evaluation.bootstrap.resampled`.
-        by_participant: split the participants of all events together, as the paper does;
-            otherwise the ratings of each question of each event on their own, which is all that
-            counts allow.
-        seed: of the splits.
-        splits: number of splits.
+    one rater more. An event counts in a split if both halves rated a question. Either the
+    participants of all events are split together, as the paper does (``by_participant``), or the
+    ratings of each question of each event on their own, which is all that counts allow.
 
     Returns:
         (row,) values, NaN where they cannot be computed, and the number of events that count.

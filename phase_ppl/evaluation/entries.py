@@ -11,8 +11,7 @@ from typing import Any, Final, TypeAlias
 from phase_ppl.evaluation.answer_sets import PEOPLE
 from phase_ppl.evaluation.evaluation import Evaluation
 from phase_ppl.evaluation.folder import SETTINGS
-from phase_ppl.evaluation.prediction import Prediction
-from phase_ppl.evaluation.references import reference_predictions
+from phase_ppl.evaluation.prediction import Prediction, reference_predictions
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown, unknown_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.identity import event_digest

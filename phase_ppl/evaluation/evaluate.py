@@ -23,8 +23,7 @@ from phase_ppl.evaluation.prediction import Prediction, as_prediction
 from phase_ppl.evaluation.registry import Answer, Predict, ReadyModel, ready
 from phase_ppl.inference.progress import Bar
 from phase_ppl.simulator.contract import described
-from phase_ppl.simulator.jobs import Failure, results
-from phase_ppl.simulator.processes import in_worker
+from phase_ppl.simulator.processes import Failure, in_worker, results
 from phase_ppl.world.checks import number_of_workers, whole_number
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from phase_ppl.world.event import Event
@@ -132,7 +131,7 @@ def evaluate(
         chosen = chosen[: whole_number("limit", limit)]
     asked = ready(model, options)
     if observer is not None:
-        from phase_ppl.evaluation.observers.stored import observed  # needs JAX
+        from phase_ppl.evaluation.observers.fit import observed  # needs JAX
 
         asked = observed(asked, observer)
     settings = settings_of(asked, seed, chosen)
@@ -305,15 +304,9 @@ def _contents(answer: Answer) -> dict[str, bytes]:
 
 
 class Progress(Bar):
-    """A bar on stderr that counts events.
+    """A bar on stderr that counts events, of which so many were done before.
 
     Long events come first and take longer, so the time left rests on the seconds per frame.
-
-    Args:
-        events: to be done.
-        done: events done before.
-        workers: that work side by side.
-        shown: True or False; None: where stderr is a terminal, and in notebooks.
     """
 
     def __init__(

@@ -12,15 +12,16 @@ from typing import Any, Final, NamedTuple
 
 from phase_ppl.analysis.summary import WIDTH, plain
 from phase_ppl.evaluation.answer_sets import PEOPLE, AnswerSet, answer_sets
+from phase_ppl.evaluation.cells import fitting
 from phase_ppl.evaluation.folder import SETTINGS, ResultsFolder
 from phase_ppl.evaluation.metrics import (
+    at,
     evaluate_predictions,
     human_accuracy,
     paired_difference,
     reference_models,
 )
-from phase_ppl.evaluation.prediction import Prediction
-from phase_ppl.evaluation.references import reference_predictions
+from phase_ppl.evaluation.prediction import Prediction, reference_predictions
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown, unknown_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import SCENARIOS
@@ -203,7 +204,7 @@ def reference_evaluation(events: Sequence[Event], name: str) -> Evaluation:
     model are in ``failures``.
 
     Args:
-        events: with their predictions (:mod:`phase_ppl.evaluation.references`).
+        events: with their predictions (:mod:`phase_ppl.evaluation.prediction`).
         name: of the model, as the events call it.
 
     Raises:
@@ -324,7 +325,7 @@ def _figures(columns: Sequence[_Column], metrics: Mapping[str, Any]) -> list[str
     found = [(row, [_figure(row, column, metrics) for column in columns]) for row in _rows(metrics)]
     used = [i for i in range(len(columns)) if any(figures[i] for _, figures in found)]
     lines = []
-    for block in _blocks(used, columns):
+    for block in fitting({i: columns[i].width for i in used}, WIDTH - _LABEL):
         names = "".join(f"{columns[i].name[:_NAME]:>{columns[i].width}}" for i in block)
         lines += ["", f"{'':<{_LABEL}}{names}"]
         for row, figures in found:
@@ -338,24 +339,7 @@ def _figure(row: _Row, column: _Column, metrics: Mapping[str, Any]) -> dict[str,
     path, found = row.path, column.metrics
     if column.name == PEOPLE:
         path, found = row.people, metrics if row.people[:1] == ("human",) else found
-    place: Any = found if path else None
-    for name in path:
-        place = (place or {}).get(name)
-    return place
-
-
-def _blocks(used: Sequence[int], columns: Sequence[_Column]) -> Iterator[list[int]]:
-    """Yield as many columns as fit side by side, again and again."""
-    block: list[int] = []
-    width = _LABEL
-    for i in used:
-        if block and width + columns[i].width > WIDTH:
-            yield block
-            block, width = [], _LABEL
-        block.append(i)
-        width += columns[i].width
-    if block:
-        yield block
+    return at(found, path) if path else None
 
 
 def _cell(figure: Mapping[str, Any] | None, column: _Column) -> str:

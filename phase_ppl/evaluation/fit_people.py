@@ -7,7 +7,7 @@ import os
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
 from phase_ppl.analysis.posterior import load_posterior
 from phase_ppl.evaluation.evaluate import evaluate
@@ -97,14 +97,11 @@ def evidence_from(
         return source
     if source is None or isinstance(source, Mapping):
         return evidence_of(events, source)
-    if isinstance(source, os.PathLike) or (isinstance(source, str) and Path(source).is_dir()):
-        source = Evaluation.load(source)
-    if isinstance(source, Evaluation):
-        return evidence_of(events, _made(source))
+    if perception is None:
+        return evidence_of(events, asked_about(events, source, **options))
+    if isinstance(source, Evaluation) or _is_folder(source):
+        return evidence_of(events, asked_about(events, source))
     with tempfile.TemporaryDirectory() as folder:
-        if perception is None:
-            asked = evaluate(events, source, out=folder, **options)
-            return evidence_of(events, _made(asked))
         seed = options.get("seed", 0)
         readings = [perception.readings(e.scene, e.observation, seed) for e in events]
         made: dict[str, list[Made]] = {event.id: [] for event in events}
@@ -113,10 +110,31 @@ def evidence_from(
                 dataclasses.replace(event, observation=of[i])
                 for event, of in zip(events, readings, strict=True)
             ]
-            asked = evaluate(seen, source, out=Path(folder) / str(i), **options)
+            asked = evaluate(
+                seen, cast("str | Model", source), out=Path(folder) / str(i), **options
+            )
             for event, one in _made(asked).items():
                 made[event].append(one)
         return evidence_of(events, made)
+
+
+def _is_folder(source: object) -> bool:
+    return isinstance(source, os.PathLike) or (isinstance(source, str) and Path(source).is_dir())
+
+
+def asked_about(events: Sequence[Event], source: Any, **options: Any) -> dict[str, Made]:
+    """Return event id -> the posterior, or prediction, that a model makes of it.
+
+    Args:
+        events: about which a model is asked.
+        source: a model as :func:`phase_ppl.evaluate` takes it; or an evaluation or its folder,
+            whose posteriors are read.
+        **options: for :func:`phase_ppl.evaluate`.
+    """
+    if isinstance(source, Evaluation) or _is_folder(source):
+        return _made(source if isinstance(source, Evaluation) else Evaluation.load(source))
+    with tempfile.TemporaryDirectory() as folder:
+        return _made(evaluate(events, source, out=folder, **options))
 
 
 def _made(evaluation: Evaluation) -> dict[str, Made]:

@@ -28,7 +28,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from phase_ppl.dataset.documents import read_json
+from phase_ppl.dataset.documents import check_schema, read_json
 from phase_ppl.dataset.load import load_events, save_events
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.world.checks import number_or_nan
@@ -59,13 +59,7 @@ _DETERMINE: Final = ("model", "options", "model_settings", "function", "function
 
 
 class ResultsFolder:
-    """A folder of results.
-
-    Args:
-        path: of the folder; see :meth:`create` and :meth:`open`.
-        settings: content of settings.json.
-        events: all events of the evaluation, in order.
-    """
+    """A folder of results: what settings.json holds, and all events in order."""
 
     def __init__(self, path: Path, settings: Mapping[str, Any], events: Sequence[Event]) -> None:
         self.path = path
@@ -93,10 +87,7 @@ class ResultsFolder:
         if not (folder / SETTINGS).is_file():
             raise InvalidEventError(f"{folder} holds no evaluation: it has no {SETTINGS}")
         settings = read_json(folder / SETTINGS)
-        if settings.get("schema") != SCHEMA:
-            raise InvalidEventError(
-                f"{folder / SETTINGS}: its schema is {settings.get('schema')!r}, not {SCHEMA!r}"
-            )
+        check_schema(settings, SCHEMA, folder / SETTINGS)
         return cls(folder, settings, load_events(folder / EVENTS))
 
     @classmethod
@@ -109,8 +100,7 @@ class ResultsFolder:
     ) -> tuple[ResultsFolder, dict[str, Prediction], list[str]]:
         """Return the folder of an evaluation that begins or, with ``resume``, goes on.
 
-        Returns:
-            The folder, the predictions that are in it, and notes about those that are damaged.
+        And the predictions that are in it, and notes about those that are damaged.
         """
         if not resume or not holds_predictions(Path(path)):
             return cls.create(path, settings, events), {}, []
@@ -218,11 +208,11 @@ class ResultsFolder:
         if not self.is_finished(event_id):
             return None
         source = self.folder_of(event_id) / PREDICTION
+        record = read_json(source)
         try:
-            prediction = Prediction.from_dict(read_json(source))
+            prediction = Prediction.from_dict(record)
         except PhasePPLError as error:
-            where = "" if str(source) in str(error) else f"{source}: "
-            raise InvalidEventError(f"{where}{error}") from None
+            raise InvalidEventError(f"{source}: {error}") from None
         if prediction.event_id != event_id:
             raise InvalidEventError(
                 f"{source}: is of the event {prediction.event_id!r}, not {event_id!r}"

@@ -26,16 +26,16 @@ from typing import Any, Final
 
 import pandas as pd
 
+from phase_ppl.dataset.documents import in_front
 from phase_ppl.dataset.generated import MANIFEST, PLAN, GeneratedEvents
 from phase_ppl.dataset.load import load_events
 from phase_ppl.evaluation.csv_file import read_rows
 from phase_ppl.evaluation.folder import EVENTS, SETTINGS
 from phase_ppl.evaluation.metrics import participant_accuracy
-from phase_ppl.evaluation.prediction import QUESTIONS
+from phase_ppl.evaluation.prediction import QUESTIONS, reference_predictions
 from phase_ppl.evaluation.ratings import Judgments, checked_answer, event_judgments
-from phase_ppl.evaluation.references import reference_predictions
 from phase_ppl.world.checks import instance_of
-from phase_ppl.world.errors import InvalidEventError, PhasePPLError, shown, unknown_name
+from phase_ppl.world.errors import InvalidEventError, shown, unknown_name
 from phase_ppl.world.event import Event
 
 COLUMNS: Final = ("participant", "video", *QUESTIONS, "response_time")
@@ -174,10 +174,8 @@ def _row(cells: Mapping[str, str]) -> dict[str, Any]:
         row[name] = cells[name]
     for question in QUESTIONS:
         answer = cells.get(question)
-        try:
+        with in_front(f"{question}: "):
             row[question] = checked_answer(question, answer) if answer else None
-        except PhasePPLError as error:
-            raise type(error)(f"{question}: {error}") from None
     row["response_time"] = _seconds(cells.get("response_time", ""))
     return row
 

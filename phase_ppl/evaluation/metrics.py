@@ -76,9 +76,13 @@ from phase_ppl.evaluation.doubt import (
     negative_entropy,
     split_half,
 )
-from phase_ppl.evaluation.prediction import GOAL_QUESTIONS, QUESTIONS, Prediction
+from phase_ppl.evaluation.prediction import (
+    GOAL_QUESTIONS,
+    QUESTIONS,
+    Prediction,
+    reference_predictions,
+)
 from phase_ppl.evaluation.ratings import Judgments, event_judgments
-from phase_ppl.evaluation.references import reference_predictions
 from phase_ppl.evaluation.tables import KINDS, Facts, Said, true_answer
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.event import Event
@@ -133,7 +137,7 @@ def reference_models(
     """Return name -> metrics of the models whose predictions the events carry.
 
     Arguments and errors as for :func:`evaluate_predictions` and
-    :func:`~phase_ppl.evaluation.references.reference_predictions`.
+    :func:`~phase_ppl.evaluation.prediction.reference_predictions`.
     """
     return metrics_of_each(events, reference_predictions(events), seed=seed, resamples=resamples)
 
@@ -204,10 +208,6 @@ class Paired:
     """Differences between several models on the same resamples of events.
 
     What is asked of a model for one pair is kept for the next.
-
-    Args:
-        events: with their truth and judgments, where they have them.
-        seed, resamples: of the events.
     """
 
     def __init__(self, events: Sequence[Event], *, seed: int = 0, resamples: int = 1000) -> None:
@@ -344,10 +344,8 @@ def accuracy_curves(
 ) -> dict[Path, Curve]:
     """Return the accuracies, overall and by true scenario.
 
-    Args:
-        right: kind -> (event, question) how far the answer is right, 0 to 1, NaN unknown.
-        scenario: (event,) index of the true scenario.
-        weights: see :func:`~phase_ppl.evaluation.bootstrap.resampled`.
+    From kind -> (event, question) how far the answer is right, 0 to 1, NaN unknown, and (event,)
+    index of the true scenario.
     """
     curves: dict[Path, Curve] = {}
     for kind, values in right.items():

@@ -29,25 +29,16 @@ EVENTS: Final = "PHASE"
 
 
 class Printed(NamedTuple):
-    """A number of the paper.
+    """A number of the paper."""
 
-    Attributes:
-        place: where it is printed.
-        what: it says.
-        whose: people's, a model's, or of what else.
-        path: of the same number in our metrics, parts joined by dots.
-        value: printed; low, high: its interval, where one is printed.
-        below: whether the value is printed as a bound only, "< 0.6".
-    """
-
-    place: str
-    what: str
-    whose: str
-    path: str
+    place: str  # where it is printed
+    what: str  # it says
+    whose: str  # people's, a model's, or of what else
+    path: str  # of the same number in our metrics, parts joined by dots
     value: float
-    low: float | None = None
+    low: float | None = None  # its interval, where one is printed
     high: float | None = None
-    below: bool = False
+    below: bool = False  # whether the value is printed as a bound only, "< 0.6"
 
     @property
     def digits(self) -> int:
@@ -118,23 +109,14 @@ LOOSE: Final = 0.4
 
 
 class Cell(NamedTuple):
-    """A number of the paper beside one of ours.
+    """A number of the paper beside one of ours."""
 
-    Attributes:
-        printed: the paper's.
-        label: of the model of ours, or what it is of.
-        ours: with its interval; None: not computable.
-        verdict: "inside", "outside" or "not computable".
-        missing: what data it would take.
-        videos: of one type of scenario, on which ours rests.
-    """
-
-    printed: Printed
-    label: str
-    ours: Figure | None
-    verdict: str
-    missing: str = ""
-    videos: int | None = None
+    printed: Printed  # the paper's
+    label: str  # of the model of ours, or what it is of
+    ours: Figure | None  # with its interval; None: not computable
+    verdict: str  # "inside", "outside" or "not computable"
+    missing: str = ""  # what data it would take
+    videos: int | None = None  # of one type of scenario, on which ours rests
 
     @property
     def loose(self) -> bool:

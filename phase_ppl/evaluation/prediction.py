@@ -5,15 +5,17 @@ from __future__ import annotations
 import dataclasses
 import math
 import numbers
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from phase_ppl.analysis.estimate import Estimate
+from phase_ppl.dataset.documents import in_front, of_kind
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, shown, unknown_name
+from phase_ppl.world.event import Event
 from phase_ppl.world.goals import GOALS, goal_index
 from phase_ppl.world.hypothesis import RELATIONS, scenario
 from phase_ppl.world.names import AGENTS
@@ -244,3 +246,74 @@ def _distribution(question: str, given: ArrayLike) -> FloatArray:
     values /= total
     values.flags.writeable = False
     return values
+
+
+# --- of other models, as files of events carry them -----------------------------------------------
+
+_FIELDS: Final = ("goals", "relation", "goal_probs", "relation_probs")
+_OWN_FIELDS: Final = ("event", "probabilities", "answers", "cost")
+
+
+def reference_predictions(events: Sequence[Event]) -> dict[str, dict[str, Prediction]]:
+    """Return model -> event id -> prediction; events that carry none of a model are left out.
+
+    Models come in the order in which the events name them first. ``event.predictions`` maps the
+    name of a model to one of::
+
+        {"goals": {"red agent": "...", "green agent": "..."}, "relation": "friendly",
+         "goal_probs": {"red agent": {"...": 0.9, "...": 0.1}, ...},
+         "relation_probs": {"friendly": 0.6, "neutral": 0.3, "adversarial": 0.1}}
+
+    where every field may be missing or null, or to what :meth:`Prediction.to_dict` writes, without
+    ``event``. Goals are effective ones; of probabilities, answers of probability 0 may be left out.
+
+    Raises:
+        InvalidEventError: a prediction has no such form, or probabilities that are none.
+        UnknownNameError: a field, agent, goal or relation is unknown. Messages begin with the
+            event and the model.
+    """
+    found: dict[str, dict[str, Prediction]] = {}
+    for event in events:
+        for model, record in (event.predictions or {}).items():
+            if record is None:
+                continue
+            with in_front(f"event {event.id}: predictions: {model}: "):
+                prediction = _prediction(event.id, record)
+            found.setdefault(str(model), {})[event.id] = prediction
+    return found
+
+
+def _prediction(event_id: str, record: object) -> Prediction:
+    fields = of_kind("it", record, dict)
+    given = {name: value for name, value in fields.items() if value is not None}
+    own = any(name in given for name in ("probabilities", "answers"))
+    allowed = _OWN_FIELDS if own else _FIELDS
+    for name in given:
+        if name not in allowed:
+            raise unknown_name("field", name, allowed)
+    if own:
+        if given.get("event", event_id) != event_id:
+            raise InvalidEventError(f"is of the event {shown(given['event'])}")
+        return Prediction.from_dict(
+            {"answers": {}, "probabilities": {}, **given, "event": event_id}
+        )
+    answers = _per_agent("goals", given.get("goals"))
+    shares = _per_agent("goal_probs", given.get("goal_probs"))
+    if "relation" in given:
+        answers["relation"] = given["relation"]
+    if "relation_probs" in given:
+        shares["relation"] = given["relation_probs"]
+    return Prediction(
+        event_id,
+        {question: probabilities_of(question, values) for question, values in shares.items()},
+        answers,
+    )
+
+
+def _per_agent(field: str, record: object) -> dict[str, Any]:
+    """Return question -> value from agent -> value, without those that are null."""
+    values = {} if record is None else of_kind(field, record, dict)
+    for agent in values:
+        if agent not in AGENTS:
+            raise unknown_name(f"agent in {field}", agent, AGENTS)
+    return {GOAL_QUESTIONS[agent]: value for agent, value in values.items() if value is not None}

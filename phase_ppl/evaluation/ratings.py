@@ -8,10 +8,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from phase_ppl.dataset.documents import of_kind
+from phase_ppl.dataset.documents import in_front, of_kind
 from phase_ppl.evaluation.prediction import GOAL_QUESTIONS, QUESTIONS
 from phase_ppl.world.arrays import FloatArray, IntArray
-from phase_ppl.world.errors import InvalidEventError, PhasePPLError, shown, unknown_name
+from phase_ppl.world.errors import InvalidEventError, shown, unknown_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import GOALS, goal_index
 from phase_ppl.world.hypothesis import RELATIONS
@@ -147,10 +147,8 @@ def event_judgments(event: Event) -> Judgments | None:
     """Return the judgments that an event carries; None where there are none."""
     if event.judgments is None:
         return None
-    try:
+    with in_front(f"event {event.id}: judgments: "):
         return Judgments.from_record(event.judgments)
-    except PhasePPLError as error:
-        raise type(error)(f"event {event.id}: judgments: {error}") from None
 
 
 def checked_answer(question: str, answer: object) -> str:

@@ -29,10 +29,10 @@ from phase_ppl.evaluation.bootstrap import Figure, proportion
 from phase_ppl.evaluation.comparison import ModelComparison, compare_models
 from phase_ppl.evaluation.evaluate import evaluate
 from phase_ppl.evaluation.evaluation import Evaluation
+from phase_ppl.evaluation.experiments import Likeness, Tags, load_likeness, load_tags
 from phase_ppl.evaluation.figures import likeness as likeness_figure
 from phase_ppl.evaluation.figures import tags as tags_figure
 from phase_ppl.evaluation.judgments import all_events, judged
-from phase_ppl.evaluation.likeness import Likeness, load_likeness
 from phase_ppl.evaluation.metrics import at
 from phase_ppl.evaluation.paper import (
     EVENTS,
@@ -50,7 +50,6 @@ from phase_ppl.evaluation.paper import (
     verdict,
 )
 from phase_ppl.evaluation.registry import is_installed, model_info
-from phase_ppl.evaluation.tags import Tags, load_tags
 from phase_ppl.inference.settings import simulations
 from phase_ppl.world.checks import number_of_workers, whole_number
 from phase_ppl.world.errors import InvalidSettingError, OutputError, unknown_name
@@ -77,19 +76,12 @@ _VIDEOS: Final = 100
 
 
 class Asked(NamedTuple):
-    """A model that is asked.
+    """A model that is asked."""
 
-    Attributes:
-        model: its name.
-        seconds: of one core, for a video of usual length; 0: next to none.
-        options: of the model.
-        whose: as which of the paper's models its numbers count.
-    """
-
-    model: str
-    seconds: float
-    options: Mapping[str, Any] = {}
-    whose: str = ""
+    model: str  # its name
+    seconds: float  # of one core, for a video of usual length; 0: next to none
+    options: Mapping[str, Any] = {}  # of the model
+    whose: str = ""  # as which of the paper's models its numbers count
 
 
 _FEW: Final = {"budget": simulations(30)}

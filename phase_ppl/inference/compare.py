@@ -185,12 +185,7 @@ def compare(
 
 
 class _Record:
-    """What is finished, and the file that keeps it.
-
-    Args:
-        settings: of the comparison, in JSON's types or nearly.
-        path: of the checkpoint, if there is one.
-    """
+    """What is finished, and the file that keeps it, if there is one."""
 
     def __init__(self, settings: Mapping[str, Any], path: str | os.PathLike[str] | None) -> None:
         self.settings: dict[str, Any] = _stable(settings)

@@ -8,10 +8,9 @@ from typing import Any, Final, TypeAlias
 
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.inference.infer import infer
-from phase_ppl.inference.presets import PRESETS, completed
 from phase_ppl.inference.registry import KernelInfo, described
 from phase_ppl.inference.runs.run import Kernel, Run
-from phase_ppl.inference.settings import SimpleSettings
+from phase_ppl.inference.settings import PRESETS, SimpleSettings, completed
 from phase_ppl.models.model import Model
 from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import InvalidSettingError, PhasePPLError, shown
@@ -90,19 +89,12 @@ class Entry:
 
 
 def entry(
-    label: str | None,
-    spec: Spec,
-    chains: int,
-    settings: SimpleSettings,
-    own_length: bool = False,
+    label: str | None, spec: Spec, chains: int, settings: SimpleSettings, own_length: bool = False
 ) -> Entry:
-    """Return the kernel that a user names.
+    """Return the kernel that a user names, called ``label`` or by its name.
 
-    Args:
-        label: what to call it; None: by its name.
-        spec: the kernel, with its options.
-        chains, settings: where the options have none.
-        own_length: whether the options may have a budget or iterations.
+    Its options may have ``chains`` and ``settings`` of their own and, with ``own_length``, a budget
+    or iterations.
     """
     kernel, given = spec if isinstance(spec, tuple) and len(spec) == 2 else (spec, {})
     if isinstance(kernel, tuple) or not isinstance(given, Mapping):

@@ -5,36 +5,29 @@ from __future__ import annotations
 import dataclasses
 import os
 from concurrent.futures import Executor
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, overload
 
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.inference.runs import length
 from phase_ppl.inference.runs.checkpoint import SUFFIXES, Checkpoint
 from phase_ppl.inference.runs.run import Kernel, Run, check_event, model_again
-from phase_ppl.inference.runs.sampler import Interrupted, RunOptions, run
-from phase_ppl.inference.settings import Budget, SimpleSettings, frames, seconds, simulations
+from phase_ppl.inference.runs.sampler import RunOptions, sample
+from phase_ppl.inference.settings import Budget, SimpleSettings
 from phase_ppl.inference.stepwise import filter_event
-from phase_ppl.models.likelihood import RadialLikelihood, gives_table
+from phase_ppl.models.likelihood import RadialLikelihood, is_stepwise
 from phase_ppl.models.model import Model
+from phase_ppl.models.stepwise import StepwiseLikelihood
 from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import InvalidSettingError, OutputError
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import as_path, check_output, locked
 from phase_ppl.world.identity import differences, event_digest, versions_so_far
+from phase_ppl.world.scene import PHASE
 
 if TYPE_CHECKING:
     from phase_ppl.agents.config import PlannerConfig
-
-__all__ = [
-    "Interrupted",
-    "SimpleSettings",
-    "frames",
-    "infer",
-    "resume",
-    "seconds",
-    "simulations",
-]
+    from phase_ppl.models.stepwise import StepwiseLikelihood
 
 CHAINS: Final = 15  # M, the paper's number of particles
 
@@ -43,6 +36,18 @@ _NOT_REFUSED: Final = ("workers", "progress", "versions", "began")
 every call."""
 
 
+@overload
+def infer(event: Event, model: None = None, **options: Any) -> Posterior: ...
+@overload
+def infer(event: Event, model: Model[Any], *, kernel: Kernel, **options: Any) -> Posterior: ...
+@overload
+def infer(event: Event, model: Model[RadialLikelihood], **options: Any) -> Posterior: ...
+@overload
+def infer(
+    event: Event, model: Model[StepwiseLikelihood], *, kernel: None = None, **options: Any
+) -> StepwisePosterior: ...
+@overload
+def infer(event: Event, model: Model | None, **options: Any) -> Posterior | StepwisePosterior: ...
 def infer(
     event: Event,
     model: Model | None = None,
@@ -145,8 +150,11 @@ def infer(
     )
     given = {**vars(options), "chains": chains, "settings": settings, **kernel_options}
     settings = SimpleSettings() if settings is None else settings
+    check_event(event, any_world=True)
+    if model is None and kernel is None and event.scene.world != PHASE:
+        model = Model(likelihood=StepwiseLikelihood())
     model = _complete_model(model, planner, settings)
-    if kernel is None and gives_table(model.likelihood):
+    if kernel is None and is_stepwise(model.likelihood):
         usual = {**vars(RunOptions()), "chains": CHAINS}
         for name, value in given.items():
             if name not in _NOT_REFUSED and value != usual.get(name):
@@ -154,10 +162,9 @@ def infer(
                     f"{name}={value!r} is for sampling: a stepwise likelihood is summed over all "
                     "hypotheses, unless a kernel is named"
                 )
-        check_event(event)
         return filter_event(event, model, seed=seed, threads=workers, progress=progress)
     kernel = "local_mh" if kernel is None else kernel
-    what = Run(event, model, kernel, kernel_options, settings, chains, seed)
+    run = Run(event, model, kernel, kernel_options, settings, chains, seed)
     if checkpoint is not None:
         if as_path(checkpoint).exists():
             raise OutputError(
@@ -166,7 +173,7 @@ def infer(
             )
         check_output(checkpoint, SUFFIXES)
     with locked(checkpoint):
-        return run(what, options)
+        return sample(run, options)
 
 
 def resume(
@@ -235,7 +242,7 @@ def resume(
     if not kernel_options:
         reason = "the kernel options {kernel[options]} are not all plain data"
         kernel_options = _stored(saved, "options", reason)
-    what = Run(
+    run = Run(
         saved.event if event is None else event,
         _complete_model(model, planner, settings),
         kernel,
@@ -244,7 +251,7 @@ def resume(
         saved.identity["chains"],
         saved.identity["seed"],
     )
-    _check_same(saved, what)
+    _check_same(saved, run)
     if iterations is None and budget is None:
         iterations, budget = saved.target["iterations"], saved.target["budget"]
     weights = saved.asked["weights"] if weights is None else weights
@@ -281,7 +288,7 @@ def resume(
         began=began,
     )
     with locked(path):
-        return run(what, options, saved)
+        return sample(run, options, saved)
 
 
 def _complete_model(
@@ -311,12 +318,12 @@ def _stored(saved: Checkpoint, name: str, reason: str) -> Any:
     return saved.again[name]
 
 
-def _check_same(saved: Checkpoint, what: Run) -> None:
-    if event_digest(what.event) != saved.identity["event"]:
+def _check_same(saved: Checkpoint, run: Run) -> None:
+    if event_digest(run.event) != saved.identity["event"]:
         raise InvalidSettingError(
             f"{saved.path} is a run of another event ({saved.event.id!r}): its scene or "
             "observation differ"
         )
-    found = differences(saved.identity, what.identity())
+    found = differences(saved.identity, run.identity())
     if found:
         raise InvalidSettingError(f"{saved.path} is another run: {'; '.join(found)}")

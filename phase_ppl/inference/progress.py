@@ -7,7 +7,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Iterator, Sequence
-from types import TracebackType
 from typing import Any, ClassVar, Final, Self, TypeVar
 
 from tqdm.auto import tqdm
@@ -42,11 +41,7 @@ class SteadyBar(tqdm):
 class Bar:
     """What a bar on stderr counts with; it is closed at the end of a ``with``.
 
-    Args:
-        total: to be done.
-        done: before.
-        shown: True or False; None: where stderr is a terminal, and in notebooks.
-        unit, what: as the bar calls it, and what is done.
+    ``shown`` None: where stderr is a terminal, and in notebooks.
     """
 
     def __init__(self, total: int, done: int, shown: bool | None, unit: str, what: str) -> None:
@@ -62,12 +57,7 @@ class Bar:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._bar.close()
 
 
@@ -78,16 +68,10 @@ def counted(items: Sequence[Item], shown: bool | None, unit: str, what: str) -> 
 
 
 class Progress(Bar):
-    """A bar on stderr that counts simulations.
+    """A bar on stderr that counts simulations, of which a ``batch`` runs side by side.
 
     Simulations are uneven: those stopped early end first, others come in bursts as workers end
     together. The time left therefore rests on whole rounds, the last two.
-
-    Args:
-        total: simulations to be done.
-        shown: True or False; None: where stderr is a terminal, and in notebooks.
-        done: simulations done before.
-        batch: simulations of a round, which run side by side.
     """
 
     def __init__(

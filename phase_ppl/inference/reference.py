@@ -31,7 +31,7 @@ from phase_ppl.inference.entries import Entry, Spec, entry
 from phase_ppl.inference.settings import Budget, SimpleSettings
 from phase_ppl.inference.stepwise import filter_event
 from phase_ppl.models.effective import log_prior_of_effective
-from phase_ppl.models.likelihood import gives_table
+from phase_ppl.models.likelihood import is_stepwise
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import MAX_SEED, EventProgram, event_salt
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, SELF_REFERRING, STRENGTH_SITES
@@ -92,16 +92,10 @@ def enumerate_goals(
     seed: int = 0,
     workers: int | None = None,
 ) -> Enumeration:
-    """Return the posterior of the effective goals by simulating all of them.
+    """Return the posterior of the effective goals by simulating all pairs of a plan.
 
-    Args:
-        event: what is explained.
-        model: prior, simulator, likelihood.
-        plan: of that model.
-        per_pair: simulations of each pair, each with strengths and a simulator seed of its own;
-            an even number, at most 32.
-        seed: a whole number >= 0.
-        workers: processes; by default one per usable core.
+    ``per_pair`` times each, with strengths and a simulator seed of their own; an even number, at
+    most 32.
     """
     check_per_pair(per_pair)
     rng = np.random.default_rng(seed)
@@ -140,10 +134,7 @@ def of_masses(
 ) -> Enumeration:
     """Return the posterior, whole and from halves, of what was simulated.
 
-    Args:
-        pairs: (pair, 2) effective goals of red and green.
-        log_mass: (pair, repeat) log of what each simulation says of its pair's mass.
-        usable: (pair, repeat) whether it was completed.
+    ``log_mass`` and ``usable``, whether it was completed, are (pair, repeat).
     """
     weight = np.exp(log_mass - log_mass.max())
     rng = np.random.default_rng(0)
@@ -261,7 +252,7 @@ def reference_of(
     of what all chains have in common, such as what none of them has found. None where there are no
     halves.
     """
-    if asked.enumeration and gives_table(model.likelihood):
+    if asked.enumeration and is_stepwise(model.likelihood):
         table = filter_event(event, model, seed=seed, threads=workers, progress=False)
         return {
             "description": "the sum over a table of all hypotheses",

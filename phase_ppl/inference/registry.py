@@ -73,12 +73,7 @@ class KernelInfo:
     any_length: bool = False
 
     def make(self, program: EventProgram, **options: Any) -> MCMCKernel:
-        """Return the kernel for the model of an event.
-
-        Args:
-            program: the model of the event.
-            **options: what the kernel needs, and its own options.
-        """
+        """Return the kernel for an event, from what it needs and its own options."""
         registered = self.validity in VALIDITIES  # and so has said what it needs
         for need in NEEDS:
             if registered and (need in options) != (need in self.needs):
@@ -88,7 +83,15 @@ class KernelInfo:
             inspect.signature(self.factory).bind(program, **options)
         except TypeError as error:
             raise InvalidSettingError(f"kernel {self.name!r}: {error}") from None
-        return self.factory(program, **options)
+        made = self.factory(program, **options)
+        if isinstance(made, HMC):
+            raise _needs_gradient(f"{self.name!r}, which makes a {type(made).__name__},")
+        if not isinstance(made, MCMCKernel):
+            raise InvalidSettingError(
+                f"kernel {self.name!r} makes {shown(made)}: expected a NumPyro MCMCKernel"
+                + (" (does the function return it?)" if made is None else "")
+            )
+        return made
 
     @property
     def options(self) -> tuple[str, ...] | None:
@@ -97,6 +100,13 @@ class KernelInfo:
         if any(one.kind is one.VAR_KEYWORD for one in given):
             return None
         return tuple(one.name for one in given if one.name not in NEEDS)
+
+
+def _needs_gradient(kernel: str) -> InvalidSettingError:
+    return InvalidSettingError(
+        f"kernel {kernel} needs a gradient, which a simulator has not; available_kernels() lists "
+        "those that need none"
+    )
 
 
 KERNELS: Final = Registry[KernelInfo](
@@ -172,18 +182,21 @@ def described(kernel: str | Factory | MCMCKernel) -> KernelInfo:
     """
     if isinstance(kernel, str):
         return kernel_info(kernel)
+    for _, info in KERNELS.items():
+        if info.factory is kernel:
+            return info
     if isinstance(kernel, MCMCKernel):
         factory = getattr(kernel, "bound_to", None)
         name = type(kernel).__name__
+        if isinstance(kernel, HMC):
+            raise _needs_gradient(name)
         if factory is None:
             raise InvalidSettingError(
                 f"kernel {name}: give the class, or a function that makes the kernel from the "
                 "program; an instance already has a program of its own"
             )
     elif isinstance(kernel, type) and issubclass(kernel, HMC):
-        raise InvalidSettingError(
-            f"kernel {kernel.__name__} needs a gradient, which a simulator has not"
-        )
+        raise _needs_gradient(kernel.__name__)
     elif callable(kernel):
         factory = kernel
         name = getattr(kernel, "__name__", type(kernel).__name__)

@@ -7,7 +7,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from typing import Final, Self
+from typing import Any, Final, Self
 
 import numpy as np
 import xarray as xr
@@ -15,17 +15,25 @@ from numpy.typing import ArrayLike
 
 import phase_ppl
 from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.agents.standpoints import standpoints
+from phase_ppl.analysis.roles_posterior import RolesPosterior
+from phase_ppl.analysis.roles_table import DIMENSIONS as ROLES_DIMENSIONS
+from phase_ppl.analysis.roles_table import SCHEMA as ROLES_SCHEMA
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.analysis.stepwise_table import (
     DIMENSIONS,
     SCHEMA,
+    SITES,
     STRENGTHS,
     log_prior_of_pairs,
 )
 from phase_ppl.analysis.tree import scene_dataset
 from phase_ppl.closed_loop.goal_filter import Reading
+from phase_ppl.closed_loop.world_filter import WorldFilter, WorldReading
 from phase_ppl.inference.progress import counted, is_shown
 from phase_ppl.models.model import Model
+from phase_ppl.models.own_sites import further_sites
+from phase_ppl.models.roles import factors
 from phase_ppl.models.stepwise import StepwiseLikelihood, level_of, prior_table
 from phase_ppl.physics.actions import ACTION_NAMES
 from phase_ppl.simulator.contract import Cancelled, SimulationResult, Statistics
@@ -35,9 +43,9 @@ from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import GOALS, N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
-from phase_ppl.world.names import AGENTS, ENTITIES, NOTHING
+from phase_ppl.world.names import AGENTS, NOTHING
 from phase_ppl.world.observation import FRAMES_PER_SECOND, SHOWN_SECONDS_PER_FRAME
-from phase_ppl.world.scene import Scene, check_inside, finite_array
+from phase_ppl.world.scene import PHASE, Scene, check_inside, check_phase, finite_array
 
 _NUMBERS: Final = ("unexplained", "log_peak")
 _GOAL_DIMENSIONS: Final = ("goal_red", "goal_green", "stated_goal_red", "stated_goal_green")
@@ -72,24 +80,32 @@ class Watch:
         self.model = Model(likelihood=StepwiseLikelihood()) if model is None else model
         likelihood, planner = _parts(self.model)
         instance_of("scene", scene, Scene, "a phase_ppl.Scene")
+        if type(self) is Watch:
+            check_phase(scene, "Watch")
         self._scene, self._event_id = scene, event_id
         self._likelihood = likelihood
         self._seed = whole_number("seed", seed, minimum=0)
         self.threads = number_of_workers(threads, "threads")
-        levels = likelihood.tracking.strengths
-        self._prior = prior_table(self.model.prior, levels)
-        self._filter = likelihood.filter(
-            scene, planner, self._seed, self.threads, log_prior_of_pairs(self._prior)
-        )
         self._frames: list[FloatArray] = []
         self._torn = False  # a frame was begun and not finished
+        self._begin(planner)
+
+    def _begin(self, planner: PlannerConfig) -> None:
+        """Make the filter, and say what is known before the first frame."""
+        likelihood, scene = self._likelihood, self._scene
+        levels = likelihood.tracking.strengths
+        self._prior: Any = prior_table(self.model.prior, levels)
+        self._filter: Any = likelihood.filter(
+            scene, planner, self._seed, self.threads, log_prior_of_pairs(self._prior)
+        )
         start = np.full((len(levels), len(levels)), 1.0 / len(levels) ** 2)
         nothing_yet = np.zeros((N_GOALS, N_GOALS))
         unknown = np.full((len(AGENTS), len(ACTION_NAMES)), 1.0 / len(ACTION_NAMES))
         empty = np.full(len(AGENTS), NOTHING, np.int64)
         seeds = likelihood.planner_seeds if likelihood.planner_seeds > 1 else 0
         without = np.zeros((seeds, N_GOALS, N_GOALS))
-        self._readings = [Reading(nothing_yet, without, start, unknown, empty, 0.0, 0.0, 0)]
+        at_start = Reading(nothing_yet, without, start, unknown, empty, 0.0, 0.0, 0)
+        self._readings: list[Any] = [at_start]
 
     def __enter__(self) -> Self:
         return self
@@ -115,7 +131,7 @@ class Watch:
                 read before that stays.
         """
         name = f"frame {len(self._frames)}"
-        pose = finite_array(name, frame, (len(ENTITIES), 3))
+        pose = finite_array(name, frame, (len(self._scene.world.entities), 3))
         check_inside(pose[None], self._scene, name)
         if self._torn:
             raise InvalidSettingError(
@@ -140,9 +156,44 @@ class Watch:
         """
         if not self._frames:
             raise InvalidSettingError("nothing was watched yet: update(frame) takes in a frame")
-        return StepwisePosterior(self._dataset())
+        scene = self._scene
+        likelihood, n = self._likelihood, len(self._frames)
+        settings = {
+            "model": self.model.fingerprint(),
+            "likelihood": likelihood.to_dict(),
+            "seed": self._seed,
+            "turning": scene.turning,
+            "resets_velocity": scene.resets_velocity,
+        }
+        cost = {
+            "searches": sum(one.searches for one in self._readings[:n]),
+            "frames": n,
+            "seconds": time.perf_counter() - self._clock,
+            "video_seconds": (n - 1) * SHOWN_SECONDS_PER_FRAME,
+            "threads": self.threads,
+        }
+        found = self._read()
+        found["trajectory"] = (DIMENSIONS["trajectory"], np.stack(self._frames))
+        found = found.assign_coords(
+            time=("time", np.arange(n) / FRAMES_PER_SECOND, {"units": "s"}),
+            agent=list(scene.world.agents),
+            action=list(ACTION_NAMES),
+        )
+        found.attrs |= {
+            "event_id": self._event_id,
+            "weight": float(likelihood.weight),
+            "settings": json.dumps(settings, default=repr),
+            "cost": json.dumps(cost),
+            "version": phase_ppl.__version__,
+        }
+        found = found.merge(scene_dataset(scene), combine_attrs="no_conflicts")
+        return self._posterior(found)
 
-    def _dataset(self) -> xr.Dataset:
+    def _posterior(self, found: xr.Dataset) -> StepwisePosterior:
+        return StepwisePosterior(found, prior=self.model.prior)
+
+    def _read(self) -> xr.Dataset:
+        """Return what the frames so far say."""
         readings = self._readings[: len(self._frames)]
         columns = {
             name: np.stack([getattr(one, name) for one in readings])
@@ -152,43 +203,76 @@ class Watch:
         # for errors only, to which single precision does no harm
         columns["log_likelihood_without"] = without.astype(np.float32)
         columns["log_prior"] = self._prior
-        columns["trajectory"] = np.stack(self._frames)
-        scene = self._scene
-        likelihood, n = self._likelihood, len(readings)
-        settings = {
-            "model": self.model.fingerprint(),
-            "likelihood": likelihood.to_dict(),
-            "seed": self._seed,
-            "turning": scene.turning,
-            "resets_velocity": scene.resets_velocity,
-        }
-        cost = {
-            "searches": sum(one.searches for one in readings),
-            "frames": n,
-            "seconds": time.perf_counter() - self._clock,
-            "video_seconds": (n - 1) * SHOWN_SECONDS_PER_FRAME,
-            "threads": self.threads,
-        }
-        found = xr.Dataset(
+        return xr.Dataset(
             {name: (DIMENSIONS[name], values) for name, values in columns.items()},
             coords={
-                "time": ("time", np.arange(n) / FRAMES_PER_SECOND, {"units": "s"}),
                 **{name: list(GOALS) for name in _GOAL_DIMENSIONS},
                 "alpha": [str(alpha) for alpha in ALPHAS],
-                **{name: list(likelihood.tracking.strengths) for name in STRENGTHS},
-                "agent": list(AGENTS),
-                "action": list(ACTION_NAMES),
+                **{name: list(self._likelihood.tracking.strengths) for name in STRENGTHS},
             },
-            attrs={
-                "schema": SCHEMA,
-                "event_id": self._event_id,
-                "weight": float(likelihood.weight),
-                "settings": json.dumps(settings, default=repr),
-                "cost": json.dumps(cost),
-                "version": phase_ppl.__version__,
-            },
+            attrs={"schema": SCHEMA, SITES: json.dumps(list(further_sites(self.model.prior)))},
         )
-        return found.merge(scene_dataset(scene), combine_attrs="no_conflicts")
+
+
+class RolesWatch(Watch):
+    """An observer of an event of another world than PHASE; :func:`watch` returns one."""
+
+    def _posterior(self, found: xr.Dataset) -> RolesPosterior:
+        return RolesPosterior(found)
+
+    def _begin(self, planner: PlannerConfig) -> None:
+        likelihood, scene = self._likelihood, self._scene
+        levels, world = likelihood.tracking.strengths, scene.world
+        self._prior = factors(self.model.prior, world, levels)
+        self._filter = WorldFilter(
+            *(scene, planner, likelihood.tracking, likelihood.conduct, self._seed, self.threads),
+            *(likelihood.planner_seeds, likelihood.weight, self._prior.goals),
+        )
+        n, n_actions = len(world.agents), len(ACTION_NAMES)
+        combinations = self._filter.combinations
+        any_action = np.full((likelihood.planner_seeds, n_actions), 1 / n_actions)
+        self._readings = [
+            WorldReading(
+                np.zeros(n_actions**n),
+                [any_action[None]] * n,
+                [np.zeros(standpoints(agent, world).n, np.int64) for agent in range(n)],
+                np.full(len(combinations), 1 / len(combinations)),
+                np.full((n, n_actions), 1 / n_actions),
+                np.full(n, NOTHING, np.int64),
+                *(0.0, 0.0, 0),
+            )
+        ]
+        self._marginals = [self._filter.marginals.copy()]
+
+    def take(self, frame: ArrayLike) -> None:
+        super().take(frame)
+        if len(self._frames) > 1:
+            self._marginals.append(self._filter.marginals.copy())
+
+    def _read(self) -> xr.Dataset:
+        readings = self._readings[: len(self._frames)]
+        names = ("density", "strengths", "actions", "held", *_NUMBERS)
+        columns = {name: np.stack([getattr(one, name) for one in readings]) for name in names}
+        n_agents = len(readings[0].policies)
+        most = max(len(own) for one in readings for own in one.policies)
+        points = max(len(own) for own in readings[0].policy_of)
+        # for searches are coarser than single precision
+        shape = (len(readings), n_agents, most, *readings[0].policies[0].shape[1:])
+        columns["policies"] = np.full(shape, np.nan, np.float32)
+        columns["policy_of"] = np.zeros((len(readings), n_agents, points), np.int32)
+        for t, one in enumerate(readings):
+            for agent in range(n_agents):
+                own, numbers = one.policies[agent], one.policy_of[agent]
+                columns["policies"][t, agent, : len(own)] = own
+                columns["policy_of"][t, agent, : len(numbers)] = numbers
+        columns["marginals"] = np.stack(self._marginals)
+        columns["combinations"] = self._filter.combinations
+        columns |= {f"log_prior_{name}": values for name, values in self._prior._asdict().items()}
+        return xr.Dataset(
+            {name: (ROLES_DIMENSIONS[name], values) for name, values in columns.items()},
+            coords={"goal": list(self._scene.world.goals)},
+            attrs={"schema": ROLES_SCHEMA},
+        )
 
 
 def watch(
@@ -208,7 +292,9 @@ def watch(
     What it says after a frame is the same whatever follows, and after the last frame it is what
     :func:`phase_ppl.infer` returns. Arguments and errors as of :class:`Watch`.
     """
-    return Watch(scene, model, seed=seed, threads=threads, event_id=event_id)
+    instance_of("scene", scene, Scene, "a phase_ppl.Scene")
+    kind = Watch if scene.world == PHASE else RolesWatch
+    return kind(scene, model, seed=seed, threads=threads, event_id=event_id)
 
 
 def _parts(model: Model) -> tuple[StepwiseLikelihood, PlannerConfig]:
@@ -264,15 +350,15 @@ def filter_event(
             that is a terminal. Elsewhere one line says how long it will take, if that is more
             than a minute; with False nothing does.
     """
-    with Watch(event.scene, model, seed=seed, threads=threads, event_id=event.id) as watch:
+    with watch(event.scene, model, seed=seed, threads=threads, event_id=event.id) as watching:
         frames = list(event.observation.trajectory)
-        watch.take(frames[0])
+        watching.take(frames[0])
         try:
             for frame in _timed(frames[1:], progress):
-                watch.take(frame)
+                watching.take(frame)
         except KeyboardInterrupt as stop:
-            raise StepwiseInterrupted(watch.posterior()) from stop
-        return watch.posterior()
+            raise StepwiseInterrupted(watching.posterior()) from stop
+        return watching.posterior()
 
 
 def _timed(frames: list[FloatArray], progress: bool | None) -> Iterator[FloatArray]:

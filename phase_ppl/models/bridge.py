@@ -67,18 +67,12 @@ class SimulatorBridge:
     therefore reorder it, and one that was answered by a completed simulation before is answered
     by it again, at no cost. All particles of a vectorised step arrive in one call.
 
-    Args:
-        runner: runs the simulations.
-        n_frames: length T of the observation.
-
     Attributes:
         handle: number by which compiled code knows this bridge (:func:`request_errors`).
         records: every simulation so far.
         iteration: what new records are labelled with.
-        calls: number of host calls.
-        failure: the exception that ended a call, if one did.
-        defers: whether a failure waits for whoever drives the chain, who then raises it. It is
-            answered with infinite errors until then, and so is what follows. Raised at once, it
+        failure: the exception that ended a call, if one did. It waits for whoever drives the chain,
+            who then raises it; until then all is answered with infinite errors. Raised at once, it
             would be logged by JAX and replaced by an exception of another class.
     """
 
@@ -86,9 +80,7 @@ class SimulatorBridge:
         self.handle = next(_handles)
         self.records: list[Record] = []
         self.iteration = 0
-        self.calls = 0
         self.failure: BaseException | None = None
-        self.defers = False
         self._runner = runner
         self._n_frames = n_frames
         self._completed: dict[tuple[Any, ...], int] = {}  # request -> row of the records
@@ -103,19 +95,14 @@ class SimulatorBridge:
     ) -> NDArray[np.float32]:
         """Return the errors (..., time) that a batch (...) of requests asks for.
 
-        Args:
-            columns: site -> (..., ) values.
-            log_prior, seed: (...).
-            limits: (...) error ceilings, log_proposal and log_bound, see :class:`Record`.
+        The limits are error ceilings, log_proposal and log_bound, see :class:`Record`.
         """
         if self.failure is None:
             try:
                 return self._simulate(columns, log_prior, seed, *limits)
             except BaseException as error:
                 self.failure = error
-        if self.defers:
-            return np.full((*seed.shape, self._n_frames), np.inf, np.float32)
-        raise self.failure
+        return np.full((*seed.shape, self._n_frames), np.inf, np.float32)
 
     def remember(self, record: Record) -> None:
         """Keep a simulation; the same request is answered by it from now on, if it completed."""
@@ -130,7 +117,6 @@ class SimulatorBridge:
         seed: NDArray[np.int32],
         *limits: NDArray[np.float32],
     ) -> NDArray[np.float32]:
-        self.calls += 1
         batch = seed.shape
         n_rows = seed.size
         rows_per_chain = n_rows // batch[0] if batch else 1
@@ -191,20 +177,10 @@ def request_errors(
 ) -> jax.Array:
     """Return per-frame errors (time,) of a simulation, units; float32; inside compiled code.
 
-    The bridge is named by a number, so that one compiled program serves many events.
-
-    Args:
-        handle: of the bridge.
-        n_frames: length T of the observation.
-        sites: all latent sites of the prior.
-        log_prior: their log density; without mass there is nothing to simulate.
-        seed: of the simulation, int32.
-        error_ceiling: summed error beyond which the simulation may be stopped, units.
-        log_proposal, log_bound: to be kept with the simulation, see :class:`Record`.
-
-    Returns:
-        The errors; inf from where the simulation was stopped. All inf for a failed simulation
-        and for hypotheses outside the prior's support, which are not simulated.
+    The bridge is named by a number, so that one compiled program serves many events. Errors are inf
+    from where the simulation was stopped, once their sum exceeds the ceiling; all inf for a failed
+    simulation and for hypotheses without prior mass, which are not simulated. ``log_proposal`` and
+    ``log_bound`` are kept with the simulation, see :class:`Record`.
     """
     names = tuple(sorted(sites))
     limits = (jnp.float32(limit) for limit in (error_ceiling, log_proposal, log_bound))

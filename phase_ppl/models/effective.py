@@ -100,16 +100,7 @@ def _density(prior: Prior, names: tuple[str, ...]) -> Callable[[dict[str, jax.Ar
 def log_prior_of_effective(
     prior: Prior, goals: NDArray[np.int64], strengths: Mapping[str, NDArray[np.float64]]
 ) -> FloatArray:
-    """Return the log prior of effective hypotheses.
-
-    Args:
-        prior: NumPyro program over the hypothesis sites.
-        goals: (n, 2) effective goals of red and green.
-        strengths: ``strength_red`` and ``strength_green``, (n,) newtons.
-
-    Returns:
-        (n,) log of the summed density.
-    """
+    """Return (n,) the log prior of effective goals (n, 2) with strengths, each (n,) newtons."""
     if len(goals) == 0:
         return np.empty(0)
     stated = [stated_hypotheses()[int(red), int(green)] for red, green in goals]
@@ -134,10 +125,7 @@ def drawn_stated(
 ) -> NDArray[np.int64]:
     """Return (n, 3) stated goals and alpha for effective goals, drawn by the prior given these.
 
-    Args:
-        prior: NumPyro program over the hypothesis sites.
-        goals: (n, 2) effective goals of red and green.
-        strengths: (n, 2) newtons.
+    Effective goals are (n, 2), strengths (n, 2) newtons.
     """
     options = [stated_hypotheses()[int(red), int(green)] for red, green in goals]
     lengths = np.array([len(rows) for rows in options], np.int64)

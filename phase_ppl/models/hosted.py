@@ -1,5 +1,7 @@
 """Compiled programs that are left at each simulation, so that what XLA makes of them can be kept.
 
+All this is for speed: but for the time it takes, ``Hosted(function)`` is ``jax.jit(function)``.
+
 A program that calls the simulator from within cannot be kept on disk: what it calls has an address
 that is another in every process. Here it is traced as a whole and cut at the simulations that it
 asks for. The pieces are compiled without them, and kept; the simulations are run in between.
@@ -55,12 +57,8 @@ class Hosted:
     """A function like ``jax.jit(function)`` on the processor, left at each simulation.
 
     Where it asks for simulations in a loop or on a condition, it is compiled as a whole and calls
-    the simulator from within.
-
-    Args:
-        function: of trees of arrays.
-        identity: what tells it from any other function of this package's code, so that it need not
-            even be traced where it has been before; None: nothing can.
+    the simulator from within. Its ``identity`` tells it from any other function of this package's
+    code, so that it need not even be traced where it has been before; None: nothing can.
     """
 
     def __init__(self, function: Callable[..., Any], identity: str | None = None) -> None:

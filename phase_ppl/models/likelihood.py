@@ -1,6 +1,6 @@
-"""Likelihoods of what was seen: of two kinds, and the paper's (Eq. 2).
+"""Likelihoods that compare a simulation with the video, among them the paper's (Eq. 2).
 
-One kind compares a simulation with the video, the other gives a table over all hypotheses.
+The other kind, of which nothing is simulated, is the closed loop's (``stepwise.py``).
 
 The paper's exp(-beta sum_t ||s_t - s^_t||) is made a proper density: per frame, the position of
 all entities (d = 8 numbers) has the radial density exp(-beta ||s - s^||) / Z. Z does not depend
@@ -16,22 +16,14 @@ import dataclasses
 import math
 from typing import TYPE_CHECKING, Any, Final, Protocol, TypeGuard, TypeVar
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-import numpyro.distributions as dist
-from jax import random
 from numpy.typing import NDArray
-from numpyro.distributions import constraints
 
 from phase_ppl.world.checks import positive_number
 from phase_ppl.world.names import ENTITIES
 
 if TYPE_CHECKING:
-    from phase_ppl.agents.config import PlannerConfig
-    from phase_ppl.closed_loop.goal_filter import GoalFilter
-    from phase_ppl.world.arrays import FloatArray
-    from phase_ppl.world.scene import Scene
+    from phase_ppl.models.stepwise import StepwiseLikelihood
 
 N_COORDINATES: Final = 2 * len(ENTITIES)  # d, numbers per frame: x and y of each entity
 _Array = TypeVar("_Array")
@@ -52,27 +44,11 @@ class TrajectoryLikelihood(Protocol):
         ...
 
 
-class TableLikelihood(Protocol):
-    """Says of every frame of the video how probable it is under all hypotheses at once."""
+def is_stepwise(likelihood: object) -> TypeGuard[StepwiseLikelihood]:
+    """Whether it is the closed loop's, of which nothing is simulated."""
+    from phase_ppl.models.stepwise import StepwiseLikelihood  # loads planner and physics
 
-    def filter(
-        self, scene: Scene, planner: PlannerConfig, seed: int, threads: int, log_prior: FloatArray
-    ) -> GoalFilter:
-        """Return what takes in frames, one after the other, and gives a table for each.
-
-        Args:
-            scene: where everything starts.
-            planner: of the agents.
-            seed: of whatever is random.
-            threads: at a time; the result does not depend on it.
-            log_prior: (goal_red, goal_green) log prior masses.
-        """
-        ...
-
-
-def gives_table(likelihood: object) -> TypeGuard[TableLikelihood]:
-    """Return whether a likelihood gives tables over hypotheses, so that nothing is simulated."""
-    return hasattr(likelihood, "filter")
+    return isinstance(likelihood, StepwiseLikelihood)
 
 
 class InNats:
@@ -143,44 +119,3 @@ class RadialLikelihood:
         length = rng.gamma(N_COORDINATES, 1 / self.beta, positions.shape[:-2])
         noise: NDArray[np.float64] = positions + direction * length[..., None, None]
         return noise
-
-
-class RadialTrajectory(dist.Distribution):
-    """Distribution of the observed positions around a simulated trajectory.
-
-    Args:
-        predicted: (..., time, entity, 2) simulated x, y, units.
-        beta: as in :class:`RadialLikelihood`.
-    """
-
-    arg_constraints = {  # noqa: RUF012  (NumPyro's way to declare them)
-        "predicted": constraints.independent(constraints.real, 3),
-        "beta": constraints.positive,
-    }
-    support = constraints.independent(constraints.real, 3)
-    pytree_data_fields = ("predicted",)
-    pytree_aux_fields = ("beta",)
-
-    def __init__(
-        self, predicted: jax.Array, beta: float = 0.05, *, validate_args: bool | None = None
-    ) -> None:
-        self.predicted = jnp.asarray(predicted)
-        self.beta = beta
-        shape = self.predicted.shape
-        super().__init__(shape[:-3], shape[-3:], validate_args=validate_args)
-
-    def sample(self, key: jax.Array, sample_shape: tuple[int, ...] = ()) -> jax.Array:
-        """Draw positions: a direction by chance times a Gamma(d, beta) distance, per frame."""
-        key_direction, key_radius = random.split(key)
-        shape = sample_shape + self.batch_shape + self.event_shape
-        frames = (*shape[:-2], shape[-2] * shape[-1])
-        direction = random.normal(key_direction, frames)
-        direction /= jnp.linalg.norm(direction, axis=-1, keepdims=True)
-        radius = random.gamma(key_radius, frames[-1], frames[:-1]) / self.beta
-        return self.predicted + (direction * radius[..., None]).reshape(shape)
-
-    def log_prob(self, value: jax.Array) -> Any:
-        """Return the log density of positions (..., time, entity, 2), summed over frames."""
-        difference = jnp.asarray(value) - self.predicted
-        errors = jnp.sqrt(jnp.sum(difference**2, axis=(-2, -1)))
-        return RadialLikelihood(self.beta).log_prob(errors).sum(axis=-1)

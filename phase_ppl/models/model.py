@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import os
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Final, Literal, cast
+from typing import TYPE_CHECKING, Any, Final, Generic, Literal, overload
 
 import jax
 import jax.numpy as jnp
@@ -26,13 +26,8 @@ from phase_ppl.models.density import (
     remembered,
     site_shapes,
 )
-from phase_ppl.models.likelihood import (
-    InNats,
-    RadialLikelihood,
-    TableLikelihood,
-    TrajectoryLikelihood,
-    gives_table,
-)
+from phase_ppl.models.likelihood import InNats, RadialLikelihood, TrajectoryLikelihood, is_stepwise
+from phase_ppl.models.roles import is_of_any_world
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, HYPOTHESIS_SITES, STRENGTH_SITES
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.goals import N_GOALS
@@ -40,9 +35,172 @@ from phase_ppl.world.hypothesis import ALPHAS
 from phase_ppl.world.identity import qualified_name, source_hash
 
 if TYPE_CHECKING:
+    from typing_extensions import TypeVar
+
     from phase_ppl.agents.config import PlannerConfig
+    from phase_ppl.models.stepwise import StepwiseLikelihood
     from phase_ppl.simulator.contract import Simulator
 
+    Kind = TypeVar("Kind", default=Any)
+else:
+    from typing import TypeVar
+
+    Kind = TypeVar("Kind")  # of likelihood
+
+Noise = Literal["fresh", "fixed"]
+
+DEFAULT_PLANNER: Final = "fast"
+
+
+class _PriorField:
+    """A field that is set to a program or to the name of a ready-made one, and is a program."""
+
+    def __get__(self, model: object | None, owner: type) -> Program:
+        if model is None:
+            return priors.uniform  # the default
+        program: Program = vars(model)["prior"]
+        return program
+
+    def __set__(self, model: object, value: Program | str) -> None:
+        vars(model)["prior"] = priors.named(value) if isinstance(value, str) else value
+
+
+@dataclasses.dataclass(frozen=True)
+class Model(Generic[Kind]):
+    """Prior, simulator and likelihood.
+
+    Type checkers know a model by its likelihood, as ``Model[StepwiseLikelihood]``, and by that
+    what :func:`phase_ppl.infer` returns.
+
+    Attributes:
+        prior: NumPyro program that samples the five hypothesis sites, and perhaps more; or the
+            name of a ready-made one (:mod:`phase_ppl.models.priors`).
+        simulator: generator function ``(scene, hypothesis, rng)`` of frames; None for the joint
+            simulator of the paper (Algorithm 1).
+        likelihood: one that compares a simulation with the video
+            (:mod:`phase_ppl.models.likelihood`), or a :class:`phase_ppl.StepwiseLikelihood`.
+        planner: "fast", "paper" or a ``PlannerConfig`` for the joint simulator; None: "fast".
+        noise: "fresh", a new simulator seed per proposal, so that the posterior is that of the
+            mean likelihood over seeds; or "fixed", one seed per event and hypothesis: a
+            deterministic likelihood, hence another posterior.
+
+    Raises:
+        InvalidSettingError: the prior cannot work (the message names the site and what is
+            expected), or a planner is given for another simulator.
+        UnknownNameError: an unknown prior, planner or noise.
+    """
+
+    prior: _PriorField = _PriorField()
+    simulator: Simulator | None = None
+    likelihood: TrajectoryLikelihood | StepwiseLikelihood = dataclasses.field(
+        default_factory=RadialLikelihood
+    )
+    planner: str | PlannerConfig | None = None
+    noise: Noise = "fresh"
+
+    if TYPE_CHECKING:
+
+        @overload
+        def __init__(
+            self: Model[RadialLikelihood],
+            prior: Program | str = ...,
+            simulator: Simulator | None = ...,
+            likelihood: RadialLikelihood = ...,
+            planner: str | PlannerConfig | None = ...,
+            noise: Noise = ...,
+        ) -> None: ...
+
+        @overload
+        def __init__(
+            self: Model[StepwiseLikelihood],
+            prior: Program | str = ...,
+            simulator: None = ...,
+            *,
+            likelihood: StepwiseLikelihood,
+            planner: str | PlannerConfig | None = ...,
+            noise: Noise = ...,
+        ) -> None: ...
+
+        @overload
+        def __init__(
+            self,
+            prior: Program | str = ...,
+            simulator: Simulator | None = ...,
+            likelihood: TrajectoryLikelihood | StepwiseLikelihood = ...,
+            planner: str | PlannerConfig | None = ...,
+            noise: Noise = ...,
+        ) -> None: ...
+
+        def __init__(self, *args: Any, **fields: Any) -> None: ...
+
+    def __post_init__(self) -> None:
+        if self.noise not in ("fresh", "fixed"):
+            raise unknown_name("noise", self.noise, ("fresh", "fixed"))
+        if self.simulator is None:
+            object.__setattr__(self, "planner", self.planner_config())
+        elif not callable(self.simulator):
+            raise InvalidSettingError(
+                f"simulator={self.simulator!r}: expected a generator function "
+                "(scene, hypothesis, rng) of frames"
+            )
+        elif self.planner is not None:
+            raise InvalidSettingError(
+                "planner applies to the joint simulator, but the model has a simulator of its own"
+            )
+        compares = all(hasattr(self.likelihood, n) for n in ("log_prob", "max_total_error"))
+        if not compares and not is_stepwise(self.likelihood):
+            raise InvalidSettingError(
+                f"likelihood={self.likelihood!r} lacks log_prob or max_total_error"
+            )
+        self.sites  # noqa: B018  (refuses a prior that cannot work, before anything is simulated)
+
+    @functools.cached_property
+    def sites(self) -> dict[str, tuple[int, ...]]:
+        """Latent sites of the prior with their shapes."""
+        return checked_sites(self.prior)
+
+    @property
+    def error_likelihood(self) -> TrajectoryLikelihood:
+        """What kernels weigh per-frame errors by."""
+        likelihood: Any = self.likelihood
+        return InNats() if is_stepwise(likelihood) else likelihood
+
+    def planner_config(self) -> PlannerConfig:
+        """Return the settings of the joint simulator's planner."""
+        from phase_ppl.agents.config import PlannerConfig
+
+        return PlannerConfig.named(DEFAULT_PLANNER if self.planner is None else self.planner)
+
+    def build_simulator(self) -> Simulator:
+        """Return the simulator, the joint one with the model's planner by default."""
+        if self.simulator is not None:
+            return self.simulator
+        from phase_ppl.simulator.joint import JointSimulator
+
+        return JointSimulator(self.planner_config())
+
+    def fingerprint(self) -> dict[str, Any]:
+        """Return what distinguishes this model, as plain data for a run's settings.
+
+        Names of prior and simulator with a hash of their source where it can be had, the
+        likelihood, the planner's values and the kind of noise; of a simulator with a method
+        ``settings()`` what that returns.
+        """
+        own = self.simulator is not None
+        details = getattr(self.simulator, "settings", None)
+        return {
+            **({"simulator_settings": details()} if callable(details) else {}),
+            "prior": qualified_name(self.prior),
+            "prior_source": source_hash(self.prior),
+            "simulator": qualified_name(self.simulator) if own else "joint",
+            "simulator_source": source_hash(self.simulator) if own else None,
+            "likelihood": repr(self.likelihood),
+            "planner": None if own else self.planner_config().to_dict(),
+            "noise": self.noise,
+        }
+
+
+# --- whether a prior can work ---------------------------------------------------------------------
 
 _EXPECTED: Final = {
     **dict.fromkeys(GOAL_SITES, f"a goal code, 0..{N_GOALS - 1}, as phase_ppl.sites.goals()"),
@@ -84,6 +242,8 @@ def checked_sites(prior: Program) -> dict[str, tuple[int, ...]]:
             f"prior={shown(prior)} is no NumPyro program: expected the name of a ready-made prior "
             f"or a function without arguments that samples {', '.join(HYPOTHESIS_SITES)}"
         )
+    if is_of_any_world(prior):  # what it samples is known where the world is
+        return {}
     return dict(_checked(prior))
 
 
@@ -97,7 +257,7 @@ def _checked(prior: Program) -> dict[str, tuple[int, ...]]:
         raise InvalidSettingError(
             f"JAX has no processor to work on, with JAX_PLATFORMS={platforms!r}: {_reason(error)}"
         ) from error
-    if any(prior is known for _, known in priors.PRIORS.items()):
+    if priors.is_ready_made(prior):
         return site_shapes(prior)  # to draw takes seconds, and the tests do
     try:
         trace = handlers.trace(handlers.seed(prior, random.key(0))).get_trace()
@@ -257,121 +417,3 @@ def _check_values(prior: str, columns: Mapping[str, NDArray[Any]]) -> None:
                 f"the prior {prior} draws {name!r} as {values[wrong][0]}: "
                 f"expected {_EXPECTED[name]}"
             )
-
-
-# --- the model ------------------------------------------------------------------------------------
-
-Noise = Literal["fresh", "fixed"]
-
-DEFAULT_PLANNER: Final = "fast"
-
-
-class _PriorField:
-    """A field that is set to a program or to the name of a ready-made one, and is a program."""
-
-    def __get__(self, model: object | None, owner: type) -> Program:
-        if model is None:
-            return priors.uniform  # the default
-        program: Program = vars(model)["prior"]
-        return program
-
-    def __set__(self, model: object, value: Program | str) -> None:
-        vars(model)["prior"] = priors.named(value) if isinstance(value, str) else value
-
-
-@dataclasses.dataclass(frozen=True)
-class Model:
-    """Prior, simulator and likelihood.
-
-    Attributes:
-        prior: NumPyro program that samples the five hypothesis sites, and perhaps more; or the
-            name of a ready-made one (:mod:`phase_ppl.models.priors`).
-        simulator: generator function ``(scene, hypothesis, rng)`` of frames; None for the joint
-            simulator of the paper (Algorithm 1).
-        likelihood: one that compares a simulation with the video, or one that gives a table over
-            hypotheses (:mod:`phase_ppl.models.likelihood`).
-        planner: "fast", "paper" or a ``PlannerConfig`` for the joint simulator; None: "fast".
-        noise: "fresh", a new simulator seed per proposal, so that the posterior is that of the
-            mean likelihood over seeds; or "fixed", one seed per event and hypothesis: a
-            deterministic likelihood, hence another posterior.
-
-    Raises:
-        InvalidSettingError: the prior cannot work (the message names the site and what is
-            expected), or a planner is given for another simulator.
-        UnknownNameError: an unknown prior, planner or noise.
-    """
-
-    prior: _PriorField = _PriorField()
-    simulator: Simulator | None = None
-    likelihood: TrajectoryLikelihood | TableLikelihood = dataclasses.field(
-        default_factory=RadialLikelihood
-    )
-    planner: str | PlannerConfig | None = None
-    noise: Noise = "fresh"
-
-    def __post_init__(self) -> None:
-        if self.noise not in ("fresh", "fixed"):
-            raise unknown_name("noise", self.noise, ("fresh", "fixed"))
-        if self.simulator is None:
-            object.__setattr__(self, "planner", self.planner_config())
-        elif not callable(self.simulator):
-            raise InvalidSettingError(
-                f"simulator={self.simulator!r}: expected a generator function "
-                "(scene, hypothesis, rng) of frames"
-            )
-        elif self.planner is not None:
-            raise InvalidSettingError(
-                "planner applies to the joint simulator, but the model has a simulator of its own"
-            )
-        compares = all(hasattr(self.likelihood, n) for n in ("log_prob", "max_total_error"))
-        if not compares and not gives_table(self.likelihood):
-            raise InvalidSettingError(
-                f"likelihood={self.likelihood!r} lacks log_prob or max_total_error"
-            )
-        self.sites  # noqa: B018  (refuses a prior that cannot work, before anything is simulated)
-
-    @functools.cached_property
-    def sites(self) -> dict[str, tuple[int, ...]]:
-        """Latent sites of the prior with their shapes."""
-        return checked_sites(self.prior)
-
-    @property
-    def error_likelihood(self) -> TrajectoryLikelihood:
-        """What kernels weigh per-frame errors by."""
-        if gives_table(self.likelihood):
-            return InNats()
-        return cast("TrajectoryLikelihood", self.likelihood)
-
-    def planner_config(self) -> PlannerConfig:
-        """Return the settings of the joint simulator's planner."""
-        from phase_ppl.agents.config import PlannerConfig
-
-        return PlannerConfig.named(DEFAULT_PLANNER if self.planner is None else self.planner)
-
-    def build_simulator(self) -> Simulator:
-        """Return the simulator, the joint one with the model's planner by default."""
-        if self.simulator is not None:
-            return self.simulator
-        from phase_ppl.simulator.joint import JointSimulator
-
-        return JointSimulator(self.planner_config())
-
-    def fingerprint(self) -> dict[str, Any]:
-        """Return what distinguishes this model, as plain data for a run's settings.
-
-        Names of prior and simulator with a hash of their source where it can be had, the
-        likelihood, the planner's values and the kind of noise; of a simulator with a method
-        ``settings()`` what that returns.
-        """
-        own = self.simulator is not None
-        details = getattr(self.simulator, "settings", None)
-        return {
-            **({"simulator_settings": details()} if callable(details) else {}),
-            "prior": qualified_name(self.prior),
-            "prior_source": source_hash(self.prior),
-            "simulator": qualified_name(self.simulator) if own else "joint",
-            "simulator_source": source_hash(self.simulator) if own else None,
-            "likelihood": repr(self.likelihood),
-            "planner": None if own else self.planner_config().to_dict(),
-            "noise": self.noise,
-        }

@@ -487,12 +487,7 @@ class Inverse(NamedTuple):
 
 
 def posterior(log_likelihood: FloatArray, log_prior: FloatArray) -> Inverse:
-    """Return what a symbolic trajectory says.
-
-    Args:
-        log_likelihood: (agent, goal) log P(trajectory | goal) of each agent.
-        log_prior: (goal of red, goal of green).
-    """
+    """Return what (agent, goal) log P(trajectory | goal) and the log prior of pairs say."""
     log_joint = log_likelihood[0][:, None] + log_likelihood[1] + log_prior
     joint = np.exp(log_joint - log_joint.max())
     joint /= joint.sum()
@@ -503,9 +498,8 @@ def posterior(log_likelihood: FloatArray, log_prior: FloatArray) -> Inverse:
 def log_prior_of_pairs(name: str) -> FloatArray:
     """Return the log prior of pairs of effective goals (goal of red, goal of green), sum 1.
 
-    Args:
-        name: :data:`INDEPENDENT`, or a ready-made prior of SIMPLE
-            (:mod:`phase_ppl.models.priors`), in all of which goals and strengths are independent.
+    By name: :data:`INDEPENDENT`, or a ready-made prior of SIMPLE (:mod:`phase_ppl.models.priors`),
+    in all of which goals and strengths are independent.
     """
     if name != INDEPENDENT:
         from phase_ppl.models import priors

@@ -3,6 +3,13 @@
 ``Model(prior="sparse_social")`` takes one by name, :func:`available` lists them. They are NumPyro
 programs like any other, to be called inside a prior of one's own, and each is exact: its density
 is that of its draws.
+
+Another package registers its prior under the entry point group ``phase_ppl.priors``::
+
+    [project.entry-points."phase_ppl.priors"]
+    my_prior = "my_package.my_prior:my_prior"
+
+where ``my_prior`` is a program decorated with :func:`register_prior`.
 """
 
 from __future__ import annotations
@@ -35,6 +42,20 @@ from phase_ppl.world.hypothesis import (
 )
 from phase_ppl.world.registry import Registry
 
+__all__ = [
+    "available",
+    "correlated_strengths",
+    "named",
+    "no_social_goals",
+    "register_prior",
+    "relation_first",
+    "sparse_social",
+    "strength_levels",
+    "symmetric_alphas",
+    "uniform",
+]
+
+
 AnyProgram = TypeVar("AnyProgram", bound=Program)
 SOCIAL: Final = 0.1  # probability of a social goal under ``sparse_social``; 2/3 under ``uniform``
 
@@ -42,14 +63,33 @@ STRENGTH_CORRELATION: Final = 0.8
 """Correlation of the normal scores of the strengths under :func:`correlated_strengths`."""
 
 _EDGE: Final = 1e-6  # how close to 0 and 1 quantiles may come before their normal scores run away
-PRIORS: Final = Registry[Program]("prior")
+PRIORS: Final = Registry[Program]("prior", entry_points="phase_ppl.priors")
+
+
+def register_prior(name: str) -> Callable[[AnyProgram], AnyProgram]:
+    """Return a decorator that makes a prior known under ``name``, as in ``Model(prior=name)``.
+
+    Args:
+        name: under which it is asked for, in a terminal too.
+
+    Raises:
+        InvalidSettingError: the name is taken by another prior.
+    """
+
+    def decorate(prior: AnyProgram) -> AnyProgram:
+        keep: Callable[[AnyProgram], AnyProgram] = PRIORS.register(name, lambda one, _: one)
+        return keep(prior)
+
+    return decorate
 
 
 def _ready_made(prior: AnyProgram) -> AnyProgram:
-    keep: Callable[[AnyProgram], AnyProgram] = PRIORS.register(
-        prior.__name__, lambda program, _: program
-    )
-    return keep(prior)
+    return register_prior(prior.__name__)(prior)
+
+
+def is_ready_made(prior: Program) -> bool:
+    """Return whether a prior is one of this module's."""
+    return getattr(prior, "__module__", "") == __name__ and prior in PRIORS.entries.values()
 
 
 @_ready_made
@@ -225,3 +265,7 @@ def available() -> list[str]:
 def named(name: str) -> Program:
     """Return the ready-made prior of that name."""
     return PRIORS[name]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -28,6 +28,19 @@ from phase_ppl.world.goals import N_GOALS, is_self_referring
 from phase_ppl.world.hypothesis import STRENGTH_RANGE
 from phase_ppl.world.names import AGENTS
 
+__all__ = [
+    "ALPHA_PROBABILITIES",
+    "ALPHA_SITE",
+    "GOAL_SITES",
+    "HYPOTHESIS_SITES",
+    "STRENGTH_SITES",
+    "OneOf",
+    "alpha",
+    "goals",
+    "strengths",
+]
+
+
 IMPOSSIBLE: Final = -1e30
 """Logit of what has no mass; finite, so that NumPyro's argument checks let it pass."""
 
@@ -161,3 +174,7 @@ class _OneOf(constraints.Constraint[Any]):
 
     def tree_flatten(self) -> Any:
         return (self.values, self.possible), (("values", "possible"), {})
+
+
+def __dir__() -> list[str]:
+    return __all__

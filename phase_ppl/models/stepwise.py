@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from numpyro import handlers
 
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.closed_loop.goal_filter import Conduct, GoalFilter
+from phase_ppl.closed_loop.goal_filter import GoalFilter
 from phase_ppl.closed_loop.hidden_state import Tracking
+from phase_ppl.closed_loop.search_sets import Conduct
 from phase_ppl.models.density import NO_DENSITY, remembered
 from phase_ppl.models.effective import log_prior_of_hypotheses, strengths_apart
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, STRENGTH_SITES
@@ -88,9 +89,9 @@ class StepwiseLikelihood:
     def filter(
         self, scene: Scene, planner: PlannerConfig, seed: int, threads: int, log_prior: FloatArray
     ) -> GoalFilter:
-        """Return what gives a table over hypotheses for every frame.
+        """Return what takes in frames one by one, and gives a table over hypotheses for each.
 
-        See :class:`~phase_ppl.models.likelihood.TableLikelihood`.
+        ``log_prior`` is (goal_red, goal_green); the result does not depend on ``threads``.
         """
         return GoalFilter(
             *(scene, planner, self.tracking, self.conduct, seed, threads),
@@ -110,11 +111,18 @@ def cells(levels: FloatArray) -> FloatArray:
 
 def level_of(strength: float, levels: FloatArray) -> int:
     """Return the place of the level that stands for a strength: that of its cell."""
-    return int(np.searchsorted(cells(levels)[1:-1], strength))
+    return int(place_of_level(strength, levels))
+
+
+def place_of_level(strengths: Any, levels: FloatArray) -> Any:
+    """Return the places of the levels that stand for strengths, an array or a number."""
+    return np.searchsorted(cells(levels)[1:-1], strengths)
 
 
 @remembered(_PRIORS_KEPT)
-def prior_table(prior: Any, levels: tuple[float, ...]) -> FloatArray:
+def prior_table(
+    prior: Any, levels: tuple[float, ...], own: tuple[tuple[str, tuple[float, ...]], ...] = ()
+) -> FloatArray:
     """Return log prior masses of goals, alpha and levels of strength, their sum 1.
 
     A level stands for all strengths nearer to it than to any other and has their mass: with
@@ -124,15 +132,18 @@ def prior_table(prior: Any, levels: tuple[float, ...]) -> FloatArray:
     Args:
         prior: NumPyro program over the hypothesis sites.
         levels: (n,) of strength, newtons, ascending.
+        own: further sites of the prior, with all the values that each can take.
 
     Returns:
-        (stated_goal_red, stated_goal_green, alpha, strength_red, strength_green).
+        (stated_goal_red, stated_goal_green, alpha, *own, strength_red, strength_green).
     """
     strengths = np.array(levels)
-    nodes = [_nodes(prior, name, strengths) for name in STRENGTH_SITES]
+    trace = handlers.trace(handlers.seed(prior, jax.random.key(0))).get_trace()
+    nodes = [nodes_of(trace[name]["fn"], strengths) for name in STRENGTH_SITES]
     stated = {name: np.arange(N_GOALS) for name in GOAL_SITES} | {
         ALPHA_SITE: np.arange(len(ALPHAS))
     }
+    stated |= {name: np.array(values) for name, values in own}
     forces = {name: values for name, (values, _) in zip(STRENGTH_SITES, nodes, strict=True)}
     if strengths_apart(prior):  # a thousand times fewer densities
         densities = _densities(prior, stated)[..., None, None] + _densities(prior, forces)
@@ -144,8 +155,8 @@ def prior_table(prior: Any, levels: tuple[float, ...]) -> FloatArray:
     if not np.isfinite(highest):
         raise InvalidSettingError("the prior gives no mass to any hypothesis")
     masses = np.exp(densities - highest)
-    for axis, (values, _) in enumerate(nodes, 3):
-        place = np.searchsorted(cells(strengths)[1:-1], values)
+    for axis, (values, _) in enumerate(nodes, len(stated)):
+        place = place_of_level(values, strengths)
         of_levels = [masses.compress(place == i, axis).sum(axis) for i in range(len(levels))]
         masses = np.stack(of_levels, axis)
     with np.errstate(divide="ignore"):
@@ -161,11 +172,10 @@ def _densities(prior: Any, values: Mapping[str, NDArray[Any]]) -> FloatArray:
     return log_prior_of_hypotheses(prior, flat).reshape([len(one) for one in values.values()])
 
 
-def _nodes(prior: Any, name: str, levels: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return strengths at which to evaluate a prior, and the newtons that each stands for."""
-    site = handlers.trace(handlers.seed(prior, jax.random.key(0))).get_trace()[name]
-    if site["fn"].support.is_discrete:
-        values = np.asarray(site["fn"].enumerate_support(expand=False), np.float64).ravel()
+def nodes_of(found: Any, levels: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return strengths at which to evaluate their distribution, and the newtons of each."""
+    if found.support.is_discrete:
+        values = np.asarray(found.enumerate_support(expand=False), np.float64).ravel()
         return values, np.ones(len(values))
     places, weights = np.polynomial.legendre.leggauss(_NODES)
     low, high = cells(levels)[:-1, None], cells(levels)[1:, None]

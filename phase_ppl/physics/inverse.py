@@ -1,8 +1,13 @@
 """Inverse dynamics: how well each joint action explains the next observed frame.
 
-Of two agents and two items. From one estimate of the full state every pair of actions is carried
-out for one planner step; the density of the observed frame around each of the resulting frames says
-which actions were taken.
+From one estimate of the full state joint actions are carried out for one planner step; the density
+of the observed frame around each of the resulting frames says which actions were taken. Joint
+actions are numbered with the first agent's as the most significant digit.
+
+Agents that cannot meet within the step, by themselves or over items, move independently: one trial
+tells of an action of each, and all joint actions follow. Of agents that can meet all joint actions
+are tried where there are two. Of three and more, log densities are those of the actions of two at
+a time, the others' at their best, added up: what three do together beyond that is left out.
 """
 
 from __future__ import annotations
@@ -19,10 +24,13 @@ from phase_ppl.physics.flat import ANGLE, SPIN, VX, VY, X, Y
 from phase_ppl.physics.jit import bare_kernel
 from phase_ppl.world.arrays import FloatArray, IntArray
 
-_UP = int(Action.UP)
+_UP, _STOP = int(Action.UP), int(Action.STOP)
 
 FRAME_LAG: Final = 3
 """A frame, the mean over the substeps of a planner step, shows the third of five."""
+
+_SWEEPS = 2  # over the agents of a group, to find what they do best together
+_ALONE = -1  # group of an item that no agent can meet
 
 
 class Trial(NamedTuple):
@@ -31,29 +39,37 @@ class Trial(NamedTuple):
     bodies: FloatArray  # (entity, 9), as in ``physics.compiled``, like those below
     held: IntArray  # (agent,)
     weld: FloatArray  # (agent, 3)
-    frame: FloatArray  # (4, 3) mean pose of the last step tried
-    parts: FloatArray  # (N_ACTIONS,) work space
-    actions: IntArray  # (2,) the joint action tried
+    frame: FloatArray  # (entity, 3) mean pose of the last step tried
+    actions: IntArray  # (agent,) the joint action tried
+    group: IntArray  # (entity,) the least agent that each can meet, or ``_ALONE``
+    best: IntArray  # (agent,) the best action so far
+    parts: FloatArray  # (agent, joint action of its group) log densities
+    alone: FloatArray  # (agent, N_ACTIONS) work space
+    pairs: FloatArray  # (agent, agent, N_ACTIONS, N_ACTIONS) work space
 
 
-def make_trial() -> Trial:
-    """Return room for one trial."""
+def make_trial(n_bodies: int = 4, n_agents: int = 2) -> Trial:
+    """Return room for one trial with so many bodies, of which so many are agents."""
     return Trial(
-        np.zeros((4, 9)),
-        np.zeros(2, np.int64),
-        np.zeros((2, 3)),
-        np.zeros((4, 3)),
-        np.zeros(N_ACTIONS),
-        np.zeros(2, np.int64),
+        np.zeros((n_bodies, 9)),
+        np.zeros(n_agents, np.int64),
+        np.zeros((n_agents, 3)),
+        np.zeros((n_bodies, 3)),
+        np.zeros(n_agents, np.int64),
+        np.zeros(n_bodies, np.int64),
+        np.zeros(n_agents, np.int64),
+        np.zeros((n_agents, N_ACTIONS**n_agents)),
+        np.zeros((n_agents, N_ACTIONS)),
+        np.zeros((n_agents, n_agents, N_ACTIONS, N_ACTIONS)),
     )
 
 
 @bare_kernel
 def _copy(bodies: FloatArray, held: IntArray, weld: FloatArray, trial: Trial) -> None:
-    for body in range(4):
+    for body in range(bodies.shape[0]):
         for column in range(9):
             trial.bodies[body, column] = bodies[body, column]
-    for agent in range(2):
+    for agent in range(held.shape[0]):
         trial.held[agent] = held[agent]
         for column in range(3):
             trial.weld[agent, column] = weld[agent, column]
@@ -64,15 +80,12 @@ def attempt(
     bodies: FloatArray,
     held: IntArray,
     weld: FloatArray,
-    action_red: int,
-    action_green: int,
     params: Params,
     scratch: Scratch,
     trial: Trial,
 ) -> None:
-    """Carry out one joint action from a state; the state and frame that follow are in ``trial``."""
+    """Carry out ``trial.actions`` from a state; what follows is in the rest of ``trial``."""
     _copy(bodies, held, weld, trial)
-    trial.actions[0], trial.actions[1] = action_red, action_green
     compiled.step_mean(
         trial.bodies,
         trial.held,
@@ -89,6 +102,7 @@ def _entity_log_density(
     frame: FloatArray,
     observed: FloatArray,
     entity: int,
+    is_agent: bool,
     scale: float,
     angle_scale: float,
     tail: float,
@@ -98,7 +112,7 @@ def _entity_log_density(
     dy = (observed[entity, 1] - frame[entity, 1]) / scale
     total = -math.log(2.0 * math.pi) - 2.0 * math.log(scale)
     total -= 0.5 * (tail + 2.0) * math.log1p((dx * dx + dy * dy) / tail)
-    if entity < 2:
+    if is_agent:
         turn = (observed[entity, 2] - frame[entity, 2]) / angle_scale
         total += (
             math.lgamma(0.5 * (tail + 1.0))
@@ -115,14 +129,182 @@ def _is_apart(
     bodies: FloatArray, held: IntArray, params: Params, scratch: Scratch, trial: Trial
 ) -> bool:
     """Whether the agents cannot meet anything, nor grab, whatever they do."""
-    trial.actions[0], trial.actions[1] = _UP, _UP
-    if not compiled.stay_apart(bodies, held, trial.actions, 4, 2, params, scratch):
+    n_agents = held.shape[0]
+    for agent in range(n_agents):
+        trial.actions[agent] = _UP
+    if not compiled.stay_apart(
+        bodies, held, trial.actions, bodies.shape[0], n_agents, params, scratch
+    ):
         return False
-    for agent in range(2):
+    for agent in range(n_agents):
         item, _ = compiled.find_grab(bodies, held, agent, params)
         if item >= 0:
             return False
     return True
+
+
+@bare_kernel
+def _join(one: int, other: int, trial: Trial) -> None:
+    """Put the groups of two bodies together."""
+    low = min(trial.group[one], trial.group[other])
+    high = max(trial.group[one], trial.group[other])
+    for body in range(trial.group.shape[0]):
+        if trial.group[body] == high:
+            trial.group[body] = low
+
+
+@bare_kernel
+def _find_groups(
+    bodies: FloatArray, held: IntArray, params: Params, scratch: Scratch, trial: Trial
+) -> None:
+    """Write into ``trial.group`` who can meet whom during this planner step."""
+    n_bodies, n_agents = bodies.shape[0], held.shape[0]
+    for body in range(n_bodies):
+        trial.group[body] = body
+    if _is_apart(bodies, held, params, scratch, trial):
+        for item in range(n_agents, n_bodies):
+            trial.group[item] = _ALONE
+        return
+    if n_agents <= 2:
+        for body in range(n_bodies):
+            trial.group[body] = 0
+        return
+    duration = params.dt * params.substeps
+    fastest = 0.0  # what is hit may become as fast as what hits it
+    for body in range(n_bodies):
+        speed = math.hypot(bodies[body, VX], bodies[body, VY])
+        if body < n_agents:
+            speed += params.force[body] * params.inverse_mass[body] * duration
+        fastest = max(fastest, speed)
+    for body in range(n_bodies):
+        for other in range(body):
+            reach = params.extent[body] + params.extent[other] + 2.0 * fastest * duration
+            dx = bodies[body, X] - bodies[other, X]
+            dy = bodies[body, Y] - bodies[other, Y]
+            if dx * dx + dy * dy < reach * reach:
+                _join(body, other, trial)
+    for agent in range(n_agents):
+        if held[agent] >= 0:
+            _join(agent, held[agent], trial)
+        else:
+            item, _ = compiled.find_grab(bodies, held, agent, params)
+            if item >= 0:
+                _join(agent, item, trial)
+    for item in range(n_agents, n_bodies):
+        if trial.group[item] >= n_agents:
+            trial.group[item] = _ALONE
+
+
+@bare_kernel
+def _group_log_density(
+    group: int,
+    observed: FloatArray,
+    scale: float,
+    angle_scale: float,
+    tail: float,
+    trial: Trial,
+) -> float:
+    """Return the log density of what was observed of a group after the last trial."""
+    total = 0.0
+    for entity in range(trial.group.shape[0]):
+        if trial.group[entity] == group:
+            total += _entity_log_density(
+                trial.frame,
+                observed,
+                entity,
+                entity < trial.held.shape[0],
+                scale,
+                angle_scale,
+                tail,
+            )
+    return total
+
+
+@bare_kernel
+def _size(group: int, trial: Trial) -> int:
+    """Return how many agents are in a group."""
+    n = 0
+    for agent in range(trial.held.shape[0]):
+        n += trial.group[agent] == group
+    return n
+
+
+@bare_kernel
+def _try_pairs(
+    bodies: FloatArray,
+    held: IntArray,
+    weld: FloatArray,
+    observed: FloatArray,
+    scale: float,
+    angle_scale: float,
+    tail: float,
+    params: Params,
+    scratch: Scratch,
+    trial: Trial,
+    group: int,
+) -> None:
+    """Write the log densities of a group of three agents or more into ``trial.parts``."""
+    n_agents, n = held.shape[0], _size(group, trial)
+    actions, best = trial.actions, trial.best
+    for agent in range(n_agents):
+        actions[agent] = best[agent] = _STOP
+    for _ in range(_SWEEPS):
+        for agent in range(n_agents):
+            if trial.group[agent] == group:
+                highest = -math.inf
+                for action in range(N_ACTIONS):
+                    actions[agent] = action
+                    attempt(bodies, held, weld, params, scratch, trial)
+                    found = _group_log_density(group, observed, scale, angle_scale, tail, trial)
+                    if found > highest:
+                        highest, best[agent] = found, action
+                actions[agent] = best[agent]
+    for one in range(n_agents):
+        for other in range(one):
+            if trial.group[one] == group and trial.group[other] == group:
+                for first in range(N_ACTIONS):
+                    for second in range(N_ACTIONS):
+                        actions[one], actions[other] = first, second
+                        attempt(bodies, held, weld, params, scratch, trial)
+                        trial.pairs[one, other, first, second] = _group_log_density(
+                            group, observed, scale, angle_scale, tail, trial
+                        )
+                actions[one], actions[other] = best[one], best[other]
+                for action in range(N_ACTIONS):
+                    trial.alone[one, action] = trial.pairs[one, other, action, best[other]]
+                    trial.alone[other, action] = trial.pairs[one, other, best[one], action]
+    everywhere = trial.alone[group, best[group]]
+    for joint in range(N_ACTIONS**n):
+        rest, total = joint, 0.5 * (n - 1) * (n - 2) * everywhere
+        for one in range(n_agents - 1, -1, -1):
+            if trial.group[one] == group:
+                actions[one] = rest % N_ACTIONS
+                rest //= N_ACTIONS
+                total -= (n - 2) * trial.alone[one, actions[one]]
+        for one in range(n_agents):
+            for other in range(one):
+                if trial.group[one] == group and trial.group[other] == group:
+                    total += trial.pairs[one, other, actions[one], actions[other]]
+        trial.parts[group, joint] = total
+
+
+@bare_kernel
+def _combine(rest: float, trial: Trial, found: FloatArray) -> None:
+    """Write the log densities of all joint actions, of which those of the groups are known."""
+    n_agents = trial.held.shape[0]
+    for joint in range(found.shape[0]):
+        total = rest
+        for group in range(n_agents - 1, -1, -1):
+            if trial.group[group] == group:
+                # the digits of its agents are its own joint action
+                place, scale, left = 0, 1, joint
+                for agent in range(n_agents - 1, -1, -1):
+                    if trial.group[agent] == group:
+                        place += scale * (left % N_ACTIONS)
+                        scale *= N_ACTIONS
+                    left //= N_ACTIONS
+                total = trial.parts[group, place] + total
+        found[joint] = total
 
 
 @bare_kernel
@@ -144,48 +326,50 @@ def try_all(
 
     The density is Student's t with ``tail`` degrees of freedom: in two dimensions for the
     position of each entity, in one for the angle of each agent. Angles of items are not looked
-    at. Where the agents can meet nothing they move independently, and 14 trials tell all 196.
+    at.
 
     Args:
         bodies, held, weld: (B, ...) states.
-        strengths: (B, 2) newtons, which replace those of ``params``.
-        observed: (4, 3) x, y [units], angle [rad].
+        strengths: (B, agent) newtons, which replace those of ``params``.
+        observed: (entity, 3) x, y [units], angle [rad].
         scale: of positions, units; angle_scale: of angles, rad.
         tail: degrees of freedom.
         params, scratch, trial: work space; the forces of ``params`` are overwritten.
-        found: (B, N_ACTIONS, N_ACTIONS) output, red's action first.
+        found: (B, N_ACTIONS ** agents) output.
     """
+    n_agents = held.shape[1]
     for b in range(bodies.shape[0]):
-        params.force[0], params.force[1] = strengths[b, 0], strengths[b, 1]
+        for agent in range(n_agents):
+            params.force[agent] = strengths[b, agent]
         state, holds, welds = bodies[b], held[b], weld[b]
-        if _is_apart(state, holds, params, scratch, trial):
-            for action in range(N_ACTIONS):
-                attempt(state, holds, welds, action, action, params, scratch, trial)
-                for agent in range(2):
-                    part = _entity_log_density(
-                        trial.frame, observed, agent, scale, angle_scale, tail
+        _find_groups(state, holds, params, scratch, trial)
+        largest = 1
+        for group in range(n_agents):
+            size = _size(group, trial)
+            if size > 2:
+                _try_pairs(
+                    state, holds, welds, observed, scale, angle_scale, tail,
+                    params, scratch, trial, group,
+                )  # fmt: skip
+            elif size == 2:
+                largest = 2
+        # all groups at a time, each its own joint actions
+        for joint in range(N_ACTIONS**largest):
+            for group in range(n_agents):
+                left = joint
+                for agent in range(n_agents - 1, -1, -1):
+                    if trial.group[agent] == group:
+                        trial.actions[agent] = left % N_ACTIONS
+                        left //= N_ACTIONS
+            attempt(state, holds, welds, params, scratch, trial)
+            for group in range(n_agents):
+                size = _size(group, trial)
+                if 0 < size <= 2 and joint < N_ACTIONS**size:
+                    trial.parts[group, joint] = _group_log_density(
+                        group, observed, scale, angle_scale, tail, trial
                     )
-                    for other in range(N_ACTIONS):
-                        if agent == 0:
-                            found[b, action, other] = part
-                        else:
-                            trial.parts[action] = part
-            rest = 0.0
-            for item in range(2, 4):
-                rest += _entity_log_density(trial.frame, observed, item, scale, angle_scale, tail)
-            for red in range(N_ACTIONS):
-                for green in range(N_ACTIONS):
-                    found[b, red, green] += trial.parts[green] + rest
-            continue
-        for red in range(N_ACTIONS):
-            for green in range(N_ACTIONS):
-                attempt(state, holds, welds, red, green, params, scratch, trial)
-                total = 0.0
-                for entity in range(4):
-                    total += _entity_log_density(
-                        trial.frame, observed, entity, scale, angle_scale, tail
-                    )
-                found[b, red, green] = total
+        rest = _group_log_density(_ALONE, observed, scale, angle_scale, tail, trial)
+        _combine(rest, trial, found[b])
 
 
 @bare_kernel
@@ -209,18 +393,20 @@ def follow(
 
     Args:
         bodies, held, weld, strengths: (B, ...) as in :func:`try_all`.
-        parents: (N,) indices of states; actions: (N, 2) what is done there.
-        observed: (4, 3).
+        parents: (N,) indices of states; actions: (N, agent) what is done there.
+        observed: (entity, 3).
         gains: (3,) share of the difference between the observed and the predicted frame by
             which position, velocity (per ``FRAME_LAG`` substeps) and angle are corrected.
         next_bodies, next_held, next_weld: (N, ...) output.
     """
-    lag = FRAME_LAG * params.dt
+    lag, n_agents = FRAME_LAG * params.dt, held.shape[1]
     for n in range(parents.shape[0]):
         b = parents[n]
-        params.force[0], params.force[1] = strengths[b, 0], strengths[b, 1]
-        attempt(bodies[b], held[b], weld[b], actions[n, 0], actions[n, 1], params, scratch, trial)
-        for body in range(4):
+        for agent in range(n_agents):
+            params.force[agent] = strengths[b, agent]
+            trial.actions[agent] = actions[n, agent]
+        attempt(bodies[b], held[b], weld[b], params, scratch, trial)
+        for body in range(bodies.shape[1]):
             dx = observed[body, 0] - trial.frame[body, 0]
             dy = observed[body, 1] - trial.frame[body, 1]
             for column in range(9):
@@ -231,12 +417,12 @@ def follow(
             if moving:
                 next_bodies[n, body, VX] += gains[1] * dx / lag
                 next_bodies[n, body, VY] += gains[1] * dy / lag
-            if body < 2:
+            if body < n_agents:
                 turn = observed[body, 2] - trial.frame[body, 2]
                 # about the body origin, which is what was observed
                 next_bodies[n, body, ANGLE] += gains[2] * turn
                 next_bodies[n, body, SPIN] = 0.0
-        for agent in range(2):
+        for agent in range(n_agents):
             next_held[n, agent] = trial.held[agent]
             for column in range(3):
                 next_weld[n, agent, column] = trial.weld[agent, column]

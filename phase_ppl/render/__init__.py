@@ -5,3 +5,7 @@ from phase_ppl.render.stills import contact_sheet, image, strip
 from phase_ppl.render.video import video, videos
 
 __all__ = ["contact_sheet", "draw_frame", "image", "strip", "video", "videos"]
+
+
+def __dir__() -> list[str]:
+    return __all__

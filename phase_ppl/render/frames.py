@@ -144,6 +144,11 @@ class Painter:
         fine: subpixels per pixel and axis in which shapes are drawn before they are averaged;
             fewer are faster, and enough for a picture that is made smaller.
         pale: how far the landmarks are mixed with white, so that more can be seen on them.
+
+    Attributes:
+        scene: what it draws.
+        size: width and height of its pictures, pixels.
+        scale: pixels per unit.
     """
 
     def __init__(
@@ -154,7 +159,7 @@ class Painter:
         fine: int = FINE,
         pale: float = 0.0,
     ) -> None:
-        self._scene = scene
+        self.scene = scene
         n_agents, n = len(scene.world.agents), len(scene.world.entities)
         whose = range(n_agents) if fields_of_view is True else (fields_of_view or ())
         self._looking: Sequence[int] = whose
@@ -164,9 +169,9 @@ class Painter:
         self._pale = pale
         x0, x1, y0, y1 = scene.arena
         sides = np.array([x1 - x0, y1 - y0])
-        self._scale = float((ARENA_PIXELS / sides).min())
+        self.scale = float((ARENA_PIXELS / sides).min())
         # even, as films want it
-        width, height = 2 * np.ceil(self._scale * sides / 2 - 1e-9).astype(int) + 2 * np.array(
+        width, height = 2 * np.ceil(self.scale * sides / 2 - 1e-9).astype(int) + 2 * np.array(
             MARGINS
         )
         self.size = int(width), int(height)
@@ -182,15 +187,15 @@ class Painter:
             faint: (entity, coord) of other poses, drawn faintly below all that.
         """
         pose = finite_array("poses", poses, (len(self._colours), 3))
-        picture = self._floor.copy()
+        picture = self.floor.copy()
         for agent in self._looking:
-            area = field_of_view(self._scene, pose, agent)
+            area = field_of_view(self.scene, pose, agent)
             colour = self._colours[agent]
             self._tint(picture, SIGHT_COLOURS.get(colour, trail_colour(colour)), self.pixel(area))
         if faint is not None:
             for entity in self._order:
                 self._draw_entity(picture, entity, faint[entity])
-            picture = Image.blend(picture, self._floor, _FAINT)
+            picture = Image.blend(picture, self.floor, _FAINT)
         if trail is not None and len(trail) > 1:
             for entity in self._order:
                 points = self.pixel(trail[:, entity, :2])
@@ -198,20 +203,25 @@ class Painter:
                 _paste_line(picture, colour, points, TRAIL_PIXELS, self._fine)
         for entity in self._order:
             self._draw_entity(picture, entity, pose[entity])
-        picture.paste(WALL_COLOUR, mask=self._walls)
+        picture.paste(WALL_COLOUR, mask=self.walls)
         return picture
 
     def pixel(self, points: ArrayLike) -> FloatArray:
         """Return the pixel coordinates (column, row from the top) of points of shape (..., 2)."""
-        offset = (np.asarray(points, float) - self._scene.centre) * self._scale
+        offset = (np.asarray(points, float) - self.scene.centre) * self.scale
         # pixel (i, j) covers [i, i + 1) x [j, j + 1): half a pixel on keeps odd lines sharp
         return np.array(self.size) / 2 + 0.5 + offset * np.array([1.0, -1.0])
 
+    def units(self, pixels: ArrayLike) -> FloatArray:
+        """Return the points, in units, of pixel coordinates of shape (..., 2)."""
+        offset = np.asarray(pixels, float) - np.array(self.size) / 2 - 0.5
+        return np.asarray(self.scene.centre + offset / self.scale * np.array([1.0, -1.0]))
+
     @functools.cached_property
-    def _floor(self) -> Image.Image:
+    def floor(self) -> Image.Image:
         """Background and landmarks."""
         picture = Image.new("RGB", self.size, BACKGROUND)
-        scene = self._scene
+        scene = self.scene
         for centre, half, one in zip(
             scene.landmark_centres, scene.half_widths, scene.world.landmarks, strict=True
         ):
@@ -222,11 +232,11 @@ class Painter:
         return picture
 
     @functools.cached_property
-    def _walls(self) -> Image.Image:
+    def walls(self) -> Image.Image:
         """Mask of the outer and inner walls."""
         mask = Image.new("L", self.size, 0)
         half = WALL_PIXELS / 2
-        for wall in (*self._scene.border, *self._scene.walls):
+        for wall in (*self.scene.border, *self.scene.walls):
             ends = self.pixel(wall)
             # walls run along an axis; those that meet overlap in a square, so no corner is open
             low, high = ends.min(axis=0) - half, ends.max(axis=0) + half
@@ -253,18 +263,18 @@ class Painter:
     @functools.cached_property
     def _arena_box(self) -> NDArray[np.int64]:
         """Top left and bottom right pixel of the arena; walls cover what this rounds off."""
-        x0, x1, y0, y1 = self._scene.arena
+        x0, x1, y0, y1 = self.scene.arena
         return self.pixel([[x0, y1], [x1, y0]]).astype(np.int64)
 
     def _draw_entity(self, picture: Image.Image, entity: int, pose: FloatArray) -> None:
-        radius, colour = float(self._scene.radius[entity]), self._colours[entity]
-        if not is_agent(entity, len(self._scene.world.agents)):
-            _paste_disc(picture, colour, self.pixel(pose[:2]), radius * self._scale, self._fine)
+        radius, colour = float(self.scene.radius[entity]), self._colours[entity]
+        if not is_agent(entity, len(self.scene.world.agents)):
+            _paste_disc(picture, colour, self.pixel(pose[:2]), radius * self.scale, self._fine)
             return
         turn = radius * rotation(pose[2]).T
         _paste_polygon(picture, colour, self.pixel(pose[:2] + UNIT_TRAPEZOID @ turn), self._fine)
         for eye in self.pixel(pose[:2] + EYES @ turn):
-            eye_radius = EYE_RADIUS * radius * self._scale
+            eye_radius = EYE_RADIUS * radius * self.scale
             _paste_disc(picture, EYE_COLOUR, eye, eye_radius, self._fine)
 
 

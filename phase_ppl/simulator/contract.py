@@ -345,9 +345,7 @@ def _follow(
 
 
 def _checked(
-    start: Callable[[], Iterable[NDArray[Any]]],
-    n_frames: int,
-    shape: tuple[int, int] = FRAME_SHAPE,
+    start: Callable[[], Iterable[NDArray[Any]]], n_frames: int, shape: tuple[int, int] = FRAME_SHAPE
 ) -> Generator[FloatArray, None, None]:
     """Yield frames until closed, which closes the simulator too; raise if one is not usable."""
     produced = start()

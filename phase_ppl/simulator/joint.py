@@ -195,10 +195,7 @@ def _truth(hypothesis: Hypothesis) -> Truth:
     """Return what generated an event of PHASE."""
     red, green = (GOALS[goal] for goal in hypothesis.effective_goals)
     return Truth(
-        red,
-        green,
-        strength_red=hypothesis.strength_red,
-        strength_green=hypothesis.strength_green,
+        red, green, strength_red=hypothesis.strength_red, strength_green=hypothesis.strength_green
     )
 
 

@@ -10,7 +10,6 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, Future, InvalidStateError
-from types import TracebackType
 from typing import Any, Final, NamedTuple
 
 import cloudpickle
@@ -26,8 +25,7 @@ from phase_ppl.simulator.contract import (
     simulate_together,
     too_long,
 )
-from phase_ppl.simulator.jobs import Dispatch
-from phase_ppl.simulator.processes import BorrowedExecutor, CannotLoad, OwnWorkers
+from phase_ppl.simulator.processes import BorrowedExecutor, CannotLoad, Dispatch, OwnWorkers
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import number_of_workers, positive_number, whole_number
 from phase_ppl.world.errors import InvalidSettingError, SimulationError, shown, unknown_name
@@ -186,12 +184,7 @@ class Runner:
     def __enter__(self) -> Runner:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def cancel(self) -> None:

@@ -11,7 +11,7 @@ import random
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from phase_ppl.evaluation.tags import LABELS
+from phase_ppl.evaluation.experiments import LABELS
 from phase_ppl.study.settings import Settings
 from phase_ppl.study.store import Participant
 from phase_ppl.world.goals import GOALS, is_self_referring

@@ -95,11 +95,7 @@ TASKS: Final[dict[str, Callable[[Room], bool]]] = {
 
 
 class Lobby:
-    """Everybody who practises, waits or plays.
-
-    Args:
-        site: the study.
-    """
+    """Everybody who practises, waits or plays."""
 
     def __init__(self, site: Site) -> None:
         self.site = site

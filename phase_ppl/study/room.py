@@ -176,8 +176,7 @@ class Outbox:
 class Seat:
     """Where one player sits: its keys, and the messages for its browser.
 
-    Args:
-        who: participant; None: nobody, or the computer.
+    ``who`` is None for nobody, or the computer.
     """
 
     def __init__(self, who: str | None = None) -> None:
@@ -331,11 +330,7 @@ class Room:
     # --- the clock --------------------------------------------------------------------------------
 
     async def run(self, done: Callable[[Room], str | None] | None = None) -> str:
-        """Play until it ends; return how.
-
-        Args:
-            done: asked after each step, says whether it ends for another reason.
-        """
+        """Play until it ends, or ``done``, asked after each step, says that it does; return how."""
         loop = asyncio.get_running_loop()
         interval = 1 / (self.settings.steps_per_second * SUBSTEPS)
         due = loop.time()

@@ -96,11 +96,7 @@ def driving(
 ) -> float:
     """Return the planner steps that an agent takes straight ahead from rest; inf: it stays.
 
-    Args:
-        size, strength: of the agent, units and newtons.
-        way: to go, units.
-        resets_velocity: whether it stands still after each step.
-        item: size of an item that it carries in front; None: nothing.
+    Of that size [units] and strength [N], for a way [units], carrying an item of a size in front.
     """
     if way <= 0:
         return 0.0

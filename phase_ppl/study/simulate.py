@@ -27,8 +27,8 @@ import numpy as np
 
 from phase_ppl.evaluation import evaluate as evaluation_module
 from phase_ppl.evaluation.evaluation import Evaluation
+from phase_ppl.evaluation.experiments import LABELS
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
-from phase_ppl.evaluation.tags import LABELS
 from phase_ppl.study import plan
 from phase_ppl.study.settings import Settings
 from phase_ppl.study.store import FILE, Store
@@ -203,12 +203,7 @@ def serving(study: Study) -> Iterator[str]:
 
 
 class Visitor:
-    """A browser as the server sees it: one connection, a cookie, and every request tried again.
-
-    Args:
-        address: of the study.
-        patience: seconds for which a server that is gone is waited for.
-    """
+    """A browser as the server sees it: one connection, a cookie, and every request tried again."""
 
     def __init__(self, address: str, patience: float = 30.0) -> None:
         self.host = urlsplit(address).netloc
@@ -269,18 +264,10 @@ class Visitor:
 
 
 class Person:
-    """Somebody who takes part.
+    """Somebody who takes part, by what a model believes of the events, with lapses.
 
-    Args:
-        settings: of the study: right answers to the quiz.
-        address: of the study.
-        beliefs: event id -> what a model believes of it.
-        events: hash of a film -> id of its event.
-        rng: decides all that this person does.
-        lapse, drop_outs: shares.
-        confirmed: is told every answer that the server has confirmed: person, page, attempt,
-            answers.
-        patience: seconds for which a server that is gone is waited for.
+    Films are told by their hash. ``confirmed`` is told every answer that the server has confirmed:
+    person, page, attempt, answers.
     """
 
     def __init__(
@@ -402,8 +389,8 @@ class Person:
 def _figures(kind: str, out: Path, copy: Study) -> list[str]:
     """Draw what can be drawn of an export; return what to say of it."""
     from phase_ppl.evaluation import figures
+    from phase_ppl.evaluation.experiments import load_likeness
     from phase_ppl.evaluation.judgments import load_judgments
-    from phase_ppl.evaluation.likeness import load_likeness
 
     if kind == "tagging":
         figures.tags(out / "tags.csv", out / "tags.png")

@@ -124,10 +124,6 @@ class Refused(Exception):
 class Store:
     """The database. Its methods belong into one thread; each is a transaction of its own.
 
-    Args:
-        path: of the file, which is there.
-        snapshot: a copy that is only read.
-
     Raises:
         InvalidEventError: it is no database of a study, or of another version.
     """
@@ -222,12 +218,8 @@ class Store:
     ) -> tuple[str, str]:  # fmt: skip
         """Let somebody in; return their id and a secret token.
 
-        Args:
-            config: hash of the settings.
-            person: id on a platform, of which only a keyed hash is kept; "": there is none.
-            place_kept: seconds for which the videos of somebody who began count as seen.
-            trials, raters, checks: as of the settings.
-            most, per_minute: entries that are allowed.
+        Of the ``person``, the id on a platform, only a keyed hash is kept. The videos of somebody
+        who began count as seen for ``place_kept`` seconds. At most ``most`` enter, ``per_minute``.
         """
         now, repeat = time.time(), None
         if person:
@@ -447,9 +439,8 @@ class Store:
     def least_played(self, since: float, avoid: Sequence[str] = ()) -> str:
         """Return the event whose scene has the fewest sessions, ties at random.
 
-        Args:
-            since: sessions that have not ended count if they began after this.
-            avoid: events that the players know already; taken only where there is no other.
+        Sessions that have not ended count if they began after ``since``; what the players know
+        already (``avoid``) is taken only where there is no other.
         """
         load, chance = self._played(since), secrets.SystemRandom()
         return min(load, key=lambda event: (event in avoid, load[event], chance.random()))
@@ -468,15 +459,10 @@ class Store:
         self, kind: str, event: str, goals: tuple[str, str], strengths: tuple[float, float],
         settings: Mapping[str, Any], players: Sequence[str | None],
     ) -> str:  # fmt: skip
-        """Begin a session; return its id.
+        """Begin a session or practice; return its id.
 
-        Args:
-            kind: "session" or "practice".
-            event: whose scene it is.
-            goals: effective goals of red and green.
-            strengths: of red and green, newtons.
-            settings: rate, view, rule of the world, limit: all that it is made under.
-            players: of red and green; None: the computer.
+        ``goals`` are effective ones, ``players`` None for the computer; ``settings`` all that it is
+        made under.
         """
         session = secrets.token_hex(8)
         with self._writing() as run:

@@ -43,14 +43,7 @@ T = TypeVar("T")
 
 
 class Site:
-    """A study that is being served.
-
-    Args:
-        folder: of the study.
-        settings: of ``study.toml``.
-        events: id -> event, of the videos or of the scenes to be played.
-        secure: whether it is reached by TLS, so that cookies are for TLS only.
-    """
+    """A study that is being served; ``secure``: by TLS, so that cookies are for TLS only."""
 
     def __init__(
         self, folder: Path, settings: Settings, events: Mapping[str, Event], secure: bool = False

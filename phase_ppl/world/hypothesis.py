@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 import math
-from collections.abc import Mapping
-from typing import Any, ClassVar, Final
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -165,6 +166,17 @@ class Hypothesis:
     strength_red: float = STRENGTH
     strength_green: float = STRENGTH
 
+    if TYPE_CHECKING:  # what fields can be made of
+
+        def __init__(
+            self,
+            goal_red: str | int,
+            goal_green: str | int,
+            alpha: Sequence[int] = (0, 0),
+            strength_red: float = STRENGTH,
+            strength_green: float = STRENGTH,
+        ) -> None: ...
+
     def __post_init__(self) -> None:
         for holder, name in ((RED, "goal_red"), (GREEN, "goal_green")):
             index = goal_index(getattr(self, name))
@@ -248,6 +260,23 @@ class Hypothesis:
 
 STANCES: Final = {"help": 1, "hinder": -1}
 """What an agent may do with another's goal, and the sign of alpha."""
+
+
+@functools.cache
+def company(n_agents: int) -> tuple[tuple[tuple[int, int] | None, ...], ...]:
+    """Return all ways in which agents can stand to each other, as :attr:`Roles.towards`.
+
+    Whoever is helped or hindered pursues its own goal. The first is that nobody does either.
+    """
+    choices = [
+        [None, *((other, sign) for other in range(n_agents) if other != agent for sign in (1, -1))]
+        for agent in range(n_agents)
+    ]
+    return tuple(
+        ways
+        for ways in itertools.product(*choices)
+        if all(one is None or ways[one[0]] is None for one in ways)
+    )
 
 
 @dataclasses.dataclass(frozen=True, repr=False)

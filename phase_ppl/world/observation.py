@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.names import NOTHING
@@ -62,6 +62,10 @@ class Observation:
     """
 
     trajectory: NDArray[np.float64]
+
+    if TYPE_CHECKING:  # what it can be made of
+
+        def __init__(self, trajectory: ArrayLike) -> None: ...
 
     def __post_init__(self) -> None:
         trajectory = finite_array("trajectory", self.trajectory, (None, None, 3))

@@ -10,10 +10,12 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+import re
 from collections.abc import Mapping, Sequence
-from typing import Any, Final, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import instance_of, number_or_nan, whole_number
@@ -232,6 +234,16 @@ class World:
     def landmark_names(self) -> tuple[str, ...]:
         """Names of the landmarks."""
         return tuple(one.name for one in self.landmarks)
+
+    @functools.cached_property
+    def keys(self) -> tuple[str, ...]:
+        """What stands for each agent in names of quantities, such as "red" in ``goal_red``.
+
+        Its name as an identifier, without the word "agent" where that is enough.
+        """
+        plain = [re.sub(r"\W+", "_", name.lower()) for name in self.agents]
+        short = [name.removesuffix("_agent") for name in plain]
+        return tuple(short if len(set(short)) == len(short) else plain)
 
     @property
     def entity_colours(self) -> tuple[Colour, ...]:
@@ -500,6 +512,21 @@ class Scene:
     resets_velocity: bool = False
     world: World = PHASE
 
+    if TYPE_CHECKING:  # what fields can be made of
+
+        def __init__(
+            self,
+            start: ArrayLike,
+            radius: ArrayLike,
+            walls: ArrayLike | None = None,
+            turning: Turning = "both",
+            arena: Sequence[float] | None = None,
+            landmark_centres: ArrayLike | None = None,
+            landmark_half_width: ArrayLike | None = None,
+            resets_velocity: bool = False,
+            world: World = PHASE,
+        ) -> None: ...
+
     def __post_init__(self) -> None:
         instance_of("world", self.world, World, "a phase_ppl.World")
         n, places = len(self.world.entities), self.world.landmarks
@@ -508,7 +535,7 @@ class Scene:
             ("walls", self.world.walls),
             ("arena", self.world.arena),
             ("landmark_centres", [(one.x, one.y) for one in places]),
-            ("landmark_half_width", _one_or_all([one.half_width for one in places])),
+            ("landmark_half_width", one_or_all([one.half_width for one in places])),
         ):
             if getattr(self, name) is None:
                 set_field(name, value)
@@ -618,6 +645,6 @@ def check_phase(scene: Scene, what: str) -> None:
         raise InvalidSettingError(f"{what} knows the world PHASE only, not {scene.world.name!r}")
 
 
-def _one_or_all(values: Sequence[float]) -> float | list[float]:
+def one_or_all(values: Sequence[float]) -> float | list[float]:
     """Return the value that all have, or all of them."""
     return values[0] if len(set(values)) == 1 else list(values)

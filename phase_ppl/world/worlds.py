@@ -7,6 +7,15 @@ from typing import Final
 from phase_ppl.world.errors import unknown_name
 from phase_ppl.world.scene import PHASE, World
 
+__all__ = [
+    "PHASE",
+    "SOLO",
+    "TRIO",
+    "available",
+    "named",
+]
+
+
 SOLO: Final = World(
     ["red agent"],
     ["ball", "box"],
@@ -49,3 +58,7 @@ def named(name: str) -> World:
     if name not in _READY:
         raise unknown_name("world", name, _READY)
     return _READY[name]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -39,7 +39,7 @@ def test_pairs_of_goals_that_share_an_intent_have_it_each_for_itself(agent: int,
     possible = 0
     for red in range(N_GOALS):
         for green in range(N_GOALS):
-            index = policies.of_pair[red, green]
+            index = policies.intent_of[red * N_GOALS + green]
             if index == NO_INTENT:
                 continue
             if (red + green) % 7 == 0:
@@ -74,10 +74,12 @@ def test_an_agent_with_one_pair_of_goals_takes_up_the_same_subgoal() -> None:
         state = compiled.from_state(State.at_start(WHERE), WHERE.radius)
         policies.observe(*state)
         agent.observe(*state)
-        assert policies.intents[policies.of_pair[goals]] == agent.intent, GOALS[goals[0]]
+        place = goals[0] * N_GOALS + goals[1]
+        assert policies.intents[policies.intent_of[place]] == agent.intent, GOALS[goals[0]]
 
 
 def test_a_goal_that_names_its_own_holder_is_none() -> None:
     policies = watched(1)
-    assert (policies.of_pair[:, goal_index("get to green agent")] == NO_INTENT).all()
-    assert (policies.of_pair[goal_index("get to red agent")] == NO_INTENT).all()
+    of_pair = policies.intent_of.reshape(N_GOALS, N_GOALS)
+    assert (of_pair[:, goal_index("get to green agent")] == NO_INTENT).all()
+    assert (of_pair[goal_index("get to red agent")] == NO_INTENT).all()

@@ -12,7 +12,7 @@ import pytest
 import xarray as xr
 
 import phase_ppl as ppl
-from phase_ppl.analysis import Posterior
+from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.world.errors import InvalidSettingError
 
 from .factory import BLUE_TO_RED, PINK_TO_BLUE, Simulation, hypothesis, make_tree, random_tree

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from phase_ppl.analysis import Posterior, plots
+from phase_ppl.analysis import plots
 from phase_ppl.analysis.comparison import (
     CURVE_COLUMNS,
     MEASURES,
@@ -21,6 +21,7 @@ from phase_ppl.analysis.comparison import (
     efficiency,
     marginals,
 )
+from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.world.errors import InvalidEventError, OutputError, UnknownNameError
 from phase_ppl.world.event import Truth
 

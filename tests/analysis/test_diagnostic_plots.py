@@ -11,8 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from phase_ppl.analysis import Posterior, plots
+from phase_ppl.analysis import plots
 from phase_ppl.analysis.figures.style import MANY_COLOURS, OTHER
+from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.world.errors import OutputError
 from phase_ppl.world.goals import GOALS
 

@@ -11,8 +11,8 @@ import pytest
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.analysis import Posterior
-from phase_ppl.analysis.diagnostics import ess, mcse, r_hat
+from phase_ppl.analysis.convergence import ess, mcse, r_hat
+from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.names import LANDMARKS

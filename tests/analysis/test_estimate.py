@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from phase_ppl.analysis import Posterior
 from phase_ppl.analysis.estimate import Estimate, Mode, sets_to_leave_out, widened
+from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.world.goals import GOALS
 
 from .factory import BLUE_TO_RED, PINK_TO_BLUE, Simulation, hypothesis, make_tree, random_tree

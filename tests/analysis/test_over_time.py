@@ -9,8 +9,9 @@ import pytest
 import xarray as xr
 from matplotlib.figure import Figure
 
-from phase_ppl.analysis import Posterior, plots
+from phase_ppl.analysis import plots
 from phase_ppl.analysis.over_time import FOLLOWED
+from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.world.errors import InvalidEventError
 
 from .factory import (

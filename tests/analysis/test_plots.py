@@ -12,8 +12,9 @@ import pytest
 from matplotlib.figure import Figure
 
 import phase_ppl as ppl
-from phase_ppl.analysis import Posterior, plots
+from phase_ppl.analysis import plots
 from phase_ppl.analysis.figures.beliefs import beliefs_of, discovery
+from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.world.errors import InvalidSettingError, OutputError, UnknownNameError
 from phase_ppl.world.goals import GOALS
 from tests.evaluation.toys import still

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phase_ppl.analysis import Posterior
+from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.quantities import GOAL_PARTS, part_codes
 from phase_ppl.analysis.summary import plain
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError

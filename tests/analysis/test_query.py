@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import pickle
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ import xarray as xr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from phase_ppl.analysis import Posterior
+from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.world.errors import QueryError
 
 from .factory import (
@@ -68,6 +69,21 @@ def small() -> Posterior:
         ("sd(strength_green)", 0.0),
         ("H(same_goal)", math.log(2)),
         ("H(same_goal, strength_red)", None),
+        ("P(strength_red > strength_green)", 1 / 2),
+        ("P(strength_green >= strength_red | relation = friendly)", 1.0),
+        ("P(goal_red = goal_green)", 1 / 2),
+        ("P(goal_red != goal_green, strength_red < 500)", 1 / 4),
+        ("P(target_red=target_green or strength_red = strength_green)", None),
+        ("P(relation=friendly or strength_red > 500)", 3 / 4),
+        ("P(relation=friendly and strength_red > 200 or strength_red > 500)", 1 / 2),
+        ("P(relation=friendly and (strength_red > 200 or strength_red > 500))", 1 / 4),
+        ("P((relation=friendly))", 1 / 2),
+        ("P not relation=friendly", 1 / 2),
+        ("P(NOT (relation=friendly OR strength_red in [600, 700]))", 1 / 4),
+        ("P(not not relation=friendly, strength_red < 250)", 1 / 4),
+        ("P(relation=friendly | alpha=(1, 0) or alpha=(0, 0))", 1 / 2),
+        ("E[strength_red | strength_red < strength_green or relation=friendly]", 225.0),
+        ("P(mood = 'keen, or not' or same_goal=False)", 1.0),
     ],
 )
 def test_numbers(small: Posterior, question: str, answer: float | None) -> None:
@@ -141,7 +157,20 @@ WRONG = {
     "top (strength_red)": (5, "without categories"),
     "mode 3 goal_red": (5, "the name of a quantity"),
     "((((((((((": (0, "expected one of P"),
-    "P((relation=friendly))": (2, "the name of a quantity"),
+    "P(strength_red > strong)": (17, "unknown quantity 'strong'"),
+    "P(strength_red > relation)": (15, "relation has categories"),
+    "P(strength_red = strength_green)": (15, "is a real number"),
+    "P(relation = goal_red)": (11, "no value in common"),
+    "P(relation=friendly or neutral)": (30, "one of several values: in {a, neutral}"),
+    "P(relation=friendly or)": (22, "the name of a quantity"),
+    "P(same_goal=1 or (strength_red > 3))": (12, "unknown same_goal '1'"),
+    "P(not (strength_red > 3)": (24, "',' or '|' or ')'"),
+    "P(not (strength_red > 3": (23, "',' or ')'"),
+    "P(relation=friendly and relation=neutral)": (24, "no value of relation"),
+    "P(not)": (5, "the name of a quantity"),
+    "P(not goal_red)": (14, "=, !=, <"),
+    "P(relation=friendly | strength_red > strength_green, strength_red < 250)": (22, "alone"),
+    "P((relation=friendly)": (21, "',' or '|' or ')'"),
     "P(goal_red,goal_green,stated_goal_red,stated_goal_green,alpha,relation)": (2, "at most"),
 }
 
@@ -162,6 +191,62 @@ def test_a_wrong_question_points_at_the_place_and_says_what_is_expected(
     assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)
 
 
+def test_words_and_a_mapping_say_the_same_of_what_is_given(small: Posterior) -> None:
+    words = "relation=friendly or strength_red > 500"
+    assert small.mean("strength_red", given=words) == pytest.approx((200 + 250 + 600) / 3)
+    assert small.probability(words, same_goal=True) == small.query(f"P(same_goal=True | {words})")
+    xr.testing.assert_identical(
+        small.marginal("goal_red", given="relation=friendly"),
+        small.marginal("goal_red", given={"relation": "friendly"}),
+    )
+    with pytest.raises(ValueError, match="cannot condition on not same_goal=True, relation=f"):
+        small.mean("strength_red", given="not same_goal=True, relation=friendly")
+
+
+def test_comparisons_have_errors_as_of_a_definition_that_says_the_same() -> None:
+    post = Posterior(random_tree(7, n_chains=6))
+    post.define("stronger", lambda h: h.strength_red > h.strength_green)
+    for condition in ("", "| relation=neutral or goal_red != goal_green"):
+        compared = post.query(f"P(strength_red > strength_green {condition})")
+        named = post.query(f"P(stronger=True {condition})")
+        assert (compared, compared.error) == (named, named.error)
+        assert 0 < compared.error < 1
+
+
+def test_other_weights_answer_a_single_question(small: Posterior) -> None:
+    other = Posterior(small.tree, "likelihood")
+    assert small.query("E[strength_red]", weights="likelihood") == other.mean("strength_red")
+    assert small.query("P(mood='keen, or not')", weights="visited") > 0
+    assert small.weights == "count"
+    with pytest.raises(ValueError, match="unknown weights 'visit'"):
+        small.query("E[strength_red]", weights="visit")
+
+
+def test_definitions_in_words_are_saved_and_read_from_a_text_file(tmp_path: Path) -> None:
+    post = Posterior(random_tree(3, n_chains=4))
+    post.define("same", "goal_red = goal_green").define("odd", lambda h: h.relation == "neutral")
+    post.define("strong_pair", "same=True, strength_red > strength_green")
+    post.define("odder", "odd=True or same=False")  # rests on a function
+    again = Posterior.load(post.save(tmp_path / "run.nc"))
+    assert list(again.definitions) == ["same", "strong_pair"]
+    for question in ("P(same=True)", "E[same | strong_pair=False]"):
+        assert again.query(question) == post.query(question)
+
+    file = tmp_path / "own.txt"
+    file.write_text("# of this study\n\nsame : goal_red = goal_green\nother: not same=true\n")
+    read = Posterior(post.tree).define_from(file)
+    assert read.query("P(other=True)") == pytest.approx(1 - post.query("P(same=True)"))
+    for text, said in (
+        ("same = 3\n", "line 1: 'same = 3' is no definition"),
+        ("a: relation=neutral\na: relation=friendly", "line 2: a is defined twice"),
+        ("a: relatoin=neutral", "did you mean 'relation'"),
+        ("relation: alpha=(0, 0)", "there is a quantity 'relation' already"),
+    ):
+        file.write_text(text)
+        with pytest.raises(ValueError, match=said):
+            Posterior(post.tree).define_from(file)
+
+
 @pytest.mark.parametrize(
     "question",
     [
@@ -173,8 +258,10 @@ def test_a_wrong_question_points_at_the_place_and_says_what_is_expected(
         "P(\u202erelation)",
         "P(relation='" + "\n" * 500,
         "\ud800",
+        "P(" + "(" * 9_000,
+        "P(" + "not " * 2_000 + "relation=friendly)",
     ],
-    ids=range(8),
+    ids=range(10),
 )
 def test_hostile_questions_get_one_short_clear_error(small: Posterior, question: str) -> None:
     with pytest.raises(QueryError) as caught:
@@ -279,6 +366,7 @@ PIECES = st.sampled_from(
     [
         *("P", "E", "H", "top", "hdi", "mode", "in", "(", ")", "[", "]", "{", "}", ",", "|"),
         *("=", "!=", "<", ">=", "3", "50%", "'", '"', ".", " ", "\n", "\x00"),
+        *("or", "and", "not", "strength_green", "goal_green"),
         *("relation", "friendly", "goal_red", "strength_red", "alpha", "(1, 0)", "to red lm"),
     ]
 )

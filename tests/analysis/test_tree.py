@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from phase_ppl.analysis import Posterior
+from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.tree import REQUIRED, array, check_tree
 from phase_ppl.world.errors import InvalidEventError, OutputError
 from phase_ppl.world.scene import Scene

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from phase_ppl.analysis import Posterior
+from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.tree import array
 from phase_ppl.analysis.weights import (
     aborted_mass_bound,

@@ -7,7 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from phase_ppl.agents.agent import RootStatistics
-from phase_ppl.closed_loop.goal_filter import Conduct, Looked, frame_log_likelihood
+from phase_ppl.closed_loop.goal_filter import frame_log_likelihood
+from phase_ppl.closed_loop.search_sets import Conduct, Looked
 from phase_ppl.physics.actions import N_ACTIONS, Action
 from phase_ppl.world.goals import N_GOALS
 
@@ -30,7 +31,7 @@ def looked(rng: np.random.Generator) -> list[Looked]:
         of_pair = np.zeros((N_GOALS, N_GOALS), np.int64)
         (of_pair if agent == 0 else of_pair.T)[(RED, GREEN)[agent]] = 1
         of_pair[0] = -1  # names its own holder
-        found.append(Looked([root(rng), root(rng)], of_pair))
+        found.append(Looked([root(rng), root(rng)], of_pair.ravel()))
     return found
 
 

@@ -58,7 +58,7 @@ def test_actions_holds_and_strengths_are_recovered() -> None:
         for agent, action in enumerate(actions):
             own = density.max(axis=1 - agent)
             assert own[action] > own.max() - 1.0, (step, agent, Action(own.argmax()))
-    strengths = hidden.strengths()
+    strengths = hidden.strengths().reshape(4, 4)
     assert strengths[2, 1] > 0.99
     assert strengths.sum() == pytest.approx(1)
 
@@ -81,7 +81,7 @@ def test_what_agents_do_that_are_reset_is_understood_by_that_rule_alone() -> Non
         densities = [hidden.advance(frame) for frame in frames]
         explained[rule] = sum(float(np.logaddexp.reduce(d, axis=None)) for d in densities)
         if rule:
-            found = hidden.strengths()
+            found = hidden.strengths().reshape(4, 4)
             for density, actions in zip(densities, CARRY, strict=True):
                 own = density.max(axis=1)
                 assert own[actions[0]] > own.max() - 1.0
@@ -166,17 +166,17 @@ def test_no_strength_is_lost_and_each_has_states_of_its_own() -> None:
     frames = [frame for frame, _ in played(where, CARRY, (150.0, 600.0))]
     for frame in frames:
         hidden.advance(frame)
-        assert sorted(set(hidden.beam.pair.tolist())) == list(range(16))
+        assert sorted(set(hidden.beam.combination.tolist())) == list(range(16))
         assert len(hidden.beam) <= 16 + 4
         for pair in range(16):
-            within = hidden.beam.within[hidden.beam.pair == pair]
+            within = hidden.beam.within[hidden.beam.combination == pair]
             assert np.exp(within).sum() == pytest.approx(1)
-    sure = hidden.strengths()
+    sure = hidden.strengths().reshape(4, 4)
     assert sure[0, 3] > 0.99
     doubtful = HiddenState(where, Tracking(states=4, strength_weight=0.01))
     for frame in frames:
         doubtful.advance(frame)
-    assert 0.1 < doubtful.strengths()[0, 3] < 0.6
+    assert 0.1 < doubtful.strengths().reshape(4, 4)[0, 3] < 0.6
 
 
 def test_planners_spread_over_what_is_believed_of_the_strengths() -> None:

@@ -14,9 +14,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from phase_ppl.dataset import documents, load_event, load_events, save_event, save_events
+from phase_ppl.dataset import documents
 from phase_ppl.dataset.documents import parse_text
 from phase_ppl.dataset.events_json import event_record
+from phase_ppl.dataset.load import load_event, load_events, save_event, save_events
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,

@@ -13,7 +13,8 @@ import pytest
 import xarray as xr
 
 from phase_ppl import event_dataset, event_from_dataset
-from phase_ppl.dataset import hdf5, load_event, load_events, save_event, save_events
+from phase_ppl.dataset import hdf5
+from phase_ppl.dataset.load import load_event, load_events, save_event, save_events
 from phase_ppl.world.errors import InvalidEventError, UnknownNameError
 from tests.dataset.test_bad_files import refused
 from tests.dataset.test_events_json import assert_same, various

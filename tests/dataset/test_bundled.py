@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from phase_ppl.dataset import (
+from phase_ppl.dataset import load
+from phase_ppl.dataset.load import (
     bundled_events,
-    load,
     load_bundled,
     load_event,
     load_events,

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 import phase_ppl as ppl
 from phase_ppl import event_from_dataset
-from phase_ppl.dataset import load_event, load_events, save_event, save_events
 from phase_ppl.dataset.events_json import event_from_record, event_record, to_text
+from phase_ppl.dataset.load import load_event, load_events, save_event, save_events
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phase_ppl.dataset import bundled_events, export_events, load_bundled, load_events
 from phase_ppl.dataset.authors.videos import video
 from phase_ppl.dataset.generation.copies import recoloured
 from phase_ppl.dataset.generation.making import event_of
 from phase_ppl.dataset.generation.situation import LAYOUTS, walls_of
+from phase_ppl.dataset.load import bundled_events, export_events, load_bundled, load_events
 from phase_ppl.world.errors import InvalidEventError, OutputError, UnknownNameError
 from phase_ppl.world.event import Event, Truth
 from phase_ppl.world.goals import GOALS

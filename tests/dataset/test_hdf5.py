@@ -20,7 +20,7 @@ from hypothesis import HealthCheck, given, settings
 
 import phase_ppl as ppl
 from phase_ppl import event_dataset, event_from_dataset
-from phase_ppl.analysis import Posterior
+from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.dataset.hdf5 import read_netcdf
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
@@ -37,7 +37,7 @@ import resource, sys
 from pathlib import Path
 import numpy as np
 import phase_ppl as ppl
-from phase_ppl.analysis import Posterior
+from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.inference.runs.checkpoint import write_archive
 from phase_ppl.world.errors import OutputError

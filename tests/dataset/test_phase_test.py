@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from phase_ppl.dataset import load_event, load_events
+from phase_ppl.dataset.load import load_event, load_events
 from phase_ppl.dataset.motion import count_turns, full_turn, observed_turning
 from phase_ppl.physics.actions import Action
 from phase_ppl.physics.pymunk_world import PymunkWorld

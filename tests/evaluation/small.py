@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from phase_ppl.analysis import Posterior
+from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.evaluation.folder import POSTERIOR, ResultsFolder
 from phase_ppl.evaluation.prediction import Prediction, probabilities_of
 from phase_ppl.world.event import Event, Truth

@@ -14,11 +14,10 @@ from scipy import stats
 
 import phase_ppl as ppl
 from phase_ppl.evaluation import figures
+from phase_ppl.evaluation.experiments import LABELS, Likeness
 from phase_ppl.evaluation.figures import NothingToDrawError, draw_figures, drawings_of
 from phase_ppl.evaluation.figures.layout import Results
 from phase_ppl.evaluation.folder import ResultsFolder
-from phase_ppl.evaluation.likeness import Likeness
-from phase_ppl.evaluation.tags import LABELS
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,

@@ -9,13 +9,13 @@ from pathlib import Path
 import arviz as az
 import numpy as np
 import pytest
+from people import chosen_inside
 
 import phase_ppl as ppl
 from phase_ppl.evaluation.observers.answers import Answers, expected
-from phase_ppl.evaluation.observers.fit import PeopleFit, chosen_inside, sampled
-from phase_ppl.evaluation.observers.stored import observer_of
-from phase_ppl.models.observer.cues import CUES
+from phase_ppl.evaluation.observers.fit import PeopleFit, observer_of, sampled
 from phase_ppl.models.observer.observers import Evidence, observer_named
+from phase_ppl.models.observer.perception import CUES
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import RELATIONS

@@ -16,8 +16,7 @@ from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.cli import main
 from phase_ppl.evaluation.folder import POSTERIOR
 from phase_ppl.evaluation.report import write_page
-from phase_ppl.evaluation.report.contents import page_of
-from phase_ppl.evaluation.report.html import page
+from phase_ppl.evaluation.report.contents import page, page_of
 from phase_ppl.world.errors import InvalidEventError, OutputError
 from phase_ppl.world.files import write_json
 from tests.analysis.readings import reading

@@ -3,12 +3,12 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import goal_training
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from goal_training import Examples, draw_goals, learned, loss_of_whole
 
-from phase_ppl.inference.proposals import goal_training
-from phase_ppl.inference.proposals.goal_training import Examples, draw_goals, learned, loss_of_whole
 from phase_ppl.inference.proposals.tables import (
     FEATURES,
     GOAL_PARTS,

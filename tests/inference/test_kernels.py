@@ -239,4 +239,4 @@ def test_an_option_that_cannot_be_is_refused(kernel: Any, options: Any, error: A
 
 def test_kernel_without_an_event_says_so() -> None:
     with pytest.raises(InvalidSettingError, match="LocalMH has no program"):
-        _ = LocalMH().model
+        _ = LocalMH().program

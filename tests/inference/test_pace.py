@@ -17,7 +17,7 @@ import phase_ppl as ppl
 from phase_ppl.inference.registry import KernelInfo, kernel_info
 from phase_ppl.inference.runs import length, sampler
 from phase_ppl.inference.runs.checkpoint import Checkpoint
-from phase_ppl.inference.runs.length import IDLE, Length, Pace, Tally, run_length, tally_of
+from phase_ppl.inference.runs.length import IDLE, Length, Pace, Tally
 from phase_ppl.inference.settings import Budget
 from phase_ppl.models.bridge import Record
 from phase_ppl.simulator.runner import Runner
@@ -159,10 +159,10 @@ def test_a_count_taken_up_again_is_the_same() -> None:
     tally = Tally()
     for iteration, n in enumerate((3, 0, 2, 0, 0)):
         records += [Record(result, {}, 0.0, chain=0, iteration=iteration)] * n
-        tally = tally_of(records, iteration, tally)
-        assert tally_of(records, iteration) == tally
+        tally = Tally.of(records, iteration, tally)
+        assert Tally.of(records, iteration) == tally
     assert tally == Tally(5, 5 * 14, last=2)
-    assert tally_of(records, 1) == Tally(3, 3 * 14, last=0)
+    assert Tally.of(records, 1) == Tally(3, 3 * 14, last=0)
 
 
 @pytest.fixture(scope="module")
@@ -259,7 +259,7 @@ OWN = SimpleNamespace(n_iterations=lambda chains: 12 // chains)
 def length_of(
     kernel: Any, chains: int, iterations: int | None = None, budget: Budget | None = None
 ) -> Length:
-    return run_length(kernel, INFO, chains, iterations, budget, n_frames=14)
+    return Length.of(kernel, INFO, chains, iterations, budget, n_frames=14)
 
 
 def test_a_kernel_knows_better_than_its_registration_what_it_costs() -> None:

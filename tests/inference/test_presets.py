@@ -12,7 +12,7 @@ import phase_ppl as ppl
 from phase_ppl.cli import main
 from phase_ppl.evaluation.registry import ready
 from phase_ppl.inference.entries import entries
-from phase_ppl.inference.presets import PRESETS, completed
+from phase_ppl.inference.settings import PRESETS, completed
 from phase_ppl.models.predicate import INDEPENDENT, Thresholds
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from tests.inference.toy import walkers, walking_event

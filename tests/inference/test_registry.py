@@ -3,6 +3,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from numpyro.infer import NUTS
 
 from phase_ppl.inference.kernels.generic_mh import PriorMH
 from phase_ppl.inference.kernels.local_mh import LocalMH
@@ -83,9 +84,24 @@ def test_a_kernel_may_be_a_class_a_function_or_an_instance(program: EventProgram
     assert isinstance(bound, LocalMH)
     assert bound.validity == "approximate"  # its options are kept
     assert LocalMH(rule="window").validity == "exact"
-    assert (bound.model, bound.settings) == (program, settings)
+    assert (bound.program, bound.settings) == (program, settings)
     with pytest.raises(InvalidSettingError, match="neither a name nor a kernel"):
         described(7)  # type: ignore[arg-type]
+
+
+def test_what_makes_no_kernel_says_so(program: EventProgram) -> None:
+    for kernel in (NUTS, NUTS(lambda: None)):
+        with pytest.raises(InvalidSettingError, match="kernel NUTS needs a gradient"):
+            described(kernel)
+    with pytest.raises(InvalidSettingError, match="which makes a NUTS, needs a gradient"):
+        described(lambda program: NUTS(program)).make(program)
+    with pytest.raises(InvalidSettingError, match=r"makes None: .*does the function return it"):
+        described(lambda program: None).make(program)  # type: ignore[arg-type,return-value]
+
+
+def test_a_registered_kernel_is_itself_by_its_factory_too() -> None:
+    info = kernel_info("local_mh")
+    assert described(info.factory) is info
 
 
 # --- settings ----------------------------------------------------------------------------------

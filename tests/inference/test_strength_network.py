@@ -9,25 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-from phase_ppl.dataset.generation.situation import LAYOUTS, SIZES
-from phase_ppl.dataset.load import bundled_events, load_bundled
-from phase_ppl.inference.proposals.strength import (
-    ESTIMATORS,
-    SHAPES,
-    StrengthEstimates,
-    StrengthNetwork,
-    estimated_strengths,
-    estimator_name,
-    quality,
-    shipped_network,
-)
-from phase_ppl.inference.proposals.strength_features import (
-    N_FEATURES,
-    observed_jitter,
-    window_features,
-)
-from phase_ppl.inference.proposals.strength_training import (
+from strength_training import (
     VALIDATION_JITTER,
     VALIDATION_LENGTHS,
     Simulated,
@@ -42,6 +24,22 @@ from phase_ppl.inference.proposals.strength_training import (
     train,
     training_examples,
     validation_examples,
+)
+
+from phase_ppl.dataset.generation.situation import LAYOUTS, SIZES
+from phase_ppl.dataset.load import bundled_events, load_bundled
+from phase_ppl.inference.proposals.strength import (
+    ESTIMATORS,
+    N_FEATURES,
+    SHAPES,
+    StrengthEstimates,
+    StrengthNetwork,
+    estimated_strengths,
+    estimator_name,
+    observed_jitter,
+    quality,
+    shipped_network,
+    window_features,
 )
 from phase_ppl.inference.proposals.tables import bottom_up_tables
 from phase_ppl.inference.settings import SimpleSettings

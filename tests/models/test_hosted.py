@@ -69,6 +69,7 @@ def called(function: Callable[..., Any], *args: Any) -> tuple[Any, Counting]:
     runner = Counting()
     bridge = SimulatorBridge(runner, N_FRAMES)
     found = jax.block_until_ready(function(*args, bridge.handle))
+    assert bridge.failure is None
     return jax.tree.map(_bits, found), runner
 
 

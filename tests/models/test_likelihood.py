@@ -5,12 +5,9 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-import numpyro
 import pytest
-from jax import random
-from numpyro.infer import Predictive
 
-from phase_ppl.models.likelihood import N_COORDINATES, RadialLikelihood, RadialTrajectory
+from phase_ppl.models.likelihood import N_COORDINATES, RadialLikelihood
 from phase_ppl.world.errors import InvalidSettingError
 
 BETAS = (0.05, 0.7)
@@ -28,30 +25,12 @@ def test_radial_density_integrates_to_one(beta: float) -> None:
 
 @pytest.mark.parametrize("beta", BETAS)
 def test_mean_distance_of_samples_is_d_over_beta(beta: float) -> None:
-    predicted = jnp.arange(3 * 8.0).reshape(3, 4, 2)
-    samples = np.asarray(RadialTrajectory(predicted, beta).sample(random.key(0), (2000,)))
-    distance = np.sqrt(((samples - np.asarray(predicted)) ** 2).sum(axis=(-2, -1)))
+    predicted = np.broadcast_to(np.arange(3 * 8.0).reshape(3, 4, 2), (2000, 3, 4, 2))
+    samples = RadialLikelihood(beta).replicate(predicted, np.random.default_rng(0))
+    distance = np.sqrt(((samples - predicted) ** 2).sum(axis=(-2, -1)))
     assert distance.shape == (2000, 3)
     # the standard deviation of a Gamma(8) distance is its mean / sqrt(8)
     assert distance.mean() == pytest.approx(N_COORDINATES / beta, rel=4 / math.sqrt(8 * 6000))
-
-
-def test_trajectory_density_is_that_of_its_errors() -> None:
-    rng = np.random.default_rng(0)
-    predicted, observed = rng.normal(size=(2, 6, 4, 2))
-    errors = np.linalg.norm((predicted - observed).reshape(6, 8), axis=1)
-    expected = RadialLikelihood(0.3).log_prob(errors).sum()
-    found = RadialTrajectory(jnp.asarray(predicted), 0.3).log_prob(jnp.asarray(observed))
-    assert float(found) == pytest.approx(expected, rel=1e-5)
-
-
-def test_predictive_draws_trajectories_around_the_prediction() -> None:
-    def program() -> None:
-        numpyro.sample("observed", RadialTrajectory(jnp.full((5, 4, 2), 12.0), 1000.0))
-
-    drawn: Any = Predictive(program, num_samples=7)(random.key(1))["observed"]
-    assert drawn.shape == (7, 5, 4, 2)
-    assert np.abs(drawn - 12).max() < 0.1
 
 
 def test_largest_error_reaches_exactly_the_floor() -> None:

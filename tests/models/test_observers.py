@@ -10,9 +10,8 @@ from numpyro import handlers
 
 import phase_ppl as ppl
 from phase_ppl.models.observer import observers
-from phase_ppl.models.observer.cues import CUES, surface_cues
 from phase_ppl.models.observer.observers import Evidence, Observer, observer_named
-from phase_ppl.models.observer.perception import Perception
+from phase_ppl.models.observer.perception import CUES, Perception, surface_cues
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from phase_ppl.world.hypothesis import RELATIONS
 from phase_ppl.world.observation import Observation

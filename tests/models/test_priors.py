@@ -234,3 +234,20 @@ def test_unknown_prior_names_close_ones() -> None:
 
 def test_fingerprint_names_the_prior() -> None:
     assert Model(prior="relation_first").fingerprint()["prior"].endswith("relation_first")
+
+
+def test_a_prior_of_ones_own_is_registered_and_checked_as_any(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(priors.PRIORS, "entries", dict(priors.PRIORS.entries))
+
+    @priors.register_prior("without_strengths")
+    def lacking() -> None:
+        sites.goals()
+        sites.alpha()
+
+    assert "without_strengths" in priors.available()
+    with pytest.raises(InvalidSettingError, match="does not sample 'strength_red'"):
+        Model(prior="without_strengths")
+    with pytest.raises(InvalidSettingError, match="a prior named 'uniform' exists"):
+        priors.register_prior("uniform")(lacking)

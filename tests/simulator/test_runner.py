@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from phase_ppl.simulator import jobs
+from phase_ppl.simulator import processes
 from phase_ppl.simulator.contract import Cancelled, SimulationResult
 from phase_ppl.simulator.processes import OwnWorkers
 from phase_ppl.simulator.runner import Runner
@@ -341,7 +341,7 @@ def test_a_loop_of_python_that_is_given_up_is_ended() -> None:
 
 
 def test_a_worker_that_cannot_end_its_simulation_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(jobs, "_STARTUP_SECONDS", 1.0)
+    monkeypatch.setattr(processes, "_STARTUP_SECONDS", 1.0)
     with runner(keeps_python_busy, simulation_seconds=2.0, workers=2) as limited:
         results = limited.run([GO, WEAK, HELP], [1, 2, 3])
     assert [r.completed for r in results] == [True, False, True]

@@ -12,7 +12,7 @@ pytest.importorskip("starlette", reason="the extra 'study' is not installed")
 from starlette.testclient import TestClient
 
 import phase_ppl as ppl
-from phase_ppl.evaluation.tags import LABELS
+from phase_ppl.evaluation.experiments import LABELS
 from phase_ppl.study.study import Study
 from phase_ppl.world.errors import OutputError, UnknownNameError
 from tests.study.studies import HOST, JUDGED, Person, make_study

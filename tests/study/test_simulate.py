@@ -19,9 +19,8 @@ import phase_ppl as ppl
 from phase_ppl.cli import main
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.study import study as study_module
-from phase_ppl.study.pairs import counterparts
 from phase_ppl.study.simulate import simulate
-from phase_ppl.study.study import Study
+from phase_ppl.study.study import Study, counterparts
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from tests.study.studies import make_study, short_events
 
@@ -125,7 +124,7 @@ def test_without_the_extra_one_line_says_what_to_install(
 
 def test_nothing_of_the_extra_is_imported_by_the_base() -> None:
     code = (
-        "import sys, phase_ppl.study, phase_ppl.cli.commands, phase_ppl.evaluation.tags\n"
+        "import sys, phase_ppl.study, phase_ppl.cli.commands, phase_ppl.evaluation.experiments\n"
         "print({'starlette', 'uvicorn', 'websockets', 'markdown_it'} & set(sys.modules))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -7,7 +7,7 @@ from collections import Counter
 
 import pytest
 
-from phase_ppl.dataset import load_events
+from phase_ppl.dataset.load import load_events
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import (
     RELATION_TABLE,

@@ -100,13 +100,8 @@ def beliefs(
 ) -> Figure:
     """Draw an agent's belief before and after a frame: what it sees, all particles, one of them.
 
-    Args:
-        event: what happens; the truth is not used.
-        agent: whose belief.
-        path: where to write the figure as well.
-        frame: the second of the two; by default the first in which it sees something new.
-        particles: K; 10 in the paper's figure.
-        seed: of the particles.
+    The truth is not used. ``frame`` is the second of the two, by default the first in which the
+    agent sees something new; the paper's figure has K = 10 ``particles``.
 
     Raises:
         UnknownNameError: there is no such agent.
@@ -195,11 +190,7 @@ def search(
 ) -> Figure:
     """Draw how the green agent looks for an item, by what the way there counts.
 
-    Args:
-        path: where to write the figure as well.
-        cost_weights: lambda of each panel; the paper's 0 and 0.05.
-        planner: "fast" or "paper".
-        seed: of the simulations.
+    A panel for each of ``cost_weights``, lambda; the paper's are 0 and 0.05.
 
     Raises:
         InvalidSettingError, UnknownNameError: a cost weight or planner that cannot be used.

@@ -61,13 +61,9 @@ def comparison(
 
     Against frames, where the budget was of frames. Lines are means over repeats, bands their
     standard errors. A kernel that keeps its last population only is a point with a bar. A dashed
-    line is what the reference says of the truth; of distances from the reference, those in
-    the grey area at the bottom are smaller than its own error.
-
-    Args:
-        c: what to draw.
-        path: where to write the figure as well.
-        measures: a panel for each, of :data:`HEADINGS`; those without values are left out.
+    line is what the reference says of the truth; of distances from the reference, those in the grey
+    area at the bottom are smaller than its own error. ``measures`` are of :data:`HEADINGS`, a panel
+    each; those without values are left out.
 
     Raises:
         UnknownNameError: there is no such measure.
@@ -196,9 +192,7 @@ def training_curves(
 ) -> Figure:
     """Draw the curves of all networks of a training, 7.5 x 3 inches; a dot: the epoch kept.
 
-    Args:
-        report: what :func:`phase_ppl.train_socialgnn` returns.
-        path: where to write the figure as well.
+    ``report`` is what :func:`phase_ppl.train_socialgnn` returns.
     """
     figure = new_figure(7.5, 3, "constrained")
     members, events = report["members"], report["data"]["events"]

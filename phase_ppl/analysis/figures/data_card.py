@@ -66,13 +66,9 @@ def data_card(
 ) -> Figure:
     """Draw the statistics of a set of events beside those of another, on a page 12 inches wide.
 
-    A figure of the set with a star differs from the other's by more than chance explains (95 %).
-    A third row of panels shows what only the manifest of a generated set tells.
-
-    Args:
-        statistics: of :func:`phase_ppl.dataset.statistics.statistics`.
-        path: where to write the figure as well.
-        beside: likewise; by default the original events.
+    A figure of the set with a star differs from the other's by more than chance explains (95 %). A
+    third row of panels shows what only the manifest of a generated set tells. Both are of
+    :func:`phase_ppl.dataset.statistics.statistics`, the other by default the original events.
     """
     told = {"family", "layout", "reflection", "split"} & set(statistics["tables"])
     n_rows = 3 if told or statistics["draws"] else 2

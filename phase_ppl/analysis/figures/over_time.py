@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -27,25 +27,18 @@ from phase_ppl.analysis.figures.style import (
     new_figure,
     written,
 )
+from phase_ppl.analysis.hypotheses import Hypotheses
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.render.frames import BACKGROUND, PANEL, Painter, between_frames, panel, side_by_side
 from phase_ppl.render.video import FRAMES_PER_SECOND, FRAMES_PER_STEP, Film, encode_mp4
 from phase_ppl.world.files import atomic_output
 from phase_ppl.world.hypothesis import RELATIONS
+from phase_ppl.world.picture import Colour
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
-
-PANELS: Final = {
-    "goal_red": "Goal of the red agent",
-    "goal_green": "Goal of the green agent",
-    "relation": "Relation",
-}
-"""Quantity -> title of its panel."""
 
 _LINES: Final = 5  # lines of a panel; what else there is, is one more
 _SEEN: Final = 0.1  # probability that a goal must reach at some time to have a line
@@ -68,7 +61,9 @@ _APART: Final = 4
 def over_time(
     post: Posterior | StepwisePosterior, path: str | os.PathLike[str] | None = None
 ) -> Figure:
-    """Draw how the probabilities of goals and relation grow out of the video, 7.5 x 6.6 inches.
+    """Draw how the probabilities of goals and relation grow out of the video.
+
+    7.5 x 6.6 inches; higher where there are more agents.
 
     In hindsight, or as they could be believed at the time: see ``over_time`` of the posterior.
     Both agents' goals share their colours. Bands are 1.96 errors wide on either side, where errors
@@ -78,19 +73,30 @@ def over_time(
         InvalidEventError, InvalidSettingError: there is no such posterior over time.
     """
     found = post.over_time()
-    figure = new_figure(7.5, 6.6, "constrained")
+    n_panels = len(post.goals_of) + len(post.relations_of)
+    figure = new_figure(7.5, 2.2 * max(n_panels, 2), "constrained")
     figure.suptitle(post.event_id, x=0.012, ha="left", fontsize=10, color=INK)
     note = next(words for kind, words in _NOTES.items() if kind in found.attrs)
     figure.supxlabel(textwrap.fill(note, 120), x=0.012, ha="left", fontsize=SMALL + 0.3, color=GREY)
-    shown = {name: _leading(found[name]) for name in ("goal_red", "goal_green")}
+    shown = {name: _leading(found[name]) for name in post.goals_of.values()}
     goals = list(dict.fromkeys(goal for goals in shown.values() for goal in goals))
     colours = dict(zip(goals, MANY_COLOURS, strict=False)) | _RELATION_COLOURS
-    shown["relation"] = list(_RELATION_COLOURS)
-    panels = figure.subplots(3, 1, sharex=True, height_ratios=(5, 5, 4))
-    for axes, (name, title) in zip(panels, PANELS.items(), strict=True):
+    shown |= {key: list(_RELATION_COLOURS) for key in post.relations_of.values()}
+    heights = [5] * len(post.goals_of) + [4] * len(post.relations_of)
+    rows = figure.subplots(len(heights), 1, squeeze=False, sharex=True, height_ratios=heights)
+    panels = list(rows[:, 0])
+    for axes, (name, title) in zip(panels, titles(post).items(), strict=True):
         dressed(axes, title, x=SIMULATED_TIME if axes is panels[-1] else "")
         _panel(axes, found[name], found.get(f"{name}_error"), shown[name], colours)
     return written(figure, path)
+
+
+def titles(post: Hypotheses | type[Hypotheses]) -> dict[str, str]:
+    """Return quantity -> title of what shows it."""
+    found = {name: f"Goal of the {agent}" for agent, name in post.goals_of.items()}
+    for label, name in post.relations_of.items():
+        found[name] = "Relation" if label == name else f"Relation of {label}"
+    return found
 
 
 def _leading(marginal: xr.DataArray) -> list[str]:
@@ -184,14 +190,10 @@ def _deciding(change: np.ndarray) -> list[int]:
 
 # --- as a film ------------------------------------------------------------------------------------
 
-_GROUPS: Final = {
-    "goal_red": ("Goal of the red agent", (214, 47, 47)),
-    "goal_green": ("Goal of the green agent", (28, 138, 60)),
-    "relation": ("Relation", (76, 91, 118)),
-}
-"""Quantity -> title and colour of its bars."""
+_FILLS: Final = {"goal_red": (214, 47, 47), "goal_green": (28, 138, 60), "relation": (76, 91, 118)}
+"""Quantity -> colour of its bars in PHASE."""
 
-_GOALS: Final = 6
+_GOALS: Final = 12  # of all agents, for which there is room
 _MARGIN: Final = 18
 _TITLE_SIZE: Final = 15
 _TEXT_SIZE: Final = 13
@@ -216,9 +218,12 @@ def watch_film(post: StepwisePosterior, path: str | os.PathLike[str]) -> Film:
         OutputError: another ending, or the file cannot be written.
     """
     found = post.over_time()
-    shown = {name: _ever_leading(found[name]) for name in ("goal_red", "goal_green")}
-    shown["relation"] = list(RELATIONS)
-    painter = Painter(post.scene)
+    n = _GOALS // max(2, len(post.goals_of))
+    shown = {name: _ever_leading(found[name], n) for name in post.goals_of.values()}
+    shown |= {key: list(RELATIONS) for key in post.relations_of.values()}
+    of_agents = zip(post.goals_of.values(), post.scene.world.entity_colours, strict=False)
+    colours = dict(of_agents) | _FILLS
+    titled, painter = titles(post), Painter(post.scene)
     poses = between_frames(post.observed(), FRAMES_PER_STEP)
 
     def draw(index: int) -> Image.Image:
@@ -235,23 +240,30 @@ def watch_film(post: StepwisePosterior, path: str | os.PathLike[str]) -> Film:
             ]
             for name, labels in shown.items()
         }
-        return side_by_side([panel(painter.draw(poses[index])), _bars(groups)])
+        return side_by_side([panel(painter.draw(poses[index])), _bars(groups, titled, colours)])
 
     with atomic_output(path, (".mp4",)) as part:
         encode_mp4(map(draw, range(len(poses))), part, FRAMES_PER_SECOND)
     return Film(path)
 
 
-def _bars(groups: dict[str, list[tuple[str, float, float]]]) -> Image.Image:
-    """Return probabilities (quantity -> label, share, error) as bars, as high as a frame."""
-    picture = Image.new("RGB", (PANEL, PANEL), BACKGROUND)
+def _bars(
+    groups: Mapping[str, list[tuple[str, float, float]]],
+    titles: Mapping[str, str],
+    colours: Mapping[str, Colour],
+) -> Image.Image:
+    """Return probabilities (quantity -> label, share, error) as bars, at least a frame high."""
+    rows = sum(len(entries) + 1 for entries in groups.values())
+    height = 2 * _MARGIN + 2 * _GAP + rows * _ROW + len(groups) * (_GAP + 2)
+    height += height % 2  # films have an even number of lines
+    picture = Image.new("RGB", (PANEL, max(PANEL, height)), BACKGROUND)
     draw = ImageDraw.Draw(picture)
     title_font, font = ImageFont.load_default(_TITLE_SIZE), ImageFont.load_default(_TEXT_SIZE)
     left, right = _MARGIN + _NAME_WIDTH, PANEL - _MARGIN - 40
     y = _MARGIN + 2 * _GAP
     for name, entries in groups.items():
-        title, colour = _GROUPS[name]
-        draw.text((_MARGIN, y), title, fill=_INK, font=title_font, anchor="lm")
+        colour = colours.get(name, _FILLS["relation"])
+        draw.text((_MARGIN, y), titles[name], fill=_INK, font=title_font, anchor="lm")
         y += _ROW + 2
         for label, share, error in entries:
             draw.text((_MARGIN, y), label, fill=_INK, font=font, anchor="lm")
@@ -269,9 +281,9 @@ def _bars(groups: dict[str, list[tuple[str, float, float]]]) -> Image.Image:
     return picture
 
 
-def _ever_leading(marginal: xr.DataArray) -> Sequence[str]:
+def _ever_leading(marginal: xr.DataArray, n: int) -> Sequence[str]:
     """Return the labels that are the most probable at any time, the first in the end first."""
     labels = marginal[f"{marginal.name}_is"].values
     peak, last = marginal.max("time").values, marginal.values[-1]
-    order = np.argsort(-peak, kind="stable")[:_GOALS]
+    order = np.argsort(-peak, kind="stable")[:n]
     return [str(labels[i]) for i in sorted(order, key=lambda i: -last[i])]

@@ -21,7 +21,7 @@ from phase_ppl.analysis.figures.style import (
     new_figure,
     written,
 )
-from phase_ppl.analysis.hypotheses import GOALS_OF, STRENGTHS_OF
+from phase_ppl.analysis.hypotheses import GOALS_OF
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.world.arrays import FloatArray
@@ -29,21 +29,23 @@ from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.geometry import agent_outline, is_agent
 from phase_ppl.world.hypothesis import STRENGTH_RANGE
-from phase_ppl.world.names import ENTITIES, LANDMARKS
-from phase_ppl.world.picture import ENTITY_COLOURS, LANDMARK_COLOURS
+from phase_ppl.world.scene import PHASE, World
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+    from phase_ppl.analysis.event_posterior import EventPosterior
     from phase_ppl.analysis.hypotheses import Hypotheses
     from phase_ppl.world.scene import Scene
 
 Colour = tuple[float, float, float]
 
 _SHADE: Final = (0.82, 0.68, 0.72, 0.86)
-"""Per entity, how far its colour is kept when a line or bar needs contrast with white."""
+"""Per entity of PHASE, how far its colour is kept when a line needs contrast with white."""
+_ANY_SHADE: Final = 0.75  # of others
 
+_ALONE: Final = ("relation", "scenario")  # need not be named beside their labels
 _DASHED: Final = (0, (3.2, 1.8))
 _N_GOALS_SHOWN: Final = 6
 _SIDE_BY_SIDE: Final = 3
@@ -58,28 +60,34 @@ _ROOM_FOR_NAMES: Final = 1.3
 def posterior(
     post: Posterior | StepwisePosterior, path: str | os.PathLike[str] | None = None
 ) -> Figure:
-    """Draw goals, relation, scenario, tracks and strengths on one page of 10 x 6 inches.
+    """Draw goals, relation, scenario, tracks and strengths on one page.
+
+    10 x 6 inches; higher where there are more agents than two.
 
     Tracks: observed (solid) and, of a posterior by simulation, of the best hypothesis' stored
     simulation (dashed), see :meth:`phase_ppl.analysis.posterior.Posterior.replay`.
     """
-    figure = new_figure(10, 6, "constrained")
+    world = post.scene.world
+    related = [*post.relations_of, *post.scenarios_of]
+    heights = [6.0] * len(world.agents) + ([0.4 + 3.5 * len(related)] if related else [])
+    figure = new_figure(10, max(4.0, 6 * sum(heights) / 19.4), "constrained")
     figure.suptitle(post.event_id, x=0.012, ha="left", fontsize=10, color=INK)
     left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(1, 1))[0]
-    goals_red, goals_green, relations = left.subplots(3, 1, height_ratios=(6, 6, 7.4))
-    for axes, (agent, name) in zip((goals_red, goals_green), GOALS_OF.items(), strict=True):
+    panels = list(left.subplots(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0])
+    for axes, (agent, name) in zip(panels, post.goals_of.items(), strict=False):
         entries = [(goal, value) for goal, value in post.top(name, _N_GOALS_SHOWN) if value > 0]
-        _bars(axes, entries, _line_colour(ENTITIES.index(agent)))
+        _bars(axes, entries, _line_colour(world, world.agent(agent)))
         axes.set_ylim(_N_GOALS_SHOWN - 0.4, -0.6)
         axes.set_title(f"Goal of the {agent}", fontsize=NORMAL + 1, loc="left", color=INK)
-    _relation_bars(relations, post)
-    parts = right.subplot_mosaic([["tracks"] * 2, list(STRENGTHS_OF)], height_ratios=(5.6, 1))
+    if related:
+        _relation_bars(panels[-1], post)
+    agents = list(post.strengths_of)
+    parts = right.subplot_mosaic([["tracks"] * len(agents), agents], height_ratios=(5.6, 1))
     _tracks(parts["tracks"], post)
-    for agent, name in STRENGTHS_OF.items():
+    for agent, name in post.strengths_of.items():
         _strength_histogram(parts[agent], post, name, agent)
-    for letter, axes in zip(
-        "abcd", (goals_red, relations, parts["tracks"], parts["red agent"]), strict=True
-    ):
+    lettered = [panels[0], *panels[len(agents) :], parts["tracks"], parts[agents[0]]]
+    for letter, axes in zip("abcd", lettered, strict=False):
         axes.annotate(
             letter, (0, 1), (-14, 5), xycoords="axes fraction", textcoords="offset points",
             fontsize=11, fontweight="bold", color=INK, annotation_clip=False,
@@ -92,9 +100,7 @@ def posteriors(
 ) -> Figure:
     """Draw goals and relation of several posteriors side by side, 7.5 inches wide.
 
-    Args:
-        posts: what each is called -> the posterior, such as of several priors or likelihoods.
-        path: where to write the figure as well.
+    ``posts`` has what each is called, such as the name of its prior or likelihood.
 
     Raises:
         InvalidSettingError: there is none, or something else among them.
@@ -133,17 +139,19 @@ def posteriors(
 
 
 def _relation_bars(axes: Axes, post: Hypotheses) -> None:
-    """Draw the relation's and the scenario's probabilities as two groups of bars."""
-    marginals = [post.marginal(name) for name in ("relation", "scenario")]
+    """Draw the probabilities of relations and scenarios as groups of bars."""
+    named = {**post.relations_of, **post.scenarios_of}
+    marginals = [post.marginal(name) for name in named.values()]
     entries = [
-        (str(label), Estimate(value, error))
-        for found in marginals
+        (str(label) if of in _ALONE else f"{of}: {label}", Estimate(value, error))
+        for of, found in zip(named, marginals, strict=True)
         for label, value, error in zip(
             found[found.dims[0]].values, found.values, found["error"].values, strict=True
         )
     ]
     _bars(axes, entries, "#4c5b76", gap_after=len(marginals[0]))
-    axes.set_title("Relation, and scenario", fontsize=NORMAL + 1, loc="left", color=INK)
+    title = "Relation, and scenario" if post.scenarios_of else "Relations"
+    axes.set_title(title, fontsize=NORMAL + 1, loc="left", color=INK)
     axes.set_xlabel("posterior probability", fontsize=NORMAL, color=INK)
 
 
@@ -154,8 +162,9 @@ def _tracks(axes: Axes, post: Posterior | StepwisePosterior) -> None:
     scene, observed = post.scene, post.observed()
     predicted = None if isinstance(post, StepwisePosterior) else post.replay()
     draw_arena(axes, scene)
-    for entity in reversed(range(len(ENTITIES))):
-        colour = _line_colour(entity)
+    world = scene.world
+    for entity in reversed(range(len(world.entities))):
+        colour = _line_colour(world, entity)
         seen = observed[:, entity, :2]
         guess = seen if predicted is None else predicted[:, entity, :2]
         if np.ptp(np.concatenate([seen, guess]), axis=0).max() > _MOVED:
@@ -165,7 +174,7 @@ def _tracks(axes: Axes, post: Posterior | StepwisePosterior) -> None:
                 dark = _darker(colour)
                 axes.plot(*guess.T, color=dark, lw=1.3, ls=_DASHED, zorder=5)
                 axes.plot(*guess[-1], "o", ms=5, mfc="white", mec=dark, mew=1.2, zorder=6)
-        draw_entity(axes, entity, observed[0, entity], float(scene.radius[entity]))
+        draw_entity(axes, entity, observed[0, entity], float(scene.radius[entity]), world=world)
     dot: dict[str, Any] = {"marker": "o", "ms": 5}
     grey = "#8a8a8a"
     signs = {"observed": Line2D([], [], color=grey, lw=1.9, mfc=grey, mec=INK, mew=0.7, **dot)}
@@ -180,14 +189,14 @@ def _tracks(axes: Axes, post: Posterior | StepwisePosterior) -> None:
     axes.set_title("Tracks", fontsize=NORMAL + 1, loc="left", color=INK)
 
 
-def _strength_histogram(axes: Axes, post: Hypotheses, name: str, agent: str) -> None:
+def _strength_histogram(axes: Axes, post: EventPosterior, name: str, agent: str) -> None:
     """Draw the posterior of one agent's strength, its mean, with its error, in the title."""
     table = post.to_dataframe()
     axes.hist(
         np.clip(table[name], *STRENGTH_RANGE),
         bins=np.linspace(*STRENGTH_RANGE, 19).tolist(),
         weights=table["weight"],
-        color=_line_colour(ENTITIES.index(agent)),
+        color=_line_colour(post.scene.world, post.scene.world.agent(agent)),
     )
     axes.set_xlim(*STRENGTH_RANGE)
     axes.set_xticks([150, 300, 450, 600])
@@ -232,10 +241,10 @@ def draw_arena(axes: Axes, scene: Scene) -> None:
     """Draw landmarks with their names, and walls."""
     from matplotlib.patches import Rectangle
 
-    half = scene.landmark_half_width
     x0, x1, y0, y1 = scene.arena
-    for centre, rgb, name in zip(scene.landmark_centres, LANDMARK_COLOURS, LANDMARKS, strict=True):
-        colour = _share(rgb)
+    places = zip(scene.landmark_centres, scene.half_widths.tolist(), strict=True)
+    for (centre, half), landmark in zip(places, scene.world.landmarks, strict=True):
+        name, colour = landmark.name, _share(landmark.colour)
         corner = (centre[0] - half, centre[1] - half)
         axes.add_patch(
             Rectangle(corner, 2 * half, 2 * half, fc=(*colour, 0.22), ec=(*colour, 0.6), zorder=1)
@@ -255,13 +264,18 @@ def draw_arena(axes: Axes, scene: Scene) -> None:
 
 
 def draw_entity(
-    axes: Axes, entity: int, pose: FloatArray, radius: float, alpha: float = 0.9
+    axes: Axes,
+    entity: int,
+    pose: FloatArray,
+    radius: float,
+    alpha: float = 0.9,
+    world: World = PHASE,
 ) -> None:
     """Draw an entity at a pose x, y, angle."""
     from matplotlib.patches import Circle, Polygon
 
-    style: dict[str, Any] = {"fc": _share(ENTITY_COLOURS[entity]), "ec": INK, "lw": 0.7}
-    if is_agent(entity):
+    style: dict[str, Any] = {"fc": _share(world.entity_colours[entity]), "ec": INK, "lw": 0.7}
+    if is_agent(entity, len(world.agents)):
         outline = agent_outline(pose, radius)
         axes.add_patch(Polygon(outline, closed=True, zorder=3.5, alpha=alpha, **style))
     else:
@@ -274,9 +288,10 @@ def _share(colour: tuple[int, int, int]) -> Colour:
     return red / 255, green / 255, blue / 255
 
 
-def _line_colour(entity: int) -> Colour:
+def _line_colour(world: World, entity: int) -> Colour:
     """Return the entity's colour, darkened enough to be read on white."""
-    red, green, blue = (_SHADE[entity] * part for part in _share(ENTITY_COLOURS[entity]))
+    shade = _SHADE[entity] if world == PHASE else _ANY_SHADE
+    red, green, blue = (shade * part for part in _share(world.entity_colours[entity]))
     return red, green, blue
 
 

@@ -136,10 +136,8 @@ def direct_labels(
 ) -> None:
     """Write each line's name beside its end, moved apart where they would touch.
 
-    Args:
-        axes: with final limits.
-        ends: y of the end, name, colour.
-        gap: least distance of two names, as a share of the axis.
+    ``ends`` are y, name and colour on axes with final limits; ``gap`` is the least distance of two
+    names, as a share of the axis.
     """
     low, high = axes.get_ylim()
     wanted = np.array([(y - low) / (high - low) for y, _, _ in ends])

@@ -276,17 +276,15 @@ all), and the number of substeps after that."""
 def repaired(angles: FloatArray, radius: float) -> FloatArray:
     """Return an agent's angles as if they had been averaged before they were wrapped.
 
-    In copies about a diagonal the angles were wrapped into (-2 pi, 0] in every substep and only
-    then averaged over the five substeps of a frame. A frame in which the angle passes the cut is
-    therefore off by a multiple of 2 pi / 5, beside the jump by 2 pi from then on.
+    In copies about a diagonal the angles (time,) [rad], means over the frames, were wrapped into
+    (-2 pi, 0] in every substep and only then averaged over the five substeps of a frame. A frame in
+    which the angle passes the cut is therefore off by a multiple of 2 pi / 5, beside the jump by 2
+    pi from then on.
 
     Of all ways in which the angle may have passed the cut, the one that takes the least turning,
-    where a frame that passes it must lie near it: as near as at most a full turn explains. Angles
-    that lie beyond the cut anyway were never wrapped and stay as they are.
-
-    Args:
-        angles: (time,) means over the frames, rad.
-        radius: size of the agent, which says how fast it turns.
+    where a frame that passes it must lie near it: as near as at most a full turn, which an agent of
+    this radius can make, explains. Angles that lie beyond the cut anyway were never wrapped and
+    stay as they are.
     """
     if (angles > _ROUNDING).any() or (angles < -_TURN - _ROUNDING).any():
         return angles

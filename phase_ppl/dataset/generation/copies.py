@@ -44,14 +44,7 @@ class Recording:
 
 
 def record(situation: Situation, simulator: JointSimulator, frames: int, seed: int) -> Recording:
-    """Simulate a situation and cut the recording after the last motion.
-
-    Args:
-        situation: what is simulated.
-        simulator: by which it is.
-        frames: length before the cut, 12 per simulated second.
-        seed: of the simulator.
-    """
+    """Simulate a situation for ``frames``, 12 per simulated second; cut after the last motion."""
     steps = simulator.steps(situation.scene, situation.hypothesis, np.random.default_rng(seed))
     taken = list(itertools.islice(steps, frames))
     trajectory = np.array([frame for frame, _ in taken], np.float64)

@@ -27,7 +27,7 @@ from phase_ppl.dataset.generated import (
 )
 from phase_ppl.dataset.generation.making import Made, event_of, make
 from phase_ppl.dataset.generation.plan import PHASE500, Plan, Slot, scaled
-from phase_ppl.simulator.jobs import Failure, results
+from phase_ppl.simulator.processes import Failure, results
 from phase_ppl.world.checks import number_of_workers
 from phase_ppl.world.errors import (
     InvalidEventError,
@@ -55,15 +55,8 @@ class _Part(NamedTuple):
 class DatasetBuilder:
     """The folder of a data set that is being made.
 
-    Args:
-        path: of the folder.
-        plan: what is to be made.
-        keep_rejected: whether rejected draws are kept.
-        resume: whether to go on with what is there.
-        other_versions: whether also by other versions of this package and what it builds on.
-
-    Attributes:
-        damaged: names of events whose part was there and cannot be used: they are missing again.
+    ``damaged`` are the names of events whose part was there and cannot be used: they are missing
+    again.
 
     Raises:
         OutputError: the folder cannot be written, holds a data set already, or one of another

@@ -8,9 +8,8 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.dataset.generation.changes import changed, described
 from phase_ppl.dataset.generation.copies import Recording, recoloured, record, reflected
-from phase_ppl.dataset.generation.families import family_and_variant
+from phase_ppl.dataset.generation.families import changed, described, family_and_variant
 from phase_ppl.dataset.generation.plan import REFLECTION_SHARES, UNCHANGED, Look, Plan, Slot
 from phase_ppl.dataset.generation.situation import Situation
 from phase_ppl.physics.actions import DIRECTIONS

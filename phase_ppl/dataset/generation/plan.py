@@ -16,8 +16,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.dataset.generation.changes import MOST_CHANGES
-from phase_ppl.dataset.generation.families import family_and_variant
+from phase_ppl.dataset.generation.families import MOST_CHANGES, family_and_variant
 from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.checks import check_memory, instance_of, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name

@@ -95,11 +95,6 @@ class Draw:
 
     Rooms and landmarks share their numbers 0..3. Agents are red 0 and green 1, items blue 2 and
     pink 3; the colours are shuffled later.
-
-    Args:
-        rng: of this draw.
-        layout: number of the layout, of :data:`LAYOUTS`.
-        turning: which way agents can turn by themselves.
     """
 
     def __init__(self, rng: np.random.Generator, layout: int, turning: Turning = "both") -> None:
@@ -190,13 +185,8 @@ class Draw:
     ) -> Situation:
         """Return the situation with places and angles drawn, nothing overlapping.
 
-        Args:
-            goals: stated goals of red and green.
-            alpha: of red and of green.
-            rooms: where each of the four entities starts.
-            sizes: R of each of the four entities, units.
-            strengths: of red and green, newtons.
-            at: entity -> fixed place, units.
+        Goals are stated ones; ``rooms`` say where each of the four entities starts, ``sizes`` are
+        their R [units], ``strengths`` in newtons; ``at`` fixes the places [units] of some entities.
         """
         radius = np.array(sizes, np.float64)
         for start in self._arrangements(rooms, at or {}):
@@ -238,28 +228,29 @@ def approach(agent: int) -> int:
     return literal_goal(Literal(Predicate.TOUCH, agent, len(AGENTS) - 1 - agent))
 
 
-def overlaps(start: FloatArray, radius: FloatArray, walls: FloatArray) -> bool:
+def overlaps(
+    start: FloatArray, radius: FloatArray, walls: FloatArray, n_agents: int = len(AGENTS)
+) -> bool:
     """Whether any two shapes overlap, or one a wall.
 
-    Args:
-        start: (entity, coord) x, y [units], angle [rad].
-        radius: (entity,) sizes, units.
-        walls: (n, 2, 2) inner walls along the axes.
+    The shapes start at (entity, coord) x, y [units], angle [rad], and have sizes (entity,) [units];
+    walls (n, 2, 2) are along the axes. The first entities are agents.
     """
-    pairs = itertools.combinations(range(len(ENTITIES)), 2)
-    if any(shapes_meet(first, second, start, radius) for first, second in pairs):
+    entities = range(len(start))
+    pairs = itertools.combinations(entities, 2)
+    if any(shapes_meet(first, second, start, radius, n_agents=n_agents) for first, second in pairs):
         return True
     return any(
-        _meets_wall(entity, start[entity], float(radius[entity]), wall)
-        for entity in range(len(ENTITIES))
+        _meets_wall(entity < n_agents, start[entity], float(radius[entity]), wall)
+        for entity in entities
         for wall in walls
     )
 
 
-def _meets_wall(entity: int, pose: FloatArray, radius: float, wall: FloatArray) -> bool:
+def _meets_wall(is_agent: bool, pose: FloatArray, radius: float, wall: FloatArray) -> bool:
     """Whether a shape meets a wall, taken as a segment."""
     low, high = wall.min(axis=0), wall.max(axis=0)
-    if not is_agent(entity):
+    if not is_agent:
         nearest = np.clip(pose[:2], low, high)
         return bool(np.linalg.norm(nearest - pose[:2]) < radius)
     outline = agent_outline(pose, radius)

@@ -16,16 +16,39 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeVar
 
 from phase_ppl.analysis.figures.style import written
 from phase_ppl.evaluation.comparison import ModelComparison
+from phase_ppl.evaluation.experiments import (
+    MAJORITY,
+    MARGIN,
+    Likeness,
+    Tags,
+    load_likeness,
+    load_tags,
+)
 from phase_ppl.evaluation.figures import grids as _grids
 from phase_ppl.evaluation.figures import rows as _rows
 from phase_ppl.evaluation.figures.layout import NothingToDrawError, Results, Source
-from phase_ppl.evaluation.likeness import MARGIN, Likeness, load_likeness
-from phase_ppl.evaluation.tags import MAJORITY, Tags, load_tags
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.files import writable_folder
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+__all__ = [
+    "DRAWINGS",
+    "accuracy",
+    "confusion",
+    "correlation",
+    "costs",
+    "differences",
+    "draw_figures",
+    "equivalence",
+    "film_strips",
+    "likeness",
+    "people",
+    "scatter_goals",
+    "scatter_relations",
+    "tags",
+]
 
 _Data = TypeVar("_Data")
 
@@ -106,10 +129,7 @@ DRAWINGS: Final = {
 def draw_figures(source: Source, folder: Path, *, progress: bool = True) -> list[Path]:
     """Write all figures that the results allow into ``figures/``, as PNG; return the files.
 
-    Args:
-        source: an evaluation or a comparison of models, or the folder of one.
-        folder: to which ``figures/`` belongs.
-        progress: say on the standard error output which are left out, and why.
+    With ``progress`` standard error says which are left out, and why.
 
     Raises:
         InvalidEventError, UnknownNameError: a file in the folder is damaged.
@@ -182,10 +202,8 @@ def tags(
 ) -> Figure:
     """Draw in how many videos people see what, as the paper does of its 23 labels.
 
-    Args:
-        source: labels, or their CSV file (:mod:`phase_ppl.evaluation.tags`), anybody's.
-        path: where to write it as well.
-        majority: share of the viewers of a video from which on it has a category.
+    The labels, or their CSV file (:mod:`phase_ppl.evaluation.experiments`), may be anybody's; a
+    video has a category from which on that share of its viewers, ``majority``, chose it.
 
     Raises:
         InvalidSettingError: ``source`` is neither labels nor a file, or ``majority`` no share.
@@ -202,13 +220,15 @@ def likeness(
 ) -> Figure:
     """Draw how likely people find it that people behave like this, in two groups of videos.
 
-    Args:
-        source: ratings, or their CSV file (:mod:`phase_ppl.evaluation.likeness`), anybody's.
-        path: where to write it as well.
-        margin: difference of mean ratings below which the groups count as equivalent.
+    The ratings, or their CSV file (:mod:`phase_ppl.evaluation.experiments`), may be anybody's;
+    groups are equivalent if their mean ratings differ by less than ``margin``.
 
     Raises:
         InvalidSettingError: ``source`` is neither ratings nor a file, or ``margin`` not positive.
         InvalidEventError: the file holds no ratings; the message names file and line.
     """
     return written(_rows.likeness(_read(source, Likeness, load_likeness), margin), path)
+
+
+def __dir__() -> list[str]:
+    return __all__

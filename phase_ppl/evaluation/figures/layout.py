@@ -47,11 +47,7 @@ class NothingToDrawError(InvalidSettingError):
 
 @dataclasses.dataclass(frozen=True)
 class Results:
-    """Who answered what about which events, read once for all figures.
-
-    Args:
-        source: an evaluation, finished or not, or a comparison of models.
-    """
+    """Who answered what about which events, read once for all figures."""
 
     source: Evaluation | ModelComparison
 
@@ -141,13 +137,7 @@ def title_row(axes: Axes, title: str) -> None:
 def cells(
     axes: Axes, colours: FloatArray, texts: Mapping[tuple[int, int], tuple[str, dict[str, Any]]]
 ) -> None:
-    """Draw a matrix of coloured cells.
-
-    Args:
-        axes: in which it is drawn.
-        colours: (row, column, RGB).
-        texts: row and column -> the text in the cell, and its style.
-    """
+    """Draw a matrix of cells of colours (row, column, RGB), with texts, each with its style."""
     axes.imshow(colours, aspect="auto")
     for (row, column), (text, style) in texts.items():
         axes.text(column, row, text, ha="center", va="center", **style)

@@ -12,6 +12,7 @@ from phase_ppl.analysis.figures.style import COLOURS, INK, NORMAL, SMALL, bare
 from phase_ppl.analysis.figures.style import GREY as TEXT_GREY
 from phase_ppl.evaluation.answer_sets import AnswerSet
 from phase_ppl.evaluation.cells import number
+from phase_ppl.evaluation.experiments import MAJORITY, MARGIN, RATINGS, Likeness, Tags
 from phase_ppl.evaluation.figures.layout import (
     GREY,
     KIND_TITLES,
@@ -27,10 +28,8 @@ from phase_ppl.evaluation.figures.layout import (
     title_row,
     width_of,
 )
-from phase_ppl.evaluation.likeness import MARGIN, RATINGS, Likeness
 from phase_ppl.evaluation.metrics import at
 from phase_ppl.evaluation.tables import facts, said
-from phase_ppl.evaluation.tags import MAJORITY, Tags
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS
 
@@ -119,13 +118,9 @@ def _by_scenario(
 ) -> Figure:
     """Draw kinds of questions below each other, a column for all events and for each scenario.
 
-    Args:
-        blocks: kinds without rows are left out.
-        scenarios: that have a column.
-        cell: inches of a column, and of a row.
-        note: below the figure.
-        draw: draws rows of a kind and a scenario; returns of how many events or answers.
-        nothing: what is missing where there are no rows.
+    Kinds without rows are left out. ``cell`` are the inches of a column and of a row; ``draw``
+    draws the rows of a kind and a scenario, and returns of how many events or answers; ``nothing``
+    says what is missing where there are no rows.
     """
     blocks = {kind: rows for kind, rows in blocks.items() if rows}
     if not blocks:

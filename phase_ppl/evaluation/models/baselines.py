@@ -72,11 +72,7 @@ def chance() -> Predict:
 
 
 def goal_shares(agent: int) -> NDArray[np.float64]:
-    """Return (36,) how frequent each effective goal of an agent is in PHASE, sum 1.
-
-    Args:
-        agent: 0 red, 1 green.
-    """
+    """Return (36,) how frequent an agent's effective goals are in PHASE, sum 1; 0 red, 1 green."""
     shares = PHASE["tables"]["goal_type"]["shares"]
     types = [None if is_self_referring(goal, agent) else goal_type(goal) for goal in range(N_GOALS)]
     return np.array([0.0 if name is None else shares[name] / types.count(name) for name in types])

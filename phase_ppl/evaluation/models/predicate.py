@@ -67,7 +67,7 @@ def predicate(
         **options: fields of :class:`~phase_ppl.models.predicate.Thresholds` and of
             :class:`~phase_ppl.models.predicate.Rationality`.
     """
-    from phase_ppl.inference.presets import preset as check_preset
+    from phase_ppl.inference.settings import preset as check_preset
     from phase_ppl.models.predicate import AS_THE_PAPER, Rationality, Thresholds, log_prior_of_pairs
 
     check_preset(preset)

@@ -78,14 +78,10 @@ class Simple:
 
 
 def _of_simple(given: Mapping[str, Any]) -> list[str] | None:
-    """Return what SIMPLE takes beside its own options; None: anything, which the kernel does.
-
-    Args:
-        given: all options; ``kernel`` decides.
-    """
+    """Return what SIMPLE takes beside its own options, by ``kernel``; None: anything it does."""
     from phase_ppl.inference.infer import infer
-    from phase_ppl.inference.presets import SETTINGS
     from phase_ppl.inference.registry import described
+    from phase_ppl.inference.settings import SETTINGS
 
     of_kernel = described(given.get("kernel") or _KERNEL).options
     if of_kernel is None:
@@ -123,8 +119,8 @@ def simple(
             by name, such as ``proposal="paper"``.
     """
     from phase_ppl.analysis.weights import WEIGHTINGS
-    from phase_ppl.inference.presets import completed
     from phase_ppl.inference.registry import described
+    from phase_ppl.inference.settings import completed
     from phase_ppl.models.model import Model
 
     options = completed(preset, {"planner": planner, "weights": weights, **options})
@@ -279,7 +275,7 @@ def _refuse(options: dict[str, Any], name: str) -> None:
 def _planner(planner: Any, options: Mapping[str, Any], **changes: Any) -> Any:
     """Return a planner by name, or the preset's or the default one, with fields changed."""
     from phase_ppl.agents.config import PlannerConfig
-    from phase_ppl.inference.presets import completed
+    from phase_ppl.inference.settings import completed
     from phase_ppl.models.model import DEFAULT_PLANNER
 
     usual = completed(options.get("preset", "default"), {"planner": planner})

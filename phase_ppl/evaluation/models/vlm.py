@@ -32,7 +32,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
-from phase_ppl.dataset.documents import read_json
+from phase_ppl.dataset.documents import check_schema, read_json
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.registry import Answer, register_model
 from phase_ppl.evaluation.vlm.request import (
@@ -105,10 +105,7 @@ class Store:
         if not source.exists():
             return None
         record = read_json(source)
-        if record.get("schema") != SCHEMA:
-            raise InvalidEventError(
-                f"{source}: its schema is {shown(record.get('schema'))}, not {SCHEMA!r}"
-            )
+        check_schema(record, SCHEMA, source)
         was = record.get("request")
         found = differences(was, request) if isinstance(was, dict) else ["request is missing"]
         if found or record.get("seed") != seed:

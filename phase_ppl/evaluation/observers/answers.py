@@ -20,8 +20,8 @@ from phase_ppl.analysis.stepwise_table import log_prior_of_pairs
 from phase_ppl.evaluation.judgments import Study
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
 from phase_ppl.evaluation.ratings import event_judgments
-from phase_ppl.models.observer.cues import CUES, surface_cues
 from phase_ppl.models.observer.observers import HALF_LIVES, Evidence, Program, Responses
+from phase_ppl.models.observer.perception import CUES, surface_cues
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.event import Event
@@ -105,11 +105,9 @@ NORMALS: Final = {question: _normals(len(labels)) for question, labels in QUESTI
 def shared(logs: Array, spread: Array | float, question: str) -> Array:
     """Return (node, event, answer) log probabilities in what people may share about a video.
 
-    Args:
-        logs: (event, answer) of the observer.
-        spread: standard deviation of the log odds that people share about one video beyond what
-            the observer says of it, so that they agree more than independent raters would.
-        question: says how many answers there are.
+    ``logs`` (event, answer) are the observer's, ``spread`` the standard deviation of the log odds
+    that people share about one video beyond what the observer says of it, so that they agree more
+    than independent raters would.
     """
     moved = logs + spread * jnp.asarray(NORMALS[question])[:, None]
     return jax.nn.log_softmax(moved, axis=-1)
@@ -127,12 +125,7 @@ def people(observer: Program, evidence: Evidence, answers: Answers, counted: Arr
     video (``log_likelihood``) is that of all its answers. Raters with names differ in how sharply
     they answer (``diversity``). A response time is log-normal, about a pace of the rater's own
     (``pace``, ``pace_sd``), and longer by ``slowing`` for each nat of doubt about the relation.
-
-    Args:
-        observer: samples its parameters and says the probabilities of answers.
-        evidence: of all videos.
-        answers: about all videos.
-        counted: (event,) 1 for videos whose answers count, 0 for those left out.
+    ``counted`` (event,) is 1 for videos whose answers count, 0 for those left out.
     """
     said = observer(evidence)
     n_raters = len(answers.raters)
@@ -197,14 +190,10 @@ _RELATIONS_ONLY: Final = {"relation": np.arange(len(RELATIONS))}
 def evidence_of(
     events: Sequence[Event], made: Mapping[str, Made | Sequence[Made]] | None = None
 ) -> Evidence:
-    """Return what observers have to go by.
+    """Return what observers have to go by: scene and observation of the events, nothing else.
 
-    Of a posterior the hypotheses are pairs of goals, of a prediction the relations alone.
-
-    Args:
-        events: scene and observation are read, nothing else.
-        made: event id -> what a model made of it, or of several readings of it; None: no model,
-            surface cues alone.
+    And what a model made of each, or of several readings of it; with ``made`` None surface cues
+    alone. Of a posterior the hypotheses are pairs of goals, of a prediction the relations alone.
     """
     readings: list[list[Made]] = []
     for event in events:

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import hashlib
+import json
 import os
 from collections.abc import Mapping, Sequence
+from importlib import resources
 from typing import Any, Final
 
 import jax
@@ -18,13 +21,17 @@ from numpyro.infer import MCMC, NUTS
 
 from phase_ppl.analysis._arviz import arviz_groups, pareto_smoothed
 from phase_ppl.dataset.documents import read_json
-from phase_ppl.evaluation.observers.answers import Answers, expected, people
-from phase_ppl.evaluation.prediction import Prediction
+from phase_ppl.evaluation.observers.answers import Answers, Made, evidence_of, expected, people
+from phase_ppl.evaluation.prediction import Prediction, as_prediction
+from phase_ppl.evaluation.registry import Answer, Predict, ReadyModel
 from phase_ppl.models.observer.observers import OBSERVERS, Evidence, Program, observer_named
 from phase_ppl.models.observer.perception import Perception
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
+from phase_ppl.world.event import Event
 from phase_ppl.world.files import write_json
+from phase_ppl.world.observation import Observation
+from phase_ppl.world.scene import Scene
 
 SCHEMA: Final = "phase-ppl-observer-1"
 KEPT: Final = 200  # draws of the parameters that a file keeps: a mean over them is off by little
@@ -278,37 +285,6 @@ def _sampler(
     )  # fmt: skip
 
 
-def chosen_inside(fits: Sequence[PeopleFit]) -> tuple[dict[str, Prediction], dict[str, int]]:
-    """Predict each video by the fit that predicts the OTHER videos best without this one.
-
-    So the choice of an observer sees nothing of the video it is judged by: for each video, draws
-    are reweighted to leave it out, and of these each other video in turn.
-
-    Returns:
-        Event id -> prediction, and event id -> place of the fit that was chosen.
-    """
-    n = len(fits[0].evidence.events)
-    without = np.array([_elpd_without(fit) for fit in fits])  # fit, left out, event
-    judged = fits[0].answers.judged > 0
-    best = np.array([without[:, i, judged & (np.arange(n) != i)].sum(axis=1) for i in range(n)])
-    chosen = best.argmax(axis=1)
-    names = fits[0].evidence.events
-    return (
-        {name: fits[k].left_out[name] for name, k in zip(names, chosen, strict=True)},
-        dict(zip(names, chosen.tolist(), strict=True)),
-    )
-
-
-def _elpd_without(fit: PeopleFit) -> FloatArray:
-    """Return (left out, event) log predictive densities of events, both left out."""
-    logs = fit.log_likelihood.T
-    found = np.empty((len(logs), len(logs)))
-    for i, one in enumerate(logs):
-        weights, _ = pareto_smoothed(-logs - one)
-        found[i] = np.logaddexp.reduce(np.log(weights) + logs, axis=1)
-    return found
-
-
 def as_observer(given: str | Program) -> tuple[Program, str]:
     """Return an observer given by name or as a program, and its name, "" of one's own."""
     if isinstance(given, str):
@@ -317,3 +293,74 @@ def as_observer(given: str | Program) -> tuple[Program, str]:
         raise InvalidSettingError(f"observer={shown(given)} is no name and no program of evidence")
     named = (name for name, one in OBSERVERS.items() if one == given)
     return given, next(named, "")
+
+
+# --- models seen through an observer --------------------------------------------------------------
+
+PEOPLE: Final = "people"
+"""Name of the observers that come with the package, fitted to people's judgments of relations in
+50 of PHASE's test videos; parameters only, no judgments."""
+
+_FILE: Final = resources.files("phase_ppl.evaluation.observers") / "people.json"
+
+
+def observer_of(given: str | os.PathLike[str] | FittedObserver, model: str) -> FittedObserver:
+    """Return a fitted observer: itself, a file's, or "people", the package's for this model."""
+    if isinstance(given, FittedObserver):
+        return given
+    if given != PEOPLE:
+        return FittedObserver.load(given)
+    known = json.loads(_FILE.read_text(encoding="utf-8"))
+    if model not in known:
+        raise InvalidSettingError(
+            f"observer 'people' comes for the models {', '.join(known)}, not for {shown(model)}: "
+            "phase_ppl.fit_people makes one"
+        )
+    return FittedObserver.from_dict(known[model])
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Observed:
+    """A model whose answers an observer gives; what it was not fitted to stays the model's."""
+
+    model: Predict
+    observer: FittedObserver
+
+    def __call__(self, scene: Scene, observation: Observation, seed: int) -> Answer:
+        """Return the answers that people are expected to give."""
+        perception = self.observer.perception
+        readings = [observation]
+        if perception is not None:
+            readings = perception.readings(scene, observation, seed)
+        answers = [self._asked(scene, one, seed) for one in readings]
+        made: list[Made] = [answer.posterior or as_prediction(answer.given) for answer in answers]
+        event = Event(scene, observation)
+        evidence = evidence_of([event], {event.id: made})
+        (expected,) = self.observer.predict(evidence).values()
+        own = as_prediction(answers[0].given)
+        given = {q: p for q, p in expected.probabilities.items() if q in self.observer.questions}
+        kept = {q: a for q, a in own.answers.items() if q not in given}
+        prediction = Prediction(
+            "",
+            {**{q: own.probabilities[q] for q in kept if q in own.probabilities}, **given},
+            kept,
+            own.cost,
+            {q: e for q, e in own.errors.items() if q in kept},
+        )
+        return Answer(prediction, answers[0].artefacts)
+
+    def _asked(self, scene: Scene, observation: Observation, seed: int) -> Answer:
+        given = self.model(scene, observation, seed)
+        return given if isinstance(given, Answer) else Answer(given)
+
+    def warm_up(self) -> None:
+        """Prepare what all processes share."""
+        getattr(self.model, "warm_up", lambda: None)()
+
+
+def observed(model: ReadyModel, given: str | os.PathLike[str] | FittedObserver) -> ReadyModel:
+    """Return a model seen through an observer."""
+    observer = observer_of(given, model.name)
+    digest = hashlib.sha256(json.dumps(observer.to_dict()).encode()).hexdigest()
+    record: dict[str, Any] = {**model.record, "observer": observer.name, "observer_digest": digest}
+    return dataclasses.replace(model, predict=Observed(model.predict, observer), record=record)

@@ -1,17 +1,25 @@
-"""What the pages of a run, an evaluation, a comparison and an event show."""
+"""What the pages of a run, an evaluation, a comparison and an event show, and how they are made."""
 
 from __future__ import annotations
 
+import base64
+import functools
+import hashlib
+import io
 import itertools
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
 
+import phase_ppl
 from phase_ppl.analysis import plots
-from phase_ppl.analysis.hypotheses import HDI_PROBABILITY
+from phase_ppl.analysis.figures.over_time import titles
+from phase_ppl.analysis.hypotheses import HDI_PROBABILITY, Hypotheses
 from phase_ppl.analysis.posterior import Posterior, load_posterior
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.evaluation.answer_sets import MODEL_COLOUR, AnswerSet, label_of
@@ -22,24 +30,8 @@ from phase_ppl.evaluation.figures import drawings_of
 from phase_ppl.evaluation.figures.layout import NothingToDrawError, Results
 from phase_ppl.evaluation.folder import POSTERIOR
 from phase_ppl.evaluation.metrics import at
-from phase_ppl.evaluation.paper import (
-    LOOSE,
-    NO_REPRODUCTION,
-    NOT_DRAWN,
-    VERDICTS,
-    Reproduction,
-)
+from phase_ppl.evaluation.paper import LOOSE, NO_REPRODUCTION, NOT_DRAWN, VERDICTS, Reproduction
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
-from phase_ppl.evaluation.report.html import (
-    LEAST,
-    Picture,
-    embedded,
-    figure_of,
-    flat,
-    in_words,
-    page,
-    picture_of,
-)
 from phase_ppl.evaluation.tables import true_answer
 from phase_ppl.inference.progress import counted
 from phase_ppl.render.stills import draw_strip
@@ -51,14 +43,11 @@ from phase_ppl.world.hypothesis import ALPHA_WORDS, ALPHAS, RELATIONS, SCENARIOS
 from phase_ppl.world.names import AGENTS
 from phase_ppl.world.scene import Scene
 
-REPLAY: Final = "replay.mp4"  # the film in the folder of a run
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from PIL import Image
 
-ASKED: Final = {
-    "goal_red": "Goal of the red agent",
-    "goal_green": "Goal of the green agent",
-    "relation": "Relation",
-}
-"""Question -> how it is put to a reader."""
+REPLAY: Final = "replay.mp4"  # the film in the folder of a run
 
 MAX_ROWS: Final = 6  # most goals that are shown of an agent
 _WORTH_A_ROW: Final = 0.02  # probability from which on a goal is
@@ -136,12 +125,9 @@ class Question(NamedTuple):
 
 
 def event_page(event: Event, shown: Sequence[AnswerSet], post: Posterior | None = None) -> str:
-    """Return the page of an event.
+    """Return the page of an event, with a column for each who said something of it.
 
-    Args:
-        event: it.
-        shown: whose answers are shown, a column each; those who said nothing of it are left out.
-        post: the model's posterior, whose best hypothesis' simulation is shown as well.
+    With the model's posterior its best hypothesis' simulation is shown as well.
     """
     truth = "Truth not known."
     if event.truth is not None:
@@ -203,7 +189,7 @@ def _item(
             true_answer(event, name),
             shown,
         )
-        for name, title in ASKED.items()
+        for name, title in titles(Hypotheses).items()
         if any(name in one.predictions[event.id].answers for one in shown)
     ]
     right = [
@@ -309,7 +295,7 @@ def _bars(
     found: list[tuple[str, str, Sequence[tuple[str, float]]]] = []
     for name, colour in _COLOURS.items():
         entries = [entry for entry in post.top(name, MAX_ROWS) if entry[1] >= LEAST]
-        found.append((ASKED[name], colour, entries))
+        found.append((titles(Hypotheses)[name], colour, entries))
     for name in ("relation", "scenario"):
         found.append((name.capitalize(), MODEL_COLOUR, post.top(name, len(post.marginal(name)))))
     return found
@@ -433,17 +419,14 @@ def _figures(results: Results) -> tuple[list[tuple[str, Picture]], list[str]]:
 
 def comparison_page(comparison: ModelComparison, *, progress: bool | None = None) -> str:
     """Return the page of a comparison of models."""
-    results = Results(comparison)
-    shown = {answers.name: answers for answers in results.source.answers}
-    drawn, left_out = _figures(results)
-    settings = {one.name: {"folder": one.folder, **one.settings} for one in comparison.entries}
+    shown = {answers.name: answers for answers in comparison.answers}
+    drawn, left_out = _figures(Results(comparison))
     return page(
         "comparison.html",
         title="Comparison of models",
         # a model that predicts nothing has no answers
         names=[shown[n].label if n in shown else label_of(n) for n in comparison.models],
         notes=comparison.notes,
-        summary=_summary(results.source.measured),
         answers=shown,
         measures=_MEASURES,
         differences=[
@@ -455,13 +438,20 @@ def comparison_page(comparison: ModelComparison, *, progress: bool | None = None
         margin=comparison.settings["margin"],
         drawn=drawn,
         left_out=left_out,
-        items=[
-            _item(event, results.source.answers)
-            for event in counted(comparison.events, progress, "event", "showing")
-        ],
         settings=comparison.settings,
-        settings_of_models=list(flat(settings)),
+        **_compared(comparison, progress),
     )
+
+
+def _compared(comparison: ModelComparison, progress: bool | None) -> dict[str, Any]:
+    """Return metrics and settings of the models of a comparison, and what they said of events."""
+    settings = {one.name: {"folder": one.folder, **one.settings} for one in comparison.entries}
+    events = counted(comparison.events, progress, "event", "showing")
+    return {
+        "summary": _summary(comparison.measured),
+        "items": [_item(event, comparison.answers) for event in events],
+        "settings_of_models": list(flat(settings)),
+    }
 
 
 # --- the paper, cell by cell -----------------------------------------------------------------
@@ -469,14 +459,12 @@ def comparison_page(comparison: ModelComparison, *, progress: bool | None = None
 
 def reproduction_page(made: Reproduction, *, progress: bool | None = None) -> str:
     """Return the page of a reproduction."""
-    results = Results(made.comparison)
-    drawn, left_out = _figures(results)
+    drawn, left_out = _figures(Results(made.comparison))
     for title, alt, draw in made.drawn:
         try:
             drawn.append((title, figure_of(draw(), alt)))
         except InvalidSettingError as reason:
             left_out.append(f"{title}: {reason}.")
-    given = {one.name: {"folder": one.folder, **one.settings} for one in made.comparison.entries}
     return page(
         "reproduction.html",
         title="The paper, cell by cell" if made.real else "No reproduction: a try",
@@ -488,12 +476,110 @@ def reproduction_page(made: Reproduction, *, progress: bool | None = None) -> st
         ],
         counts=[(kind, sum(one.verdict == kind for one in made.cells)) for kind in VERDICTS],
         loose=LOOSE,
-        summary=_summary(results.source.measured),
         drawn=drawn,
         left_out=[*left_out, f"{NOT_DRAWN}."],
-        items=[
-            _item(event, results.source.answers)
-            for event in counted(made.comparison.events, progress, "event", "showing")
-        ],
-        settings_of_models=list(flat(given)),
+        **_compared(made.comparison, progress),
     )
+
+
+# --- made from templates (Jinja2), with their pictures, style and script inside -------------------
+# Whatever a template is given becomes text: it is escaped unless a template itself made it. The
+# page's policy lets the browser fetch nothing and run no script but its own, which it knows by its
+# hash.
+
+COLOURS: Final = 256
+"""Colours of pictures of events, flat areas and a few thin lines; fewer change those of items."""
+
+LEAST: Final = 0.005  # probability below which it is 0 to a reader
+
+_SCREEN: Final = 104
+"""Pixels on the screen for an inch of a figure: its small print can just be read."""
+
+
+class Picture(NamedTuple):
+    """A picture as part of a page: its content as an address, and its size on the screen."""
+
+    source: str
+    alt: str
+    width: int
+    height: int
+
+
+def page(template: str, **content: Any) -> str:
+    """Return the page that a template, such as "run.html", makes of its content."""
+    return _environment().get_template(template).render(content) + "\n"
+
+
+def picture_of(image: Image.Image, alt: str, width: int) -> Picture:
+    """Return a picture of an event, ``width`` pixels wide at most."""
+    small = image
+    if image.width > width:
+        small = image.resize((width, round(image.height * width / image.width)))
+    buffer = io.BytesIO()
+    small.quantize(COLOURS).save(buffer, "PNG", optimize=True)
+    return Picture(embedded(buffer.getvalue(), "image/png"), alt, small.width, small.height)
+
+
+def figure_of(figure: Figure, alt: str, dpi: int = 160) -> Picture:
+    """Return a matplotlib figure, a little larger than on paper."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=dpi)
+    width, height = (round(inches * _SCREEN) for inches in figure.get_size_inches())
+    return Picture(embedded(buffer.getvalue(), "image/png"), alt, width, height)
+
+
+def embedded(content: bytes, kind: str) -> str:
+    """Return an address that holds its content, of a MIME type such as "video/mp4"."""
+    return f"data:{kind};base64,{base64.b64encode(content).decode()}"
+
+
+def in_words(value: Any) -> str:
+    """Return a plain value, such as of a JSON file, in a line of text."""
+    if value is None:
+        return number(None)
+    if isinstance(value, Mapping):
+        return ", ".join(f"{str(k).replace('_', ' ')} {in_words(v)}" for k, v in value.items())
+    if isinstance(value, list | tuple):
+        return ", ".join(in_words(entry) for entry in value) or "none"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.4g}".replace("-", "\N{MINUS SIGN}")
+    return str(value)
+
+
+def flat(record: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, str]]:
+    """Yield the path and the value, in words, of everything in nested mappings."""
+    for key, value in record.items():
+        path = f"{above}{key}"
+        if isinstance(value, Mapping) and value:
+            yield from flat(value, f"{path}.")
+        else:
+            yield path, in_words(value)
+
+
+@functools.cache
+def _environment() -> Environment:
+    loader = PackageLoader(__package__)
+    made = Environment(
+        loader=loader,
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    made.filters |= {"number": number, "in_words": in_words, "flat": flat}
+    style, script = (Markup(loader.get_source(made, f"page.{kind}")[0]) for kind in ("css", "js"))
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    policy = (
+        "default-src 'none'; img-src data:; media-src data:; style-src 'unsafe-inline'; "
+        f"script-src 'sha256-{digest}'; base-uri 'none'; form-action 'none'"
+    )
+    made.globals |= {
+        "style": style,
+        "script": script,
+        "policy": policy,
+        "least": LEAST,
+        "version": phase_ppl.__version__,
+    }
+    return made

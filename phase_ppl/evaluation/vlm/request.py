@@ -119,12 +119,7 @@ class Picture(NamedTuple):
 class Request:
     """A question about one event, whose animation is drawn when it is first asked for.
 
-    Args:
-        scene, observation: what is shown.
-        model: who is asked, as the service or the user calls it.
-        n_pictures: how many frames :attr:`pictures` has, at most.
-        as_video: whether the question speaks of a video; else of pictures.
-        text: of the question, as :data:`TEXT`.
+    It speaks of a video or of at most ``n_pictures`` :attr:`pictures`; ``text`` is as :data:`TEXT`.
     """
 
     def __init__(

@@ -70,7 +70,7 @@ class EnumeratedGibbs(MetropolisKernel):
 
     def _goal_drawn(self, key: jax.Array, state: MHState) -> MHState:
         """Return the state after a draw of one agent's goal; its counters stay."""
-        program = self.model
+        program = self.program
         key_agent, key_value, *keys = random.split(key, 2 + N_GOALS)
         agent = random.categorical(key_agent, jnp.asarray(_LOG_CHOICE)[state.z[ALPHA_SITE]])
         values = jnp.arange(N_GOALS)

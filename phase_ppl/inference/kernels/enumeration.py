@@ -16,11 +16,7 @@ from numpyro.util import is_prng_key
 from phase_ppl.inference.kernels.particle import ParticleKernel, WeightedState
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.models.density import NO_DENSITY, log_density
-from phase_ppl.models.effective import (
-    drawn_stated,
-    log_prior_of_effective,
-    stated_hypotheses,
-)
+from phase_ppl.models.effective import drawn_stated, log_prior_of_effective, stated_hypotheses
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import EventProgram
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, HYPOTHESIS_SITES, STRENGTH_SITES
@@ -47,12 +43,7 @@ class Grid(NamedTuple):
 
 
 def hypothesis_grid(model: Model, strengths: Sequence[float]) -> Grid:
-    """Return all effective pairs of goals with prior mass, times all pairs of strengths.
-
-    Args:
-        model: of which only the prior counts.
-        strengths: of either agent, newtons.
-    """
+    """Return all effective pairs of goals with prior mass, times all pairs of strengths [N]."""
     own = [name for name in model.sites if name not in HYPOTHESIS_SITES]
     if own:
         raise InvalidSettingError(
@@ -95,13 +86,7 @@ STRENGTHS: Final = (150.0, 300.0, 450.0, 600.0)  # grid of either agent's streng
 MAX_SIMULATIONS: Final = 50_000
 
 
-@register_kernel(
-    "enumerate",
-    validity="consistent",
-    keeps="start",
-    weighted=True,
-    any_length=True,
-)
+@register_kernel("enumerate", validity="consistent", keeps="start", weighted=True, any_length=True)
 class Enumeration(ParticleKernel[WeightedState]):
     """Enumeration of all pairs of effective goals on a grid of strengths.
 
@@ -155,7 +140,7 @@ class Enumeration(ParticleKernel[WeightedState]):
 
     @property
     def _grid(self) -> Grid:
-        return hypothesis_grid(self.model.model, self._strengths)
+        return hypothesis_grid(self.program.model, self._strengths)
 
     @property
     def n_simulations(self) -> int:
@@ -194,7 +179,7 @@ class Enumeration(ParticleKernel[WeightedState]):
 
     def _simulated(self, state: WeightedState, number: jax.Array) -> WeightedState:
         """Simulate the hypothesis with this number, if there is one."""
-        program = self.model
+        program = self.program
         key, key_seed = random.split(state.rng_key)
         row = number % self._grid.size
         sites = self._sites(row)

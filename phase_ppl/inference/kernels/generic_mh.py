@@ -37,8 +37,8 @@ class PriorMH(ProposalKernel):
     proposes_from_prior = True
 
     def propose(self, key: jax.Array, state: MHState) -> tuple[dict[str, jax.Array], jax.Array]:
-        sites = self.model.draw_prior(key)
-        return sites, state.log_prior - self.model.log_prior(sites)
+        sites = self.program.draw_prior(key)
+        return sites, state.log_prior - self.program.log_prior(sites)
 
 
 @register_kernel("single_site_mh", validity="exact", any_length=True)

@@ -116,16 +116,16 @@ class GibbsKernel(ParticleKernel[WrappedState]):
     @property
     def sims_per_step(self) -> int:
         """One for each discrete element, and one for the rest."""
-        shapes = self.model.model.sites
+        shapes = self.program.model.sites
         return 1 + sum(int(np.prod(shapes[name])) for name in self._discrete())
 
     def _discrete(self) -> list[str]:
         """Return the discrete sites."""
         with jax.ensure_compile_time_eval():
-            prior = handlers.seed(self.model.model.prior, random.key(0))
+            prior = handlers.seed(self.program.model.prior, random.key(0))
             trace = handlers.trace(prior).get_trace()
             found = []
-            for name in self.model.model.sites:
+            for name in self.program.model.sites:
                 law = trace[name]["fn"]
                 if not law.support.is_discrete:
                     continue
@@ -140,7 +140,7 @@ class GibbsKernel(ParticleKernel[WrappedState]):
         return found
 
     def _gibbs(self) -> Gibbs:
-        program = self.model
+        program = self.program
         fresh = program.model.noise == "fresh"
 
         def joint() -> None:
@@ -166,7 +166,7 @@ class GibbsKernel(ParticleKernel[WrappedState]):
         """Return the prior's standard deviations times the step."""
         with jax.ensure_compile_time_eval():
             keys = random.split(random.key(0), _DRAWS)
-            draws = jax.vmap(lambda key: draw(self.model.model.prior, key))(keys)
+            draws = jax.vmap(lambda key: draw(self.program.model.prior, key))(keys)
             return {name: self._step * values.std(axis=0) for name, values in draws.items()}
 
     def start_one(
@@ -174,12 +174,12 @@ class GibbsKernel(ParticleKernel[WrappedState]):
     ) -> WrappedState:
         uniform = random.uniform(key_start)
         start = dict(sites)
-        if self.model.model.noise == "fresh":
+        if self.program.model.noise == "fresh":
             start[SEED_SITE] = uniform
         inner = self._gibbs().init(key, 0, start, (), {})
         none = jnp.zeros((), jnp.int32)
-        seed = seed_of(self.model, uniform, sites)
-        error = self.model.simulate(sites, self.model.log_prior(sites), seed)
+        seed = seed_of(self.program, uniform, sites)
+        error = self.program.simulate(sites, self.program.log_prior(sites), seed)
         return WrappedState(none, sites, seed, error, inner, none > 0, none, key)
 
     def step_one(self, state: WrappedState) -> WrappedState:
@@ -194,6 +194,6 @@ class GibbsKernel(ParticleKernel[WrappedState]):
         inner = gibbs.sample(before, (), {})
         sites = {name: inner.z[name] for name in state.z}
         moved = jnp.stack([jnp.any(inner.z[n] != state.inner.z[n]) for n in inner.z]).any()
-        seed = seed_of(self.model, inner.z.get(SEED_SITE, jnp.zeros(())), sites)
-        error = self.model.simulate(sites, self.model.log_prior(sites), seed)
+        seed = seed_of(self.program, inner.z.get(SEED_SITE, jnp.zeros(())), sites)
+        error = self.program.simulate(sites, self.program.log_prior(sites), seed)
         return state.after(inner, moved, (sites, seed, error), key)

@@ -57,7 +57,7 @@ class Importance(ParticleKernel[WeightedState]):
 
     def _weighed(self, key: jax.Array, sites: Sites) -> tuple[jax.Array, jax.Array]:
         """Simulate a draw; return the seed and the log weight, -inf where it is impossible."""
-        program = self.model
+        program = self.program
         seed = program.simulator_seed(key, sites)
         log_prior = program.log_prior(sites)
         windows = jnp.arange(self.most_windows + 1)  # and the whole observation

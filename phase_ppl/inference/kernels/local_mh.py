@@ -52,13 +52,10 @@ EXACT_RULES: Final = ("exact", "window")
 def log_window_choice(
     step_error: jax.Array, eta: float, length: int, count: jax.Array | int | None = None
 ) -> jax.Array:
-    """Return (window,) log r(k | e), normalised.
+    """Return (window,) log r(k | e), normalised, from errors (time,) [units].
 
-    Args:
-        step_error: (time,) errors, units.
-        eta: weight of the errors, 1 / units.
-        length: Delta T, steps; a window has one frame more.
-        count: so many of the windows, the first ones, can be chosen; None: all.
+    ``eta`` is in 1 / units; a window has one frame more than the ``length`` Delta T. Of the windows
+    the first ``count`` can be chosen; None: all.
     """
     n_windows = step_error.shape[0] - length
     frames = np.arange(n_windows)[:, None] + np.arange(length + 1)
@@ -78,12 +75,8 @@ def log_before(
 ) -> jax.Array:
     """Return the log acceptance ratio as far as it is known before simulating.
 
-    Args:
-        rule: see the module.
-        window: k, the window of the move.
-        log_prior: of the current and of the proposed hypothesis.
-        log_proposal: (window,) log Q(. | S_k) of the current and of the proposed hypothesis.
-        log_windows: (window,) log r(k | e) at the current errors.
+    ``log_prior`` and ``log_proposal``, (window,) log Q(. | S_k), are of the current and of the
+    proposed hypothesis, ``log_windows`` are log r(k | e) at the current errors; ``window`` is k.
     """
     if rule == "paper":
         return log_proposal[1][window] - log_proposal[0][window]
@@ -98,10 +91,8 @@ def log_after(
 ) -> jax.Array | float:
     """Return what the simulation adds to the log acceptance ratio, beside its likelihood.
 
-    Args:
-        rule, window: as in :func:`log_before`.
-        log_proposal: (window,) log Q(. | S_k) of the current hypothesis.
-        log_windows: (window,) log r(k | e') at the errors of the proposed one.
+    ``log_proposal`` is of the current hypothesis, ``log_windows`` log r(k | e') at the errors of
+    the proposed one.
     """
     if rule == "paper":
         return 0.0
@@ -154,7 +145,7 @@ class LocalMH(MetropolisKernel):
         """Return (window,) log Q(sites | S_k); -inf for windows that there are not."""
         windows = jnp.arange(self.most_windows)
         density = jax.vmap(lambda window: log_density(self.guide, sites, window))(windows)
-        if self.model.is_padded:
+        if self.program.is_padded:
             density = jnp.where(windows < self.n_windows, density, -jnp.inf)
         return {"log_proposal": density}
 
@@ -182,14 +173,10 @@ class LocalMH(MetropolisKernel):
 
     def local_move(self, window: jax.Array, sites: dict[str, jax.Array], state: MHState) -> Move:
         """Return the move to a hypothesis that was proposed from a window."""
-        rule, log_prior, memo = self._rule, self.model.log_prior(sites), self.memo(sites)
+        rule, log_prior, memo = self._rule, self.program.log_prior(sites), self.memo(sites)
         before, log_windows = state.memo["log_proposal"], self.log_windows(state.step_error)
         known = log_before(
-            rule,
-            window,
-            (state.log_prior, log_prior),
-            (before, memo["log_proposal"]),
-            log_windows,
+            rule, window, (state.log_prior, log_prior), (before, memo["log_proposal"]), log_windows
         )
         return Move(
             sites,
@@ -204,6 +191,6 @@ class LocalMH(MetropolisKernel):
 
     def log_windows(self, step_error: jax.Array) -> jax.Array:
         """Return (window,) log r(k | e), of the windows that there are."""
-        length = window_length(self.model.n_frames, self.settings.window)
-        count = self.n_windows if self.model.is_padded else None
+        length = window_length(self.program.n_frames, self.settings.window)
+        count = self.n_windows if self.program.is_padded else None
         return log_window_choice(step_error, self.settings.eta, length, count)

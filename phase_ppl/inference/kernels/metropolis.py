@@ -89,13 +89,9 @@ def log_ratio(
     proposed: jax.Array,
     log_after: jax.Array | float = 0.0,
 ) -> jax.Array:
-    """Return the log of the acceptance ratio.
+    """Return the log of the acceptance ratio; see :class:`Move`.
 
-    Args:
-        log_known: see :class:`Move`.
-        current: (time,) log likelihoods of the frames, of the current hypothesis.
-        proposed: (time,) the same of the proposed one.
-        log_after: see :class:`Move`.
+    ``current`` and ``proposed`` are (time,) log likelihoods of the frames under the two hypotheses.
     """
     # frame by frame, so that the large constant of the likelihood cancels without rounding
     return log_known + (proposed - current).sum() + log_after
@@ -118,12 +114,8 @@ def moved(
 class MetropolisKernel(ParticleKernel[MHState]):
     """Base of the family: a subclass makes a :class:`Move` and has :meth:`accept_reject` decide.
 
-    Args:
-        program: the model of an event; None until ``bound_to`` is called.
-        guide: proposal program, for kernels that need one.
-        settings: of SIMPLE, for kernels that need them.
-        early_reject: stop a simulation once it cannot be accepted any more; the chain is the
-            same with and without.
+    With ``early_reject`` a simulation is stopped once it cannot be accepted any more; the chain is
+    the same with and without.
     """
 
     def __init__(
@@ -152,7 +144,7 @@ class MetropolisKernel(ParticleKernel[MHState]):
     def start_one(
         self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]
     ) -> MHState:
-        program = self.model
+        program = self.program
         seed = program.simulator_seed(key_start, sites)
         log_prior = program.log_prior(sites)
         log_proposal = self.log_initial_proposal(sites, log_prior)
@@ -179,15 +171,11 @@ class MetropolisKernel(ParticleKernel[MHState]):
         state: MHState,
         from_prior: bool = False,
     ) -> Move:
-        """Return the move to a hypothesis, whose reversal does not depend on its simulation.
+        """Return the move to a hypothesis z', whose reversal does not depend on its simulation.
 
-        Args:
-            sites: z', the hypothesis.
-            log_hastings: log q(z | z') - log q(z' | z).
-            state: the current state.
-            from_prior: whether it is a draw from the prior, whatever the state.
+        ``log_hastings`` is log q(z | z') - log q(z' | z).
         """
-        log_prior = self.model.log_prior(sites)
+        log_prior = self.program.log_prior(sites)
         known = log_known(log_prior, log_hastings, state)
         log_proposal = log_prior if from_prior else np.nan
         return Move(sites, log_prior, self.memo(sites), known, log_proposal=log_proposal)
@@ -197,16 +185,11 @@ class MetropolisKernel(ParticleKernel[MHState]):
     ) -> tuple[dict[str, jax.Array], jax.Array]:
         """Move one site, each as likely, while the others stay.
 
-        Args:
-            key: of all that is random.
-            sites: all latent sites.
-            moves: how sites move; those not named are drawn from their prior, given those above.
-
-        Returns:
-            The sites after it, and Hastings' correction log q(z | z') - log q(z' | z). The prior
-            of the sites below it in a hierarchy changes too, which is in the prior's ratio.
+        Sites that ``moves`` does not name are drawn from their prior, given those above. Also
+        returns Hastings' correction log q(z | z') - log q(z' | z). The prior of the sites below it
+        in a hierarchy changes too, which is in the prior's ratio.
         """
-        model, moves = self.model.model, moves or {}
+        model, moves = self.program.model, moves or {}
         trace = handlers.trace(handlers.substitute(model.prior, data=dict(sites))).get_trace()
         key_which, *keys = random.split(key, 1 + len(model.sites))
         which = random.randint(key_which, (), 0, len(model.sites))
@@ -219,23 +202,10 @@ class MetropolisKernel(ParticleKernel[MHState]):
         return proposed, jnp.stack(corrections)[which]
 
     def accept_reject(
-        self,
-        move: Move,
-        state: MHState,
-        key: jax.Array,
-        key_seed: jax.Array,
-        key_accept: jax.Array,
+        self, move: Move, state: MHState, key: jax.Array, key_seed: jax.Array, key_accept: jax.Array
     ) -> MHState:
-        """Simulate what a move proposes, and return the state after its acceptance or rejection.
-
-        Args:
-            move: what is proposed.
-            state: the current state.
-            key: for the new state.
-            key_seed: for the seed of the simulation.
-            key_accept: for the decision.
-        """
-        program = self.model
+        """Simulate what a move proposes, and return the state after its acceptance or rejection."""
+        program = self.program
         seed = program.simulator_seed(key_seed, move.sites)
         log_u = log_uniform(key_accept)
         current = program.log_likelihood(state.step_error)

@@ -28,10 +28,7 @@ _RELATIVE_SLACK: Final = 1e-5
 class ParticleState(Protocol):
     """Fields that every state of ours has, beside ``z`` and ``sim_seed``, see the registry.
 
-    Attributes:
-        i: iterations so far.
-        n_accepted: how many of them changed the hypothesis, or could be simulated.
-        rng_key: for the next iteration.
+    ``n_accepted`` of ``i`` iterations changed the hypothesis, or could be simulated.
     """
 
     @property
@@ -49,14 +46,9 @@ class EventKernel(MCMCKernel, Generic[State]):
     """Base of our kernels: bound to the model of an event, and moving all particles together.
 
     Their simulations reach the runner in one call (``chain_method="vectorized"``). States hold
-    constrained values, so nothing is replayed after the run.
-
-    Args:
-        program: the model of an event; None until :meth:`bound_to` is called.
-        guide: proposal program ``guide(window)``, for kernels that need one. Windows count by
-            their first frame; the index after the last one stands for the whole observation.
-        settings: of SIMPLE, for kernels that need them; by default the paper's numbers,
-            with learned proposals.
+    constrained values, so nothing is replayed after the run. The proposal program ``guide(window)``
+    counts windows by their first frame; the index after the last one stands for the whole
+    observation.
     """
 
     sample_field: ClassVar[str] = "z"
@@ -78,7 +70,7 @@ class EventKernel(MCMCKernel, Generic[State]):
         return bound
 
     @property
-    def model(self) -> EventProgram:
+    def program(self) -> EventProgram:
         if self._program is None:
             raise InvalidSettingError(f"{type(self).__name__} has no program yet")
         return self._program
@@ -99,11 +91,8 @@ class EventKernel(MCMCKernel, Generic[State]):
     ) -> State:
         """Return the initial state of the particle, or of a batch where ``rng_key`` is one.
 
-        Args:
-            rng_key: a key, or a batch of keys.
-            num_warmup: ignored: nothing is tuned.
-            init_params: hypothesis to start from; None: what the kernel proposes.
-            model_args, model_kwargs: ignored: the program knows its event.
+        ``init_params`` is the hypothesis to start from, by default what the kernel proposes; the
+        other arguments are ignored: nothing is tuned, and the program knows its event.
         """
         return jax.jit(self._init_fn)(rng_key, init_params)
 
@@ -128,29 +117,28 @@ class EventKernel(MCMCKernel, Generic[State]):
         return f"acc. rate={float(jnp.mean(state.n_accepted / jnp.maximum(state.i, 1))):.2f}"
 
     def error_ceiling(self, log_floor: jax.Array) -> jax.Array:
-        """Return the summed error beyond which a simulation cannot matter any more, units.
+        """Return the summed error [units] beyond which the log likelihood cannot reach a floor.
 
-        Args:
-            log_floor: log likelihood that it must reach. A little is allowed for rounding, so that
-                no simulation is stopped which would have been accepted.
+        A little is allowed for rounding, so that no simulation is stopped which would have been
+        accepted.
         """
         floor = log_floor - _SLACK - _RELATIVE_SLACK * jnp.abs(log_floor)
         # without a floor, as before a first completed simulation, there is no ceiling either
         floor = jnp.where(jnp.isfinite(floor), floor, -jnp.inf)
-        n_frames: Any = self.model.observed  # perhaps known only inside compiled code
-        return self.model.likelihood.max_total_error(floor, n_frames)
+        n_frames: Any = self.program.observed  # perhaps known only inside compiled code
+        return self.program.likelihood.max_total_error(floor, n_frames)
 
     @property
     def n_windows(self) -> Any:
         """How many windows the observation has: a number, or an array of one if it is padded."""
-        if not self.model.is_padded:
-            return window_count(self.model.n_frames, self.settings.window)
-        return jnp.maximum(self.model.observed - self.settings.window, 1)
+        if not self.program.is_padded:
+            return window_count(self.program.n_frames, self.settings.window)
+        return jnp.maximum(self.program.observed - self.settings.window, 1)
 
     @property
     def most_windows(self) -> int:
         """How many windows the arrays have room for."""
-        return window_count(self.model.n_frames, self.settings.window)
+        return window_count(self.program.n_frames, self.settings.window)
 
     def draw_guide(self, key: jax.Array, window: jax.Array | int) -> dict[str, jax.Array]:
         """Return a hypothesis from the guide."""
@@ -189,27 +177,21 @@ class ParticleKernel(EventKernel[State]):
             return self.propose_initial(key)
         keys = random.split(key, self.initial_tries)
         tries = jax.vmap(self.propose_initial)(keys[1:])
-        last = self.model.draw_prior(keys[0])
+        last = self.program.draw_prior(keys[0])
         tries = {
             name: jnp.append(values, last[name][None].astype(values.dtype), axis=0)
             for name, values in tries.items()
         }
-        possible = jax.vmap(self.model.log_prior)(tries) > NO_DENSITY
+        possible = jax.vmap(self.program.log_prior)(tries) > NO_DENSITY
         return {name: values[jnp.argmax(possible)] for name, values in tries.items()}
 
     def propose_initial(self, key: jax.Array) -> dict[str, jax.Array]:
         """Return a hypothesis to start from; by default from the prior."""
-        return self.model.draw_prior(key)
+        return self.program.draw_prior(key)
 
     @abstractmethod
     def start_one(self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]) -> State:
-        """Simulate the initial hypothesis of one particle and return its state.
-
-        Args:
-            key: for the state.
-            key_start: for whatever is random about the start.
-            sites: the hypothesis, with any further sites.
-        """
+        """Simulate the initial hypothesis of one particle; return its state, which has ``key``."""
 
     @abstractmethod
     def step_one(self, state: State) -> State:

@@ -142,7 +142,7 @@ class Racing(EventKernel[RacingState]):
             zeros,
             nothing_known,
             {"log_proposal": jnp.zeros((n, self.most_windows), jnp.float32)},
-            jnp.zeros((n, self.model.n_frames), jnp.float32),
+            jnp.zeros((n, self.program.n_frames), jnp.float32),
             nothing_known,
             zeros - 1,
             zeros > 0,
@@ -160,7 +160,7 @@ class Racing(EventKernel[RacingState]):
 
     def _step(self, state: RacingState, given: dict[str, jax.Array] | None = None) -> RacingState:
         """Propose for the chains, choose a pair of goals for the others, and simulate."""
-        program, begins = self.model, state.i < 0
+        program, begins = self.program, state.i < 0
         keys = jax.vmap(lambda key: random.split(key, 6))(state.rng_key)
         log_prior_of_pair = self._log_prior_of_pairs()
         place = jnp.arange(len(keys))
@@ -232,7 +232,7 @@ class Racing(EventKernel[RacingState]):
         begins: jax.Array,
     ) -> MHState:
         """Return a chain after a simulation of what it proposed; before the first it has none."""
-        current, proposed = map(self.model.log_likelihood, (chain.step_error, errors))
+        current, proposed = map(self.program.log_likelihood, (chain.step_error, errors))
         back = logsumexp(self._local.log_windows(errors) + chain.memo["log_proposal"])
         ratio = log_ratio(move.log_known, current, proposed, back)
         # not a number, where both failed: rejected
@@ -261,7 +261,7 @@ class Racing(EventKernel[RacingState]):
         pool = jax.vmap(lambda key: self.draw_guide(key, self.n_windows))(
             random.split(key_pool, POOL)
         )
-        possible = jax.vmap(self.model.log_prior)(pool) > NO_DENSITY
+        possible = jax.vmap(self.program.log_prior)(pool) > NO_DENSITY
         of_draw = _pair_of(pool)
         drawn = jnp.zeros(N_GOALS**2).at[of_draw].add(possible)
         promise = jnp.log(drawn) - PRIOR_POWER * log_prior_of_pair
@@ -291,7 +291,7 @@ class Racing(EventKernel[RacingState]):
     def _log_prior_of_pairs(self) -> jax.Array:
         """Return (pair,) log P(pair), -inf for what is impossible."""
         with jax.ensure_compile_time_eval():
-            mass = prior_of_pairs(self.model.model.prior)
+            mass = prior_of_pairs(self.program.model.prior)
         with np.errstate(divide="ignore"):
             return jnp.asarray(np.log(mass.ravel()), jnp.float32)
 

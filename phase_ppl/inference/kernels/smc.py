@@ -40,12 +40,7 @@ _BISECTIONS = 40
 
 
 class Tempered:
-    """The likelihood L^temperature; not a density any more.
-
-    Args:
-        likelihood: L.
-        temperature: in [0, 1]; may be known only inside compiled code.
-    """
+    """The likelihood L^temperature, in [0, 1]; not a density any more."""
 
     def __init__(self, likelihood: TrajectoryLikelihood, temperature: jax.Array) -> None:
         self._likelihood, self._temperature = likelihood, temperature
@@ -76,14 +71,9 @@ def next_temperature(
 ) -> jax.Array:
     """Return the highest temperature that the population can be reweighted to.
 
-    By bisection on the conditional effective sample size (Zhou, Johansen, Aston 2016): the share
-    of particles that the increments of weight leave effective, given the weights so far.
-
-    Args:
-        log_weights: (n,) at the current temperature.
-        log_likelihood: (n,) up to a constant.
-        temperature: the current one, in [0, 1].
-        target: share of particles that shall stay effective, in (0, 1).
+    By bisection on the conditional effective sample size (Zhou, Johansen, Aston 2016): the share of
+    particles, ``target``, that the increments of weight leave effective, given the weights so far.
+    Both arrays are (n,), log likelihoods up to a constant.
     """
     share = log_weights - logsumexp(log_weights)
 
@@ -210,9 +200,9 @@ class SMC(ParticleKernel[SMCState]):
     def start_one(
         self, key: jax.Array, key_start: jax.Array, sites: dict[str, jax.Array]
     ) -> SMCState:
-        particle = self._mover(self.model).start_one(key, key_start, sites)
+        particle = self._mover(self.program).start_one(key, key_start, sites)
         log_proposal = log_density(self.guide, sites, jnp.asarray(self.n_windows))
-        log_likelihood = self.model.relative_log_likelihood(particle.step_error)
+        log_likelihood = self.program.relative_log_likelihood(particle.step_error)
         log_weight = particle.log_prior - log_proposal + log_likelihood
         zero = jnp.zeros(())
         return SMCState(
@@ -245,11 +235,11 @@ class SMC(ParticleKernel[SMCState]):
         places = systematic(keys[0, 0], weights)
         particle = jax.tree.map(lambda leaf: leaf[places], state.particle)
         particle = particle._replace(rng_key=keys[:, 1])
-        mover = self._mover(tempered(self.model, temperature))
+        mover = self._mover(tempered(self.program, temperature))
         particle = jax.vmap(mover.step_one)(particle)
 
         log_weight = powered(self._log_likelihood(particle), 1 - temperature)
-        without_error = self.model.log_likelihood(jnp.zeros(self.model.n_frames)).sum()
+        without_error = self.program.log_likelihood(jnp.zeros(self.program.n_frames)).sum()
         left = logsumexp(log_weight) - np.log(len(weights))
         return SMCState(
             i=state.i + 1,
@@ -262,4 +252,4 @@ class SMC(ParticleKernel[SMCState]):
         )
 
     def _log_likelihood(self, particle: Any) -> jax.Array:
-        return jax.vmap(self.model.relative_log_likelihood)(particle.step_error)
+        return jax.vmap(self.program.relative_log_likelihood)(particle.step_error)

@@ -57,13 +57,7 @@ def seed_of(program: EventProgram, uniform: jax.Array, sites: dict[str, jax.Arra
 
 
 def quantile(name: str, distribution: Any, uniform: jax.Array) -> jax.Array:
-    """Return where a distribution function reaches ``uniform``, element by element.
-
-    Args:
-        name: of the site, for the error.
-        distribution: of independent elements.
-        uniform: of the distribution's shape.
-    """
+    """Return where a distribution function reaches ``uniform``, element by element."""
     kind = type(distribution).__name__
     while isinstance(distribution, dist.Independent | dist.ExpandedDistribution):
         distribution = distribution.base_dist  # broadcasting gives the shape back
@@ -107,11 +101,7 @@ class WrappedState(NamedTuple):
     def after(self, inner: Any, moved: jax.Array, found: Found, rng_key: jax.Array) -> WrappedState:
         """Return the next state; what could not be simulated leaves the hypothesis as it was.
 
-        Args:
-            inner: the sampler's next state.
-            moved: whether the sampler moved.
-            found: what its point stands for; the bridge has simulated it already.
-            rng_key: for the next iteration.
+        ``found`` is what the sampler's point stands for; the bridge has simulated it already.
         """
         moved &= jnp.isfinite(found[2]).all()
         z, sim_seed, error = chosen(moved, found, (self.z, self.sim_seed, self.step_error))
@@ -138,15 +128,15 @@ class UniformKernel(EventKernel[WrappedState]):
     @property
     def dimensions(self) -> int:
         """Numbers that make a point: those of the sites, and the seed's unless noise is fixed."""
-        shapes = self.model.model.sites.values()
-        return sum(map(math.prod, shapes)) + (self.model.model.noise == "fresh")
+        shapes = self.program.model.sites.values()
+        return sum(map(math.prod, shapes)) + (self.program.model.noise == "fresh")
 
     def potential(self, point: jax.Array) -> jax.Array:
         """Return - log density of a point (dimension,), up to a constant."""
         error = self._simulated(point)[2]
         # the density of u is the same everywhere, that of x is du/dx = u (1 - u)
         volume = jax.nn.log_sigmoid(point) + jax.nn.log_sigmoid(-point)
-        potential = -self.model.relative_log_likelihood(error) - volume.sum()
+        potential = -self.program.relative_log_likelihood(error) - volume.sum()
         return jnp.where(jnp.isfinite(potential), potential, IMPOSSIBLE)
 
     def init(self, rng_key: jax.Array, *_: Any, **__: Any) -> WrappedState:
@@ -171,7 +161,7 @@ class UniformKernel(EventKernel[WrappedState]):
         return jax.vmap(WrappedState.after)(state, inner, moved, found, keys[:, 1])
 
     def _simulated(self, point: jax.Array) -> Found:
-        program, sites = self.model, self._sites(point)
+        program, sites = self.program, self._sites(point)
         # the number after the sites' is the seed's; with fixed noise there is none, and no need
         seed = seed_of(program, _uniform(point)[-1], sites)
         return sites, seed, program.simulate(sites, program.log_prior(sites), seed)
@@ -180,7 +170,7 @@ class UniformKernel(EventKernel[WrappedState]):
         """Return the hypothesis, with any further sites, that a point stands for."""
         uniform, begin = _uniform(point), 0
         numbers: dict[str, jax.Array] = {}
-        for name, shape in self.model.model.sites.items():
+        for name, shape in self.program.model.sites.items():
             numbers[name] = uniform[begin : begin + math.prod(shape)].reshape(shape)
             begin += math.prod(shape)
 
@@ -189,7 +179,7 @@ class UniformKernel(EventKernel[WrappedState]):
             free = name in numbers and site["value"] is None
             return quantile(name, site["fn"], numbers[name]) if free else None
 
-        prior = handlers.substitute(self.model.model.prior, substitute_fn=value)
+        prior = handlers.substitute(self.program.model.prior, substitute_fn=value)
         found = latent_sites(handlers.trace(prior).get_trace())
         return {name: site["value"] for name, site in found.items()}
 
@@ -235,8 +225,7 @@ class Ensemble(UniformKernel):
         """Move one half of the ensemble, then the other."""
         with jax.ensure_compile_time_eval():  # it looks at its weights
             sampler = AIES(
-                potential_fn=self.potential,
-                moves={AIES.DEMove(): 0.5, AIES.StretchMove(): 0.5},
+                potential_fn=self.potential, moves={AIES.DEMove(): 0.5, AIES.StretchMove(): 0.5}
             )
         sampler.init(keys, 0, inner)
         none = jnp.zeros(())

@@ -54,11 +54,8 @@ def bottom_up_guide(
 ) -> Mixture:
     """Return the program ``guide(window)``: (1 - share) Q_local + share prior, one joint mixture.
 
-    Args:
-        prior: the user's prior.
-        sites: its latent sites and their shapes, in the order in which it samples them.
-        tables: of the event; the index after the last window stands for the whole observation.
-        prior_share: weight of the prior, in (0, 1).
+    The prior's latent sites come with their shapes, in the order in which it samples them; the
+    index after the last window stands for the whole observation; ``prior_share`` is in (0, 1).
     """
     local = _local_program(prior, sites, tables)
     return Mixture((local, lambda window: prior()), (1 - prior_share, prior_share), sites)
@@ -94,10 +91,7 @@ def _local_program(
             replace[name] = functools.partial(_goal_distribution, logits[..., agent, :])
         for agent, name in enumerate(STRENGTH_SITES):
             normal = dist.TruncatedNormal(
-                estimate[agent],
-                sd[agent],
-                low=STRENGTH_RANGE[0],
-                high=STRENGTH_RANGE[1],
+                estimate[agent], sd[agent], low=STRENGTH_RANGE[0], high=STRENGTH_RANGE[1]
             )
             replace[name] = functools.partial(_strength_distribution, known[agent], normal)
         with (
@@ -138,10 +132,8 @@ def _goal_distribution(
 ) -> dist.Distribution:
     """Return the window's distribution of a goal, on goals that have prior mass.
 
-    Args:
-        logits: (goal,), or (alpha, goal) where it depends on alpha.
-        prior: of the goal.
-        values: of the sites before it.
+    Logits are (goal,), or (alpha, goal) where it depends on alpha; ``values`` are of the sites
+    before.
     """
     if logits.ndim == 2:
         logits = logits[values[ALPHA_SITE]]
@@ -171,10 +163,8 @@ def _strength_distribution(
 class Replaced(Messenger):
     """Effect handler that replaces the distributions of sites as they are sampled.
 
-    Args:
-        replace: site -> function of its distribution, and of the values of the sites before it,
-            that returns another one.
-        given: values of sites that are known beforehand.
+    By functions of the distribution and of the values of the sites before, some of which are
+    ``given`` beforehand.
     """
 
     def __init__(self, replace: Mapping[str, Replace], given: Mapping[str, jax.Array]) -> None:
@@ -194,11 +184,8 @@ class Replaced(Messenger):
 class Either(dist.Distribution):
     """The first of two scalar distributions if ``condition`` holds, else the second.
 
-    Its log density is -inf outside the support of whichever applies.
-
-    Args:
-        condition: a boolean, perhaps known only inside compiled code.
-        first, second: distributions of the same kind of value.
+    The condition may be known only inside compiled code. The log density is -inf outside the
+    support of whichever applies.
     """
 
     support = constraints.real
@@ -221,14 +208,9 @@ class Either(dist.Distribution):
 
 
 class Mixture:
-    """NumPyro program that is a mixture of programs over the same latent sites.
+    """NumPyro program that is a mixture of programs over the same latent sites, with weights.
 
     Its density is the exact one of the mixture: all components can have made a given value.
-
-    Args:
-        programs: the components; called with the mixture's arguments.
-        weights: their probabilities.
-        sites: latent sites with their shapes.
     """
 
     def __init__(

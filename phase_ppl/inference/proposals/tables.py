@@ -94,13 +94,8 @@ def bottom_up_tables(
 ) -> BottomUpTables:
     """Return the tables of an event.
 
-    Args:
-        scene, observation: what was seen.
-        window: Delta T, steps; shorter where the observation is.
-        form: of the proposal of goals, "learned" or "paper".
-        gamma: weight of the distances in the paper's form.
-        sign: "intended", or "printed" as in the paper.
-        strength: name of an estimator of strengths, or one.
+    ``window`` is Delta T [steps], shorter where the observation is; ``gamma``, the weight of the
+    distances, and ``sign`` are of the paper's form.
     """
     n_frames = observation.n_frames
     length = window_length(n_frames, window)
@@ -130,11 +125,8 @@ _EFFECTIVE: Final = [
 def joint_logits(scores: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return unnormalised log probabilities of stated goals and alpha.
 
-    Args:
-        scores: (..., agent, goal) of effective goals.
-
-    Returns:
-        (..., alpha, agent, goal) of the stated goals given alpha; (..., alpha) beside the prior's.
+    From scores (..., agent, goal) of effective goals: (..., alpha, agent, goal) of the stated goals
+    given alpha, and (..., alpha) beside the prior's.
     """
     goal = np.where(SELF_REFERRING, IMPOSSIBLE, 0.0)
     goal = np.broadcast_to(goal, (*scores.shape[:-2], len(ALPHAS), *goal.shape)).copy()
@@ -262,9 +254,7 @@ def goal_features(
 ) -> FloatArray:
     """Return (stretch, agent, goal, feature), in the order of ``FEATURES``.
 
-    Args:
-        scene, observation: what was seen.
-        first, last: (stretch,) first and last frame of each stretch.
+    A stretch goes from its first to its last frame.
     """
     tracks = _Tracks(scene, observation)
     columns = [

@@ -152,10 +152,7 @@ def _packed_records(records: Sequence[Record]) -> Columns:
 def _unpacked_records(columns: Columns, failed: Mapping[str, str], n_frames: int) -> list[Record]:
     """Return the records that :func:`_packed_records` was given.
 
-    Args:
-        columns: that it returned.
-        failed: number of the record -> what went wrong.
-        n_frames: of a complete simulation.
+    ``failed`` has, by the number of the record, what went wrong.
     """
     errors, trajectory = columns.pop("error"), columns.pop("trajectory")
     sites = _below(columns, SITE)
@@ -285,11 +282,7 @@ class Checkpoint:
             raise damaged(self.path, error) from None
 
     def state(self, blank: Any) -> Any:
-        """Return the state of the kernel.
-
-        Args:
-            blank: its shapes and types.
-        """
+        """Return the state of the kernel, which fits the shapes and types of a blank one."""
         expected, treedef = jax.tree_util.tree_flatten_with_path(blank)
         if [(name, leaf.shape, leaf.dtype) for name, leaf in self._leaves] != [
             (jax.tree_util.keystr(path), leaf.shape, leaf.dtype) for path, leaf in expected
@@ -308,15 +301,7 @@ def write_checkpoint(
     particles: Sequence[Columns],
     records: Sequence[Record],
 ) -> None:
-    """Write a run to a file, whole or not at all.
-
-    Args:
-        path: ends in .ckpt.
-        about: what else :class:`Checkpoint` has, as plain data.
-        event: that is explained; its scene, observation and id are kept.
-        state: of the kernel.
-        particles, records: as the attributes of :class:`Checkpoint`.
-    """
+    """Write a run to a file, whole or not at all; ``about`` as :class:`Checkpoint` has it."""
     leaves = jax.tree_util.tree_flatten_with_path(state)[0]
     packed = [packed_leaf(leaf) for _, leaf in leaves]
     # those of an iteration that was interrupted will be run again

@@ -10,19 +10,14 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.tree import SCHEMA, SIMULATED, scene_dataset
+from phase_ppl.analysis.tree import DRAW, FRAME, SCHEMA, SIMULATED, SIMULATION, scene_dataset
 from phase_ppl.analysis.weights import WEIGHTINGS, has_proposals
 from phase_ppl.inference.registry import KernelInfo
 from phase_ppl.models.bridge import Record, request_key
 from phase_ppl.models.effective import log_prior_of_effective, prior_of_pairs
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.model import Model
-from phase_ppl.models.sites import (
-    ALPHA_SITE,
-    GOAL_SITES,
-    HYPOTHESIS_SITES,
-    STRENGTH_SITES,
-)
+from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, HYPOTHESIS_SITES, STRENGTH_SITES
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import effective_table
@@ -42,9 +37,6 @@ _STORED: Final = {
     ALPHA_SITE: np.int8,
     **dict.fromkeys(STRENGTH_SITES, np.float64),
 }
-_PAIR: Final = ("chain", "draw")
-_SIMULATION: Final = ("simulation",)
-_FRAME: Final = ("time", "entity", "coord")
 SITE: Final = "z/"  # begins the names of those columns of particles that are sites
 
 
@@ -103,13 +95,7 @@ def build_tree(
 ) -> xr.DataTree:
     """Return the tree of draws of a run (:mod:`phase_ppl.analysis.tree`).
 
-    Args:
-        event: what was explained; its scene, observation and id are stored.
-        model: prior and likelihood.
-        kernel: says which particles are draws.
-        particles: the initial ones, and those after every iteration.
-        records: every simulation.
-        attrs: further root attributes.
+    Particles are the initial ones and those after every iteration; the kernel says which are draws.
     """
     iterations = kept_iterations(len(particles) - 1, kernel)
     steps = [particles[i] for i in iterations]
@@ -124,24 +110,24 @@ def build_tree(
     frame_coords = {"time": time, "entity": list(ENTITIES), "coord": ["x", "y", "angle"]}
     groups = {
         "posterior": xr.Dataset(
-            {name: _variable(name, _PAIR, table[name][index]) for name in sites}, draw_coords
+            {name: _variable(name, DRAW, table[name][index]) for name in sites}, draw_coords
         ),
         "sample_stats": xr.Dataset(
             _sample_stats(steps, iterations, records, table, index), {**draw_coords, "time": time}
         ),
         SIMULATED: xr.Dataset(
-            {"trajectory": ((*_PAIR, *_FRAME), _trajectories(records, index))},
+            {"trajectory": ((*DRAW, *FRAME), _trajectories(records, index))},
             {**draw_coords, **frame_coords},
             {"beta": model.likelihood.beta} if type(model.likelihood) is RadialLikelihood else {},
         ),
         "observed_data": xr.Dataset(
-            {"trajectory": (_FRAME, event.observation.trajectory)}, frame_coords
+            {"trajectory": (FRAME, event.observation.trajectory)}, frame_coords
         ),
         "simulations": xr.Dataset(
             {
-                **{name: _variable(name, _SIMULATION, values) for name, values in table.items()},
+                **{name: _variable(name, SIMULATION, values) for name, values in table.items()},
                 "step_log_likelihood": (
-                    (*_SIMULATION, "time"),
+                    (*SIMULATION, "time"),
                     _step_log_likelihood(records, model),
                     {"long_name": "log likelihood of each frame; NaN where not simulated"},
                 ),
@@ -292,17 +278,17 @@ def _sample_stats(
         for name in ("accepted", "window", "log_weight", "log_evidence")
     }
     stats = {
-        "log_joint": (_PAIR, (table["log_prior"] + table["log_likelihood"])[index]),
-        "total_error": (_PAIR, table["total_error"][index], {"units": "units of length"}),
-        "accepted": (_PAIR, drawn["accepted"]),
-        "window": (_PAIR, drawn["window"]),
-        "frames_simulated": (_PAIR, frames[:, list(iterations)], paid),
-        "sim_seed": (_PAIR, table["seed"][index]),
-        "step_error": ((*_PAIR, "time"), errors[index]),
-        "log_weight": (_PAIR, drawn["log_weight"], weight),
+        "log_joint": (DRAW, (table["log_prior"] + table["log_likelihood"])[index]),
+        "total_error": (DRAW, table["total_error"][index], {"units": "units of length"}),
+        "accepted": (DRAW, drawn["accepted"]),
+        "window": (DRAW, drawn["window"]),
+        "frames_simulated": (DRAW, frames[:, list(iterations)], paid),
+        "sim_seed": (DRAW, table["seed"][index]),
+        "step_error": ((*DRAW, "time"), errors[index]),
+        "log_weight": (DRAW, drawn["log_weight"], weight),
     }
     if not np.isnan(drawn["log_evidence"]).all():
-        stats["log_evidence"] = (_PAIR, drawn["log_evidence"])
+        stats["log_evidence"] = (DRAW, drawn["log_evidence"])
     return stats
 
 

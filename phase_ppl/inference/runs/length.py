@@ -36,22 +36,16 @@ class Tally(NamedTuple):
     frames: int = 0  # simulated by them
     last: int = 0  # the last iteration that took a simulation
 
-
-def tally_of(records: Sequence[Record], done: int, before: Tally | None = None) -> Tally:
-    """Return what ``done`` iterations have cost.
-
-    Args:
-        records: all simulations of the run, in order.
-        done: how many iterations are finished.
-        before: what fewer of them cost, to which the rest is added.
-    """
-    before = Tally() if before is None else before
-    new = [record for record in records[before.simulations :] if record.iteration <= done]
-    return Tally(
-        before.simulations + len(new),
-        before.frames + sum(record.result.frames_simulated for record in new),
-        new[-1].iteration if new else before.last,
-    )
+    @classmethod
+    def of(cls, records: Sequence[Record], done: int, before: Tally | None = None) -> Tally:
+        """Return what ``done`` iterations have cost, given what fewer of them did."""
+        before = cls() if before is None else before
+        new = [record for record in records[before.simulations :] if record.iteration <= done]
+        return cls(
+            before.simulations + len(new),
+            before.frames + sum(record.result.frames_simulated for record in new),
+            new[-1].iteration if new else before.last,
+        )
 
 
 class Length(NamedTuple):
@@ -62,6 +56,49 @@ class Length(NamedTuple):
     budget: Budget | None = None  # none where there is a number of iterations
     sims_at_start: int = 1  # the most simulations of each initial particle
     sims_per_step: int = 1  # the most simulations that an iteration takes per particle
+
+    @classmethod
+    def of(
+        cls,
+        kernel: Any,
+        info: KernelInfo,
+        chains: int,
+        iterations: int | None,
+        budget: Budget | None,
+        n_frames: int,
+    ) -> Length:
+        """Return the length of a run, as the user gave it, with a kernel made for the event."""
+        if budget is not None and iterations is not None:
+            raise InvalidSettingError("give either iterations or a budget, not both")
+        if budget is not None:
+            instance_of("budget", budget, Budget, BUDGETS)
+        length = cls(
+            chains,
+            iterations,
+            budget,
+            getattr(kernel, "sims_at_start", 1),
+            getattr(kernel, "sims_per_step", info.sims_per_step),
+        )
+        own = getattr(kernel, "n_iterations", None)
+        if own is not None:
+            _check_own(info.name, length, own(chains), n_frames)
+            return length._replace(iterations=own(chains), budget=None)
+        if budget is None:
+            wanted = ITERATIONS if iterations is None else whole_number("iterations", iterations)
+            return length._replace(iterations=wanted)
+        at_start = length.at_most(0)
+        # what an iteration takes is not known before, but a simulation for each particle is little
+        if length.limit("simulations") < at_start + chains:
+            raise InvalidSettingError(
+                f"a budget of {budget} is too small: {chains} initial particles and one iteration "
+                f"need {at_start + chains}"
+            )
+        if length.limit("frames") <= at_start * n_frames:
+            raise InvalidSettingError(
+                f"a budget of {budget} is too small: {chains} initial particles need "
+                f"{at_start * n_frames}, and iterations come on top"
+            )
+        return length
 
     def at_most(self, iterations: int) -> int:
         """Return the most simulations that so many iterations take."""
@@ -81,56 +118,6 @@ class Length(NamedTuple):
         return tally.simulations >= self.limit("simulations") or tally.frames >= self.limit(
             "frames"
         )
-
-
-def run_length(
-    kernel: Any,
-    info: KernelInfo,
-    chains: int,
-    iterations: int | None,
-    budget: Budget | None,
-    n_frames: int,
-) -> Length:
-    """Return the length of a run.
-
-    Args:
-        kernel: as made for the event.
-        info: what is known of it.
-        chains: number of particles.
-        iterations, budget: as the user gave them.
-        n_frames: of a complete simulation.
-    """
-    if budget is not None and iterations is not None:
-        raise InvalidSettingError("give either iterations or a budget, not both")
-    if budget is not None:
-        instance_of("budget", budget, Budget, BUDGETS)
-    length = Length(
-        chains,
-        iterations,
-        budget,
-        getattr(kernel, "sims_at_start", 1),
-        getattr(kernel, "sims_per_step", info.sims_per_step),
-    )
-    own = getattr(kernel, "n_iterations", None)
-    if own is not None:
-        _check_own(info.name, length, own(chains), n_frames)
-        return length._replace(iterations=own(chains), budget=None)
-    if budget is None:
-        wanted = ITERATIONS if iterations is None else whole_number("iterations", iterations)
-        return length._replace(iterations=wanted)
-    at_start = length.at_most(0)
-    # what an iteration takes is not known before, but a simulation for each particle is little
-    if length.limit("simulations") < at_start + chains:
-        raise InvalidSettingError(
-            f"a budget of {budget} is too small: {chains} initial particles and one iteration "
-            f"need {at_start + chains}"
-        )
-    if length.limit("frames") <= at_start * n_frames:
-        raise InvalidSettingError(
-            f"a budget of {budget} is too small: {chains} initial particles need "
-            f"{at_start * n_frames}, and iterations come on top"
-        )
-    return length
 
 
 def _check_own(name: str, asked: Length, needed: int, n_frames: int) -> None:
@@ -155,13 +142,9 @@ def _check_own(name: str, asked: Length, needed: int, n_frames: int) -> None:
 
 
 class Pace:
-    """Says whether another iteration is to begin.
+    """Says whether another iteration is to begin, in a call that began at that :func:`clock`.
 
-    Args:
-        length: of the run.
-        began: time of the call, by :func:`clock`.
-        seconds: that the run took before, in other calls.
-        recent: seconds that its last iterations took there.
+    ``seconds`` the run took before, in other calls, and ``recent`` its last iterations there.
     """
 
     def __init__(

@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import json
 from collections.abc import Mapping
-from typing import Any, Final, TypeAlias
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import jax
 from jax import random
@@ -15,7 +15,7 @@ from numpyro.infer.mcmc import MCMCKernel
 from phase_ppl.inference.proposals.guide import bottom_up_guide
 from phase_ppl.inference.proposals.tables import BottomUpTables, padded, window_count
 from phase_ppl.inference.registry import KERNELS, Factory, KernelInfo, described
-from phase_ppl.inference.runs.length import run_length
+from phase_ppl.inference.runs.length import Length
 from phase_ppl.inference.settings import Budget, SimpleSettings
 from phase_ppl.models import priors
 from phase_ppl.models.density import remembered
@@ -38,13 +38,25 @@ _BY_FRAME: Final = (RadialLikelihood, InNats)
 Kernel: TypeAlias = str | Factory | MCMCKernel
 """A kernel as users give it: by name, as what makes one for an event, or as an instance."""
 
-Data: TypeAlias = tuple[BottomUpTables, jax.Array | int, jax.Array | int, jax.Array | int | None]
-"""All that compiled code is told of an event: what its windows say, a number that stands for it,
-the handle of the bridge that simulates, and the number of frames where arrays are longer."""
 
-Recipe: TypeAlias = tuple[KernelInfo, tuple[tuple[str, Any], ...], Model, SimpleSettings, int]
-"""What compiled programs depend on: kernel, its options (name, value), model, settings and length
-of the arrays of frames. Events whose arrays are as long share them."""
+class Data(NamedTuple):
+    """All that compiled code is told of an event."""
+
+    tables: BottomUpTables  # what its windows say
+    salt: jax.Array | int  # a number that stands for it
+    bridge: jax.Array | int  # handle of the bridge that simulates
+    observed: jax.Array | int | None  # number of frames, where arrays are longer
+
+
+class Recipe(NamedTuple):
+    """What compiled programs depend on. Events with the same share them."""
+
+    info: KernelInfo
+    options: tuple[tuple[str, Any], ...]  # of the kernel
+    model: Model
+    settings: SimpleSettings
+    n_frames: int  # length of the arrays of frames
+
 
 _LENGTHS: Final = (16, 128)
 """Of arrays of frames; beyond, twice the last as often as it takes. Nearly all events have the
@@ -105,6 +117,8 @@ class Run:
         """Return what makes the run again from a file; None for what is no plain data."""
         model = self.model
         prior = next((name for name, known in priors.PRIORS.items() if known is model.prior), None)
+        if not getattr(model.prior, "__module__", "").startswith(_OURS):
+            prior = None  # another package's may not be there, or be another by then
         stored = None
         if prior and model.simulator is None and type(model.likelihood) is RadialLikelihood:
             stored = {
@@ -125,7 +139,7 @@ class Run:
         """What the compiled programs depend on: not on the simulator, which runs beside them."""
         options = tuple(self.options.items())
         model = dataclasses.replace(self.model, simulator=None, planner=None)
-        return self.info, options, model, self.settings, self._length
+        return Recipe(self.info, options, model, self.settings, self._length)
 
     @property
     def _is_padded(self) -> bool:
@@ -147,13 +161,14 @@ class Run:
         scene, observation = self.event.scene, self.event.observation
         tables, salt = self.settings.tables(scene, observation), event_salt(scene, observation)
         tables = padded(tables, window_count(self._length, self.settings.window))
-        return tables, salt, bridge, observation.n_frames if self._is_padded else None
+        observed = observation.n_frames if self._is_padded else None
+        return Data(tables, salt, bridge, observed)
 
     def check(self, iterations: int | None, budget: Budget | None) -> None:
         """Make the kernel and trace a step of it, with nothing simulated."""
         kernel = make_kernel(self.recipe, self.data(0))
         n_frames = self.event.observation.n_frames
-        run_length(kernel, self.info, self.chains, iterations, budget, n_frames)
+        Length.of(kernel, self.info, self.chains, iterations, budget, n_frames)
         # one program: NumPyro's own kernels are made ready by init
         jax.eval_shape(
             lambda keys: kernel.sample(kernel.init(keys, 0, None, (), {}), (), {}),
@@ -161,11 +176,12 @@ class Run:
         )
 
 
-def check_event(given: object) -> None:
+def check_event(given: object, any_world: bool = False) -> None:
     """Raise InvalidEventError if something is no event, InvalidSettingError if of another world."""
     if not isinstance(given, Event):
         raise InvalidEventError(f"{shown(given)} is no event; phase_ppl.load_event reads one")
-    check_phase(given.scene, "inference")
+    if not any_world:
+        check_phase(given.scene, "inference by simulations")
 
 
 def model_again(stored: Mapping[str, Any]) -> Model:

@@ -1,7 +1,8 @@
 """Doing a run: one iteration at a time, so that nothing that was done is ever lost.
 
-:func:`run` takes what the run is (:class:`~phase_ppl.inference.runs.run.Run`) and how the call goes
-about it (:class:`RunOptions`), begins it or goes on with it, and returns its posterior.
+:func:`sample` takes a :class:`~phase_ppl.inference.runs.run.Run` and how the call goes about it
+(:class:`RunOptions`), begins it or goes on with it, and returns its posterior. ``length.py`` says
+when it ends.
 """
 
 from __future__ import annotations
@@ -31,23 +32,18 @@ from phase_ppl.inference.proposals.strength import estimator_name
 from phase_ppl.inference.runs import length
 from phase_ppl.inference.runs.checkpoint import Checkpoint, write_checkpoint
 from phase_ppl.inference.runs.draws import Columns, build_tree, particles_of
-from phase_ppl.inference.runs.length import Pace, run_length, tally_of
+from phase_ppl.inference.runs.length import Length, Pace, Tally
 from phase_ppl.inference.runs.run import Run, compiled, fields_of, make_kernel
 from phase_ppl.inference.settings import Budget
 from phase_ppl.inference.stepwise import TableRunner, filter_event
 from phase_ppl.models.bridge import SimulatorBridge
 from phase_ppl.models.density import on_cpu
 from phase_ppl.models.hosted import Hosted
-from phase_ppl.models.likelihood import gives_table
+from phase_ppl.models.likelihood import is_stepwise
 from phase_ppl.simulator.contract import Cancelled, OutOfTime, SimulationResult, Statistics
 from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.checks import check_memory, whole_number
-from phase_ppl.world.errors import (
-    InvalidSettingError,
-    OutputError,
-    SimulationError,
-    unknown_name,
-)
+from phase_ppl.world.errors import InvalidSettingError, OutputError, SimulationError, unknown_name
 from phase_ppl.world.identity import versions
 
 POLL_SECONDS: Final = 0.1  # how long Ctrl-C may go unnoticed
@@ -121,16 +117,10 @@ class RunOptions:
             )
 
 
-def run(what: Run, options: RunOptions, saved: Checkpoint | None = None) -> Posterior:
-    """Do a run, or what is left of it, and return its posterior.
-
-    Args:
-        what: the run.
-        options: of the call.
-        saved: where to go on; None: at the beginning.
-    """
-    with contextlib.closing(_open_runner(what, options)) as runner:
-        sampler = Sampler(what, options, runner, saved)
+def sample(run: Run, options: RunOptions, saved: Checkpoint | None = None) -> Posterior:
+    """Do a run, or what is left of it, and return its posterior."""
+    with contextlib.closing(_open_runner(run, options)) as runner:
+        sampler = Sampler(run, options, runner, saved)
         ended = sampler.advance()
     posterior = sampler.posterior(interrupted=ended is not None)
     if isinstance(ended, KeyboardInterrupt | Cancelled):
@@ -145,23 +135,23 @@ def run(what: Run, options: RunOptions, saved: Checkpoint | None = None) -> Post
     return posterior
 
 
-def _open_runner(what: Run, options: RunOptions) -> Runner | TableRunner:
-    if gives_table(what.model.likelihood):
+def _open_runner(run: Run, options: RunOptions) -> Runner | TableRunner:
+    if is_stepwise(run.model.likelihood):
         if options.executor is not None:
             raise InvalidSettingError(
                 "a stepwise likelihood simulates nothing: it takes no executor"
             )
         post = filter_event(
-            *(what.event, what.model),
-            seed=what.seed,
+            *(run.event, run.model),
+            seed=run.seed,
             threads=options.workers,
             progress=options.progress,
         )
         return TableRunner(post)
     return Runner(
-        what.model.build_simulator(),
-        what.event.scene,
-        what.event.observation,
+        run.model.build_simulator(),
+        run.event.scene,
+        run.event.observation,
         workers=options.workers,
         executor=options.executor,
         on_failure=options.on_failure,
@@ -177,34 +167,29 @@ _keys: Final = Hosted(
 
 
 class Sampler:
-    """The particles of a run in the hands of one call; arguments as of :func:`run`.
+    """The particles of a run in the hands of one call; arguments as of :func:`sample`.
 
     The compiled step runs in a thread of its own, so that the main thread notices Ctrl-C at
     once: it then cancels the simulations, waits for the thread, and ends.
     """
 
     def __init__(
-        self,
-        what: Run,
-        options: RunOptions,
-        runner: Runner | TableRunner,
-        saved: Checkpoint | None,
+        self, run: Run, options: RunOptions, runner: Runner | TableRunner, saved: Checkpoint | None
     ) -> None:
-        self._run, self._options, self._runner = what, options, runner
-        self._n_frames = what.event.observation.n_frames
+        self._run, self._options, self._runner = run, options, runner
+        self._n_frames = run.event.observation.n_frames
         self._bridge = SimulatorBridge(runner, self._n_frames)
-        self._bridge.defers = True
-        self._data = what.data(self._bridge.handle)
-        self._kernel = make_kernel(what.recipe, self._data)
-        self._length = run_length(
-            *(self._kernel, what.info, what.chains, options.iterations, options.budget),
+        self._data = run.data(self._bridge.handle)
+        self._kernel = make_kernel(run.recipe, self._data)
+        self._length = Length.of(
+            *(self._kernel, run.info, run.chains, options.iterations, options.budget),
             self._n_frames,
         )
         self._check_memory()
-        self._init, self._step = compiled(what.recipe)
+        self._init, self._step = compiled(run.recipe)
         self._state: Any = None
         self._particles: list[Columns] = []  # the initial ones, and those after every iteration
-        self._tally = length.Tally()
+        self._tally = Tally()
         self._written = -1
         self._calls = 1
         self._pace = Pace(self._length, options.began)
@@ -240,7 +225,7 @@ class Sampler:
         with on_cpu():
             blank = self._init.shapes(self._keys(), self._data)
         self._state, self._particles = saved.state(blank), list(saved.particles)
-        before = tally_of(saved.records, saved.done - 1)
+        before = Tally.of(saved.records, saved.done - 1)
         if saved.done and self._length.is_spent(before):
             raise InvalidSettingError(
                 f"a budget of {self._length.budget} is too small: {saved.path} went on after "
@@ -249,7 +234,7 @@ class Sampler:
         for record in saved.records:
             self._bridge.remember(record)
         self._bridge.iteration = self._written = saved.done
-        self._tally = tally_of(saved.records, saved.done, before)
+        self._tally = Tally.of(saved.records, saved.done, before)
         self._runner.statistics = dataclasses.replace(saved.statistics)
         self._calls = saved.calls + 1
         began, recent = self._options.began, saved.recent
@@ -259,10 +244,20 @@ class Sampler:
         """Do what is left of the run; return what ended it before its end, or None."""
         batch = self._run.chains * self._length.sims_per_step
         before = 0 if self._done < 0 else self._simulations()
+        seconds, runner = self._length.limit("seconds"), self._runner
         with Progress(self._expected(), self._options.progress, done=before, batch=batch) as bar:
-            self._runner.on_result = bar.one_more
+            runner.on_result = bar.one_more
             try:
-                self._advance(bar)
+                if self._done < 0:
+                    self._start(seconds)
+                left = _OVERTIME * seconds + 1.0 - self._pace.seconds
+                runner.deadline = time.perf_counter() + left
+                while self._pace.another(self._done, self._tally):
+                    bar.reach(self._simulations())
+                    bar.expect(self._expected())
+                    self._iterate(lambda: self._step(self._state, self._data))
+                bar.expect(self._simulations())
+                bar.reach(self._simulations())
             except OutOfTime:  # the iteration that was under way does not count
                 return None
             except (KeyboardInterrupt, Cancelled) as stop:
@@ -274,25 +269,16 @@ class Sampler:
                 return error
         return None
 
-    def _advance(self, bar: Progress) -> None:
-        seconds, runner = self._length.limit("seconds"), self._runner
-        if self._done < 0:
-            limit = runner.limit
-            runner.limit = min(limit, seconds)
-            runner.patience = time.perf_counter() + seconds - self._pace.seconds
-            self._iterate(self._first_state)
-            runner.limit = limit
-            if self._run.model.simulator is not None:
-                results = [record.result for record in self._bridge.records]
-                _check_once(runner, self._run.model.simulator, results)
-        left = _OVERTIME * seconds + 1.0 - self._pace.seconds
-        runner.deadline = time.perf_counter() + left
-        while self._pace.another(self._done, self._tally):
-            bar.reach(self._simulations())
-            bar.expect(self._expected())
-            self._iterate(lambda: self._step(self._state, self._data))
-        bar.expect(self._simulations())
-        bar.reach(self._simulations())
+    def _start(self, seconds: float) -> None:
+        """Make the initial particles, none of which may take longer than all the seconds."""
+        runner, limit = self._runner, self._runner.limit
+        runner.limit = min(limit, seconds)
+        runner.patience = time.perf_counter() + seconds - self._pace.seconds
+        self._iterate(self._first_state)
+        runner.limit = limit
+        if self._run.model.simulator is not None:
+            results = [record.result for record in self._bridge.records]
+            _check_once(runner, self._run.model.simulator, results)
 
     def _iterate(self, compute: Callable[[], Any]) -> None:
         """Do the initial particles, or an iteration, which counts once it is complete."""
@@ -306,7 +292,7 @@ class Sampler:
         self._state = state
         self._particles.append(particles)
         self._pace.end(initial=initial)
-        self._tally = tally_of(self._bridge.records, self._done, self._tally)
+        self._tally = Tally.of(self._bridge.records, self._done, self._tally)
         self._keep()
 
     def _first_state(self) -> Any:
@@ -413,7 +399,7 @@ class Sampler:
 
     def posterior(self, *, interrupted: bool) -> Posterior | None:
         """Return that of what was done; None without initial particles."""
-        what, kernel = self._run, self._run.info
+        run, kernel = self._run, self._run.info
         if self._done < 0:
             return None
         *earlier, now = self._options.versions
@@ -427,7 +413,7 @@ class Sampler:
         if earlier:
             attrs["earlier_versions"] = json.dumps(earlier)
         records = self._bridge.records
-        tree = build_tree(what.event, what.model, kernel, self._particles, records, attrs)
+        tree = build_tree(run.event, run.model, kernel, self._particles, records, attrs)
         if self._options.burn_in is not None:
             # of an interrupted run at least the last draw counts
             most = tree["posterior"].sizes["draw"] - 1
@@ -437,21 +423,21 @@ class Sampler:
         return Posterior(tree)
 
     def _settings(self) -> dict[str, Any]:
-        what = self._run
-        simple = fields_of(what.settings) | {"strength": estimator_name(what.settings.strength)}
+        run = self._run
+        simple = fields_of(run.settings) | {"strength": estimator_name(run.settings.strength)}
         del simple["beta"]  # the model's likelihood has it
         return {
-            "kernel": {"name": what.info.name, **what.options},
-            "chains": what.chains,
+            "kernel": {"name": run.info.name, **run.options},
+            "chains": run.chains,
             "iterations": self._done,  # an interrupted run equals a shorter one
-            "seed": what.seed,
+            "seed": run.seed,
             "on_failure": self._runner.on_failure,
             "retries": self._runner.retries,
             "simulation_seconds": self._options.simulation_seconds,
-            "turning": what.event.scene.turning,
-            "resets_velocity": what.event.scene.resets_velocity,
+            "turning": run.event.scene.turning,
+            "resets_velocity": run.event.scene.resets_velocity,
             "simple": simple,
-            "model": what.model.fingerprint(),
+            "model": run.model.fingerprint(),
         }
 
     def _cost(self, interrupted: bool) -> dict[str, Any]:

@@ -28,11 +28,33 @@ import numpyro.distributions as dist
 from jax import Array
 from numpy.typing import ArrayLike
 
-from phase_ppl.models.observer.cues import CUES
+from phase_ppl.models.observer.perception import CUES
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import RELATIONS
+
+__all__ = [
+    "ANSWERS",
+    "HALF_LIVES",
+    "OBSERVERS",
+    "Belief",
+    "Evidence",
+    "Observer",
+    "cues",
+    "lapse",
+    "leak",
+    "log_shares",
+    "observer_named",
+    "prior",
+    "respond",
+    "samples",
+    "saturation",
+    "sharpness",
+    "tilt",
+    "weight",
+]
+
 
 HALF_LIVES: Final = (math.inf, 40.0, 10.0)
 """Frames after which what was seen counts half, for each table of ``log_likelihood``."""
@@ -128,10 +150,7 @@ Part: TypeAlias = Callable[[Belief, Evidence], Belief]
 def log_shares(log_mass: Array, evidence: Evidence, question: str) -> Array:
     """Return (..., event, answer) log probabilities of the answers to a question.
 
-    Args:
-        log_mass: (..., event, hypothesis) unnormalised.
-        evidence: says which answer each hypothesis stands for.
-        question: "relation", "goal_red" or "goal_green".
+    From unnormalised log masses (..., event, hypothesis).
     """
     stands_for = jax.nn.one_hot(evidence.answers[question], ANSWERS[question])
     return jnp.log(jax.nn.softmax(log_mass, axis=-1) @ stands_for + _LEAST)
@@ -140,10 +159,7 @@ def log_shares(log_mass: Array, evidence: Evidence, question: str) -> Array:
 def tilt(evidence: Evidence, values: Any, **toward: float) -> Array:
     """Return (event, hypothesis) nats for hypotheses by their relation.
 
-    Args:
-        evidence: says which relation each hypothesis has.
-        values: (event,) or a number.
-        **toward: relation -> nats per unit of ``values``; others get 0.
+    ``toward`` has nats per unit of ``values``, (event,) or a number; other relations get 0.
     """
     nats = jnp.array([toward.pop(relation, 0.0) for relation in RELATIONS])
     if toward:
@@ -308,3 +324,7 @@ def observer_named(name: str) -> Observer:
     if name not in OBSERVERS:
         raise unknown_name("observer", name, OBSERVERS)
     return OBSERVERS[name]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -1,4 +1,4 @@
-"""Events as examples to learn from, each in all looks that mean the same."""
+"""Events as examples to learn from, each in all looks that mean the same; no PyTorch is needed."""
 
 from __future__ import annotations
 

@@ -151,10 +151,7 @@ def contacts(scene: Scene, observation: Observation) -> NDArray[np.bool_]:
 
 
 def frame_graphs(
-    scene: Scene,
-    observation: Observation,
-    variant: Variant,
-    touch: NDArray[np.bool_] | None = None,
+    scene: Scene, observation: Observation, variant: Variant, touch: NDArray[np.bool_] | None = None
 ) -> Graphs:
     """Return the frames of an event as graphs; ``touch`` is as of :func:`touching`."""
     touch = touching(scene, observation, variant) if touch is None else touch

@@ -34,12 +34,7 @@ class Outputs(NamedTuple):
 
 
 class SocialGNN(nn.Module):
-    """A network of any variant.
-
-    Args:
-        variant: "extended", "original" or "message_passing".
-        dropout: share of the LSTM's inputs and of its last state that is left out in training.
-    """
+    """A network of any variant, with that dropout of the LSTM's inputs and of its last state."""
 
     def __init__(self, variant: Variant, dropout: float = 0.0) -> None:
         super().__init__()
@@ -97,12 +92,7 @@ def _linear(shape: tuple[int, ...]) -> nn.Linear:
 
 
 class Ensemble:
-    """Trained networks that answer together: the mean of their probabilities.
-
-    Args:
-        trained: the networks.
-        n_threads: of PyTorch.
-    """
+    """Trained networks that answer together: the mean of their probabilities."""
 
     def __init__(self, trained: Trained, n_threads: int = 1) -> None:
         self._variant: Variant = trained.variant

@@ -47,11 +47,8 @@ def fit(
 ) -> Fitted:
     """Return the network trained from a seed.
 
-    Args:
-        training, validation: of the settings' variant.
-        settings: how.
-        seed: of the first weights, the order and looks of the events, and the dropout.
-        after_epoch: called with the number of each epoch that is done, from 0.
+    That of the first weights, the order and looks of the events, and the dropout. ``after_epoch``
+    is called with the number of each epoch that is done, from 0.
     """
     with threads(settings.threads), torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
@@ -148,13 +145,7 @@ def class_weights(relations: Sequence[int]) -> Any:
 
 
 def loss(said: Outputs, examples: Sequence[Example], weights: Any = None) -> Any:
-    """Return L_relation + L_goal, the latter the sum of the two agents' (paper, appendix).
-
-    Args:
-        said: of the events.
-        examples: the same events with their truth.
-        weights: (relation,) of the relations.
-    """
+    """Return L_relation + L_goal, the latter the sum of the two agents' (paper, appendix)."""
     relations, goals = _truth(examples)
     found = functional.cross_entropy(said.relation, relations, weights)
     if said.goals is not None:

@@ -18,9 +18,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from phase_ppl.dataset import load_events
 from phase_ppl.dataset.authors import pickles
 from phase_ppl.dataset.authors.pickles import read_pickle, unpickled
+from phase_ppl.dataset.load import load_events
 from phase_ppl.world.errors import InvalidEventError, PhasePPLError
 from tests.dataset.authors.pickles import name_of, processed, record
 from tests.dataset.authors.traps import (

@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from phase_ppl.dataset import load_event, load_events
 from phase_ppl.dataset.authors.names import (
     Place,
     Recorded,
@@ -22,6 +21,7 @@ from phase_ppl.dataset.authors.names import (
     place_in_id,
 )
 from phase_ppl.dataset.authors.videos import repaired
+from phase_ppl.dataset.load import load_event, load_events
 from phase_ppl.dataset.motion import full_turn
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, PhasePPLError, UnknownNameError

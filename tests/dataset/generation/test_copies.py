@@ -6,9 +6,14 @@ import numpy as np
 import pytest
 
 from phase_ppl.dataset.generation import families
-from phase_ppl.dataset.generation.changes import MOST_CHANGES, Change, changed
 from phase_ppl.dataset.generation.copies import REFLECTIONS, Recording, recoloured, reflected
-from phase_ppl.dataset.generation.families import family_and_variant, register_family
+from phase_ppl.dataset.generation.families import (
+    MOST_CHANGES,
+    Change,
+    changed,
+    family_and_variant,
+    register_family,
+)
 from phase_ppl.dataset.generation.making import measures
 from phase_ppl.dataset.generation.situation import (
     LAYOUTS_OF_A_KIND,

@@ -1,6 +1,6 @@
 """Learning which features of an agent's motion speak for which goal.
 
-    python -m phase_ppl.inference.proposals.goal_training FOLDER
+    python benchmarks/goal_training.py FOLDER
 
 Simulates events in scenes like those of PHASE and maximises the log probability that the joint
 proposal of :mod:`~phase_ppl.inference.proposals.tables` gives to their true effective goals: for
@@ -24,10 +24,10 @@ import numpy as np
 import scipy.optimize
 from jax.scipy.special import logsumexp
 from numpy.typing import NDArray
+from strength_training import draw_scene, in_processes
 from tqdm.auto import tqdm
 
 from phase_ppl.dataset.generation.situation import agent_to, approach, item_to
-from phase_ppl.inference.proposals.strength_training import draw_scene, in_processes
 from phase_ppl.inference.proposals.tables import (
     FEATURES,
     GOAL_PARTS,
@@ -184,12 +184,9 @@ def _log_prior() -> NDArray[np.float32]:
 
 
 def log_proposal(weights: jax.Array, features: Array, goals: Array) -> jax.Array:
-    """Return (event, ...) log probabilities of the true pairs of effective goals.
+    """Return (event, ...) log probabilities of the true pairs of effective goals (event, agent).
 
-    Args:
-        weights: (kind, feature).
-        features: (event, ..., agent, goal, feature).
-        goals: (event, agent).
+    Weights are (kind, feature), features (event, ..., agent, goal, feature).
     """
     scores = (jnp.asarray(features) * weights[jnp.asarray(GOAL_PARTS.kind)]).sum(axis=-1)
     joint = jnp.asarray(_log_prior()) + scores[..., 0, :, None] + scores[..., 1, None, :]
@@ -258,7 +255,7 @@ def main(arguments: list[str] | None = None) -> dict[str, Any]:
     losses = {"window": loss_of_windows, "whole": loss_of_whole}
     weights = {name: learned(loss, parts["training"]) for name, loss in losses.items()}
     report = {
-        "command": "python -m phase_ppl.inference.proposals.goal_training",
+        "command": "python benchmarks/goal_training.py",
         "draws": options.draws,
         "seed": options.seed,
         "events": len(events),

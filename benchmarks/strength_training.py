@@ -1,6 +1,6 @@
 """Training the network of strengths.
 
-    python -m phase_ppl.inference.proposals.strength_training FOLDER
+    python benchmarks/strength_training.py FOLDER
 
 Simulates events (or reads them from --events-file), blurs them with jitter, cuts windows of all
 lengths, trains, and writes FOLDER/strength_weights.npz and the report beside it,
@@ -32,8 +32,8 @@ from phase_ppl.inference.proposals.strength import (
     StrengthEstimates,
     StrengthNetwork,
     quality,
+    window_features,
 )
-from phase_ppl.inference.proposals.strength_features import window_features
 from phase_ppl.models.neural import needs_torch, threads
 from phase_ppl.simulator.joint import JointSimulator, simulate
 from phase_ppl.simulator.processes import mapped
@@ -185,11 +185,8 @@ def blurred(
 ) -> FloatArray:
     """Return a trajectory (time, entity, coord) with independent normal noise on all coordinates.
 
-    Args:
-        trajectory: (time, entity, coord) x, y [units], angle [rad].
-        jitter: standard deviation of x and y, units.
-        rng: of the noise.
-        angle: standard deviation of the angles, rad, for a unit of jitter.
+    Of standard deviation ``jitter`` [units] for x and y, and ``angle`` [rad] per unit of it for
+    angles.
     """
     return trajectory + rng.normal(0, 1, trajectory.shape) * [jitter, jitter, jitter * angle]
 

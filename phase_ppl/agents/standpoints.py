@@ -1,0 +1,167 @@
+"""Which goals of all agents come to the same for one of them.
+
+An agent's subgoal depends on its own goal, on whether somebody wants the same or the opposite, and,
+where it helps another to get somewhere, on whether that one is where it wants to be. So of the
+goals of all, whose number is a product over the agents, few *standpoints* are left.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from collections import defaultdict
+from collections.abc import Iterable
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from phase_ppl.agents.subgoals import Stance, stance
+from phase_ppl.world.arrays import IntArray
+from phase_ppl.world.goals import goal_literal, is_self_referring
+from phase_ppl.world.names import NOTHING, STOP, Literal
+from phase_ppl.world.scene import World
+
+_SAME, _OPPOSITE = 1, 2  # what another agent wants; 0: neither
+_KINDS: Final = 3
+
+
+class Alike(NamedTuple):
+    """A goal of an agent, and goals of another towards which it then stands alike."""
+
+    own: int
+    literal: Literal
+    towards: Stance
+    others: list[int]
+    places: list[int]  # with each of these the number of the standpoint
+
+
+class Standpoints:
+    """The standpoints of one agent, whatever goals all have.
+
+    Args:
+        agent: which one.
+        world: whose goals.
+
+    Attributes:
+        alike: standpoints in groups that differ in the goal of one other agent only.
+        n: standpoints. In the company of one other agent they are the pairs of effective goals,
+            the first agent's times the number of goals plus the second's.
+    """
+
+    def __init__(self, agent: int, world: World) -> None:
+        self._agent, self._n_goals = agent, len(world.goals)
+        self._others = [other for other in range(len(world.agents)) if other != agent]
+        self.alike: list[Alike] = []
+        if len(world.agents) == 2:
+            self._of_pairs(world)
+        else:
+            self._of_any(world)
+
+    def of(self, goals: IntArray) -> IntArray:
+        """Return (...) the standpoints of (..., agent) effective goals; -1 where it has none."""
+        own = goals[..., self._agent]
+        if self._table is None:
+            return np.asarray(goals[..., 0] * self._n_goals + goals[..., 1])
+        code = np.zeros(own.shape, np.int64)
+        for place, other in enumerate(self._others):
+            kind = _SAME * (goals[..., other] == self._same[place][own])
+            kind += _OPPOSITE * (goals[..., other] == self._opposite[place][own])
+            code += kind * _KINDS**place
+        whose = self._whose[own]
+        theirs = np.take_along_axis(goals, whose[..., None], axis=-1)[..., 0]
+        return np.asarray(self._table[own, code, theirs])
+
+    def _of_pairs(self, world: World) -> None:
+        self._table: IntArray | None = None
+        self.n = self._n_goals**2
+        pairs = list(itertools.product(*(_possible(holder, world) for holder in range(2))))
+        places = [red * self._n_goals + green for red, green in pairs]
+        self.alike = alike(self._agent, pairs, places, world)
+        self.alike.sort(key=lambda one: one.own)
+
+    def _of_any(self, world: World) -> None:
+        agent, n_goals, others = self._agent, self._n_goals, self._others
+        literals = {
+            holder: {goal: goal_literal(goal, holder, world) for goal in _possible(holder, world)}
+            for holder in range(len(world.agents))
+        }
+        # (goal) of each other the one that is the same, or the opposite
+        self._same = np.full((len(others), n_goals), -1)
+        self._opposite = np.full((len(others), n_goals), -1)
+        for place, other in enumerate(others):
+            goal_of = {literal: goal for goal, literal in literals[other].items()}
+            for own, literal in literals[agent].items():
+                self._same[place, own] = goal_of.get(literal, -1)
+                self._opposite[place, own] = goal_of.get(literal.negated(), -1)
+        self._whose = np.full(n_goals, agent)
+        self._table = np.full((n_goals, _KINDS ** len(others), n_goals), -1)
+        self.n = 0
+        for own, literal in literals[agent].items():
+            known: dict[Stance, Alike] = {}
+            for kinds in itertools.product(range(_KINDS), repeat=len(others)):
+                wants: list[Literal] = [literal] * (len(others) + 1)
+                wanted = [-1] * (len(others) + 1)
+                for place, (other, kind) in enumerate(zip(others, kinds, strict=True)):
+                    goal = (-1, self._same[place, own], self._opposite[place, own])[kind]
+                    wanted[other] = int(goal)
+                    wants[other] = (STOP, literal, literal.negated())[kind]
+                if any(k and wanted[o] < 0 for o, k in zip(others, kinds, strict=True)):
+                    continue
+                towards = stance(agent, wants)
+                code = sum(kind * _KINDS**place for place, kind in enumerate(kinds))
+                if towards.helps_along:
+                    self._whose[own] = towards.other
+                    one = known.setdefault(towards, Alike(own, literal, towards, [], []))
+                    left = (
+                        [wanted[towards.other]]
+                        if wanted[towards.other] >= 0
+                        else literals[towards.other]
+                    )
+                    for goal in left:
+                        if goal not in one.others:
+                            one.others.append(goal)
+                            one.places.append(self.n)
+                            self.n += 1
+                        self._table[own, code, goal] = one.places[one.others.index(goal)]
+                    continue
+                if towards not in known:
+                    known[towards] = Alike(own, literal, towards, [own], [self.n])
+                    self.n += 1
+                self._table[own, code] = known[towards].places[0]
+            self.alike += known.values()
+
+
+@functools.cache
+def standpoints(agent: int, world: World) -> Standpoints:
+    """Return the standpoints of an agent of a world."""
+    return Standpoints(agent, world)
+
+
+def alike(
+    agent: int, goals: Iterable[tuple[int, ...]], places: Iterable[int], world: World
+) -> list[Alike]:
+    """Return goals of all agents in groups that lead one agent to the same intent.
+
+    Args:
+        agent: which one.
+        goals: effective goals of all.
+        places: a number for each of these.
+        world: whose goals.
+    """
+    groups: dict[tuple[int, Literal, Stance], tuple[list[int], list[int]]] = defaultdict(
+        lambda: ([], [])
+    )
+    literal = functools.cache(lambda goal, holder: goal_literal(goal, holder, world))
+    for each, place in zip(goals, places, strict=True):
+        literals = [literal(goal, holder) for holder, goal in enumerate(each)]
+        towards = stance(agent, literals)
+        other = agent if towards.other == NOTHING else towards.other
+        others, numbers = groups[each[agent], literals[agent], towards]
+        others.append(each[other])
+        numbers.append(place)
+    return [Alike(*key, *lists) for key, lists in groups.items()]
+
+
+def _possible(holder: int, world: World) -> list[int]:
+    """Return the goals that an agent can have."""
+    return [goal for goal in range(len(world.goals)) if not is_self_referring(goal, holder, world)]

@@ -1,0 +1,399 @@
+"""Which events tell models apart: expected information of people's answers about which is right.
+
+A model predicts how probable each answer to a question about an event is. If people answer as one
+of several models does, their answers say which: what they can be expected to say is the mutual
+information between model and answers, which for one answer is the Jensen-Shannon divergence of the
+models' predictions. It is at most the entropy of what is believed of the models beforehand, log M
+for M of them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import itertools
+import math
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+import xarray as xr
+from scipy.special import gammaln, logsumexp
+
+from phase_ppl.analysis.estimate import Estimate
+from phase_ppl.dataset.documents import read_json
+from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.checks import whole_number
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown, unknown_name
+from phase_ppl.world.files import write_json
+from phase_ppl.world.picture import preformatted
+
+SCHEMA: Final = "phase-ppl-design-1"
+
+LAPSE: Final = 0.05
+"""Probability of an answer at random, so that no answer is impossible."""
+
+DRAWS: Final = 4000  # of a model and its answers about all events, for information of several
+_CHOOSING, _ESTIMATING = slice(0, None, 2), slice(1, None, 2)
+_OUTCOMES: Final = 2000  # counts of answers up to which all are summed over
+_REPLICATES: Final = 40  # of the models' probabilities within their errors
+_LISTED: Final = 20
+_RANDOM_SETS: Final = 100
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Design:
+    """What answers about events can be expected to say about which of several models is right.
+
+    :func:`phase_ppl.design` returns one. Printed it is a table, ``ppl.plot.design`` draws it.
+
+    Attributes:
+        probabilities: (model, event, answer) of answers, sum 1, with the coordinate ``error``.
+        question: that is asked.
+        answers: people who are asked about each event.
+        lapse: probability that somebody answers at random.
+        prior: (model,) probability of each model beforehand.
+        seed: of the answers that are drawn to estimate what sets of events say.
+    """
+
+    probabilities: xr.DataArray
+    question: str
+    answers: int
+    lapse: float
+    prior: FloatArray
+    seed: int
+
+    @functools.cached_property
+    def models(self) -> list[str]:
+        """Names of the models."""
+        return [str(name) for name in self.probabilities["model"].values]
+
+    @functools.cached_property
+    def events(self) -> list[str]:
+        """Ids of the events, in the order in which they were given."""
+        return [str(name) for name in self.probabilities["event"].values]
+
+    @functools.cached_property
+    def labels(self) -> list[str]:
+        """The answers."""
+        return [str(label) for label in self.probabilities["answer"].values]
+
+    @property
+    def most(self) -> float:
+        """The most that can be known: the entropy of the prior over models, nats."""
+        return _entropy(np.log(np.maximum(self.prior, 1e-300)))
+
+    # --- single events -------------------------------------------------------------------------
+
+    @functools.cached_property
+    def _log_shares(self) -> FloatArray:
+        return self._with_lapses(self.probabilities.values)
+
+    def _with_lapses(self, probabilities: FloatArray) -> FloatArray:
+        with np.errstate(divide="ignore"):
+            n = probabilities.shape[-1]
+            return np.asarray(np.log((1 - self.lapse) * probabilities + self.lapse / n))
+
+    @functools.cached_property
+    def information(self) -> xr.DataArray:
+        """Expected information (event,) about which model is right, nats, with its ``error``.
+
+        The error is that of the models' probabilities. These make models look more different than
+        they are, so that information of the size of its error is none.
+        """
+        n = len(self.labels)
+        summed = math.comb(self.answers + n - 1, n - 1) <= _OUTCOMES
+        if summed:
+            values = self._summed(self._log_shares, self.answers)
+        else:
+            values = self._expected(self._simulated)[0]
+        errors = self.probabilities["error"].values
+        known = ~np.isnan(errors).any(axis=(0, 2))
+        rng = np.random.default_rng(self.seed)
+        replicates = []
+        for _ in range(_REPLICATES):
+            noise = rng.standard_normal(errors.shape) * np.nan_to_num(errors)
+            shares = np.maximum(self.probabilities.values + noise, 0.0) + 1e-12
+            shares /= shares.sum(axis=-1, keepdims=True)
+            logs = self._with_lapses(shares)
+            replicates.append(self._summed(logs, self.answers if summed else 1))
+        spread = np.std(replicates, axis=0) * (1 if summed else self.answers)
+        coords = {"event": self.events, "error": ("event", np.where(known, spread, np.nan))}
+        return xr.DataArray(values, coords, dims="event", name="information")
+
+    def _summed(self, log_shares: FloatArray, answers: int) -> FloatArray:
+        """Return (event,) information of answers about each event alone, over all outcomes."""
+        counts = _compositions(answers, log_shares.shape[-1])
+        ways = gammaln(answers + 1) - gammaln(counts + 1).sum(axis=1)
+        # an answer that cannot be has no count of it
+        safe = np.maximum(log_shares, -1e300)
+        logs = np.einsum("oa,mea->oem", counts, safe) + ways[:, None, None]
+        log_joint = logs + np.log(self.prior)
+        log_outcome = logsumexp(log_joint, axis=-1)
+        share = np.exp(log_joint - log_outcome[..., None])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            of_outcome = -np.where(share > 0, share * np.log(share), 0.0).sum(axis=-1)
+        return np.maximum(self.most - (np.exp(log_outcome) * of_outcome).sum(axis=0), 0.0)
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """A row per event, the most telling first: ``information`` and ``error`` in nats.
+
+        ``share`` of the most that can be known, and what each model would answer.
+        """
+        found = self.information
+        labels = self.labels
+        columns: dict[str, Any] = {
+            "information": found.values,
+            "error": found["error"].values,
+            "share": found.values / self.most,
+        }
+        for model in self.models:
+            of_model = self.probabilities.sel(model=model).values
+            leading = of_model.argmax(axis=1)
+            columns[model] = [
+                f"{labels[code]} {row[code]:.2f}"
+                for code, row in zip(leading, of_model, strict=True)
+            ]
+        table = pd.DataFrame(columns, index=pd.Index(self.events, name="event"))
+        return table.sort_values("information", ascending=False, kind="stable")
+
+    # --- sets of events ------------------------------------------------------------------------
+
+    @functools.cached_property
+    def _models_drawn(self) -> np.ndarray[Any, np.dtype[np.int64]]:
+        places = (np.arange(DRAWS) + 0.5) / DRAWS
+        return np.searchsorted(self.prior.cumsum()[:-1], places).astype(np.int64)
+
+    @functools.cached_property
+    def _simulated(self) -> FloatArray:
+        """(draw, event, model) log likelihoods of the answers that the drawn models give."""
+        found = np.empty((DRAWS, len(self.events), len(self.prior)))
+        rng = np.random.default_rng(self.seed)
+        for event in range(len(self.events)):
+            logs = self._log_shares[:, event]
+            counts = rng.multinomial(self.answers, np.exp(logs)[self._models_drawn])
+            found[:, event] = counts @ np.maximum(logs, -1e300).T
+        return found
+
+    def _expected(self, logs: FloatArray, which: slice = slice(None)) -> FloatArray:
+        """Return information (...), its error, and how often the right model leads.
+
+        Args:
+            logs: (draw, ..., model) log likelihoods.
+            which: of the draws to take.
+        """
+        log_joint = logs[which] + np.log(self.prior)
+        best = log_joint.max(axis=-1, keepdims=True)
+        models = self._models_drawn[which].reshape(-1, *[1] * (log_joint.ndim - 1))
+        right = np.take_along_axis(log_joint, models, axis=-1)[..., 0] - best[..., 0]
+        total = np.log(np.exp(log_joint - best).sum(axis=-1))
+        # the mean log of what the right one comes to, over what it was: unbiased
+        before = np.log(self.prior)[models[..., 0]]
+        nats = np.maximum(right - total, -700.0) - before
+        ties = (log_joint > best - 1e-9).sum(axis=-1)
+        leads = np.where(right > -1e-9, 1 / ties, 0.0)
+        error = nats.std(axis=0) / math.sqrt(len(nats))
+        return np.array([nats.mean(axis=0), error, leads.mean(axis=0)])
+
+    def joint(self, events: Iterable[str]) -> Estimate:
+        """Return what answers about several events say together, nats, with its error.
+
+        Raises:
+            UnknownNameError: there is no such event.
+        """
+        places = [self._place(event) for event in events]
+        value, error, _ = self._expected(self._simulated[:, places].sum(axis=1))
+        return Estimate(float(value), float(error))
+
+    def _place(self, event: str) -> int:
+        if event not in self.events:
+            raise unknown_name("event", event, self.events)
+        return self.events.index(event)
+
+    def best(self, n: int) -> pd.DataFrame:
+        """Return the events to ask about, one after the other the one that adds most.
+
+        Args:
+            n: how many, from 1.
+
+        Returns:
+            A row per event, in that order: ``information`` of it and those before it together,
+            its ``error``, ``share`` of the most that can be known, and ``right``, how often the
+            model that people answer by would lead. Of 4000 draws of a model and its answers one
+            half chooses, the other estimates.
+        """
+        n = min(whole_number("n", n), len(self.events))
+        logs = np.zeros((DRAWS, len(self.prior)))
+        rows, left = [], list(range(len(self.events)))
+        for _ in range(n):
+            found = self._expected(logs[:, None] + self._simulated[:, left], _CHOOSING)[0]
+            place = left.pop(int(np.argmax(found)))
+            logs += self._simulated[:, place]
+            rows.append((self.events[place], *self._expected(logs, _ESTIMATING)))
+        table = pd.DataFrame(rows, columns=["event", "information", "error", "right"])
+        table.insert(3, "share", table["information"] / self.most)
+        return table.set_index("event")
+
+    def at_random(self, n: int) -> pd.DataFrame:
+        """Return what 1 to ``n`` events taken by chance say, over 100 orders of them.
+
+        Returns:
+            A row per number of events: ``information`` on average, ``low`` and ``high``, its 5 %
+            and 95 % quantiles, and ``right``.
+        """
+        n = min(whole_number("n", n), len(self.events))
+        rng = np.random.default_rng(self.seed)
+        found = np.empty((_RANDOM_SETS, n, 2))
+        for order in range(_RANDOM_SETS):
+            places = rng.permutation(len(self.events))[:n]
+            logs = self._simulated[:, places].cumsum(axis=1)
+            found[order] = self._expected(logs, _ESTIMATING)[[0, 2]].T
+        low, high = np.quantile(found[..., 0], (0.05, 0.95), axis=0)
+        mean = found.mean(axis=0)
+        columns = {"information": mean[:, 0], "low": low, "high": high, "right": mean[:, 1]}
+        return pd.DataFrame(columns, index=pd.RangeIndex(1, n + 1, name="events"))
+
+    def attributed(
+        self, answers: Mapping[str, str | Sequence[str] | Mapping[str, int]]
+    ) -> dict[str, float]:
+        """Return model -> its probability, given what people answered.
+
+        Args:
+            answers: event -> an answer, several, or answer -> how many gave it.
+
+        Raises:
+            UnknownNameError: there is no such event or answer.
+        """
+        labels = self.labels
+        log_mass = np.log(self.prior)
+        for event, given in answers.items():
+            place = self._place(event)
+            counted = given if isinstance(given, Mapping) else {}
+            for answer in counted or ([given] if isinstance(given, str) else given):
+                if answer not in labels:
+                    raise unknown_name("answer", answer, labels)
+                times = counted.get(answer, 1)
+                log_mass = log_mass + times * self._log_shares[:, place, labels.index(answer)]
+        shares = np.exp(log_mass - logsumexp(log_mass))
+        return dict(zip(self.models, shares.tolist(), strict=True))
+
+    # --- files and print -----------------------------------------------------------------------
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write it to a .json file, from which :meth:`load` reads it."""
+        errors = self.probabilities["error"].values
+        record = {
+            "schema": SCHEMA,
+            "question": self.question,
+            "answers": self.answers,
+            "lapse": self.lapse,
+            "seed": self.seed,
+            "prior": self.prior.tolist(),
+            "models": self.models,
+            "events": self.events,
+            "labels": self.labels,
+            "probabilities": self.probabilities.values.tolist(),
+            "errors": [
+                [[None if math.isnan(e) else e for e in row] for row in rows]
+                for rows in errors.tolist()
+            ],
+        }
+        write_json(path, record)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Design:
+        """Read what :meth:`save` wrote.
+
+        Raises:
+            InvalidEventError: there is no such file, or it is damaged or of another kind.
+        """
+        record = read_json(path)
+        if record.get("schema") != SCHEMA:
+            raise InvalidEventError(f"{path}: its schema is {record.get('schema')!r}, not {SCHEMA}")
+        try:
+            coords = {"model": record["models"], "event": record["events"]}
+            coords["answer"] = record["labels"]
+            dims = ("model", "event", "answer")
+            errors = np.array(record["errors"], np.float64)
+            return checked(
+                xr.DataArray(
+                    np.array(record["probabilities"], np.float64),
+                    {**coords, "error": (dims, errors)},
+                    dims=dims,
+                ),
+                str(record["question"]),
+                answers=record["answers"],
+                lapse=record["lapse"],
+                prior=dict(zip(record["models"], record["prior"], strict=True)),
+                seed=record["seed"],
+            )
+        except (KeyError, TypeError, ValueError) as error:
+            raise InvalidEventError(f"{path} is damaged: {error}") from None
+
+    def __str__(self) -> str:
+        people = "one answer" if self.answers == 1 else f"{self.answers} answers"
+        head = (
+            f"{self.question} of {len(self.events)} events, {people} about each, between "
+            f"{', '.join(self.models)}\nat most {self.most:.2f} nats can be known; somebody "
+            f"answers at random with probability {self.lapse:g}\n"
+        )
+        table = self.table.head(_LISTED)
+        text = table.to_string(float_format=lambda number: f"{number:.3f}")
+        rest = len(self.events) - len(table)
+        return f"{head}\n{text}" + (f"\n... and {rest} less telling ones" if rest else "")
+
+    def __repr__(self) -> str:
+        return f"<Design: {self.question} of {len(self.events)} events, {len(self.models)} models>"
+
+    def _repr_html_(self) -> str:
+        return preformatted(self)
+
+
+def checked(
+    probabilities: xr.DataArray,
+    question: str,
+    *,
+    answers: int = 1,
+    lapse: float = LAPSE,
+    prior: Mapping[str, float] | None = None,
+    seed: int = 0,
+) -> Design:
+    """Return a design of (model, event, answer) probabilities; errors as ``phase_ppl.design``."""
+    models = [str(name) for name in probabilities["model"].values]
+    if len(models) < 2:
+        raise InvalidSettingError(f"models={shown(models)}: it takes two to be told apart")
+    if isinstance(lapse, bool) or not 0 <= lapse < 1:
+        raise InvalidSettingError(f"lapse={shown(lapse)}, expected a number in [0, 1)")
+    weights = np.ones(len(models))
+    if prior is not None:
+        for name in prior:
+            if name not in models:
+                raise unknown_name("model in prior", name, models)
+        weights = np.array([float(prior.get(name, 0.0)) for name in models])
+        if not (np.isfinite(weights).all() and (weights > 0).all()):
+            raise InvalidSettingError(
+                f"prior={shown(dict(prior))}, expected a positive number for every model"
+            )
+    return Design(
+        probabilities,
+        question,
+        whole_number("answers", answers),
+        float(lapse),
+        weights / weights.sum(),
+        whole_number("seed", seed, minimum=0),
+    )
+
+
+def _entropy(logs: FloatArray) -> float:
+    return float(-(np.exp(logs) * logs).sum())
+
+
+@functools.lru_cache(8)
+def _compositions(total: int, parts: int) -> FloatArray:
+    """Return (outcome, part) all ways in which counts of ``parts`` kinds make ``total``."""
+    bars = itertools.combinations(range(total + parts - 1), parts - 1)
+    edges = np.array([(-1, *places, total + parts - 1) for places in bars])
+    return np.diff(edges, axis=1).astype(np.float64) - 1

@@ -1,0 +1,186 @@
+"""Sites of a prior of one's own in the closed loop: tables of hypotheses with their values.
+
+What is read step by step says how probable a video is under every hypothesis, whatever else the
+prior samples: p(site | video) is proportional to sum_h p(site, h) p(video | h). Sites with few
+values are summed over. Others are drawn: hypotheses from their posterior, beside each the sites
+from the prior given what comes before them, weighted by what comes after (importance sampling).
+These answers have a Monte-Carlo error beside that of the searches.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from phase_ppl.analysis.estimate import Jackknife, leaving_out
+from phase_ppl.analysis.hypotheses import Hypotheses
+from phase_ppl.analysis.quantities import Quantity
+from phase_ppl.analysis.stepwise_table import STATED, STRENGTHS, Table
+from phase_ppl.analysis.weights import Rows, log_sum_exp
+from phase_ppl.world.arrays import FloatArray
+
+_GROUPS: Final = 20
+_DRAWS: Final = 1000  # of every group, whose differences are the Monte-Carlo error
+_SEED: Final = 0
+_LEAST: Final = 1e-10  # rows with less of the mass are left out of sums
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Jackknives:
+    """Jackknives over several sources of error, which add up."""
+
+    parts: tuple[Jackknife, ...]
+
+    @property
+    def weights(self) -> FloatArray:
+        """(set, row) the weights of all parts."""
+        return np.concatenate([part.weights for part in self.parts])
+
+    def error(self, results: ArrayLike, value: ArrayLike) -> FloatArray:
+        """Return the standard error of a statistic, as :meth:`Jackknife.error`."""
+        ends = np.cumsum([len(part.weights) for part in self.parts])[:-1]
+        of_parts = np.split(np.asarray(results, np.float64), ends)
+        errors = [part.error(r, value) for part, r in zip(self.parts, of_parts, strict=True)]
+        return np.asarray(np.sqrt(np.sum(np.square(errors), axis=0)))
+
+    def only(self, rows: NDArray[np.bool_]) -> Jackknives | None:
+        """Return it for the ``rows`` alone; None where a set leaves nothing of them."""
+        parts = [part.only(rows) for part in self.parts]
+        return None if None in parts else Jackknives(tuple(p for p in parts if p is not None))
+
+
+class WithSites(Hypotheses):
+    """A table of hypotheses and values of the prior's further sites.
+
+    Args:
+        quantities, rows: as of :class:`Hypotheses`.
+        summed: whether it has all values, or draws of them.
+        errors: None where they are not known.
+    """
+
+    def __init__(
+        self,
+        quantities: Mapping[str, Quantity],
+        rows: Rows,
+        summed: bool,
+        errors: Jackknife | Jackknives | None,
+    ) -> None:
+        super().__init__(quantities, rows)
+        self.summed = summed
+        self._errors = errors
+
+    def _jackknife(self, share: float) -> Any:
+        return self._errors
+
+    def __repr__(self) -> str:
+        how = "all values" if self.summed else f"{len(self.table.weights)} draws"
+        return f"<{type(self).__name__}: {', '.join(self.quantities)}; {how}>"
+
+
+def with_sites(
+    prior: Callable[..., object],
+    table: Table,
+    frame: int,
+    known: Mapping[str, Quantity],
+    derived: Callable[[dict[str, NDArray[Any]]], dict[str, NDArray[Any]]],
+) -> WithSites:
+    """Return the table of hypotheses at a frame with the further sites of the prior.
+
+    Args:
+        prior: of the posterior, with further sites.
+        table: of all hypotheses.
+        frame: the last that counts.
+        known: quantities of a hypothesis.
+        derived: adds to the columns of a hypothesis what follows from them.
+    """
+    from phase_ppl.models import own_sites
+
+    values = own_sites.enumerable(prior)
+    if values is not None:
+        return _summed(prior, values, table, frame, known, derived)
+    sites = own_sites.further_sites(prior)
+    log_mass = table.log_mass(frame)
+    cumulative = np.exp(log_mass - log_sum_exp(log_mass.ravel())).ravel().cumsum()
+    rng = np.random.default_rng(_SEED)
+    steps = (np.arange(_DRAWS) + rng.random((_GROUPS, 1))) / _DRAWS  # systematic, by group
+    flat = np.searchsorted(cumulative, steps.ravel() * cumulative[-1], side="right")
+    places = np.unravel_index(np.minimum(flat, len(cumulative) - 1), log_mass.shape)
+    columns = table.columns(places)
+    of_program = {name.removeprefix("stated_"): columns[name] for name in (*STATED, *STRENGTHS)}
+    drawn, log_weight = own_sites.drawn_beside(
+        prior, of_program, table.log_prior, places, table.levels, _SEED
+    )
+    weights = np.exp(log_weight - log_sum_exp(log_weight))
+    weights /= weights.sum()
+    quantities = dict(known)
+    for name, site in sites.items():
+        quantities[name], columns[name] = _column(name, drawn[name], site.discrete)
+    groups = np.repeat(np.arange(_GROUPS), _DRAWS)
+    by_chance = leaving_out(weights, groups)
+    by_searches = _reweighted(weights, log_mass[places], table, frame, places)
+    parts = [part for part in (by_chance, by_searches) if part is not None]
+    rows = Rows(derived(columns), weights, {"draw": np.arange(len(weights))})
+    errors = Jackknives(tuple(parts)) if len(parts) == 2 else None
+    return WithSites(quantities, rows, False, errors)
+
+
+def _summed(
+    prior: Callable[..., object],
+    values: Sequence[tuple[str, tuple[float, ...]]],
+    table: Table,
+    frame: int,
+    known: Mapping[str, Quantity],
+    derived: Callable[[dict[str, NDArray[Any]]], dict[str, NDArray[Any]]],
+) -> WithSites:
+    from phase_ppl.models.own_sites import log_masses
+
+    log_prior = log_masses(prior, table.levels, tuple(values))
+    log_mass = log_prior + table.log_likelihood(frame)[..., None]
+    shares = np.exp(log_mass - log_sum_exp(log_mass.ravel()))
+    *places, combination = np.nonzero(shares > _LEAST)
+    weights = shares[(*places, combination)]
+    weights /= weights.sum()
+    columns = table.columns(tuple(places))
+    quantities = dict(known)
+    codes = np.unravel_index(combination, [len(options) for _, options in values])
+    for (name, options), chosen in zip(values, codes, strict=True):
+        quantities[name] = Quantity(name, tuple(map(_label, options)), tuple(options))
+        columns[name] = chosen
+    errors = _reweighted(weights, table.log_mass(frame)[tuple(places)], table, frame, places)
+    rows = Rows(derived(columns), weights, {"row": np.arange(len(weights))})
+    return WithSites(quantities, rows, True, errors)
+
+
+def _column(name: str, drawn: NDArray[Any], discrete: bool) -> tuple[Quantity, NDArray[Any]]:
+    if not discrete:
+        return Quantity(name), drawn.astype(np.float64)
+    occurring, codes = np.unique(drawn, return_inverse=True)
+    options = tuple(occurring.tolist())
+    return Quantity(name, tuple(map(_label, options)), options), codes
+
+
+def _label(value: float) -> str:
+    return f"{value:g}"
+
+
+def _reweighted(
+    weights: FloatArray,
+    log_mass: FloatArray,
+    table: Table,
+    frame: int,
+    places: Sequence[NDArray[np.int64]],
+) -> Jackknife | None:
+    """Return the weights of rows without each set of searches; None where there is one set."""
+    if table.n_seeds == 1:
+        return None
+    changed = []
+    for without in table.log_masses_without(frame):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            log_weight = np.log(weights) + without[tuple(places)] - log_mass
+        log_weight[np.isnan(log_weight)] = -np.inf
+        changed.append(np.exp(log_weight - log_sum_exp(log_weight)))
+    return Jackknife(np.array(changed), table.n_seeds - 1.0)

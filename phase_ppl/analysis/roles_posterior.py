@@ -1,0 +1,212 @@
+"""The posterior of the closed-loop likelihood in any world, at every frame."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from phase_ppl.analysis.event_posterior import EventPosterior
+from phase_ppl.analysis.prior_change import settings_under
+from phase_ppl.analysis.quantities import Quantity
+from phase_ppl.analysis.roles_table import (
+    DIMENSIONS,
+    MOST_HYPOTHESES,
+    SCHEMA,
+    Hypotheses,
+    RolesTable,
+    check,
+)
+from phase_ppl.analysis.stepwise_posterior import FILTERING, StepwisePosterior
+from phase_ppl.analysis.summary import wrapped
+from phase_ppl.dataset.hdf5 import read_netcdf, root_attribute
+from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
+from phase_ppl.world.files import existing_file
+from phase_ppl.world.hypothesis import RELATIONS, Roles, company
+from phase_ppl.world.scene import World
+
+ALPHAS = ("-1", "0", "1")
+"""Labels of ``alpha_<who>_<whom>``: hinders, neither, helps."""
+
+
+def quantities_of(world: World) -> dict[str, Quantity]:
+    """Return the quantities of a world's posteriors, by name.
+
+    With the agents' ``world.keys``: ``goal_<agent>``, the effective goal;
+    ``relation_<one>_<other>`` of two agents, in order; ``alpha_<who>_<whom>``;
+    ``strength_<agent>``, newtons.
+    """
+    keys = world.keys
+    found = {f"goal_{key}": Quantity(f"goal_{key}", world.goals) for key in keys}
+    for b, other in enumerate(keys):
+        for one in keys[:b]:
+            name = f"relation_{one}_{other}"
+            found[name] = Quantity(name, RELATIONS)
+    for one in keys:
+        for other in keys:
+            if one != other:
+                name = f"alpha_{one}_{other}"
+                found[name] = Quantity(name, ALPHAS, (-1, 0, 1))
+    found |= {f"strength_{key}": Quantity(f"strength_{key}") for key in keys}
+    return found
+
+
+class RolesPosterior(StepwisePosterior):
+    """Posterior over all agents' goals, whom they help or hinder, and strengths, in any world.
+
+    As :class:`~phase_ppl.analysis.stepwise_posterior.StepwisePosterior`, with the quantities
+    :func:`quantities_of`. Goals, company and strengths are independent of each other a priori.
+    Where more than :data:`~phase_ppl.analysis.roles_table.MOST_HYPOTHESES` are possible, sums are
+    over so many that were drawn.
+
+    Args:
+        found: what was read (:mod:`phase_ppl.analysis.roles_table`).
+        frame: the posterior given the frames up to this one; by default all.
+        table: of ``found``, if there is one.
+
+    Raises:
+        InvalidEventError: ``found`` lacks something; the message names it.
+        InvalidSettingError: there is no such frame.
+    """
+
+    _table: Any
+
+    def __init__(
+        self, found: xr.Dataset, frame: int | None = None, *, table: RolesTable | None = None
+    ) -> None:
+        if table is None:
+            check(found)
+            table = RolesTable(found)
+        self._found, self._table, self._scenario = found, table, None
+        self._prior, self._of_sites = None, {}  # further sites are for PHASE
+        last = table.n_frames - 1
+        self._frame = last if frame is None else frame
+        if not 0 <= self._frame <= last:
+            raise InvalidSettingError(f"frame={frame!r}, expected a number in 0..{last}")
+        rows, self._without = table.rows(self._frame)
+        world = table.world
+        keys = dict(zip(world.agents, world.keys, strict=True))
+        self.goals_of = {agent: f"goal_{key}" for agent, key in keys.items()}
+        self.strengths_of = {agent: f"strength_{key}" for agent, key in keys.items()}
+        known = quantities_of(world)
+        self.relations_of = {
+            " & ".join(name.split("_", 1)[1].split("_")): name
+            for name in known
+            if name.startswith("relation_")
+        }
+        self.scenarios_of = MappingProxyType({})
+        self._attrs, self._constant = found.attrs, found
+        EventPosterior.__init__(self, known, rows)
+        self._define_kept(found.attrs)
+
+    def _weights_without(self) -> FloatArray:
+        return self._without
+
+    @property
+    def world(self) -> World:
+        """Whose agents and goals."""
+        return self._table.world  # type: ignore[no-any-return]
+
+    def at(self, frame: int) -> RolesPosterior:
+        at = RolesPosterior(self._found, frame, table=self._table)
+        return at._defining(self.definitions)
+
+    def under(self, prior: Callable[..., object]) -> RolesPosterior:
+        from phase_ppl.models.roles import factors
+
+        levels = tuple(np.unique(self._found["combinations"].values).tolist())
+        masses = factors(prior, self.world, levels)
+        found = self._found.assign(
+            {
+                f"log_prior_{name}": (DIMENSIONS[f"log_prior_{name}"], values)
+                for name, values in masses._asdict().items()
+            }
+        )
+        found.attrs["settings"] = settings_under(found.attrs["settings"], prior)
+        return RolesPosterior(found, self._frame)._defining(self.definitions)
+
+    @property
+    def log_evidence(self) -> float:
+        return self._table.log_evidence(self._frame)  # type: ignore[no-any-return]
+
+    def map(self) -> Roles:  # type: ignore[override]  # of another world
+        """Return the most probable roles of all agents."""
+        hypotheses: Hypotheses = self._table.hypotheses
+        best = int(self._table.log_masses(self._frame)[0].argmax())
+        way = company(len(self.world.agents))[hypotheses.way[best]]
+        goals = hypotheses.goals[best].tolist()
+        stated = tuple(None if one else goal for goal, one in zip(goals, way, strict=True))
+        strengths = self._found["combinations"].values[self._table.strengths(self._frame).argmax()]
+        return Roles(self.world, stated, way, tuple(strengths.tolist()))
+
+    def map_record(self) -> dict[str, Any]:
+        return self.map().to_dict()
+
+    def over_time(self) -> xr.Dataset:
+        """Return the marginals at every frame, given the frames until then.
+
+        Returns:
+            ``goal_<agent>`` and ``relation_<one>_<other>``: probabilities (time, label), labels in
+            ``goal_<agent>_is`` and so on; ``goal_<agent>_error`` and so on: their standard errors,
+            NaN where there is a single set of searches; ``time`` in seconds. The attribute
+            ``filtering`` says what it is.
+        """
+        codes = self._table.codes(self._table.hypotheses.goals)
+        known, n = quantities_of(self.world), self._frame + 1
+        sizes = {name: len(known[name].categories()) for name in codes}
+        masses = {name: np.empty((self._n_tables, n, size)) for name, size in sizes.items()}
+        for t, weights in zip(range(n), self._table.over_time(), strict=False):
+            for name, size in sizes.items():
+                for row, own in enumerate(weights):
+                    masses[name][row, t] = np.bincount(codes[name], own, size)
+        time = self._found["time"].values[:n]
+        result = xr.Dataset(coords={"time": ("time", time, {"units": "s"})})
+        for name, (first, *without) in masses.items():
+            result[name] = (("time", f"{name}_is"), first)
+            error = self._error_over_sets(np.array(without).reshape(-1, *first.shape), first)
+            result[f"{name}_error"] = (("time", f"{name}_is"), error)
+            result = result.assign_coords({f"{name}_is": list(known[name].categories())})
+        return result.assign_attrs(filtering=FILTERING)
+
+    @property
+    def _n_tables(self) -> int:
+        return 1 + (self.planner_seeds if self.planner_seeds > 1 else 0)
+
+    def _columns(self) -> dict[str, NDArray[Any]]:
+        return self._table.columns()  # type: ignore[no-any-return]
+
+    def _log_masses(self, frame: int) -> Iterator[FloatArray]:
+        yield from self._table.log_masses(frame)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], **_: object) -> RolesPosterior:
+        """Read a posterior that :meth:`save` wrote.
+
+        Raises:
+            InvalidEventError: there is no such file, or it is damaged or of another kind.
+        """
+        source = existing_file(path)
+        try:
+            return cls(read_netcdf(source)["/"])
+        except InvalidEventError as error:
+            raise InvalidEventError(f"{source}: {error}") from None
+
+    def _notes(self) -> list[str]:
+        if not self._table.sampled:
+            return []
+        words = (
+            f"of {self._table.n_hypotheses:.2g} hypotheses {MOST_HYPOTHESES} were drawn: "
+            "probabilities are Monte-Carlo means"
+        )
+        return wrapped("hypotheses", words)
+
+
+def is_of_roles(path: str | os.PathLike[str]) -> bool:
+    """Whether a file holds a posterior that was read step by step in a world of its own."""
+    return root_attribute(path, "schema") == SCHEMA

@@ -1,0 +1,374 @@
+"""From what was read of a video of any world to a table of hypotheses, at every frame.
+
+A hypothesis is a way to help or hinder (:func:`phase_ppl.world.hypothesis.company`) and a goal of
+each agent that does neither. All are summed over where there are :data:`MOST_HYPOTHESES` at most;
+of more, as many are drawn, each agent's goal in proportion to about what it has of the mass, and
+weighted by what they were drawn with: then sums are Monte-Carlo means.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from phase_ppl.agents.standpoints import standpoints
+from phase_ppl.analysis.tree import kept_scene
+from phase_ppl.analysis.weights import Rows, log_sum_exp
+from phase_ppl.physics.actions import N_ACTIONS
+from phase_ppl.world.arrays import FloatArray, IntArray
+from phase_ppl.world.errors import InvalidEventError
+from phase_ppl.world.goals import effective_goal, is_self_referring
+from phase_ppl.world.hypothesis import RELATION_OF_SCENARIO, RELATIONS, company, scenario
+from phase_ppl.world.scene import World
+
+SCHEMA: Final = "phase_ppl/stepwise-roles/1"
+
+MOST_HYPOTHESES: Final = 500_000
+"""Hypotheses that are summed over; of more, so many are drawn."""
+
+_MOST_ROWS: Final = 400_000  # of a table, each a hypothesis with a combination of strengths
+_LEAST: Final = 1e-9  # hypotheses with less of the mass are left out of tables
+_FROM_PRIOR: Final = 0.1  # share of goals that are drawn from the prior
+_GOLDEN: Final = 0.6180339887498949  # its multiples lie evenly between 0 and 1, modulo 1
+
+DIMENSIONS: Final = {
+    "density": ("time", "joint_action"),
+    "policies": ("time", "agent", "policy", "planner_seed", "action"),
+    "policy_of": ("time", "agent", "standpoint"),
+    "marginals": ("time", "agent", "goal"),
+    "strengths": ("time", "combination"),
+    "combinations": ("combination", "agent"),
+    "log_prior_goals": ("agent", "goal"),
+    "log_prior_company": ("way",),
+    "log_prior_strengths": ("agent", "level"),
+    "actions": ("time", "agent", "action"),
+    "held": ("time", "agent"),
+    "unexplained": ("time",),
+    "log_peak": ("time",),
+    "trajectory": ("time", "entity", "coord"),
+}
+"""Variable -> dimensions; what they are is in :mod:`phase_ppl.closed_loop.world_filter`."""
+
+REQUIRED_ATTRS: Final = ("event_id", "settings", "cost", "weight", "schema", "world")
+
+
+def check(found: xr.Dataset) -> None:
+    """Raise InvalidEventError, naming what is missing or wrong, if ``found`` is no such table."""
+    if found.attrs.get("schema") != SCHEMA:
+        raise InvalidEventError(
+            f"this was not read step by step in a world of its own: its schema is "
+            f"{found.attrs.get('schema')!r}"
+        )
+    missing = [name for name in REQUIRED_ATTRS if name not in found.attrs]
+    missing += [name for name in DIMENSIONS if name not in found.variables]
+    if missing:
+        raise InvalidEventError(f"it lacks {', '.join(missing)}")
+    for name, dims in DIMENSIONS.items():
+        if found[name].dims != dims:
+            raise InvalidEventError(f"{name} has dimensions {found[name].dims}, expected {dims}")
+    world = kept_scene(found).world
+    sizes = {"agent": len(world.agents), "goal": len(world.goals), "action": N_ACTIONS}
+    sizes["joint_action"] = N_ACTIONS ** len(world.agents)
+    sizes["way"] = len(company(len(world.agents)))
+    for name, size in sizes.items():
+        if found.sizes[name] != size:
+            raise InvalidEventError(f"{name} has {found.sizes[name]} entries, expected {size}")
+    numbers = found["policy_of"].values
+    if (numbers < 0).any() or (numbers >= found.sizes["policy"]).any():
+        raise InvalidEventError("policy_of names a policy that there is not")
+    for name in ("density", "strengths", "log_prior_company", "trajectory"):
+        values = found[name].values
+        if np.isnan(values).any() or (values == np.inf).any():
+            raise InvalidEventError(f"{name} has values that cannot be")
+
+
+class Hypotheses(NamedTuple):
+    """Hypotheses about who wants what."""
+
+    way: IntArray  # (row,) index into ``company``
+    goals: IntArray  # (row, agent) effective goals
+    log_prior: FloatArray  # (row,) log prior mass, less the log probability of being drawn
+    standpoints: list[IntArray]  # of each agent (row,)
+
+
+class RolesTable:
+    """Hypotheses about a video, and their log masses at any frame."""
+
+    def __init__(self, found: xr.Dataset) -> None:
+        self.world = kept_scene(found).world
+        self._found = found
+        self._weight = float(found.attrs["weight"])
+        self._prior = found["log_prior_goals"].values, found["log_prior_company"].values
+        self._levels = np.unique(found["combinations"].values)
+        self._own = of_owners(self.world)
+        self.n_hypotheses = count(self.world)
+        self.sampled = self.n_hypotheses > MOST_HYPOTHESES
+        self._at = -1  # the frame up to which ``_so_far`` counts
+        self._so_far = np.zeros((0, 0))
+
+    @property
+    def n_frames(self) -> int:
+        """Frames that were read."""
+        return int(self._found.sizes["time"])
+
+    @property
+    def n_seeds(self) -> int:
+        """Sets of searches."""
+        return int(self._found.sizes["planner_seed"])
+
+    @functools.cached_property
+    def hypotheses(self) -> Hypotheses:
+        """The hypotheses that are summed over."""
+        return self._drawn() if self.sampled else self._enumerated()
+
+    def log_masses(self, frame: int, weight: float | None = None) -> FloatArray:
+        """Return (1 + planner_seed, row) log masses given the frames up to ``frame``.
+
+        The first row is with all sets of searches, the others are without each; where there is one
+        set, there is the first only. A frame counts ``weight``, by default the likelihood's.
+        """
+        weight = self._weight if weight is None else weight
+        rows = self.hypotheses
+        if self._at > frame or self._at < 0:
+            self._at = 0
+            self._so_far = np.zeros((self._n_tables, len(rows.way)))
+        for t in range(self._at + 1, frame + 1):
+            self._so_far += self._frame(t)
+        self._at = frame
+        return np.asarray(rows.log_prior + weight * self._so_far)
+
+    @property
+    def _n_tables(self) -> int:
+        return 1 + (self.n_seeds if self.n_seeds > 1 else 0)
+
+    def _frame(self, t: int) -> FloatArray:
+        """Return (1 + planner_seed, row) log likelihoods of one frame."""
+        n, n_sets = len(self.world.agents), self.n_seeds
+        density = self._found["density"].values[t]
+        relative = np.exp(density - density.max()).reshape((N_ACTIONS,) * n)
+        policies = self._found["policies"].values[t].astype(np.float64)
+        numbers = self._found["policy_of"].values[t]
+        sizes = [int(numbers[agent].max()) + 1 for agent in range(n)]
+        place = np.zeros(len(self.hypotheses.way), np.int64)
+        for agent in range(n):
+            place = place * sizes[agent] + numbers[agent][self.hypotheses.standpoints[agent]]
+        found = np.empty((self._n_tables, len(place)))
+        for row, left_out in zip(found, [None, *range(n_sets)], strict=False):
+            sets = [one for one in range(n_sets) if one != left_out]
+            table = relative
+            for agent in range(n):  # the first axis goes, and what it becomes is put last
+                mean = policies[agent, : sizes[agent], sets].mean(axis=0)
+                table = np.tensordot(table, mean, axes=(0, 1))
+            with np.errstate(divide="ignore"):
+                row[:] = np.log(table.ravel())[place] + density.max()
+        return found
+
+    def _enumerated(self) -> Hypotheses:
+        goals, log_prior, ways = [], [], []
+        for way, (towards, owners) in enumerate(zip(*self._company(), strict=True)):
+            if not np.isfinite(self._prior[1][way]):
+                continue
+            choices = [np.flatnonzero(np.isfinite(self._prior[0][owner])) for owner in owners]
+            picked = np.stack(np.meshgrid(*choices, indexing="ij"), -1).reshape(-1, len(owners))
+            goals.append(self._effective(towards, owners, picked))
+            log_prior.append(self._log_prior(way, owners, picked))
+            ways.append(np.full(len(picked), way))
+        return self._put_together(ways, goals, log_prior)
+
+    def _drawn(self) -> Hypotheses:
+        """Return hypotheses drawn by how probable each agent's goals are at about any frame."""
+        marginals = self._found["marginals"].values
+        masses = np.exp(marginals - marginals.max(axis=2, keepdims=True))
+        likely = (masses / masses.sum(axis=2, keepdims=True)).mean(axis=0)
+        possible = [w for w in range(len(self._prior[1])) if np.isfinite(self._prior[1][w])]
+        rng = np.random.default_rng(0)
+        goals, log_prior, ways = [], [], []
+        companies = self._company()
+        for way in possible:
+            towards, owners = companies[0][way], companies[1][way]
+            # more where more goals are to be chosen
+            n = MOST_HYPOTHESES // (2 * len(possible)) + (way == 0) * (MOST_HYPOTHESES // 2)
+            picked, log_q = np.empty((n, len(owners)), np.int64), np.zeros(n)
+            for column, owner in enumerate(owners):
+                own = np.exp(self._prior[0][owner])
+                share = _FROM_PRIOR * own + (1 - _FROM_PRIOR) * likely[owner] * (own > 0)
+                share /= share.sum()
+                picked[:, column] = rng.choice(len(share), n, p=share)
+                log_q += np.log(share[picked[:, column]])
+            goals.append(self._effective(towards, owners, picked))
+            log_prior.append(self._log_prior(way, owners, picked) - log_q - np.log(n))
+            ways.append(np.full(n, way))
+        return self._put_together(ways, goals, log_prior)
+
+    def _company(self) -> tuple[list[Any], list[list[int]]]:
+        ways = company(len(self.world.agents))
+        return list(ways), [[a for a, one in enumerate(way) if one is None] for way in ways]
+
+    def _log_prior(self, way: int, owners: list[int], picked: IntArray) -> FloatArray:
+        found = np.full(len(picked), self._prior[1][way])
+        for column, owner in enumerate(owners):
+            found += self._prior[0][owner][picked[:, column]]
+        return found
+
+    def _effective(self, towards: Any, owners: list[int], picked: IntArray) -> IntArray:
+        found = np.empty((len(picked), len(towards)), np.int64)
+        for column, owner in enumerate(owners):
+            found[:, owner] = picked[:, column]
+        for agent, one in enumerate(towards):
+            if one is not None:
+                found[:, agent] = self._own[agent, one[0], one[1]][found[:, one[0]]]
+        return found
+
+    def _put_together(
+        self, ways: list[IntArray], goals: list[IntArray], log_prior: list[FloatArray]
+    ) -> Hypotheses:
+        every = np.concatenate(goals)
+        masses = np.concatenate(log_prior)
+        masses[(every < 0).any(axis=1)] = -np.inf
+        places = [standpoints(agent, self.world).of(every) for agent in range(every.shape[1])]
+        return Hypotheses(np.concatenate(ways), every, masses, places)
+
+    # --- tables ---------------------------------------------------------------------------------
+
+    def rows(self, frame: int) -> tuple[Rows, FloatArray]:
+        """Return the hypotheses that have any mass to speak of, and (set, row) weights without."""
+        masses = self.log_masses(frame)
+        weights = np.exp(masses - np.array([log_sum_exp(one) for one in masses])[:, None])
+        kept = np.flatnonzero(weights[0] > _LEAST * weights[0].max())
+        weights = weights[:, kept]
+        of_strengths = self.strengths(frame)
+        if len(kept) * len(of_strengths) <= _MOST_ROWS:
+            combination = np.tile(np.arange(len(of_strengths)), len(kept))
+            kept = np.repeat(kept, len(of_strengths))
+            weights = (weights[:, :, None] * of_strengths).reshape(len(weights), -1)
+        else:  # one combination each, in their proportions
+            at = np.arange(len(kept)) * _GOLDEN % 1.0
+            combination = np.searchsorted(np.cumsum(of_strengths), at)
+            combination = np.minimum(combination, len(of_strengths) - 1)
+        weights /= weights.sum(axis=1, keepdims=True)
+        values = self.columns(kept)
+        newtons = self._found["combinations"].values[combination]
+        for agent, key in enumerate(self.world.keys):
+            values[f"strength_{key}"] = newtons[:, agent]
+        index = {"hypothesis": np.arange(len(kept))}
+        return Rows(values, weights[0], index), weights[1:]
+
+    def strengths(self, frame: int) -> FloatArray:
+        """Return (combination,) probabilities of the strengths that were followed."""
+        prior = self._log_prior_of_combinations()
+        found = prior + np.log(np.maximum(self._found["strengths"].values[frame], 1e-300))
+        return np.exp(found - log_sum_exp(found))
+
+    def log_evidence(self, frame: int) -> float:
+        """Return log p of the frames up to ``frame``, in nats, each counted in full."""
+        strengths = self._found["strengths"].values[frame]
+        prior = np.exp(self._log_prior_of_combinations())
+        of_strengths = np.log(prior @ strengths * len(strengths))
+        return float(log_sum_exp(self.log_masses(frame, 1.0)[0]) + of_strengths)
+
+    def _log_prior_of_combinations(self) -> FloatArray:
+        """Return (combination,) log masses whose margins are the prior's, so far as they can be."""
+        combinations = self._found["combinations"].values
+        place = np.searchsorted(self._levels, combinations)
+        prior = np.exp(self._found["log_prior_strengths"].values)
+        mass = np.prod([prior[agent, place[:, agent]] for agent in range(place.shape[1])], axis=0)
+        for _ in range(50):  # iterative proportional fitting
+            for agent in range(place.shape[1]):
+                now = np.bincount(place[:, agent], mass, len(self._levels))
+                with np.errstate(divide="ignore", invalid="ignore"):
+                    mass = mass * np.nan_to_num(prior[agent] / now)[place[:, agent]]
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.log(mass / mass.sum()))
+
+    def codes(self, goals: IntArray) -> dict[str, IntArray]:
+        """Return the codes of goals and relations of (row, agent) effective goals."""
+        keys = self.world.keys
+        found = {f"goal_{key}": goals[:, agent] for agent, key in enumerate(keys)}
+        for (one, other), table in relation_tables(self.world).items():
+            found[f"relation_{keys[one]}_{keys[other]}"] = table[goals[:, one], goals[:, other]]
+        return found
+
+    def columns(self, rows: IntArray | None = None) -> dict[str, NDArray[Any]]:
+        """Return the codes of goals, relations and alphas of some hypotheses, or of all."""
+        way, goals = self.hypotheses.way, self.hypotheses.goals
+        if rows is not None:
+            way, goals = way[rows], goals[rows]
+        return {**self.codes(goals), **self._alphas(way)}
+
+    def _alphas(self, way: IntArray) -> dict[str, IntArray]:
+        ways, keys = company(len(self.world.agents)), self.world.keys
+        found = {}
+        for one, key in enumerate(keys):
+            for other, other_key in enumerate(keys):
+                if one != other:
+                    towards = [way[one] or (one, 0) for way in ways]
+                    signs = [sign if whom == other else 0 for whom, sign in towards]
+                    found[f"alpha_{key}_{other_key}"] = np.array(signs)[way] + 1
+        return found
+
+    def over_time(self) -> Iterator[FloatArray]:
+        """Yield, frame by frame, the (1 + planner_seed, row) weights of the hypotheses."""
+        for t in range(self.n_frames):
+            masses = self.log_masses(t)
+            total = np.array([log_sum_exp(one) for one in masses])
+            yield np.exp(masses - total[:, None])
+
+    def log_predictive(self) -> FloatArray:
+        """Return (time,) log density of each frame given those before it; 0 for the first."""
+        found = np.zeros(self.n_frames)
+        for t in range(1, self.n_frames):
+            before = self.log_masses(t - 1)[0]
+            found[t] = log_sum_exp(before - log_sum_exp(before) + self._frame(t)[0])
+        return found
+
+
+def count(world: World) -> int:
+    """Return how many hypotheses about goals and company there are."""
+    n_goals = [
+        sum(not is_self_referring(goal, agent, world) for goal in range(len(world.goals)))
+        for agent in range(len(world.agents))
+    ]
+    return sum(
+        int(np.prod([n for n, one in zip(n_goals, way, strict=True) if one is None]))
+        for way in company(len(world.agents))
+    )
+
+
+@functools.lru_cache(16)
+def of_owners(world: World) -> dict[tuple[int, int, int], IntArray]:
+    """Return (agent, owner, sign) -> (goal of the owner,) what the agent then acts on; -1: none."""
+    agents, n_goals = range(len(world.agents)), len(world.goals)
+    found = {}
+    for agent in agents:
+        for owner in agents:
+            for sign in (1, -1):
+                if agent == owner:
+                    continue
+                table = np.full(n_goals, -1)
+                for goal in range(n_goals):
+                    if not is_self_referring(goal, owner, world):
+                        stated = [goal] * len(world.agents)
+                        table[goal] = effective_goal(stated, agent, (owner, sign), world)
+                found[agent, owner, sign] = table
+    return found
+
+
+@functools.lru_cache(16)
+def relation_tables(world: World) -> dict[tuple[int, int], IntArray]:
+    """Return two agents -> (goal, goal) codes of the relation between them."""
+    n_agents, n_goals = len(world.agents), len(world.goals)
+    found = {}
+    for pair in ((a, b) for b in range(n_agents) for a in range(b)):
+        table = np.full((n_goals, n_goals), RELATIONS.index("neutral"))
+        for goals in np.ndindex(n_goals, n_goals):
+            if not any(is_self_referring(g, a, world) for g, a in zip(goals, pair, strict=True)):
+                one, other = goals
+                name = RELATION_OF_SCENARIO[scenario(one, other, world, pair)]
+                table[goals] = RELATIONS.index(name)
+        found[pair] = table
+    return found

@@ -1,0 +1,254 @@
+"""Whether a posterior can be trusted, in a few sentences made of its diagnostics."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, Final
+
+from phase_ppl.analysis.convergence import MIN_CHAINS_BETWEEN, MIN_DRAWS, MIN_DRAWS_WITHIN
+from phase_ppl.analysis.estimate import with_error
+
+AGREED: Final = 0.8
+"""Share of particles with the same leading goal from which on they are said to agree."""
+
+STUCK: Final = 0.05  # acceptance rate below which the particles are said to have hardly moved
+FEW: Final = 0.1  # effective share of weighted draws below which a few of them are said to decide
+
+FEW_DRAWS: Final = 5.0
+"""Independent draws that the answers are worth below which so few are said to decide."""
+
+MIXED: Final = 1.1  # R-hat above which draws are said to depend on where their chain began
+
+UNTRIED: Final = 0.05
+"""Prior mass of pairs of goals without a simulation from which on it is a sign."""
+
+_CONSISTENT: Final = ("stratified", "importance")
+"""Weightings that do not depend on the law that a kernel's draws follow."""
+
+_NAMES: Final = {"goal_red": "red", "goal_green": "green"}
+_ASKED: Final = {"goal_red": "red's goal", "goal_green": "green's goal", "relation": "the relation"}
+_NAMED: Final = 2
+"""Goals that are named where particles disagree."""
+
+_FRAMES_NAMED: Final = 3  # frames that are named
+
+
+def verdict(found: Mapping[str, Any]) -> str:
+    """Return in a few sentences whether a posterior with these diagnostics can be trusted.
+
+    What speaks most against it comes first. Only where nothing does, this is said.
+    """
+    weighted = found["weighted_draws_ess"] is not None
+    signs = [overlap_sign(found["overlapping_frames"])] if found["overlapping_frames"] else []
+    signs += _biased(found) + undecided(found["leaders"]) + _by_prior(found["leaders"])
+    signs += _untried_rivals(found["untried_rivals"])
+    if not weighted:
+        signs += _acceptance(found["acceptance_rate"])
+    size = found["effective_size"]
+    if size is not None and size < FEW_DRAWS:
+        signs.append(
+            f"The goals are no surer than by {size:.1f} independent draws: single simulations "
+            "decide, and another run may well differ."
+        )
+    if weighted:
+        signs += _weighted(found)
+    else:
+        signs += _disagreement(found) + _mixing(found) + _other_leaders(found["categories"])
+    untried = found["untried"]
+    if untried is not None and untried >= UNTRIED:
+        signs.append(
+            f"Pairs of goals with {untried:.2f} of the prior's mass were never simulated, and "
+            "count as impossible."
+        )
+    simulations = found["simulations"]
+    if simulations["failed"]:
+        signs.append(f"{simulations['failed']} of {simulations['total']} simulations failed.")
+    if weighted and found["decided"]:
+        signs.append("Both goals and the relation are decided, by more than their errors.")
+    sentences = [*signs, *([] if weighted else _notes(found))]
+    if not weighted and found["particles"] > 1 and not _split(found):
+        agreed = f"The {found['particles']} particles agree on both agents' goals {_margin(found)}"
+        none = ": nothing speaks against the leading goals."
+        sentences.append(agreed + ("." if signs else none))
+    return " ".join(sentences)
+
+
+def _biased(found: Mapping[str, Any]) -> list[str]:
+    """Return what makes the probabilities wrong however long the run is."""
+    sentences = []
+    if found["weights"] == "visited":
+        sentences.append(
+            "The weights 'visited' are not the posterior: what is proposed often counts more. "
+            f"Simulations stopped early hide at most {found['aborted_mass_bound']:.1%} of their "
+            "mass."
+        )
+    elif found["weights"] == "likelihood":
+        sentences.append("The weights 'likelihood' make every probability too extreme.")
+    if found["validity"] == "approximate" and found["weights"] not in _CONSISTENT:
+        sentences.append(
+            f"The kernel {found['kernel']} is approximate: its probabilities are biased however "
+            "long it runs."
+        )
+    return sentences
+
+
+def _margin(found: Mapping[str, Any]) -> str:
+    errors = [error for error in found["monte_carlo_error"].values() if error is not None]
+    if not errors:
+        return ""
+    return f"(Monte-Carlo error of a leading goal's probability: {max(errors):.2f})"
+
+
+def _split(found: Mapping[str, Any]) -> list[str]:
+    return [name for name, share in found["agreement"].items() if share < AGREED]
+
+
+def _disagreement(found: Mapping[str, Any]) -> list[str]:
+    particles, split = found["particles"], _split(found)
+    if particles == 1:
+        return ["With one particle nothing shows whether another would agree: use more."]
+    if not split:
+        return []
+    camps = {name: _camps(found["leading_goals"][name]) for name in split}
+    if len(split) == 1:
+        agreed = next(name for name in _NAMES if name not in split)
+        text = f"agree on {_NAMES[agreed]}'s goal but not on {_NAMES[split[0]]}'s"
+        text += f", where {camps[split[0]]}"
+    else:
+        text = "agree on neither agent's goal: " + "; ".join(
+            f"for {_NAMES[name]}, {camp}" for name, camp in camps.items()
+        )
+    return [
+        f"The {particles} particles {text} {_margin(found)}. More iterations would tell real "
+        "uncertainty from chains that have not mixed."
+    ]
+
+
+def _camps(leading: Mapping[str, int]) -> str:
+    """Return which goals the particles favour, as "7 favour 'A', 5 'B' and 3 something else"."""
+    named = [(goal, n) for goal, n in list(leading.items())[:_NAMED] if n > 1]
+    rest = sum(leading.values()) - sum(n for _, n in named)
+    if not named:
+        return f"all {rest} favour different ones"
+    (first, most), *others = named
+    parts = [f"{most} favour '{first}'", *(f"{n} '{goal}'" for goal, n in others)]
+    parts += [f"{rest} something else"] if rest else []
+    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
+
+
+def _acceptance(rate: float) -> list[str]:
+    if rate == 0:
+        return ["No proposal was accepted: this is still the bottom-up guess, not a posterior."]
+    if rate < STUCK:
+        return [
+            f"Only {rate:.0%} of the proposals were accepted: the particles have hardly left "
+            "the bottom-up guess."
+        ]
+    return []
+
+
+def _mixing(found: Mapping[str, Any]) -> list[str]:
+    """Return which quantities have chains that differ more than draws of one law do."""
+    worst = {"the log joint": found["scalars"]["log_joint"]["r_hat"]}
+    for name, labels in found["categories"].items():
+        known = [entry["r_hat"] for entry in labels.values() if entry["r_hat"] is not None]
+        worst[name.replace("_", " of ")] = max(known, default=None)
+    apart = {name: r for name, r in worst.items() if r is not None and r > MIXED}
+    if not apart:
+        return []
+    listed = ", ".join(f"{name} {r:.2f}" for name, r in apart.items())
+    return [
+        f"The chains still depend on where they began: R-hat (1 where they have mixed) is {listed}."
+    ]
+
+
+def _notes(found: Mapping[str, Any]) -> list[str]:
+    """Return what could not be looked at."""
+    draws = found["iterations"]
+    if draws < MIN_DRAWS:
+        return [
+            f"R-hat and effective sample sizes need {MIN_DRAWS} draws per particle; "
+            f"there {'is' if draws == 1 else 'are'} {draws}."
+        ]
+    if draws < MIN_DRAWS_WITHIN and found["particles"] < MIN_CHAINS_BETWEEN:
+        return [
+            f"Effective sample sizes need {MIN_DRAWS_WITHIN} draws per particle, or "
+            f"{MIN_CHAINS_BETWEEN} particles."
+        ]
+    return []
+
+
+def _other_leaders(categories: Mapping[str, Any]) -> list[str]:
+    """Return for which agent the weighting puts another goal first than the draws do."""
+    sentences = []
+    for name, agent in _NAMES.items():
+        goals = categories[name]
+        first = max(goals, key=lambda goal: goals[goal]["probability"])
+        if goals[first]["share"] < max(entry["share"] for entry in goals.values()):
+            sentences.append(f"The weights put another goal of {agent} first, '{first}'.")
+    return sentences
+
+
+def undecided(leaders: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Return what is not decided, and between what; see ``Hypotheses.leaders``."""
+    open_ones = []
+    for name, one in leaders.items():
+        if not one["sure"]:
+            error = math.nan if one["error"] is None else one["error"]
+            first = f"'{one['label']}' ({with_error(one['probability'], error)})"
+            second = f"'{one['next']}' ({one['next_probability']:.2f})"
+            open_ones.append(f"{_ASKED.get(name, name)} {first} or {second}")
+    return [f"Not decided: {'; '.join(open_ones)}."] if open_ones else []
+
+
+def _by_prior(leaders: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Return what is sure by the prior only."""
+    names = [
+        f"{_ASKED[name]} '{one['label']}' {one['without_prior']:.2f}"
+        for name, one in leaders.items()
+        if one["sure"] and one["without_prior"] is not None and one["without_prior"] <= 0.5
+    ]
+    if not names:
+        return []
+    return [
+        "The prior decides, not the video: with all pairs of goals alike beforehand, "
+        f"{' and '.join(names)} would have no more."
+    ]
+
+
+def _untried_rivals(n: int) -> list[str]:
+    if not n:
+        return []
+    rivals, were = ("rival", "was") if n == 1 else ("rivals", "were")
+    return [
+        f"Not ruled out: {n} {rivals} of the leading goals, with which one agent wants the same "
+        f"thing at another landmark, {were} never simulated."
+    ]
+
+
+def _weighted(found: Mapping[str, Any]) -> list[str]:
+    if found["weights"] != "count":  # all simulations count, not the draws alone
+        return []
+    ess, draws = found["weighted_draws_ess"], found["particles"] * found["iterations"]
+    text = f"The {draws} weighted draws are worth {ess * draws:.1f} equal ones"
+    margin = _margin(found)
+    text += f" {margin}" if margin else ""
+    few = ": so few decide that another run may well differ." if ess < FEW else "."
+    return [text + few]
+
+
+def overlap_sign(frames: list[int]) -> str:
+    """Return what the frames in which bodies lie on each other say of a posterior."""
+    return (
+        f"Bodies lie on each other or in a wall in {frames_text(frames)}, which bodies of this "
+        "world cannot: what they do there says little of goals."
+    )
+
+
+def frames_text(frames: list[int]) -> str:
+    """Return frames by number, the first few if they are many."""
+    named = ", ".join(map(str, frames[:_FRAMES_NAMED]))
+    if len(frames) > _FRAMES_NAMED:
+        return f"{len(frames)} frames ({named}, ...)"
+    return f"frame{'s' if len(frames) > 1 else ''} {named}"

@@ -1,0 +1,297 @@
+"""A world in which others' agents act, trained, scripted or human: a PettingZoo environment."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Mapping
+from typing import Any, ClassVar, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phase_ppl.agents import vision
+from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.agents.world_model import WorldModel
+from phase_ppl.physics import compiled
+from phase_ppl.physics.actions import N_ACTIONS, executed
+from phase_ppl.physics.pymunk_world import PymunkWorld
+from phase_ppl.render.frames import Painter
+from phase_ppl.world import worlds
+from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.checks import instance_of, whole_number
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
+from phase_ppl.world.event import Event, Truth
+from phase_ppl.world.goals import goal_literal, is_self_referring, is_true
+from phase_ppl.world.hypothesis import STRENGTH, Roles
+from phase_ppl.world.names import NOTHING
+from phase_ppl.world.observation import SHOWN_SECONDS_PER_FRAME, Observation
+from phase_ppl.world.scene import PHASE, Scene, World
+
+_ParallelEnv: Any = object  # without the extra `env`, which `env()` then says
+with contextlib.suppress(ImportError):
+    import gymnasium
+    from pettingzoo import ParallelEnv as _ParallelEnv  # type: ignore[no-redef]
+
+FEATURES: Final = ("x", "y", "cos", "sin", "vx", "vy", "spin")
+"""Of a body in an observation: units, of its angle, units per simulated second, rad per second."""
+
+Observed = dict[str, Any]
+
+
+def env(
+    world: World | str,
+    scene: Scene | None = None,
+    *,
+    goals: Mapping[str, str | int] | None = None,
+    relation: Mapping[tuple[str, str], str] | None = None,
+    strength: Mapping[str, float] | float = STRENGTH,
+    steps: int = 100,
+    full_view: bool = False,
+) -> WorldEnv:
+    """Return a world as a PettingZoo ``ParallelEnv``, for agents of your own to act in.
+
+    Example:
+        ``game = ppl.env(ppl.worlds.TRIO); observations, infos = game.reset(seed=0)``; then
+        ``game.step({name: action for name in game.agents})``; whatever takes an event takes
+        ``game.event()``.
+
+    Args:
+        world: who and what there is, or the name of a ready-made world.
+        scene: where everybody starts, and sizes and walls; None: drawn anew at every reset.
+        goals: name of an agent -> its own goal, of all that neither help nor hinder; None: goals
+            of their own, drawn at every reset. They give the rewards.
+        relation: (who, whom) -> "help" or "hinder" with the other's own goal.
+        strength: maximum force by name, or of all, newtons.
+        steps: after which an episode is truncated; each lasts a twelfth of a simulated second.
+        full_view: whether agents see everything.
+
+    Raises:
+        InvalidSettingError: PettingZoo is not installed, or a setting that cannot be.
+        UnknownNameError: there is no such world, agent or goal.
+    """
+    if _ParallelEnv is object:
+        raise InvalidSettingError("environments need PettingZoo: pip install 'phase_ppl[env]'")
+    if isinstance(world, str):
+        world = worlds.named(world)
+    instance_of("world", world, World, "a phase_ppl.World or the name of one")
+    given = {"scene": scene, "goals": goals, "relation": relation}
+    return WorldEnv(world, given, strength, whole_number("steps", steps), bool(full_view))
+
+
+class WorldEnv(_ParallelEnv):  # type: ignore[misc]
+    """A world as a ``ParallelEnv``; made by :func:`env`.
+
+    Agents are called as in the world. All act at once, each by one of the fourteen actions of
+    :class:`phase_ppl.physics.actions.Action`, which last one step, in the physics that the joint
+    simulator steps. An observation is a dictionary:
+
+    * ``bodies``: (entity, 7) float32 of :data:`FEATURES`; zeros for those that are not observed.
+    * ``observed``: (entity,) 0 or 1: itself, what is in its field of view and not hidden by walls
+      or bodies, what it touches or holds, and what those that it observes touch or hold.
+    * ``holds``: (agent, item) 0 or 1: who of those observed holds what.
+    * ``goal``: what it is rewarded for, an index into the world's goals.
+
+    The reward of a step is 1 where the agent's effective goal (its own, that of whom it helps, the
+    negation of that of whom it hinders) is true after it, else 0. Nobody is ever terminated; all
+    are truncated after the given number of steps.
+
+    Attributes:
+        possible_agents: all agents.
+        agents: the same while an episode goes on, else nobody.
+        scene: of this episode.
+        roles: who wants what in it.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {
+        "name": "phase_ppl",
+        "render_modes": ["rgb_array"],
+        "render_fps": 1 / SHOWN_SECONDS_PER_FRAME,
+        "is_parallelizable": True,
+    }
+    render_mode = "rgb_array"
+
+    def __init__(
+        self,
+        world: World,
+        given: Mapping[str, Any],
+        strength: Mapping[str, float] | float,
+        steps: int,
+        full_view: bool,
+    ) -> None:
+        self.world, self._given, self._strength = world, dict(given), strength
+        self._steps, self._full_view = steps, full_view
+        self.possible_agents: list[str] = list(world.agents)
+        self.agents: list[str] = []
+        n, spaces = len(world.entities), gymnasium.spaces
+        self.observation_spaces = {
+            name: spaces.Dict(
+                {
+                    "bodies": spaces.Box(-np.inf, np.inf, (n, len(FEATURES)), np.float32),
+                    "observed": spaces.MultiBinary(n),
+                    "holds": spaces.MultiBinary((len(world.agents), max(1, len(world.items)))),
+                    "goal": spaces.Discrete(len(world.goals)),
+                }
+            )
+            for name in self.possible_agents
+        }
+        self.action_spaces = {name: spaces.Discrete(N_ACTIONS) for name in self.possible_agents}
+        self._rng = np.random.default_rng()
+        self._frames: list[FloatArray] = []
+        self._begin(self._given, np.random.default_rng(0))  # refuses what cannot be, now
+
+    def observation_space(self, agent: str) -> Any:
+        """Return the space of an agent's observations, always the same."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> Any:
+        """Return the space of an agent's actions, always the same."""
+        return self.action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[dict[str, Observed], dict[str, dict[str, Any]]]:
+        """Begin an episode; return observations and infos by agent.
+
+        Args:
+            seed: from which scenes and goals are drawn, from now on; None: go on drawing.
+            options: ``scene``, ``goals`` or ``relation``, instead of those of the environment, for
+                this episode. Others are for wrappers, and no concern of this one.
+        """
+        if seed is not None:
+            self._rng = np.random.default_rng(whole_number("seed", seed, 0))
+        told = {name: value for name, value in (options or {}).items() if name in self._given}
+        self._begin({**self._given, **told}, self._rng)
+        self.agents = list(self.possible_agents)
+        return self._observations(), self._infos()
+
+    def _begin(self, given: Mapping[str, Any], rng: np.random.Generator) -> None:
+        world, scene, goals = self.world, given["scene"], given["goals"]
+        if scene is None:
+            scene = world.random_scene(int(rng.integers(2**31)))
+        instance_of("scene", scene, Scene, "a phase_ppl.Scene")
+        if scene.world != world:
+            raise InvalidSettingError(
+                f"the scene is of the world {scene.world.name}, the environment of {world.name}"
+            )
+        if goals is None:
+            if given["relation"] is not None:
+                raise InvalidSettingError("relation= goes with goals=")
+            goals = {
+                name: int(rng.choice(_own(agent, world))) for agent, name in enumerate(world.agents)
+            }
+        self.roles = Roles.of(world, goals, given["relation"], self._strength)
+        self.scene: Scene = scene
+        self._goals = self.roles.effective_goals
+        self._model = WorldModel.of(scene, self.roles.strengths, PlannerConfig.named("fast"))
+        self._physics = PymunkWorld(scene, self.roles.strengths)
+        self._frames = [scene.start.copy()]
+        self._painter: Painter | None = None
+
+    def step(
+        self, actions: Mapping[str, int]
+    ) -> tuple[
+        dict[str, Observed],
+        dict[str, float],
+        dict[str, bool],
+        dict[str, bool],
+        dict[str, dict[str, Any]],
+    ]:
+        """Let all agents act for a step.
+
+        Args:
+            actions: name of every agent -> its action, 0 to 13.
+
+        Returns:
+            Observations, rewards, terminations, truncations and infos by agent.
+
+        Raises:
+            InvalidSettingError: the episode is over or has not begun, an agent has no action, or
+                one that there is not.
+        """
+        if not self.agents:
+            raise InvalidSettingError("no episode goes on: reset() begins one")
+        for name in actions:
+            self.world.agent(name)
+        doing = []
+        for name in self.agents:
+            if name not in actions:
+                raise InvalidSettingError(f"the {name} has no action")
+            number = whole_number(f"action of the {name}", actions[name], 0, N_ACTIONS - 1)
+            doing.append(executed(number, self.scene.turning))
+        self._frames.append(self._physics.step(doing))
+        infos, over = self._infos(), len(self._frames) > self._steps
+        rewards = {name: float(infos[name]["reached"]) for name in self.agents}
+        result = (
+            self._observations(),
+            rewards,
+            dict.fromkeys(self.agents, False),
+            dict.fromkeys(self.agents, over),
+            infos,
+        )
+        if over:
+            self.agents = []
+        return result
+
+    def _observations(self) -> dict[str, Observed]:
+        state, model = self._physics.state, self._model
+        bodies, held, _ = compiled.from_state(state, self.scene.radius)
+        n, n_agents = len(bodies), len(held)
+        angle = state.pose[:, 2]
+        features = np.column_stack(
+            [state.pose[:, :2], np.cos(angle), np.sin(angle), state.velocity, state.spin]
+        )
+        holds = np.zeros((n_agents, max(1, n - n_agents)), np.int8)
+        holding = np.flatnonzero(state.held != NOTHING)
+        holds[holding, state.held[holding] - n_agents] = 1
+        found = {}
+        for agent, name in enumerate(self.possible_agents):
+            visible = np.zeros(model.layout.rows * model.layout.columns, np.bool_)
+            cells, seen = np.empty(vision.MAX_OUTLINE_CELLS, np.int64), np.zeros(n, np.bool_)
+            vision.observe(
+                *(bodies, held, agent, self._full_view, model.params, model.layout),
+                *(visible, cells, seen),
+            )
+            found[name] = {
+                "bodies": np.where(seen[:, None], features, 0.0).astype(np.float32),
+                "observed": seen.astype(np.int8),
+                "holds": np.where(seen[:n_agents, None], holds, 0).astype(np.int8),
+                "goal": np.int64(self._goals[agent]),
+            }
+        return found
+
+    def _infos(self) -> dict[str, dict[str, Any]]:
+        infos = {}
+        for agent, name in enumerate(self.possible_agents):
+            literal = goal_literal(self._goals[agent], agent, self.world)
+            infos[name] = {
+                "goal": self.world.goals[self._goals[agent]],
+                "reached": is_true(literal, self._frames[-1], self.scene),
+            }
+        return infos
+
+    def render(self) -> NDArray[np.uint8]:
+        """Return a picture of where everybody is, (height, width, 3) RGB values."""
+        if self._painter is None:
+            self._painter = Painter(self.scene)
+        return np.asarray(self._painter.draw(self._frames[-1]), np.uint8)
+
+    def event(self, id: str = "played") -> Event:
+        """Return what has happened since the reset, with the goals that were rewarded as truth.
+
+        Raises:
+            InvalidEventError: nothing has happened yet.
+        """
+        if len(self._frames) < 2:
+            raise InvalidEventError(f"event {shown(id)}: no step has been made since the reset")
+        truth: Truth | Roles = self.roles
+        if self.world == PHASE:
+            red, green = (self.world.goals[goal] for goal in self._goals)
+            one, other = self.roles.strengths
+            truth = Truth(red, green, strength_red=one, strength_green=other)
+        return Event(self.scene, Observation(np.array(self._frames)), id=id, truth=truth)
+
+
+def _own(agent: int, world: World) -> list[int]:
+    """Return the goals that an agent can have, as indices."""
+    goals = range(len(world.goals))
+    return [goal for goal in goals if not is_self_referring(goal, agent, world)]

@@ -1,0 +1,193 @@
+"""Which events tell models, priors or observers apart, before anybody is asked about them."""
+
+from __future__ import annotations
+
+import inspect
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+import xarray as xr
+
+from phase_ppl.analysis.design import LAPSE, Design, checked
+from phase_ppl.analysis.event_posterior import EventPosterior
+from phase_ppl.analysis.hypotheses import Hypotheses
+from phase_ppl.evaluation.evaluation import Evaluation
+from phase_ppl.evaluation.fit_people import asked_about
+from phase_ppl.evaluation.judgments import all_events
+from phase_ppl.evaluation.observers.answers import Made, evidence_of
+from phase_ppl.evaluation.observers.fit import FittedObserver
+from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
+from phase_ppl.evaluation.registry import available_models
+from phase_ppl.inference.progress import counted
+from phase_ppl.models import priors
+from phase_ppl.models.model import Model
+from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.errors import InvalidSettingError, PhasePPLError, shown, unknown_name
+from phase_ppl.world.event import Event
+
+Candidate: TypeAlias = (
+    "str | os.PathLike[str] | Model | Evaluation | FittedObserver | Callable[..., Any] "
+    "| Mapping[str, Any]"
+)
+"""What can be told from others: a model by name, a :class:`phase_ppl.Model`, a function
+``(scene, observation, seed)``, an evaluation or its folder, event id -> posterior or prediction;
+or, on top of ``source``, a prior by name or as a program, or a fitted observer."""
+
+
+def design(
+    events: str | os.PathLike[str] | Sequence[Event],
+    models: Mapping[str, Candidate] | Sequence[str],
+    question: str = "relation",
+    *,
+    source: Candidate = "stepwise",
+    answers: int = 1,
+    lapse: float = LAPSE,
+    prior: Mapping[str, float] | None = None,
+    seed: int = 0,
+    workers: int | None = None,
+    progress: bool | None = None,
+    **options: Any,
+) -> Design:
+    """Return which events tell models apart, by what answers about them can be expected to say.
+
+    For every event, the mutual information between the model by which people answer and the
+    answers they give: for a single answer the Jensen-Shannon divergence of the models' predictions.
+
+    Args:
+        events: an event file, a folder of them or of a generated data set, or events.
+        models: label -> what is to be told from the others: a model by name, a
+            :class:`phase_ppl.Model`, a function ``(scene, observation, seed)``, an evaluation or
+            its folder, event id -> posterior or prediction; or a prior, by name or as a program,
+            or a fitted observer, which take the posteriors of ``source``. Names alone are their
+            labels.
+        question: "relation", "goal_red", "goal_green", or where all have posteriors another
+            quantity with categories.
+        source: of the posteriors for priors and observers, any of the kinds above; it is asked
+            once. Posteriors that are there already save the time: an evaluation or its folder, or
+            event id -> posterior.
+        answers: people who are asked about each event.
+        lapse: probability that somebody answers at random.
+        prior: label -> how probable each model is beforehand; by default all alike.
+        seed: of the models, and of the answers that are drawn to see what several events say.
+        workers, progress, **options: for :func:`phase_ppl.evaluate`, where models are asked.
+
+    Example:
+        ``found = ppl.design(events, ["uniform", "sparse_social"], source="runs")``, then
+        ``found.best(5)`` and ``ppl.plot.design(found)``
+
+    Raises:
+        InvalidSettingError, UnknownNameError: a model, question or setting that cannot be used.
+        InvalidEventError: events that cannot be read, or at which a model failed.
+    """
+    chosen = all_events(events)
+    given = models if isinstance(models, Mapping) else {name: name for name in models}
+    if isinstance(models, str) or len(given) < 2:
+        raise InvalidSettingError(f"models={shown(models)}: it takes two to be told apart")
+    kinds = {str(label): _kind(str(label), one) for label, one in given.items()}
+    asking = {"workers": workers, "progress": progress, "seed": seed, **options}
+    base: Mapping[str, Made] | None = None
+    if {"prior", "observer"} & {*kinds.values()}:
+        if _kind("source", source) in ("prior", "observer"):
+            raise InvalidSettingError(
+                f"source={shown(source)}: expected what makes posteriors, such as 'stepwise'"
+            )
+        base = _made(chosen, source, asking)
+    rows: dict[str, list[tuple[FloatArray, FloatArray]]] = {}
+    labels: tuple[str, ...] = ()
+    for label, one in given.items():
+        kind = kinds[str(label)]
+        made: Mapping[str, Made]
+        if kind == "observer":
+            assert isinstance(one, FittedObserver)
+            made = one.predict(evidence_of(chosen, base))
+        elif kind == "prior":
+            assert base is not None
+            made = _under(str(label), one, chosen, base, progress)
+        else:
+            made = _made(chosen, one, asking)
+        rows[str(label)] = []
+        for event in chosen:
+            found_labels, *found = _predicted(str(label), question, event.id, made)
+            if labels and labels != found_labels:
+                raise InvalidSettingError(f"{label} has other answers to {question} than others")
+            labels = found_labels
+            rows[str(label)].append((found[0], found[1]))
+    dims = ("model", "event", "answer")
+    values, errors = (
+        np.array([[one[part] for one in of_model] for of_model in rows.values()])
+        for part in range(2)
+    )
+    coords: dict[str, Any] = {"model": [*rows], "event": [event.id for event in chosen]}
+    coords |= {"answer": list(labels), "error": (dims, errors)}
+    table = xr.DataArray(values, coords, dims=dims, name="probability")
+    return checked(table, question, answers=answers, lapse=lapse, prior=prior, seed=seed)
+
+
+def _kind(label: str, one: object) -> str:
+    """Return "model", "prior" or "observer"."""
+    if isinstance(one, FittedObserver):
+        return "observer"
+    if isinstance(one, Model | Evaluation | Mapping | os.PathLike):
+        return "model"
+    if isinstance(one, str):
+        if Path(one).is_dir() or one in available_models():
+            return "model"
+        if one in priors.available():
+            return "prior"
+        known = [*available_models(), *priors.available()]
+        raise unknown_name(f"model or prior of {label!r}", one, known)
+    if not callable(one):
+        raise InvalidSettingError(f"{label}={shown(one)} is no model, prior or fitted observer")
+    try:
+        inspect.signature(one).bind()
+    except TypeError:
+        return "model"  # a function of scene, observation and seed
+    return "prior"
+
+
+def _made(events: Sequence[Event], one: Any, asking: Mapping[str, Any]) -> Mapping[str, Made]:
+    return one if isinstance(one, Mapping) else asked_about(events, one, **asking)
+
+
+def _under(
+    label: str,
+    prior: Any,
+    events: Sequence[Event],
+    base: Mapping[str, Made],
+    progress: bool | None,
+) -> dict[str, Made]:
+    """Return event id -> its posterior under another prior."""
+    found: dict[str, Made] = {}
+    for event in counted(events, progress, "event", label):
+        post = base.get(event.id)
+        if not isinstance(post, EventPosterior):
+            raise InvalidSettingError(
+                f"{label} is a prior, for which the source must have a posterior of {event.id!r}"
+            )
+        try:
+            found[event.id] = post.with_prior(prior)
+        except PhasePPLError as error:
+            raise type(error)(f"{label}, {event.id}: {error}") from None
+    return found
+
+
+def _predicted(
+    label: str, question: str, event: str, made: Mapping[str, Made]
+) -> tuple[tuple[str, ...], FloatArray, FloatArray]:
+    """Return the answers to a question about an event, their probabilities and errors."""
+    one = made.get(event)
+    if isinstance(one, Hypotheses):
+        marginal = one.marginal(question)
+        names = tuple(str(name) for name in marginal[question].values)
+        return names, np.asarray(marginal.values), np.asarray(marginal["error"].values)
+    if not isinstance(one, Prediction):
+        raise InvalidSettingError(f"{label} says nothing of the event {event!r}")
+    if question not in QUESTIONS:
+        raise unknown_name(f"question to {label}, which has predictions only:", question, QUESTIONS)
+    if question not in one.probabilities:
+        raise InvalidSettingError(f"{label} has no probabilities of {question} for {event!r}")
+    shares = one.probabilities[question]
+    return QUESTIONS[question], shares, one.errors.get(question, np.zeros_like(shares))

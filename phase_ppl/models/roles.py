@@ -1,0 +1,239 @@
+"""Priors over who wants what in any world: NumPyro programs of one argument, the world.
+
+A program samples ``goal_<agent>`` (an index into ``world.goals``), ``company`` (an index into
+:func:`phase_ppl.world.hypothesis.company`: who helps or hinders whom) and ``strength_<agent>``
+(newtons), with the agents' ``world.keys``. The goal of an agent that helps or hinders is not used.
+The closed loop takes these sites to be independent of each other::
+
+    def alone(world):
+        phase_ppl.roles.goals(world)
+        phase_ppl.roles.company(world, social=0.0)
+        phase_ppl.roles.strengths(world)
+
+    phase_ppl.Model(prior=alone, likelihood=phase_ppl.StepwiseLikelihood())
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+from collections.abc import Callable
+from typing import Any, Final, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import numpyro
+import numpyro.distributions as dist
+from jax.scipy.special import logsumexp
+from numpyro import handlers
+from numpyro.infer.inspect import get_dependencies
+
+from phase_ppl.models import priors
+from phase_ppl.models.sites import IMPOSSIBLE
+from phase_ppl.models.stepwise import nodes_of, place_of_level
+from phase_ppl.world import hypothesis
+from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.checks import whole_number
+from phase_ppl.world.errors import InvalidSettingError, shown
+from phase_ppl.world.goals import is_self_referring
+from phase_ppl.world.hypothesis import STRENGTH_RANGE, Roles
+from phase_ppl.world.identity import qualified_name
+from phase_ppl.world.scene import World
+
+COMPANY_SITE: Final = "company"
+SOCIAL: Final = 2 / 3
+"""Probability that some agent helps or hinders another (paper, Appendix 4B)."""
+
+RolePrior = Callable[[World], object]
+
+
+class Factors(NamedTuple):
+    """Log prior masses of what a role is made of."""
+
+    goals: FloatArray  # (agent, goal)
+    company: FloatArray  # (way,), see ``hypothesis.company``
+    strengths: FloatArray  # (agent, level)
+
+
+def goal_sites(world: World) -> tuple[str, ...]:
+    """Return the names of the sites of goals, agent by agent."""
+    return tuple(f"goal_{key}" for key in world.keys)
+
+
+def strength_sites(world: World) -> tuple[str, ...]:
+    """Return the names of the sites of strengths, agent by agent."""
+    return tuple(f"strength_{key}" for key in world.keys)
+
+
+def goals(world: World) -> None:
+    """Sample the agents' own goals: all that an agent can have are alike."""
+    for agent, name in enumerate(goal_sites(world)):
+        own = [is_self_referring(goal, agent, world) for goal in range(len(world.goals))]
+        logits = jnp.where(jnp.array(own), IMPOSSIBLE, 0.0)
+        numpyro.sample(name, dist.Categorical(logits=logits))
+
+
+def company(world: World, social: float = SOCIAL) -> None:
+    """Sample who helps or hinders whom.
+
+    Args:
+        world: whose agents.
+        social: probability that any does; all ways are alike then.
+    """
+    n = len(hypothesis.company(len(world.agents)))
+    if n > 1:
+        probs = jnp.array([1.0 - social, *[social / (n - 1)] * (n - 1)])
+        numpyro.sample(COMPANY_SITE, dist.Categorical(probs=probs))
+    else:
+        numpyro.sample(COMPANY_SITE, dist.Categorical(probs=jnp.ones(1)))
+
+
+def strengths(world: World) -> None:
+    """Sample the agents' strengths: uniform on [150, 600] newtons."""
+    for name in strength_sites(world):
+        numpyro.sample(name, dist.Uniform(*STRENGTH_RANGE))
+
+
+def uniform(world: World, social: float = SOCIAL) -> None:
+    """The paper's prior in any world: goals, strengths and ways to help or hinder are alike."""
+    goals(world)
+    company(world, social)
+    strengths(world)
+
+
+def draw(world: World, seed: int, prior: Callable[..., object] = uniform) -> Roles:
+    """Return roles drawn from a prior, for :func:`phase_ppl.simulate`.
+
+    Args:
+        world: whose agents and goals.
+        seed: the same seed gives the same roles.
+        prior: NumPyro program of a world, or a ready-made one.
+    """
+    program = functools.partial(in_world(prior, world), world)
+    key = jax.random.key(whole_number("seed", seed, 0))
+    trace = handlers.trace(handlers.seed(program, key)).get_trace()
+    values = {name: site["value"] for name, site in trace.items() if site["type"] == "sample"}
+    towards = hypothesis.company(len(world.agents))[int(values[COMPANY_SITE])]
+    own = [int(values[name]) for name in goal_sites(world)]
+    stated = tuple(None if one else goal for goal, one in zip(own, towards, strict=True))
+    strengths = tuple(float(values[name]) for name in strength_sites(world))
+    return Roles(world, stated, towards, strengths)
+
+
+_READY_MADE: Final[dict[Any, RolePrior]] = {
+    priors.uniform: uniform,
+    priors.sparse_social: functools.partial(uniform, social=priors.SOCIAL),
+    priors.no_social_goals: functools.partial(uniform, social=0.0),
+}
+"""Priors of PHASE -> the same in any world."""
+
+
+def is_of_any_world(prior: object) -> bool:
+    """Whether a program takes the world as its argument."""
+    try:
+        parameters = inspect.signature(prior).parameters.values()  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        return False
+    return (
+        sum(one.default is one.empty and one.kind < one.VAR_POSITIONAL for one in parameters) == 1
+    )
+
+
+def in_world(prior: Callable[..., object], world: World) -> RolePrior:
+    """Return the prior over roles that a model's prior stands for.
+
+    Raises:
+        InvalidSettingError: it is of PHASE only.
+    """
+    if prior in _READY_MADE:
+        return _READY_MADE[prior]
+    if not is_of_any_world(prior):
+        known = ", ".join(one.__name__ for one in _READY_MADE)
+        raise InvalidSettingError(
+            f"the prior {qualified_name(prior)} is of PHASE only, not of {world.name!r}: expected "
+            f"{known}, or a NumPyro program of one argument, the world"
+        )
+    return prior
+
+
+def factors(prior: Callable[..., object], world: World, levels: tuple[float, ...]) -> Factors:
+    """Return the masses that a prior gives to goals, ways to help or hinder, and strengths.
+
+    Args:
+        prior: NumPyro program of a world, or a ready-made one.
+        world: whose agents and goals.
+        levels: of strength, newtons, ascending; each stands for those nearest to it.
+
+    Raises:
+        InvalidSettingError: it is of PHASE only, cannot be run, lacks a site, or has some that are
+            not independent of each other or not what they should be.
+    """
+    program = functools.partial(in_world(prior, world), world)
+    name = qualified_name(prior)
+    try:
+        trace = handlers.trace(handlers.seed(program, jax.random.key(0))).get_trace()
+        depends = get_dependencies(program)["prior_dependencies"]
+    except Exception as error:  # whatever a user's program does
+        reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        raise InvalidSettingError(f"the prior {name} cannot be run: {reason}") from error
+    wanted = (*goal_sites(world), COMPANY_SITE, *strength_sites(world))
+    for site in wanted:
+        if site not in trace:
+            raise InvalidSettingError(
+                f"the prior {name} does not sample {site!r}; in {world.name!r} it takes "
+                f"{', '.join(wanted)}"
+            )
+        others = sorted(set(depends.get(site, {})) - {site})
+        if others:
+            raise InvalidSettingError(
+                f"the prior {name} makes {site!r} depend on {', '.join(others)}: outside of PHASE "
+                "goals, company and strengths must be independent of each other"
+            )
+
+    def masses(site: str, n: int) -> FloatArray:
+        found = trace[site]["fn"]
+        if not getattr(found.support, "is_discrete", False) or trace[site]["value"].shape != ():
+            raise InvalidSettingError(
+                f"the prior {name} samples {site!r} from {shown(found)}: expected one of 0..{n - 1}"
+            )
+        values = np.asarray(found.enumerate_support(expand=False)).astype(int)
+        density = np.asarray(found.log_prob(jnp.asarray(values)), np.float64)
+        density[density < IMPOSSIBLE / 2] = -np.inf
+        outside = values[((values < 0) | (values >= n)) & np.isfinite(density)]
+        if outside.size:
+            raise InvalidSettingError(
+                f"the prior {name} gives mass to {site}={outside[0]}: expected 0..{n - 1}"
+            )
+        inside = np.full(n, -np.inf)
+        inside[values[values < n]] = density[values < n]
+        return inside
+
+    n_ways = len(hypothesis.company(len(world.agents)))
+    own = np.stack([masses(site, len(world.goals)) for site in goal_sites(world)])
+    for agent, goal in np.argwhere(np.isfinite(own)).tolist():
+        if is_self_referring(goal, agent, world):
+            raise InvalidSettingError(
+                f"the prior {name} gives mass to the goal {world.goals[goal]!r} of the "
+                f"{world.agents[agent]}, whom it names"
+            )
+    return Factors(
+        own,
+        masses(COMPANY_SITE, n_ways),
+        np.stack(
+            [_of_levels(trace[site]["fn"], np.array(levels)) for site in strength_sites(world)]
+        ),
+    )
+
+
+def _of_levels(found: Any, levels: FloatArray) -> FloatArray:
+    """Return (level,) log masses of the strengths that are nearest to each level."""
+    values, weights = nodes_of(found, levels)
+    density = np.asarray(found.log_prob(jnp.asarray(values)), np.float64) + np.log(weights)
+    place = place_of_level(values, levels)
+    return np.array(
+        [
+            float(logsumexp(jnp.asarray(np.append(density[place == level], -1e30))))
+            for level in range(len(levels))
+        ]
+    )

@@ -1,0 +1,131 @@
+"""Further sites of a prior in the closed loop: summed over, or drawn with Monte-Carlo errors."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import numpyro
+import numpyro.distributions as dist
+import pytest
+
+import phase_ppl as ppl
+from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
+from phase_ppl.world.errors import InvalidSettingError, QueryError
+from tests.analysis.readings import reading
+
+FOUND = reading()
+HOSTILE = 0.3
+BY_MOOD = jnp.array([[0.4, 0.25, 0.25, 0.05, 0.05], [0.2, 0.05, 0.05, 0.35, 0.35]])
+
+
+def moody() -> None:
+    hostile = numpyro.sample("hostile", dist.Bernoulli(HOSTILE))
+    numpyro.sample("alpha", dist.Categorical(probs=BY_MOOD[hostile]))
+    ppl.sites.goals()
+    ppl.sites.strengths()
+
+
+def friendly() -> None:
+    friendliness = numpyro.sample("friendliness", dist.Beta(2.0, 2.0))
+    helping, hindering = 0.375 * friendliness, 0.375 * (1 - friendliness)
+    probs = jnp.stack([jnp.array(0.25), helping, helping, hindering, hindering])
+    numpyro.sample("alpha", dist.Categorical(probs=probs))
+    ppl.sites.goals()
+    ppl.sites.strengths()
+
+
+def tired() -> None:
+    """Strengths come first, and what is seen of them afterwards is a further site."""
+    red, _ = ppl.sites.strengths()
+    numpyro.sample("effort", dist.Normal(red, 30.0))
+    ppl.sites.goals()
+    ppl.sites.alpha()
+
+
+def of_alpha(post: StepwisePosterior, prior: np.ndarray) -> np.ndarray:
+    """Return (alpha,) likelihoods, of a posterior under a prior that depends on alpha alone."""
+    return np.asarray(post.marginal("alpha").values) / prior
+
+
+@pytest.fixture(scope="module")
+def post() -> StepwisePosterior:
+    return StepwisePosterior(FOUND).with_prior(moody)
+
+
+def test_a_site_with_few_values_is_summed_over_exactly(post: StepwisePosterior) -> None:
+    by_mood, prior = np.asarray(BY_MOOD, float), np.array([1 - HOSTILE, HOSTILE])
+    for at in (post, post.at(0), post.at(2)):
+        plain = StepwisePosterior(FOUND, at.frame).with_prior("symmetric_alphas")
+        joint = (prior[:, None] * by_mood) * of_alpha(plain, np.full(5, 0.2))
+        joint /= joint.sum()
+        assert at.query("P(hostile=1)") == pytest.approx(joint[1].sum(), abs=1e-5)
+        assert at.mean("hostile") == pytest.approx(joint[1].sum(), abs=1e-5)
+        given = at.query("P(hostile=1 | alpha=(1, 0))")
+        assert given == pytest.approx(joint[1, 1] / joint[:, 1].sum(), abs=1e-5)
+        alpha = at.query("P(alpha=(0, -1) | hostile > 0)")
+        assert alpha == pytest.approx(joint[1, 4] / joint[1].sum(), abs=1e-5)
+    assert post.sites.summed
+    assert post.at(0).mean("hostile").error == pytest.approx(0, abs=1e-9)
+    assert 0 < post.mean("hostile").error < 0.1  # of the searches
+    # what does not name it is answered as ever
+    assert post.query("P(alpha)").identical(post.marginal("alpha"))
+
+
+def test_other_sites_are_drawn_with_their_monte_carlo_error() -> None:
+    post = StepwisePosterior(FOUND).with_prior(friendly)
+    flat = StepwisePosterior(FOUND).with_prior("symmetric_alphas")
+    shares = np.array([0.25, *[0.1875] * 4]) * of_alpha(flat, np.full(5, 0.2))
+    shares /= shares.sum()
+    helping, hindering = shares[1:3].sum(), shares[3:].sum()
+    # a Beta(2, 2) after nothing, one success, one failure
+    expected = shares[0] / 2 + helping * 3 / 5 + hindering * 2 / 5
+    found = post.query("E[friendliness]")
+    assert not post.sites.summed
+    assert 0 < found.error < 0.01
+    assert abs(found - expected) < 4 * found.error
+    helps = post.query("E[friendliness | alpha in {(1, 0), (0, 1)}]")
+    assert abs(helps - 3 / 5) < 4 * helps.error
+    share = post.query("P(alpha=(0, 0) | friendliness > 0.5 or friendliness <= 0.5)")
+    assert abs(share - shares[0]) < 4 * share.error
+    assert post.query("E[friendliness]") == found  # seeded
+
+
+def test_a_site_that_depends_on_strengths_is_drawn_within_their_cells() -> None:
+    post = StepwisePosterior(FOUND).with_prior(tired)
+    start = post.at(0).query("E[effort]")
+    assert abs(start - 375) < 4 * start.error  # evenly between 150 and 600 N
+    strong = post.query("E[effort | strength_red > 500]")
+    assert abs(strong - 525) < 4 * strong.error
+    seen, share = post.query("E[effort]"), post.probability(strength_red=(500, 600))
+    assert abs(seen - (525 * share + 300 * (1 - share))) < 4 * seen.error
+    assert seen.error < 5
+
+
+def test_definitions_and_what_is_missing(tmp_path: Path, post: StepwisePosterior) -> None:
+    post.define("grim", "hostile=1, not alpha=(0, 0)").define("same", "goal_red = goal_green")
+    both = post.query("P(grim=True, same=True)")
+    assert 0 < both < post.query("P(hostile=1)")
+    assert post.at(2).query("P(grim=True)") == pytest.approx(
+        post.at(2).query("P(hostile=1, alpha != (0, 0))")
+    )
+    assert post.quantities["hostile"] == ("0", "1")
+    with pytest.raises(InvalidSettingError, match="the prior has a site 'hostile'"):
+        post.define("hostile", "goal_red = goal_green")
+    with pytest.raises(InvalidSettingError, match="frames speak of hypotheses"):
+        post.why("hostile=1")
+    with pytest.raises(QueryError, match="unknown hostile 'maybe'"):
+        post.query("P(hostile=maybe)")
+    with pytest.raises(QueryError, match="did you mean 'hostile'"):
+        post.query("E[hostil]")
+
+    again = StepwisePosterior.load(post.save(tmp_path / "x.nc"))
+    assert again.query("P(same=True)") == post.query("P(same=True)")
+    with pytest.raises(InvalidSettingError, match=r"moody, which a file cannot hold.*with_prior"):
+        again.query("E[hostile]")
+    known = again.with_prior(moody)
+    assert known.mean("hostile") == post.mean("hostile")
+    assert known.settings == post.settings  # it is the same prior again
+    with pytest.raises(QueryError, match="unknown quantity 'hostile'"):
+        again.with_prior("uniform").query("E[hostile]")

@@ -1,0 +1,154 @@
+"""Posteriors over roles in worlds of other casts."""
+
+from __future__ import annotations
+
+import functools
+import re
+from pathlib import Path
+
+import numpy as np
+import numpyro
+import numpyro.distributions as dist
+import pytest
+
+import phase_ppl as ppl
+from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.analysis import roles_table
+from phase_ppl.analysis.roles_posterior import RolesPosterior
+from phase_ppl.models.roles import factors
+from phase_ppl.world.errors import InvalidEventError, PhasePPLError
+from phase_ppl.world.hypothesis import Roles, company
+
+TRIO = ppl.worlds.TRIO
+MODEL = ppl.Model(
+    likelihood=ppl.StepwiseLikelihood(planner_seeds=2),
+    planner=PlannerConfig(simulations=4, particles=6),
+)
+
+
+@functools.cache
+def posterior() -> RolesPosterior:
+    scene = TRIO.scene(
+        {
+            "red agent": (4, 8), "green agent": (30, 18), "purple agent": (9, 3),
+            "blue ball": (6, 5), "pink ball": (32, 16),
+        }
+    )  # fmt: skip
+    event = ppl.simulate(
+        scene,
+        goals={"red agent": "blue ball to home", "green agent": "touch pink ball"},
+        relation={("purple agent", "red agent"): "hinder"},
+        frames=8,
+        planner=MODEL.planner,
+        seed=2,
+    )
+    found = ppl.infer(event, MODEL, workers=1, progress=False)
+    assert isinstance(found, RolesPosterior)
+    return found
+
+
+def test_it_answers_in_the_names_of_its_world() -> None:
+    post = posterior()
+    assert post.marginal("goal_purple").sum() == pytest.approx(1)
+    assert post.query("P(relation_red_purple=adversarial)").error > 0
+    assert -1 <= post.query("E[alpha_purple_red]") <= 1
+    assert 150 <= post.mean("strength_green") <= 600
+    text = str(post)
+    for words in ("purple agent", "red & purple", "green & purple ", "strength"):
+        assert words in text
+    assert set(post.summary()["goals"]) == set(TRIO.agents)
+    roles = post.map()
+    assert isinstance(roles, Roles)
+    assert set(roles.goals) == set(TRIO.agents)
+    over_time = post.over_time()
+    np.testing.assert_allclose(over_time["goal_red"][-1], post.marginal("goal_red"), atol=1e-6)
+    assert over_time["goal_red"][0].max() < 0.03  # nothing was seen yet
+
+
+def test_what_was_believed_at_a_frame_does_not_change() -> None:
+    post = posterior()
+    before = post.over_time()["goal_red"][4].values
+    np.testing.assert_allclose(post.at(4).marginal("goal_red").values, before, atol=1e-3)
+
+
+def test_it_is_kept_in_a_file(tmp_path: Path) -> None:
+    post = posterior()
+    again = ppl.load_posterior(post.save(tmp_path / "trio.nc"))
+    assert isinstance(again, RolesPosterior)
+    assert again.scene.world == TRIO
+    np.testing.assert_array_equal(again.scene.half_widths, post.scene.half_widths)
+    for name in ("goal_red", "relation_green_purple", "alpha_red_purple"):
+        np.testing.assert_array_equal(again.marginal(name), post.marginal(name))
+    found = post.dataset.drop_vars("density")
+    with pytest.raises(InvalidEventError, match="it lacks density"):
+        RolesPosterior(found)
+
+
+def test_another_prior_changes_what_is_asked_without_reading_again() -> None:
+    post = posterior().with_prior("no_social_goals")
+    assert post.probability(alpha_purple_red="0") == 1
+    assert post.query("P(alpha_red_green=1)") == 0
+
+
+def test_hypotheses_that_are_drawn_stand_for_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(roles_table, "MOST_HYPOTHESES", 150_000)
+    drawn = RolesPosterior(posterior().dataset)
+    assert drawn._table.sampled
+    assert "were drawn" in str(drawn)
+    for name in ("goal_red", "goal_purple", "relation_red_purple", "alpha_purple_red"):
+        exact = posterior().marginal(name).values
+        np.testing.assert_allclose(drawn.marginal(name).values, exact, atol=0.02)
+
+
+def test_strengths_have_the_priors_margins() -> None:
+    table = posterior()._table
+    mass = np.exp(table._log_prior_of_combinations())
+    combinations = posterior().dataset["combinations"].values
+    for agent in range(3):
+        found = [mass[combinations[:, agent] == level].sum() for level in (150, 300, 450, 600)]
+        np.testing.assert_allclose(found, [1 / 6, 1 / 3, 1 / 3, 1 / 6], atol=1e-6)
+
+
+def test_ways_to_help_or_hinder_are_counted() -> None:
+    assert [len(company(n)) for n in (1, 2, 3, 4)] == [1, 5, 25, 153]
+    assert roles_table.count(ppl.worlds.PHASE) == 34**2 + 4 * 34
+
+
+def wide_goal(world: ppl.World) -> None:
+    for key in world.keys:
+        numpyro.sample(f"goal_{key}", dist.Categorical(probs=np.full(100, 0.01)))
+    ppl.roles.company(world)
+    ppl.roles.strengths(world)
+
+
+def dependent(world: ppl.World) -> None:
+    ppl.roles.goals(world)
+    ways = numpyro.sample("company", dist.Categorical(probs=np.ones(25) / 25))
+    ppl.roles.strengths(world)
+    numpyro.sample("goal_more", dist.Normal(ways, 1.0))
+
+
+def leaning(world: ppl.World) -> None:
+    strong = numpyro.sample("strong", dist.Bernoulli(0.5))
+    ppl.roles.goals(world)
+    ppl.roles.company(world)
+    for key in world.keys:
+        numpyro.sample(f"strength_{key}", dist.Uniform(150.0 + 100 * strong, 600.0))
+
+
+@pytest.mark.parametrize(
+    ("prior", "message"),
+    [
+        ("relation_first", "is of PHASE only, not of 'trio': expected uniform, sparse_social"),
+        (wide_goal, "gives mass to goal_red=68: expected 0..67"),
+        (lambda world: ppl.roles.goals(world), "does not sample 'company'; in 'trio' it takes"),
+        (lambda world: world.nothing, "cannot be run: AttributeError"),
+        (leaning, "makes 'strength_red' depend on strong"),
+    ],
+)
+def test_priors_that_cannot_be_are_refused_in_one_line(prior: object, message: str) -> None:
+    given = getattr(ppl.priors, prior) if isinstance(prior, str) else prior
+    with pytest.raises(PhasePPLError, match=re.escape(message)) as raised:
+        factors(given, TRIO, (150.0, 600.0))
+    assert "\n" not in str(raised.value)
+    assert factors(dependent, TRIO, (150.0, 600.0)).company.shape == (25,)

@@ -1,0 +1,198 @@
+"""Films read back into events."""
+
+from __future__ import annotations
+
+import dataclasses
+import subprocess
+from pathlib import Path
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+from PIL import Image
+
+import phase_ppl as ppl
+from phase_ppl.cli import main
+from phase_ppl.world.errors import (
+    InvalidEventError,
+    InvalidSettingError,
+    OutputError,
+    UnknownNameError,
+)
+from phase_ppl.world.event import Event
+from phase_ppl.world.observation import Observation
+from phase_ppl.world.scene import Scene
+from phase_ppl.world.worlds import TRIO
+from tests.world.examples import make_scene
+
+STILL = {"fps": 4, "frames_per_step": 1}  # one frame of the film per frame of the event, as quick
+
+
+def moving(scene: Scene, n_frames: int = 4) -> Event:
+    """Everybody drifts; agents turn."""
+    steps = np.arange(n_frames)[:, None, None] * np.array([0.3, -0.2, 0.4])
+    track = scene.start + steps
+    track[:, len(scene.world.agents) :, 2] = 0.0
+    return Event(scene, Observation(track))
+
+
+def film(event: Event, path: Path) -> Path:
+    ppl.render.video(event, path, **STILL)  # type: ignore[arg-type]
+    return path
+
+
+def encoded(path: Path, name: str, *options: str) -> Path:
+    """Return the film once more, otherwise encoded."""
+    out = path.with_name(name)
+    program = imageio_ffmpeg.get_ffmpeg_exe()
+    subprocess.run([program, "-v", "error", "-i", path, *options, out], check=True)
+    return out
+
+
+def off(reading: ppl.VideoReading, event: Event) -> tuple[float, float]:
+    """Return the largest errors of positions, units, and of agents' angles, rad."""
+    read, true = reading.event.observation, event.observation
+    turned = (read.angles - true.angles)[:, : len(event.scene.world.agents)]
+    apart = np.linalg.norm(read.positions - true.positions, axis=2)
+    return float(apart.max()), float(np.abs(np.angle(np.exp(1j * turned))).max())
+
+
+@pytest.fixture(scope="module")
+def phase(tmp_path_factory: pytest.TempPathFactory) -> tuple[Event, Path]:
+    event = moving(make_scene())
+    return event, film(event, tmp_path_factory.mktemp("films") / "phase.mp4")
+
+
+def test_by_its_layout_alone_a_film_gives_back_scene_and_tracks(
+    phase: tuple[Event, Path], tmp_path: Path
+) -> None:
+    event, path = phase
+    reading = ppl.read_video(path, layout="phase", progress=False)
+    position, angle = off(reading, event)
+    assert position < 0.08
+    assert angle < 0.08
+    scene = reading.event.scene
+    assert scene.radius == pytest.approx(event.scene.radius, abs=0.02)
+    assert np.array_equal(scene.walls, event.scene.walls[::-1]) or np.array_equal(
+        scene.walls, event.scene.walls
+    )
+    assert np.array_equal(scene.landmark_centres, event.scene.landmark_centres)
+    assert np.array_equal(scene.start, reading.event.observation.trajectory[0])
+    assert reading.event.truth is None
+    assert reading.confidence.shape == (4, 4)
+    assert reading.confidence.min() > 0.7
+    reading.picture(tmp_path / "check.png")
+    with Image.open(tmp_path / "check.png") as picture:
+        assert picture.size == (3 * 480, 2 * (480 + 30 + 4))
+
+
+def test_a_small_film_of_another_world_is_read_by_its_scene(tmp_path: Path) -> None:
+    start = {"red agent": (5, 6), "green agent": (16, 20, 1), "purple agent": (28, 6, 3)}
+    event = moving(TRIO.scene({**start, "blue ball": (18, 6), "pink ball": (30, 17)}))
+    path = encoded(film(event, tmp_path / "large.mp4"), "small.mp4", "-vf", "scale=520:-2")
+    reading = ppl.read_video(path, event.scene, progress=False)
+    position, angle = off(reading, event)
+    assert position < 0.15
+    assert angle < 0.15
+    assert reading.event.scene is event.scene
+
+
+def test_bars_beside_it_and_a_still_beginning_are_left_out(phase: tuple[Event, Path]) -> None:
+    event, path = phase
+    filters = "tpad=start=2:start_mode=clone,pad=900:500:100:10"
+    wide = encoded(path, "bars.mp4", "-vf", filters)
+    reading = ppl.read_video(wide, event.scene, start=0.5, progress=False)
+    assert reading.event.observation.n_frames == event.observation.n_frames
+    assert off(reading, event)[0] < 0.15
+
+
+@pytest.fixture(scope="module")
+def hidden(tmp_path_factory: pytest.TempPathFactory) -> tuple[Event, Path]:
+    """The blue item lies still; in frames 1 and 2 the green agent is above it."""
+    scene = make_scene(radius=[0.8, 1.6, 0.5, 1.2])
+    track = np.repeat(scene.start[None], 9, axis=0)
+    track[1:3, 1, :2] = scene.start[2, :2] + [0.1, 0.2]
+    event = Event(scene, Observation(track))
+    return event, film(event, tmp_path_factory.mktemp("films") / "hidden.mp4")
+
+
+def test_what_is_covered_is_interpolated_without_confidence(hidden: tuple[Event, Path]) -> None:
+    event, path = hidden
+    reading = ppl.read_video(path, event.scene, progress=False)
+    assert np.flatnonzero(reading.confidence[:, 2] == 0).tolist() == [1, 2]
+    assert off(reading, event)[0] < 0.08
+    assert "2 places interpolated" in repr(reading)
+
+
+def test_what_is_lost_for_too_long_is_named_with_its_frames(hidden: tuple[Event, Path]) -> None:
+    event, path = hidden
+    with pytest.raises(
+        InvalidEventError, match=r"blue item is not found in frames 1 to 2, 0.25 to"
+    ):
+        ppl.read_video(path, event.scene, max_gap=1, progress=False)
+
+
+def test_a_film_of_another_scene_is_refused(phase: tuple[Event, Path]) -> None:
+    event, path = phase
+    more = [*event.scene.walls, [(16, 12), (16, 4)]]
+    elsewhere = np.array(event.scene.start)
+    elsewhere[0, 1] += 1
+    for change, said in (
+        ({"walls": more}, r"does not show the scene's wall .*16.0, 4.0"),
+        ({"walls": event.scene.walls[:1]}, "a wall .* that the scene does not have"),
+        ({"start": elsewhere}, "red agent starts at .8.0, 21.0. in the scene, but at .8"),
+    ):
+        scene = dataclasses.replace(event.scene, **change)
+        with pytest.raises(InvalidEventError, match=said):
+            ppl.read_video(path, scene, progress=False)
+
+
+def test_a_film_of_another_world_is_refused(phase: tuple[Event, Path]) -> None:
+    world = ppl.World(["red agent", "grey agent"], [], {"home": (8, 8)}, name="small")
+    with pytest.raises(InvalidEventError, match=r"the colour of the grey agent, \(130, 130, 130\)"):
+        ppl.read_video(phase[1], layout=world)
+    with pytest.raises(InvalidEventError, match=r"no arena is found .* 36 to 24"):
+        ppl.read_video(phase[1], layout="trio")
+    alike = ppl.World(["red agent", "red one"], [], {"home": (8, 8)})
+    with pytest.raises(InvalidSettingError, match=r"red agent and red one .* too near each other"):
+        ppl.read_video(phase[1], layout=alike)
+
+
+def test_what_is_no_film_is_refused(phase: tuple[Event, Path], tmp_path: Path) -> None:
+    event, path = phase
+    (tmp_path / "text.mp4").write_text("no film")
+    with pytest.raises(InvalidEventError, match=r"text.mp4: not a video that can be read"):
+        ppl.read_video(tmp_path / "text.mp4", event.scene)
+    with pytest.raises(InvalidEventError, match=r"none.mp4: no such file"):
+        ppl.read_video(tmp_path / "none.mp4", event.scene)
+    for given, said in (
+        ({}, "either the scene= .* or its layout="),
+        ({"scene": event.scene, "layout": "phase"}, "either the scene= .* or its layout="),
+        ({"layout": "phase", "frames_per_step": 0.5}, r"frames_per_step=0.5, expected"),
+        ({"layout": "phase", "start": -1}, r"start=-1, expected"),
+        ({"layout": "phase", "max_gap": -1}, r"max_gap=-1, expected"),
+        ({"layout": 5}, "layout=5, expected a phase_ppl.World"),
+    ):
+        with pytest.raises(InvalidSettingError, match=said):
+            ppl.read_video(path, **given)
+    with pytest.raises(UnknownNameError, match="did you mean 'PHASE'"):
+        ppl.read_video(path, layout="phas")
+    with pytest.raises(InvalidEventError, match="fewer than 2 frames of an event"):
+        ppl.read_video(path, layout="phase", frames_per_step=9)
+    with pytest.raises(OutputError, match=r"check.jpg: expected a name in .png"):
+        ppl.VideoReading(event, np.ones((4, 4)), {}).picture(tmp_path / "check.jpg")
+
+
+def test_the_terminal_reads_a_film(
+    phase: tuple[Event, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    event, path = phase
+    ppl.save_event(event, tmp_path / "true.json")
+    out, picture = tmp_path / "read.json", tmp_path / "check.png"
+    command = ["read-video", str(path), "--scene", str(tmp_path / "true.json"), "--out", str(out)]
+    assert main([*command, "--picture", str(picture), "--quiet"]) == 0
+    assert "4 frames written" in capsys.readouterr().out
+    assert ppl.load_event(out).observation.positions == pytest.approx(
+        event.observation.positions, abs=0.08
+    )
+    assert picture.is_file()
