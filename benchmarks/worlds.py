@@ -60,7 +60,7 @@ def main() -> None:
             print(
                 f"goals surer than {low:.2f}: n={len(chosen)}, {mean:.2f} sure, {right:.2f} right"
             )
-    write(options.json, {"options": vars(options), "table": table, "events": rows})
+    write({"options": vars(options), "table": table, "events": rows}, options.json)
 
 
 def drawn(world: ppl.World, number: int) -> ppl.Event | None:
