@@ -395,6 +395,7 @@ def _is_gone_within(group: int, seconds: float) -> bool:
     return False
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="sends a signal to a process group")
 def test_ctrl_c_stops_soon_leaves_no_worker_and_keeps_what_was_done(
     short: str, tmp_path: Path

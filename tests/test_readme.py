@@ -52,10 +52,8 @@ def test_all_pages_with_examples_are_known() -> None:
         "long_runs": 1,
         "many_events": 1,
     }
-    notebooks = (
-        "closed_loop design diagnostics first_posterior how_it_works making_events own_kernel"
-    )
-    notebooks += " own_prior own_simulator queries what_if worlds"
+    notebooks = "closed_loop design diagnostics films first_posterior how_it_works making_events"
+    notebooks += " own_kernel own_prior own_simulator queries what_if worlds"
     assert [page.stem for page in NOTEBOOKS] == notebooks.split()
 
 

@@ -90,7 +90,11 @@ class EventPosterior(Hypotheses):
                 probable.
             UnknownNameError: there is no such prior.
         """
-        return self.under(checked_program(prior))
+        return self.under(self._checked(prior))
+
+    def _checked(self, prior: Callable[..., object] | str) -> Callable[..., object]:
+        """Return a prior, by its name or itself; errors as of a model."""
+        return checked_program(prior)
 
     def under(self, prior: Callable[..., object]) -> Self:
         """Return :meth:`with_prior` of a program that was checked."""
@@ -128,7 +132,7 @@ class EventPosterior(Hypotheses):
         answers: list[xr.DataArray | None] = []
         refusals: list[str] = []
         if at:  # once is enough for a check that takes a while
-            checked_program(functools.partial(prior, at[0]))
+            self._checked(functools.partial(prior, at[0]))
         for value in at:
             try:
                 answer = self.under(functools.partial(prior, value)).query(question)

@@ -117,6 +117,11 @@ class RolesPosterior(StepwisePosterior):
         at = RolesPosterior(self._found, frame, table=self._table)
         return at._defining(self.definitions)
 
+    def _checked(self, prior: Callable[..., object] | str) -> Callable[..., object]:
+        from phase_ppl.models import priors
+
+        return priors.named(prior) if isinstance(prior, str) else prior
+
     def under(self, prior: Callable[..., object]) -> RolesPosterior:
         from phase_ppl.models.roles import factors
 

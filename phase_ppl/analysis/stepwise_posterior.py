@@ -362,7 +362,8 @@ class StepwisePosterior(EventPosterior):
             raise InvalidSettingError(
                 f"{over or event}: frames speak of hypotheses, not of further sites of the prior"
             )
-        columns, known = self._columns(), dict(self._quantities)
+        known = {n: one for n, one in self._quantities.items() if n not in self._own}
+        columns = self._columns()
         for name, definition in self._own.items():
             known[name], columns[name] = defined(name, definition, known, columns)
         wanted = conditions(known, event).holds(columns)

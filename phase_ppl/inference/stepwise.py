@@ -31,7 +31,7 @@ from phase_ppl.analysis.tree import scene_dataset
 from phase_ppl.closed_loop.goal_filter import Reading
 from phase_ppl.closed_loop.world_filter import WorldFilter, WorldReading
 from phase_ppl.inference.progress import counted, is_shown
-from phase_ppl.models.model import Model
+from phase_ppl.models.model import Model, checked_sites
 from phase_ppl.models.own_sites import further_sites
 from phase_ppl.models.roles import factors
 from phase_ppl.models.stepwise import StepwiseLikelihood, level_of, prior_table
@@ -94,6 +94,7 @@ class Watch:
         """Make the filter, and say what is known before the first frame."""
         likelihood, scene = self._likelihood, self._scene
         levels = likelihood.tracking.strengths
+        checked_sites(self.model.prior)
         self._prior: Any = prior_table(self.model.prior, levels)
         self._filter: Any = likelihood.filter(
             scene, planner, self._seed, self.threads, log_prior_of_pairs(self._prior)

@@ -157,6 +157,8 @@ class Model(Generic[Kind]):
     @functools.cached_property
     def sites(self) -> dict[str, tuple[int, ...]]:
         """Latent sites of the prior with their shapes."""
+        if is_stepwise(self.likelihood) and is_of_any_world(self.prior):
+            return {}  # what it samples is known where the world is
         return checked_sites(self.prior)
 
     @property
@@ -242,8 +244,6 @@ def checked_sites(prior: Program) -> dict[str, tuple[int, ...]]:
             f"prior={shown(prior)} is no NumPyro program: expected the name of a ready-made prior "
             f"or a function without arguments that samples {', '.join(HYPOTHESIS_SITES)}"
         )
-    if is_of_any_world(prior):  # what it samples is known where the world is
-        return {}
     return dict(_checked(prior))
 
 

@@ -54,7 +54,7 @@ MOST_LANDMARKS: Final = 8
 SIDES: Final = (4.0, 60.0)
 """Shortest and longest side of an arena, units."""
 
-_TRIES: Final = 1000
+_TRIES: Final = 300
 _READ_AS: Final = (" to ", " away from ")
 """What stands between the two names of a goal, and so in no name."""
 

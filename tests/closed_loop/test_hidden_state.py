@@ -131,14 +131,14 @@ def noisy(sigma: float, n: int = 60) -> NDArray[np.float64]:
 @pytest.mark.parametrize("sigma", [0.05, 0.3])
 def test_noise_is_estimated_from_items_that_mostly_lie_still(sigma: float) -> None:
     frames = noisy(sigma)
-    estimate = NoiseEstimate(None, frames[0])
+    estimate = NoiseEstimate(None, frames[0], 2)
     for frame in frames[1:]:
         estimate.update(frame)
     assert estimate.now == pytest.approx(sigma, rel=0.25)
-    known = NoiseEstimate(0.2, frames[0])
+    known = NoiseEstimate(0.2, frames[0], 2)
     known.update(frames[1])
     assert known.now == 0.2
-    clean = NoiseEstimate(None, noisy(0.0)[0])
+    clean = NoiseEstimate(None, noisy(0.0)[0], 2)
     assert clean.now == UNSEEN
     for frame in noisy(0.0)[1:3]:
         clean.update(frame)

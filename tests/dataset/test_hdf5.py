@@ -21,7 +21,6 @@ from hypothesis import HealthCheck, given, settings
 import phase_ppl as ppl
 from phase_ppl import event_dataset, event_from_dataset
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.dataset.hdf5 import read_netcdf
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, UnknownNameError
 from phase_ppl.world.event import Event
@@ -168,7 +167,7 @@ TRICKS: dict[str, tuple[Callable[[h5py.Group], None], str]] = {
 
 
 @pytest.mark.parametrize("trick", TRICKS)
-@pytest.mark.parametrize("load", [ppl.load_posterior, StepwisePosterior.load])
+@pytest.mark.parametrize("load", [ppl.load_posterior, Posterior.load])
 def test_a_posterior_made_to_do_harm_is_refused_unread(
     tmp_path: Path, posterior: bytes, load: Callable[[Path], object], trick: str
 ) -> None:

@@ -178,7 +178,9 @@ def steps_of(post: ppl.Posterior) -> list[int]:
     return np.bincount(post.tree["simulations"]["iteration"].values).tolist()
 
 
-@pytest.mark.parametrize("name", ["enumerated_gibbs", "gibbs", "prior_mh"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("enumerated_gibbs", marks=pytest.mark.slow), "gibbs", "prior_mh"]
+)
 def test_no_kernel_is_starved_by_what_it_declares(
     budgeted: dict[str, ppl.Posterior], name: str
 ) -> None:

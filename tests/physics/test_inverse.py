@@ -22,14 +22,15 @@ def tried(where: Scene) -> tuple[np.ndarray, np.ndarray, compiled.Params]:
     params = compiled.make_params(where, (450.0, 300.0), inner_steps=4)
     state = compiled.from_state(State.at_start(where), where.radius)
     trial, scratch = inverse.make_trial(), compiled.make_scratch()
-    inverse.attempt(*state, Action.UP, Action.TURN_LEFT, params, scratch, trial)
+    trial.actions[:] = Action.UP, Action.TURN_LEFT
+    inverse.attempt(*state, params, scratch, trial)
     observed = trial.frame + 0.01
-    found = np.empty((1, N_ACTIONS, N_ACTIONS))
+    found = np.empty((1, N_ACTIONS**2))
     states = [part[None] for part in state]
     strengths = np.array([[450.0, 300.0]])
     inverse.try_all(*states, strengths, observed, SCALE, ANGLE_SCALE, TAIL, params, scratch, trial,
                     found)  # fmt: skip
-    return found[0], observed, params
+    return found[0].reshape(N_ACTIONS, N_ACTIONS), observed, params
 
 
 @pytest.mark.parametrize("where", [APART, TOUCHING], ids=["apart", "touching"])
@@ -56,7 +57,8 @@ def test_a_state_follows_what_was_seen_as_far_as_the_gains_say() -> None:
     state = compiled.from_state(State.at_start(APART), APART.radius)
     trial, scratch = inverse.make_trial(), compiled.make_scratch()
     pair = np.array([[Action.UP, Action.STOP]])
-    inverse.attempt(*state, *pair[0], params, scratch, trial)
+    trial.actions[:] = pair[0]
+    inverse.attempt(*state, params, scratch, trial)
     after, observed = trial.bodies.copy(), trial.frame + 0.1
     bodies, held, weld = np.empty((1, 4, 9)), np.empty((1, 2), np.int64), np.empty((1, 2, 3))
     inverse.follow(*(part[None] for part in state), np.array([[450.0, 300.0]]), np.array([0]), pair,

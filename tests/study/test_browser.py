@@ -168,7 +168,10 @@ def made(tmp_path: Path, clips: Path, kind: str = "judgment", **given: Any) -> S
 
 
 @needs_browser
-@pytest.mark.parametrize("kind", ["judgment", "tagging", "likeness"])
+@pytest.mark.parametrize(
+    "kind",
+    ["judgment", *(pytest.param(k, marks=pytest.mark.slow) for k in ("tagging", "likeness"))],
+)
 def test_from_consent_to_the_code(browser: Any, clips: Path, tmp_path: Path, kind: str) -> None:
     study = made(tmp_path, clips, kind, refuse_repeats="PROLIFIC_PID")
     stumbles = kind == "judgment"  # over what is the same for all kinds

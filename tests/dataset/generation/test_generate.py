@@ -426,6 +426,7 @@ def test_the_terminal_makes_films_checks_and_says_what_was_kept(
     assert "resume" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_events_with_the_fast_planner_show_what_they_should(tmp_path: Path) -> None:
     out = tmp_path / "set"
     arguments = ["generate", "--n", "6", "--seed", "7", "--planner", "fast", "--quiet"]
