@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from phase_ppl.analysis.definitions import Definition, defined
 from phase_ppl.analysis.diagnostics import overlapping_frames
-from phase_ppl.analysis.estimate import Jackknife
+from phase_ppl.analysis.estimate import Estimate, Jackknife
 from phase_ppl.analysis.event_posterior import EventPosterior
-from phase_ppl.analysis.hypotheses import KEPT_DEFINITIONS, Given, Hypotheses
+from phase_ppl.analysis.hypotheses import HDI_PROBABILITY, KEPT_DEFINITIONS, Given, Hypotheses
 from phase_ppl.analysis.over_time import by_label
 from phase_ppl.analysis.own_sites import WithSites, with_sites
 from phase_ppl.analysis.prior_change import changed_text, settings_under
@@ -199,6 +199,29 @@ class StepwisePosterior(EventPosterior):
             n = self.planner_seeds
             self._jackknives[0.0] = Jackknife(self._weights_without(), n - 1.0) if n > 1 else None
         return self._jackknives[0.0]
+
+    def mean(self, name: str, *, given: Given = None) -> Estimate:
+        return self._sure_of(name, super().mean(name, given=given))
+
+    def sd(self, name: str, *, given: Given = None) -> Estimate:
+        return self._sure_of(name, super().sd(name, given=given))
+
+    def median(self, name: str, *, given: Given = None) -> Estimate:
+        return self._sure_of(name, super().median(name, given=given))
+
+    def hdi(self, name: str, prob: float = HDI_PROBABILITY, *, given: Given = None) -> xr.DataArray:
+        found = super().hdi(name, prob, given=given)
+        if name in self.strengths_of.values():
+            found = found.assign_coords(error=found["error"] * np.nan)
+        return found
+
+    def _sure_of(self, name: str, found: Estimate) -> Estimate:
+        """Return an estimate; of a strength without an error.
+
+        One filter follows strengths, whatever the sets of searches find: how far these differ says
+        nothing of it.
+        """
+        return Estimate(float(found)) if name in self.strengths_of.values() else found
 
     def _weights_without(self) -> FloatArray:
         """Return (planner_seed, row) the weights without each set of searches."""

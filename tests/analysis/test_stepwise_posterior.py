@@ -67,7 +67,8 @@ def test_errors_are_the_jackknife_over_sets_of_searches() -> None:
     assert found.error == pytest.approx(expected, rel=1e-4)
     assert post.at(0).probability(relation="friendly").error == 0  # nothing was searched yet
     assert post.query("P(relation=friendly)").error == found.error
-    assert np.isfinite(post.hdi("strength_red")["error"]).all()
+    assert np.isnan(post.hdi("strength_red")["error"]).all()  # one filter follows strengths
+    assert np.isnan(post.mean("strength_red").error)
     one = StepwisePosterior(reading(planner_seeds=1, columns={"log_likelihood": likelihood}))
     assert np.isnan(one.probability(relation="friendly").error)
     assert "With one set of searches nothing tells" in str(one)
