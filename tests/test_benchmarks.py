@@ -62,9 +62,9 @@ def test_sizes_of_the_folders_of_a_package(tmp_path: Path, figures: Figures) -> 
         "def f():\n    # why\n    raise ValueError(\n        1)\n"
     )
     report: dict[str, Any] = figures("house.py", str(package))
-    assert report["thing"] == {"files": 1, "lines": 5, "code": 1, "raise": 0}
-    assert report["thing/part"] == {"files": 1, "lines": 4, "code": 3, "raise": 1}
-    assert report["thing, all"] == {"files": 2, "lines": 9, "code": 4, "raise": 1}
+    assert report["__init__.py"] == {"files": 1, "lines": 5, "code": 1, "docs": 3}
+    assert report["part"] == {"files": 1, "lines": 4, "code": 3, "docs": 0}
+    assert report["all"] == {"files": 2, "lines": 9, "code": 4, "docs": 3}
 
 
 def test_one_behaviour_with_a_changed_planner(figures: Figures) -> None:
