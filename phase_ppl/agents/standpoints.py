@@ -15,9 +15,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from phase_ppl.agents.subgoals import Stance, stance
+from phase_ppl.agents.subgoals import Stance, stance, wants
 from phase_ppl.world.arrays import IntArray
-from phase_ppl.world.goals import goal_literal, is_self_referring
+from phase_ppl.world.goals import goal_literal, possible_goals
 from phase_ppl.world.names import NOTHING, STOP, Literal
 from phase_ppl.world.scene import World
 
@@ -74,61 +74,65 @@ class Standpoints:
     def _of_pairs(self, world: World) -> None:
         self._table: IntArray | None = None
         self.n = self._n_goals**2
-        pairs = list(itertools.product(*(_possible(holder, world) for holder in range(2))))
+        pairs = list(itertools.product(*(possible_goals(holder, world) for holder in range(2))))
         places = [red * self._n_goals + green for red, green in pairs]
         self.alike = alike(self._agent, pairs, places, world)
         self.alike.sort(key=lambda one: one.own)
 
     def _of_any(self, world: World) -> None:
         agent, n_goals, others = self._agent, self._n_goals, self._others
-        literals = {
-            holder: {goal: goal_literal(goal, holder, world) for goal in _possible(holder, world)}
+        literals = [
+            {goal: goal_literal(goal, holder, world) for goal in possible_goals(holder, world)}
             for holder in range(len(world.agents))
-        }
+        ]
         # (goal) of each other the one that is the same, or the opposite
         self._same = np.full((len(others), n_goals), -1)
         self._opposite = np.full((len(others), n_goals), -1)
         for place, other in enumerate(others):
-            goal_of = {literal: goal for goal, literal in literals[other].items()}
             for own, literal in literals[agent].items():
-                self._same[place, own] = goal_of.get(literal, -1)
-                self._opposite[place, own] = goal_of.get(literal.negated(), -1)
+                for goal, theirs in literals[other].items():
+                    if wants(literal, agent, theirs, other):
+                        self._same[place, own] = goal
+                    elif wants(literal.negated(), agent, theirs, other):
+                        self._opposite[place, own] = goal
         self._whose = np.full(n_goals, agent)
         self._table = np.full((n_goals, _KINDS ** len(others), n_goals), -1)
         self.n = 0
         for own, literal in literals[agent].items():
             known: dict[Stance, Alike] = {}
             for kinds in itertools.product(range(_KINDS), repeat=len(others)):
-                wants: list[Literal] = [literal] * (len(others) + 1)
-                wanted = [-1] * (len(others) + 1)
-                for place, (other, kind) in enumerate(zip(others, kinds, strict=True)):
-                    goal = (-1, self._same[place, own], self._opposite[place, own])[kind]
-                    wanted[other] = int(goal)
-                    wants[other] = (STOP, literal, literal.negated())[kind]
-                if any(k and wanted[o] < 0 for o, k in zip(others, kinds, strict=True)):
+                goals = {
+                    other: (None, int(self._same[place, own]), int(self._opposite[place, own]))[
+                        kind
+                    ]
+                    for place, (other, kind) in enumerate(zip(others, kinds, strict=True))
+                }
+                if -1 in goals.values():  # nobody can want that
                     continue
-                towards = stance(agent, wants)
+                everyone = [STOP] * len(literals)
+                everyone[agent] = literal
+                for other, wanted in goals.items():
+                    if wanted is not None:
+                        everyone[other] = literals[other][wanted]
+                towards = stance(agent, everyone)
                 code = sum(kind * _KINDS**place for place, kind in enumerate(kinds))
+                one = known.setdefault(towards, Alike(own, literal, towards, [], []))
                 if towards.helps_along:
                     self._whose[own] = towards.other
-                    one = known.setdefault(towards, Alike(own, literal, towards, [], []))
-                    left = (
-                        [wanted[towards.other]]
-                        if wanted[towards.other] >= 0
-                        else literals[towards.other]
-                    )
-                    for goal in left:
-                        if goal not in one.others:
-                            one.others.append(goal)
-                            one.places.append(self.n)
-                            self.n += 1
-                        self._table[own, code, goal] = one.places[one.others.index(goal)]
-                    continue
-                if towards not in known:
-                    known[towards] = Alike(own, literal, towards, [own], [self.n])
-                    self.n += 1
-                self._table[own, code] = known[towards].places[0]
+                    theirs = goals[towards.other]
+                    for goal in literals[towards.other] if theirs is None else [theirs]:
+                        self._table[own, code, goal] = self._place(one, goal)
+                else:
+                    self._table[own, code] = self._place(one, own)
             self.alike += known.values()
+
+    def _place(self, one: Alike, goal: int) -> int:
+        """Return the number of the standpoint with another's goal, a new one if need be."""
+        if goal not in one.others:
+            one.others.append(goal)
+            one.places.append(self.n)
+            self.n += 1
+        return one.places[one.others.index(goal)]
 
 
 @functools.cache
@@ -160,8 +164,3 @@ def alike(
         others.append(each[other])
         numbers.append(place)
     return [Alike(*key, *lists) for key, lists in groups.items()]
-
-
-def _possible(holder: int, world: World) -> list[int]:
-    """Return the goals that an agent can have."""
-    return [goal for goal in range(len(world.goals)) if not is_self_referring(goal, holder, world)]

@@ -37,8 +37,8 @@ def stance(agent: int, goals: Sequence[Literal]) -> Stance:
     own = goals[agent]
     others = [other for other in range(len(goals)) if other != agent]
     about = [own.subject] if own.subject in others else []
-    alike = [other for other in others if goals[other] == own]
-    against = [other for other in others if goals[other] == own.negated()]
+    alike = [other for other in others if wants(own, agent, goals[other], other)]
+    against = [other for other in others if wants(own.negated(), agent, goals[other], other)]
     concerned = [*about, *(alike + against if own.positive else against + alike), *others, NOTHING]
     return Stance(
         concerned[0],
@@ -46,6 +46,14 @@ def stance(agent: int, goals: Sequence[Literal]) -> Stance:
         bool(against),
         bool(about) and own.predicate is Predicate.ON and own.positive,
     )
+
+
+def wants(own: Literal, agent: int, theirs: Literal, other: int) -> bool:
+    """Return whether another agent wants what ``own`` of an agent says.
+
+    Two who are to touch each other each have a goal of their own.
+    """
+    return own == theirs or (own.says(theirs) and {own.subject, own.target} != {agent, other})
 
 
 class SubgoalPlanner:

@@ -21,7 +21,7 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import instance_of, whole_number
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
 from phase_ppl.world.event import Event, Truth
-from phase_ppl.world.goals import goal_literal, is_self_referring, is_true
+from phase_ppl.world.goals import goal_literal, is_true, possible_goals
 from phase_ppl.world.hypothesis import STRENGTH, Roles
 from phase_ppl.world.names import NOTHING
 from phase_ppl.world.observation import SHOWN_SECONDS_PER_FRAME, Observation
@@ -177,7 +177,8 @@ class WorldEnv(_ParallelEnv):  # type: ignore[misc]
             if given["relation"] is not None:
                 raise InvalidSettingError("relation= goes with goals=")
             goals = {
-                name: int(rng.choice(_own(agent, world))) for agent, name in enumerate(world.agents)
+                name: int(rng.choice(possible_goals(agent, world)))
+                for agent, name in enumerate(world.agents)
             }
         self.roles = Roles.of(world, goals, given["relation"], self._strength)
         self.scene: Scene = scene
@@ -289,9 +290,3 @@ class WorldEnv(_ParallelEnv):  # type: ignore[misc]
             one, other = self.roles.strengths
             truth = Truth(red, green, strength_red=one, strength_green=other)
         return Event(self.scene, Observation(np.array(self._frames)), id=id, truth=truth)
-
-
-def _own(agent: int, world: World) -> list[int]:
-    """Return the goals that an agent can have, as indices."""
-    goals = range(len(world.goals))
-    return [goal for goal in goals if not is_self_referring(goal, agent, world)]

@@ -25,24 +25,23 @@ import jax.numpy as jnp
 import numpy as np
 import numpyro
 import numpyro.distributions as dist
-from jax.scipy.special import logsumexp
 from numpyro import handlers
 from numpyro.infer.inspect import get_dependencies
 
 from phase_ppl.models import priors
-from phase_ppl.models.sites import IMPOSSIBLE
+from phase_ppl.models.sites import ALPHA_PROBABILITIES, IMPOSSIBLE
 from phase_ppl.models.stepwise import nodes_of, place_of_level
 from phase_ppl.world import hypothesis
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown
-from phase_ppl.world.goals import is_self_referring
+from phase_ppl.world.goals import possible_goals
 from phase_ppl.world.hypothesis import STRENGTH_RANGE, Roles
 from phase_ppl.world.identity import qualified_name
 from phase_ppl.world.scene import World
 
 COMPANY_SITE: Final = "company"
-SOCIAL: Final = 2 / 3
+SOCIAL: Final = 1 - ALPHA_PROBABILITIES[0]
 """Probability that some agent helps or hinders another (paper, Appendix 4B)."""
 
 RolePrior = Callable[[World], object]
@@ -69,9 +68,9 @@ def strength_sites(world: World) -> tuple[str, ...]:
 def goals(world: World) -> None:
     """Sample the agents' own goals: all that an agent can have are alike."""
     for agent, name in enumerate(goal_sites(world)):
-        own = [is_self_referring(goal, agent, world) for goal in range(len(world.goals))]
-        logits = jnp.where(jnp.array(own), IMPOSSIBLE, 0.0)
-        numpyro.sample(name, dist.Categorical(logits=logits))
+        logits = np.full(len(world.goals), IMPOSSIBLE)
+        logits[possible_goals(agent, world)] = 0.0
+        numpyro.sample(name, dist.Categorical(logits=jnp.asarray(logits)))
 
 
 def company(world: World, social: float = SOCIAL) -> None:
@@ -82,11 +81,8 @@ def company(world: World, social: float = SOCIAL) -> None:
         social: probability that any does; all ways are alike then.
     """
     n = len(hypothesis.company(len(world.agents)))
-    if n > 1:
-        probs = jnp.array([1.0 - social, *[social / (n - 1)] * (n - 1)])
-        numpyro.sample(COMPANY_SITE, dist.Categorical(probs=probs))
-    else:
-        numpyro.sample(COMPANY_SITE, dist.Categorical(probs=jnp.ones(1)))
+    probs = [1.0 - social, *[social / (n - 1)] * (n - 1)] if n > 1 else [1.0]
+    numpyro.sample(COMPANY_SITE, dist.Categorical(probs=jnp.array(probs)))
 
 
 def strengths(world: World) -> None:
@@ -184,6 +180,10 @@ def factors(prior: Callable[..., object], world: World, levels: tuple[float, ...
                 f"the prior {name} does not sample {site!r}; in {world.name!r} it takes "
                 f"{', '.join(wanted)}"
             )
+        if trace[site]["is_observed"]:
+            raise InvalidSettingError(
+                f"the prior {name} conditions on {site!r} (obs=); a prior only samples"
+            )
         others = sorted(set(depends.get(site, {})) - {site})
         if others:
             raise InvalidSettingError(
@@ -212,18 +212,21 @@ def factors(prior: Callable[..., object], world: World, levels: tuple[float, ...
     n_ways = len(hypothesis.company(len(world.agents)))
     own = np.stack([masses(site, len(world.goals)) for site in goal_sites(world)])
     for agent, goal in np.argwhere(np.isfinite(own)).tolist():
-        if is_self_referring(goal, agent, world):
+        if goal not in possible_goals(agent, world):
             raise InvalidSettingError(
                 f"the prior {name} gives mass to the goal {world.goals[goal]!r} of the "
                 f"{world.agents[agent]}, whom it names"
             )
-    return Factors(
-        own,
-        masses(COMPANY_SITE, n_ways),
-        np.stack(
-            [_of_levels(trace[site]["fn"], np.array(levels)) for site in strength_sites(world)]
-        ),
-    )
+    forces = []
+    for site in strength_sites(world):
+        of_levels = _of_levels(trace[site]["fn"], np.array(levels))
+        if not np.isfinite(of_levels).any():
+            low, high = STRENGTH_RANGE
+            raise InvalidSettingError(
+                f"the prior {name} gives {site} no mass between {low:g} and {high:g} newtons"
+            )
+        forces.append(of_levels)
+    return Factors(own, masses(COMPANY_SITE, n_ways), np.stack(forces))
 
 
 def _of_levels(found: Any, levels: FloatArray) -> FloatArray:
@@ -231,9 +234,5 @@ def _of_levels(found: Any, levels: FloatArray) -> FloatArray:
     values, weights = nodes_of(found, levels)
     density = np.asarray(found.log_prob(jnp.asarray(values)), np.float64) + np.log(weights)
     place = place_of_level(values, levels)
-    return np.array(
-        [
-            float(logsumexp(jnp.asarray(np.append(density[place == level], -1e30))))
-            for level in range(len(levels))
-        ]
-    )
+    found = [np.logaddexp.reduce(density[place == level]) for level in range(len(levels))]
+    return np.array(found)

@@ -100,6 +100,11 @@ def is_self_referring(goal: str | int, holder: int, world: World = PHASE) -> boo
     )
 
 
+def possible_goals(holder: int, world: World = PHASE) -> list[int]:
+    """Return the goals that an agent can have, indices into those of the world."""
+    return [goal for goal in range(len(world.goals)) if not is_self_referring(goal, holder, world)]
+
+
 def neighbouring_goals(goal: str | int) -> tuple[int, ...]:
     """Return the goals that differ from ``goal`` in one thing.
 
@@ -140,11 +145,18 @@ def shared_goal(
     literal = goal_literal(goal, owner, world)
     if literal.predicate is not Predicate.TOUCH:
         return goal_index(goal, world)
+    return literal_goal(shared_literal(literal, helper), helper, world)
+
+
+def shared_literal(literal: Literal, helper: int) -> Literal:
+    """Return the literal of an owner's goal as an agent has it that helps."""
+    if literal.predicate is not Predicate.TOUCH:
+        return literal
     if literal.target == helper:
-        literal = literal._replace(subject=helper, target=literal.subject)
-    elif literal.subject == literal.target:  # the owner's goal names itself
-        literal = literal._replace(subject=helper)
-    return literal_goal(literal, helper, world)
+        return literal._replace(subject=helper, target=literal.subject)
+    if literal.subject == literal.target:  # the owner's goal names itself
+        return literal._replace(subject=helper)
+    return literal
 
 
 def opposed_goal(

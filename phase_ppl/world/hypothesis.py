@@ -22,9 +22,9 @@ from phase_ppl.world.goals import (
     goal_index,
     goal_literal,
     is_self_referring,
-    opposed_goal,
+    shared_literal,
 )
-from phase_ppl.world.names import AGENTS, GREEN, RED, Predicate
+from phase_ppl.world.names import AGENTS, GREEN, RED
 from phase_ppl.world.picture import preformatted
 from phase_ppl.world.scene import PHASE, World
 
@@ -46,25 +46,22 @@ def scenario(
 ) -> str:
     """Return the scenario of two effective goals, in PHASE defined on all 36 x 36 pairs.
 
-    Equal goals, or both to get to each other: collaborative. One negates the other: opposing.
+    The same is to be true, as with equal goals or both to get to each other: collaborative, but not
+    where they avoid each other. One negates the other: opposing.
     The same item to two landmarks: competing. Everything else: independent. In another world the
     goals are those of its agents ``holders``.
     """
     red, green = world.goal_index(goal_red), world.goal_index(goal_green)
     one, other = holders
     literal_red, literal_green = goal_literal(red, one, world), goal_literal(green, other, world)
-    both_approach = all(
-        literal.predicate is Predicate.TOUCH and literal.positive and literal.target == target
-        for literal, target in ((literal_red, other), (literal_green, one))
-    )
-    if red == green or both_approach:
+    # to keep away from each other is nothing that two share
+    avoid = not literal_red.positive and {literal_red.subject, literal_red.target} == {one, other}
+    if red == green or (literal_red.says(literal_green) and not avoid):
         return "collaborative"
     # both ways, since a goal that names its own holder is nobody's to negate
-    against_green, against_red = (
-        opposed_goal(green, other, one, world),
-        opposed_goal(red, one, other, world),
-    )
-    if red == against_green and green == against_red:
+    if literal_red.says(shared_literal(literal_green, one).negated()) and literal_green.says(
+        shared_literal(literal_red, other).negated()
+    ):
         return "opposing"
     same_item = literal_red.subject == literal_green.subject >= len(world.agents)
     if same_item and literal_red.positive and literal_green.positive:

@@ -55,5 +55,11 @@ class Literal(NamedTuple):
     def negated(self) -> Literal:
         return self._replace(positive=not self.positive)
 
+    def says(self, other: Literal) -> bool:
+        """Whether it is true where the other is: who of two touches whom is the same."""
+        if self.predicate is not Predicate.TOUCH:
+            return self == other
+        return self == other or other == self._replace(subject=self.target, target=self.subject)
+
 
 STOP = Literal(Predicate.STOP, 0, 0)
