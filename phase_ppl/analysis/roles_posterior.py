@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 from collections.abc import Callable, Iterator
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import xarray as xr
@@ -18,20 +19,19 @@ from phase_ppl.analysis.roles_table import (
     DIMENSIONS,
     MOST_HYPOTHESES,
     SCHEMA,
-    Hypotheses,
+    RoleRows,
     RolesTable,
     check,
 )
 from phase_ppl.analysis.stepwise_posterior import FILTERING, StepwisePosterior
 from phase_ppl.analysis.summary import wrapped
-from phase_ppl.dataset.hdf5 import read_netcdf, root_attribute
+from phase_ppl.dataset.hdf5 import root_attribute
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
-from phase_ppl.world.files import existing_file
+from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.hypothesis import RELATIONS, Roles, company
 from phase_ppl.world.scene import World
 
-ALPHAS = ("-1", "0", "1")
+SIGNS: Final = ("-1", "0", "1")
 """Labels of ``alpha_<who>_<whom>``: hinders, neither, helps."""
 
 
@@ -44,17 +44,18 @@ def quantities_of(world: World) -> dict[str, Quantity]:
     """
     keys = world.keys
     found = {f"goal_{key}": Quantity(f"goal_{key}", world.goals) for key in keys}
-    for b, other in enumerate(keys):
-        for one in keys[:b]:
-            name = f"relation_{one}_{other}"
-            found[name] = Quantity(name, RELATIONS)
-    for one in keys:
-        for other in keys:
-            if one != other:
-                name = f"alpha_{one}_{other}"
-                found[name] = Quantity(name, ALPHAS, (-1, 0, 1))
-    found |= {f"strength_{key}": Quantity(f"strength_{key}") for key in keys}
-    return found
+    for name in relations_of(world).values():
+        found[name] = Quantity(name, RELATIONS)
+    for pair in itertools.permutations(keys, 2):
+        name = "_".join(("alpha", *pair))
+        found[name] = Quantity(name, SIGNS, (-1, 0, 1))
+    return found | {f"strength_{key}": Quantity(f"strength_{key}") for key in keys}
+
+
+def relations_of(world: World) -> dict[str, str]:
+    """Return two agents' keys -> the quantity of their relation."""
+    pairs = itertools.combinations(world.keys, 2)
+    return {f"{one} & {other}": f"relation_{one}_{other}" for one, other in pairs}
 
 
 class RolesPosterior(StepwisePosterior):
@@ -76,6 +77,7 @@ class RolesPosterior(StepwisePosterior):
     """
 
     _table: Any
+    _schema = SCHEMA
 
     def __init__(
         self, found: xr.Dataset, frame: int | None = None, *, table: RolesTable | None = None
@@ -94,15 +96,10 @@ class RolesPosterior(StepwisePosterior):
         keys = dict(zip(world.agents, world.keys, strict=True))
         self.goals_of = {agent: f"goal_{key}" for agent, key in keys.items()}
         self.strengths_of = {agent: f"strength_{key}" for agent, key in keys.items()}
-        known = quantities_of(world)
-        self.relations_of = {
-            " & ".join(name.split("_", 1)[1].split("_")): name
-            for name in known
-            if name.startswith("relation_")
-        }
+        self.relations_of = relations_of(world)
         self.scenarios_of = MappingProxyType({})
         self._attrs, self._constant = found.attrs, found
-        EventPosterior.__init__(self, known, rows)
+        EventPosterior.__init__(self, quantities_of(world), rows)
         self._define_kept(found.attrs)
 
     def _weights_without(self) -> FloatArray:
@@ -142,8 +139,8 @@ class RolesPosterior(StepwisePosterior):
 
     def map(self) -> Roles:  # type: ignore[override]  # of another world
         """Return the most probable roles of all agents."""
-        hypotheses: Hypotheses = self._table.hypotheses
-        best = int(self._table.log_masses(self._frame)[0].argmax())
+        hypotheses: RoleRows = self._table.hypotheses
+        best = self._table.most_probable(self._frame)
         way = company(len(self.world.agents))[hypotheses.way[best]]
         goals = hypotheses.goals[best].tolist()
         stated = tuple(None if one else goal for goal, one in zip(goals, way, strict=True))
@@ -165,7 +162,7 @@ class RolesPosterior(StepwisePosterior):
         codes = self._table.codes(self._table.hypotheses.goals)
         known, n = quantities_of(self.world), self._frame + 1
         sizes = {name: len(known[name].categories()) for name in codes}
-        masses = {name: np.empty((self._n_tables, n, size)) for name, size in sizes.items()}
+        masses = {name: np.empty((self._table.n_tables, n, size)) for name, size in sizes.items()}
         for t, weights in zip(range(n), self._table.over_time(), strict=False):
             for name, size in sizes.items():
                 for row, own in enumerate(weights):
@@ -179,35 +176,20 @@ class RolesPosterior(StepwisePosterior):
             result = result.assign_coords({f"{name}_is": list(known[name].categories())})
         return result.assign_attrs(filtering=FILTERING)
 
-    @property
-    def _n_tables(self) -> int:
-        return 1 + (self.planner_seeds if self.planner_seeds > 1 else 0)
-
     def _columns(self) -> dict[str, NDArray[Any]]:
         return self._table.columns()  # type: ignore[no-any-return]
 
     def _log_masses(self, frame: int) -> Iterator[FloatArray]:
         yield from self._table.log_masses(frame)
 
-    @classmethod
-    def load(cls, path: str | os.PathLike[str], **_: object) -> RolesPosterior:
-        """Read a posterior that :meth:`save` wrote.
-
-        Raises:
-            InvalidEventError: there is no such file, or it is damaged or of another kind.
-        """
-        source = existing_file(path)
-        try:
-            return cls(read_netcdf(source)["/"])
-        except InvalidEventError as error:
-            raise InvalidEventError(f"{source}: {error}") from None
-
     def _notes(self) -> list[str]:
         if not self._table.sampled:
             return []
+        n = self._table.n_effective(self._frame)
         words = (
-            f"of {self._table.n_hypotheses:.2g} hypotheses {MOST_HYPOTHESES} were drawn: "
-            "probabilities are Monte-Carlo means"
+            f"of {self._table.n_hypotheses:.2g} hypotheses {MOST_HYPOTHESES} were drawn, worth "
+            f"{n:.0f} of equal weight: probabilities are Monte-Carlo means with standard errors of "
+            f"up to {0.5 / n**0.5:.1g}, beside those shown"
         )
         return wrapped("hypotheses", words)
 

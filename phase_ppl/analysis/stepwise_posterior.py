@@ -9,7 +9,7 @@ import os
 import re
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, ClassVar, Final, Self
 
 import numpy as np
 import xarray as xr
@@ -99,6 +99,8 @@ class StepwisePosterior(EventPosterior):
         InvalidEventError: ``found`` lacks something; the message names it.
         InvalidSettingError: there is no such frame.
     """
+
+    _schema: ClassVar[str] = SCHEMA
 
     def __init__(
         self,
@@ -283,7 +285,7 @@ class StepwisePosterior(EventPosterior):
         A perfect match is a frame exactly where an action puts it, were that action certain; what
         was expected is the posterior given the frames before. 0 for the first frame.
         """
-        found = self._found["log_peak"].values - self._table.log_predictive()
+        found = self._found["log_peak"].values - self._table.log_predictive
         return np.asarray(found[: self._frame + 1])
 
     def diagnostics(self) -> dict[str, Any]:
@@ -463,12 +465,13 @@ class StepwisePosterior(EventPosterior):
             InvalidEventError: there is no such file, or it is damaged or of another kind.
         """
         source = existing_file(path)
-        if not is_stepwise(source):
+        if root_attribute(source, "schema") != cls._schema:
             raise InvalidEventError(
-                f"{source} was not read step by step: load_posterior or Posterior.load reads it"
+                f"{source} is not of this kind: phase_ppl.load_posterior reads any posterior"
             )
+        given = {} if scenario is None else {"scenario": scenario}
         try:
-            return cls(read_netcdf(source)["/"], scenario=scenario)
+            return cls(read_netcdf(source)["/"], **given)
         except InvalidEventError as error:
             raise InvalidEventError(f"{source}: {error}") from None
 
@@ -521,7 +524,7 @@ class StepwisePosterior(EventPosterior):
         return []
 
     def __repr__(self) -> str:
-        return f"<StepwisePosterior of {self.event_id} after frame {self._frame}>"
+        return f"<{type(self).__name__} of {self.event_id} after frame {self._frame}>"
 
 
 def _verdict(found: Mapping[str, Any]) -> str:

@@ -44,6 +44,8 @@ COMPANY_SITE: Final = "company"
 SOCIAL: Final = 1 - ALPHA_PROBABILITIES[0]
 """Probability that some agent helps or hinders another (paper, Appendix 4B)."""
 
+_DRAWS: Final = 1000  # of roles, until all can act on their goals
+
 RolePrior = Callable[[World], object]
 
 
@@ -104,17 +106,29 @@ def draw(world: World, seed: int, prior: Callable[..., object] = uniform) -> Rol
     Args:
         world: whose agents and goals.
         seed: the same seed gives the same roles.
-        prior: NumPyro program of a world, or a ready-made one.
+        prior: NumPyro program of a world, or a ready-made one. Drawn is from what it says of roles
+            in which whoever helps or hinders has something to do.
+
+    Raises:
+        InvalidSettingError: it gives (nearly) all mass to others.
     """
     program = functools.partial(in_world(prior, world), world)
     key = jax.random.key(whole_number("seed", seed, 0))
-    trace = handlers.trace(handlers.seed(program, key)).get_trace()
-    values = {name: site["value"] for name, site in trace.items() if site["type"] == "sample"}
-    towards = hypothesis.company(len(world.agents))[int(values[COMPANY_SITE])]
-    own = [int(values[name]) for name in goal_sites(world)]
-    stated = tuple(None if one else goal for goal, one in zip(own, towards, strict=True))
-    strengths = tuple(float(values[name]) for name in strength_sites(world))
-    return Roles(world, stated, towards, strengths)
+    for _ in range(_DRAWS):
+        trace = handlers.trace(handlers.seed(program, key)).get_trace()
+        values = {name: site["value"] for name, site in trace.items() if site["type"] == "sample"}
+        towards = hypothesis.company(len(world.agents))[int(values[COMPANY_SITE])]
+        own = [int(values[name]) for name in goal_sites(world)]
+        stated = tuple(None if one else goal for goal, one in zip(own, towards, strict=True))
+        strengths = tuple(float(values[name]) for name in strength_sites(world))
+        roles = Roles(world, stated, towards, strengths)
+        if roles.is_possible:
+            return roles
+        key = jax.random.fold_in(key, 1)
+    raise InvalidSettingError(
+        f"the prior {qualified_name(prior)} draws none but agents that help or hinder with goals "
+        f"that {world.name!r} does not have"
+    )
 
 
 _READY_MADE: Final[dict[Any, RolePrior]] = {

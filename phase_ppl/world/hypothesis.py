@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.world.checks import instance_of
-from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
+from phase_ppl.world.errors import InvalidSettingError, UnknownNameError, shown, unknown_name
 from phase_ppl.world.goals import (
     GOALS,
     N_GOALS,
@@ -313,7 +313,8 @@ class Roles:
         Raises:
             UnknownNameError: there is no such agent, goal or relation.
             InvalidSettingError: an agent has no goal, more than one relation, or one to itself or
-                to an agent without a goal of its own; or a strength is no positive force.
+                to an agent without a goal of its own, or can do nothing for or against that goal
+                that is a goal of the world; or a strength is no positive force.
         """
         agents = world.agents
         instance_of("goals", goals, Mapping, "a mapping of agents to goals")
@@ -355,7 +356,15 @@ class Roles:
             checked_strength(f"strength of the {name}", forces.get(name, STRENGTH))
             for name in agents
         )
-        return cls(world, tuple(stated), tuple(towards), strengths)
+        roles = cls(world, tuple(stated), tuple(towards), strengths)
+        for (who, whom), word in roles.relation.items():
+            if roles._acts_on(world.agent(who)) is None:
+                goal = world.goals[stated[world.agent(whom)] or 0]
+                raise InvalidSettingError(
+                    f"the {who} cannot {word} the {whom} with {goal!r}: what it would then want is "
+                    f"no goal of {world.name!r}"
+                )
+        return roles
 
     @property
     def effective_goals(self) -> tuple[int, ...]:
@@ -365,6 +374,18 @@ class Roles:
             effective_goal(stated, agent, towards, self.world)
             for agent, towards in enumerate(self.towards)
         )
+
+    @property
+    def is_possible(self) -> bool:
+        """Whether what each would act on is a goal of the world."""
+        return all(self._acts_on(agent) is not None for agent in range(len(self.towards)))
+
+    def _acts_on(self, agent: int) -> int | None:
+        stated = [0 if goal is None else goal for goal in self.stated]
+        try:
+            return effective_goal(stated, agent, self.towards[agent], self.world)
+        except UnknownNameError:
+            return None
 
     def effective(self) -> Roles:
         """Return the same with effective goals as stated ones, and nobody who helps or hinders."""
