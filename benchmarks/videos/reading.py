@@ -193,7 +193,7 @@ class Recorder(SearchSets):
             self.densities.append(advance(*arguments))
             return self.densities[-1]
 
-        self.hidden.advance = advanced  # type: ignore[method-assign]
+        self.hidden.advance = advanced  # type: ignore
 
     def look(self, wanted: Sequence[NDArray[np.bool_]] | None = None) -> list[list[Looked]]:
         assert wanted is not None

@@ -109,18 +109,17 @@ class Standpoints:
                 }
                 if -1 in goals.values():  # nobody can want that
                     continue
-                everyone = [STOP] * len(literals)
+                everyone: list[Literal] = [STOP] * len(literals)
                 everyone[agent] = literal
-                for other, wanted in goals.items():
-                    if wanted is not None:
-                        everyone[other] = literals[other][wanted]
+                for other, its in goals.items():
+                    everyone[other] = STOP if its is None else literals[other][its]
                 towards = stance(agent, everyone)
                 code = sum(kind * _KINDS**place for place, kind in enumerate(kinds))
                 one = known.setdefault(towards, Alike(own, literal, towards, [], []))
                 if towards.helps_along:
                     self._whose[own] = towards.other
-                    theirs = goals[towards.other]
-                    for goal in literals[towards.other] if theirs is None else [theirs]:
+                    helped = goals[towards.other]
+                    for goal in literals[towards.other] if helped is None else [helped]:
                         self._table[own, code, goal] = self._place(one, goal)
                 else:
                     self._table[own, code] = self._place(one, own)

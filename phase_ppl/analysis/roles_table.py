@@ -351,8 +351,8 @@ def relation_tables(world: World) -> dict[tuple[int, int], IntArray]:
     found = {}
     for pair in itertools.combinations(range(len(world.agents)), 2):
         table = np.full((len(world.goals), len(world.goals)), RELATIONS.index("neutral"))
-        for goals in itertools.product(*(possible_goals(agent, world) for agent in pair)):
-            name = RELATION_OF_SCENARIO[scenario(*goals, world, pair)]
-            table[goals] = RELATIONS.index(name)
+        for one, other in itertools.product(*(possible_goals(agent, world) for agent in pair)):
+            name = RELATION_OF_SCENARIO[scenario(one, other, world, pair)]
+            table[one, other] = RELATIONS.index(name)
         found[pair] = table
     return found

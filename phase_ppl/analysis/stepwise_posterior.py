@@ -469,7 +469,7 @@ class StepwisePosterior(EventPosterior):
             raise InvalidEventError(
                 f"{source} is not of this kind: phase_ppl.load_posterior reads any posterior"
             )
-        given = {} if scenario is None else {"scenario": scenario}
+        given: dict[str, Any] = {} if scenario is None else {"scenario": scenario}
         try:
             return cls(read_netcdf(source)["/"], **given)
         except InvalidEventError as error:

@@ -357,12 +357,12 @@ class Roles:
             for name in agents
         )
         roles = cls(world, tuple(stated), tuple(towards), strengths)
-        for (who, whom), word in roles.relation.items():
-            if roles._acts_on(world.agent(who)) is None:
-                goal = world.goals[stated[world.agent(whom)] or 0]
+        for (helper, owner), word in roles.relation.items():
+            if roles._acts_on(world.agent(helper)) is None:
+                own = world.goals[stated[world.agent(owner)] or 0]
                 raise InvalidSettingError(
-                    f"the {who} cannot {word} the {whom} with {goal!r}: what it would then want is "
-                    f"no goal of {world.name!r}"
+                    f"the {helper} cannot {word} the {owner} with {own!r}: what it would "
+                    f"then want is no goal of {world.name!r}"
                 )
         return roles
 
