@@ -249,10 +249,11 @@ class RolesTable:
             combination = np.tile(np.arange(len(of_strengths)), len(kept))
             kept = np.repeat(kept, len(of_strengths))
             weights = (weights[:, :, None] * of_strengths).reshape(len(weights), -1)
-        else:  # one combination each, in their proportions
-            at = np.arange(len(kept)) * _GOLDEN % 1.0
-            combination = np.searchsorted(np.cumsum(of_strengths), at)
+        else:  # two combinations each, in their proportions
+            at = (np.arange(len(kept)) * _GOLDEN)[:, None] + [0.0, 0.5]
+            combination = np.searchsorted(np.cumsum(of_strengths), (at % 1.0).ravel())
             combination = np.minimum(combination, len(of_strengths) - 1)
+            kept, weights = np.repeat(kept, 2), np.repeat(weights, 2, axis=1)
         weights /= weights.sum(axis=1, keepdims=True)
         values = self.columns(kept)
         newtons = self._found["combinations"].values[combination]

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from phase_ppl.analysis.definitions import Definition, defined
 from phase_ppl.analysis.diagnostics import overlapping_frames
-from phase_ppl.analysis.estimate import Estimate, Jackknife
+from phase_ppl.analysis.estimate import Jackknife
 from phase_ppl.analysis.event_posterior import EventPosterior
-from phase_ppl.analysis.hypotheses import HDI_PROBABILITY, KEPT_DEFINITIONS, Given, Hypotheses
+from phase_ppl.analysis.hypotheses import KEPT_DEFINITIONS, Given, Hypotheses
 from phase_ppl.analysis.over_time import by_label
 from phase_ppl.analysis.own_sites import WithSites, with_sites
 from phase_ppl.analysis.prior_change import changed_text, settings_under
@@ -42,7 +42,7 @@ from phase_ppl.analysis.summary import plain, wrapped
 from phase_ppl.analysis.verdict import frames_text, overlap_sign, undecided
 from phase_ppl.analysis.weights import log_sum_exp
 from phase_ppl.dataset.hdf5 import netcdf_bytes, read_netcdf, root_attribute
-from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, QueryError
 from phase_ppl.world.files import check_output, existing_file, write_bytes
 from phase_ppl.world.goals import N_GOALS
@@ -202,28 +202,22 @@ class StepwisePosterior(EventPosterior):
             self._jackknives[0.0] = Jackknife(self._weights_without(), n - 1.0) if n > 1 else None
         return self._jackknives[0.0]
 
-    def mean(self, name: str, *, given: Given = None) -> Estimate:
-        return self._sure_of(name, super().mean(name, given=given))
+    def _has_error(self, *columns: NDArray[Any]) -> bool:
+        """Return whether no column depends on strengths.
 
-    def sd(self, name: str, *, given: Given = None) -> Estimate:
-        return self._sure_of(name, super().sd(name, given=given))
-
-    def median(self, name: str, *, given: Given = None) -> Estimate:
-        return self._sure_of(name, super().median(name, given=given))
-
-    def hdi(self, name: str, prob: float = HDI_PROBABILITY, *, given: Given = None) -> xr.DataArray:
-        found = super().hdi(name, prob, given=given)
-        if name in self.strengths_of.values():
-            found = found.assign_coords(error=found["error"] * np.nan)
-        return found
-
-    def _sure_of(self, name: str, found: Estimate) -> Estimate:
-        """Return an estimate; of a strength without an error.
-
-        One filter follows strengths, whatever the sets of searches find: how far these differ says
-        nothing of it.
+        One filter follows these, whatever the sets of searches find: how far the sets differ says
+        nothing of them.
         """
-        return Estimate(float(found)) if name in self.strengths_of.values() else found
+        return all((column == column[self._first_alike]).all() for column in columns)
+
+    @functools.cached_property
+    def _first_alike(self) -> IntArray:
+        """(row,) the first row with the same goals and alphas; such rows follow each other."""
+        apart = {*self.strengths_of.values(), *self._own}
+        columns = [column for name, column in self._rows.values.items() if name not in apart]
+        new = np.any([column[1:] != column[:-1] for column in columns], axis=0)
+        place = np.arange(len(self._rows.weights))
+        return np.maximum.accumulate(np.where(np.concatenate([[True], new]), place, 0))
 
     def _weights_without(self) -> FloatArray:
         """Return (planner_seed, row) the weights without each set of searches."""
