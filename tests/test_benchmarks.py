@@ -14,7 +14,9 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.dataset.generation.making import NEAR
+from tests.analysis.readings import reading
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 VIDEOS = Path(os.environ.get("PHASE_TEST") or BENCHMARKS.parents[1] / "shared" / "phase-test")
@@ -108,6 +110,27 @@ def test_one_video_is_filmed_and_read(figures: Figures) -> None:
     assert report["refused"] == {}
     assert report["position"][0] < 0.08
     assert report["position"][1] < 0.4
+
+
+def test_answers_called_decided_are_compared_with_the_truth(
+    tmp_path: Path, figures: Figures
+) -> None:
+    post = StepwisePosterior(reading())
+    leaders = {name: one["label"] for name, one in post.leaders().items()}
+    assert leaders["goal_red"] == leaders["goal_green"] == "Get blue item to red lm"
+    event = ppl.Event(
+        post.scene,
+        ppl.Observation(post.observed()),
+        id=post.event_id,
+        truth=ppl.Truth(leaders["goal_red"], "Get pink item to red lm"),
+    )
+    ppl.save_event(event, tmp_path / "event.json")
+    post.save(tmp_path / "some.nc")
+    options = ["--events", str(tmp_path / "event.json")]
+    report: dict[str, Any] = figures("decided.py", str(tmp_path), *options)[str(tmp_path)]
+    assert report["all"]["answers"] == 3
+    assert report["goals"]["right"]["value"] == 0.5
+    assert report["all"]["decided"] == sum(one["sure"] for one in post.leaders().values())
 
 
 @pytest.mark.slow

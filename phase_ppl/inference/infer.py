@@ -19,7 +19,7 @@ from phase_ppl.models.likelihood import RadialLikelihood, is_stepwise
 from phase_ppl.models.model import Model
 from phase_ppl.models.stepwise import StepwiseLikelihood
 from phase_ppl.world.checks import instance_of
-from phase_ppl.world.errors import InvalidSettingError, OutputError
+from phase_ppl.world.errors import InvalidSettingError, OutputError, shown
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import as_path, check_output, locked
 from phase_ppl.world.identity import differences, event_digest, versions_so_far
@@ -148,6 +148,11 @@ def infer(
         burn_in=burn_in,
         weights=weights,
     )
+    if "preset" in kernel_options:
+        raise InvalidSettingError(
+            f"preset={shown(kernel_options['preset'])} stands for several arguments: write "
+            "infer(event, **phase_ppl.preset(...))"
+        )
     given = {**vars(options), "chains": chains, "settings": settings, **kernel_options}
     settings = SimpleSettings() if settings is None else settings
     check_event(event, any_world=True)
