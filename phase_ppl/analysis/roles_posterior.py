@@ -23,11 +23,10 @@ from phase_ppl.analysis.roles_table import (
     RolesTable,
     check,
 )
-from phase_ppl.analysis.stepwise_posterior import FILTERING, StepwisePosterior
+from phase_ppl.analysis.stepwise_posterior import FILTERING, StepwisePosterior, frame_of
 from phase_ppl.analysis.summary import wrapped
 from phase_ppl.dataset.hdf5 import root_attribute
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.hypothesis import RELATIONS, Roles, company
 from phase_ppl.world.scene import World
 
@@ -87,10 +86,7 @@ class RolesPosterior(StepwisePosterior):
             table = RolesTable(found)
         self._found, self._table, self._scenario = found, table, None
         self._prior, self._of_sites = None, {}  # further sites are for PHASE
-        last = table.n_frames - 1
-        self._frame = last if frame is None else frame
-        if not 0 <= self._frame <= last:
-            raise InvalidSettingError(f"frame={frame!r}, expected a number in 0..{last}")
+        self._frame = frame_of(frame, table.n_frames)
         rows, self._without = table.rows(self._frame)
         world = table.world
         keys = dict(zip(world.agents, world.keys, strict=True))
@@ -163,7 +159,8 @@ class RolesPosterior(StepwisePosterior):
         known, n = quantities_of(self.world), self._frame + 1
         sizes = {name: len(known[name].categories()) for name in codes}
         masses = {name: np.empty((self._table.n_tables, n, size)) for name, size in sizes.items()}
-        for t, weights in zip(range(n), self._table.over_time(), strict=False):
+        for t in range(n):
+            weights = self._table.weights(t)
             for name, size in sizes.items():
                 for row, own in enumerate(weights):
                     masses[name][row, t] = np.bincount(codes[name], own, size)

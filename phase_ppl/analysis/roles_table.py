@@ -12,7 +12,6 @@ import contextlib
 import functools
 import itertools
 import math
-from collections.abc import Iterator
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -94,16 +93,17 @@ class RolesTable:
         self.world = kept_scene(found).world
         self._found = found
         self._weight = float(found.attrs["weight"])
-        self._prior = found["log_prior_goals"].values, found["log_prior_company"].values
+        self._log_goals = found["log_prior_goals"].values
+        self._log_company = found["log_prior_company"].values
         self._levels = np.unique(found["combinations"].values)
         self._own = of_owners(self.world)
-        # (way, its owners, how many goals each can have by the prior)
-        self._ways = [
-            (way, owners, [np.flatnonzero(np.isfinite(self._prior[0][owner])) for owner in owners])
-            for way, towards in enumerate(company(len(self.world.agents)))
-            if np.isfinite(self._prior[1][way])
-            for owners in [[a for a, one in enumerate(towards) if one is None]]
-        ]
+        # (way, its owners, the goals that each can have by the prior)
+        self._ways: list[tuple[int, list[int], list[IntArray]]] = []
+        for way, towards in enumerate(company(len(self.world.agents))):
+            owners = [agent for agent, one in enumerate(towards) if one is None]
+            if np.isfinite(self._log_company[way]):
+                own = [np.flatnonzero(np.isfinite(self._log_goals[owner])) for owner in owners]
+                self._ways.append((way, owners, own))
         self.n_hypotheses = sum(math.prod(map(len, choices)) for _, _, choices in self._ways)
         self.sampled = self.n_hypotheses > MOST_HYPOTHESES
         self._at = -1  # the frame up to which ``_so_far`` counts
@@ -159,10 +159,6 @@ class RolesTable:
         self._at = frame
         return np.asarray(rows.log_prior - rows.log_drawn + weight * self._so_far)
 
-    @property
-    def _n_tables(self) -> int:
-        return 1 + (self.n_seeds if self.n_seeds > 1 else 0)
-
     def _frame(self, t: int) -> FloatArray:
         """Return (1 + planner_seed, row) log likelihoods of one frame."""
         n, n_sets = len(self.world.agents), self.n_seeds
@@ -204,7 +200,7 @@ class RolesTable:
             n = MOST_HYPOTHESES // (2 * len(self._ways)) + (way == 0) * (MOST_HYPOTHESES // 2)
             picked, log_drawn = np.empty((n, len(owners)), np.int64), np.full(n, np.log(n))
             for column, owner in enumerate(owners):
-                own = np.exp(self._prior[0][owner])
+                own = np.exp(self._log_goals[owner])
                 share = _FROM_PRIOR * own + (1 - _FROM_PRIOR) * likely[owner] * (own > 0)
                 share /= share.sum()
                 picked[:, column] = rng.choice(len(share), n, p=share)
@@ -224,7 +220,7 @@ class RolesTable:
                 if one is not None:
                     every[:, agent] = self._own[agent, one[0], one[1]][every[:, one[0]]]
             goals.append(every)
-            log_prior.append(self._prior[1][way] + self._prior[0][owners, own].sum(axis=1))
+            log_prior.append(self._log_company[way] + self._log_goals[owners, own].sum(axis=1))
             ways.append(np.full(len(own), way))
         all_goals = np.concatenate(goals)
         possible = (all_goals >= 0).all(axis=1)
@@ -232,10 +228,22 @@ class RolesTable:
         return RoleRows(
             np.concatenate(ways)[possible],
             all_goals,
-            np.concatenate(log_prior)[possible],
+            np.concatenate(log_prior)[possible] - self._log_possible(),
             np.concatenate(log_drawn)[possible],
             [standpoints(agent, self.world).of(all_goals) for agent in range(n_agents)],
         )
+
+    def _log_possible(self) -> float:
+        """Return the log of the prior mass of roles in which everybody has something to do."""
+        masses = []
+        for way, owners, _ in self._ways:
+            own = {owner: self._log_goals[owner] for owner in owners}
+            for agent, one in enumerate(company(len(self.world.agents))[way]):
+                if one is not None:
+                    done = self._own[agent, one[0], one[1]]
+                    own[one[0]] = np.where(done >= 0, own[one[0]], -np.inf)
+            masses.append(self._log_company[way] + sum(map(log_sum_exp, own.values())))
+        return log_sum_exp(np.array(masses))
 
     # --- tables ---------------------------------------------------------------------------------
 
@@ -315,11 +323,6 @@ class RolesTable:
                     signs = [sign if whom == other else 0 for whom, sign in towards]
                     found[f"alpha_{key}_{other_key}"] = np.array(signs)[way] + 1
         return found
-
-    def over_time(self) -> Iterator[FloatArray]:
-        """Yield, frame by frame, the (1 + planner_seed, row) weights of the hypotheses."""
-        for t in range(self.n_frames):
-            yield self.weights(t)
 
     @functools.cached_property
     def log_predictive(self) -> FloatArray:

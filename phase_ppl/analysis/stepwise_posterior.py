@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import json
@@ -43,7 +44,7 @@ from phase_ppl.analysis.verdict import frames_text, overlap_sign, undecided
 from phase_ppl.analysis.weights import log_sum_exp
 from phase_ppl.dataset.hdf5 import netcdf_bytes, read_netcdf, root_attribute
 from phase_ppl.world.arrays import FloatArray, IntArray
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, QueryError
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, QueryError, shown
 from phase_ppl.world.files import check_output, existing_file, write_bytes
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
@@ -113,11 +114,8 @@ class StepwisePosterior(EventPosterior):
         check(found)
         self._found, self._scenario, self._prior = found, scenario, prior
         self._table = Table(found)
-        last = self._table.n_frames - 1
-        self._frame = last if frame is None else frame
+        self._frame = frame_of(frame, self._table.n_frames)
         self._of_sites: dict[str, Definition] = {}  # defined in terms of further sites
-        if not 0 <= self._frame <= last:
-            raise InvalidSettingError(f"frame={frame!r}, expected a number in 0..{last}")
         rows = self._table.rows(self._frame)
         self._attrs, self._constant = found.attrs, found
         columns = self._derived(dict(rows.values))
@@ -192,6 +190,8 @@ class StepwisePosterior(EventPosterior):
                 self.sites.define(name, definition)
             return self
         self.sites.define(name, definition)
+        if self._own.pop(name, None) is not None:
+            self._quantities = {key: one for key, one in self._quantities.items() if key != name}
         self._of_sites[name] = definition
         return self
 
@@ -379,12 +379,14 @@ class StepwisePosterior(EventPosterior):
         """
         if self._knowing(given=event) is not self or self._knowing(given=over) is not self:
             raise InvalidSettingError(
-                f"{over or event}: frames speak of hypotheses, not of further sites of the prior"
+                f"{event}{f' over {over}' if over else ''}: frames speak of hypotheses, not of "
+                "further sites of the prior"
             )
-        known = {n: one for n, one in self._quantities.items() if n not in self._own}
         columns = self._columns()
+        known = {n: one for n, one in self._quantities.items() if n in columns}
         for name, definition in self._own.items():
-            known[name], columns[name] = defined(name, definition, known, columns)
+            with contextlib.suppress(QueryError):  # of what frames do not speak of
+                known[name], columns[name] = defined(name, definition, known, columns)
         wanted = conditions(known, event).holds(columns)
         other = ~wanted if over is None else conditions(known, over).holds(columns)
         odds = np.empty(self._frame + 1)
@@ -403,7 +405,8 @@ class StepwisePosterior(EventPosterior):
                     odds[t] = found
         if not np.isfinite(odds[0]):
             raise InvalidSettingError(
-                f"{over if possible else event} is impossible under the prior: there are no odds"
+                f"{over or f'not {event}' if possible else event} is impossible under the prior: "
+                "there are no odds"
             )
         with np.errstate(invalid="ignore"):  # of odds that are not finite there is no error
             error = self._error_over_sets(without, odds)
@@ -519,6 +522,17 @@ class StepwisePosterior(EventPosterior):
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} of {self.event_id} after frame {self._frame}>"
+
+
+def frame_of(frame: int | None, n_frames: int) -> int:
+    """Return the frame that is meant: one of so many, None the last."""
+    if frame is None:
+        return n_frames - 1
+    if isinstance(frame, bool) or not isinstance(frame, int | np.integer):
+        raise InvalidSettingError(f"frame={shown(frame)}, expected a whole number")
+    if not 0 <= frame < n_frames:
+        raise InvalidSettingError(f"frame={frame}, expected a number in 0..{n_frames - 1}")
+    return int(frame)
 
 
 def _verdict(found: Mapping[str, Any]) -> str:

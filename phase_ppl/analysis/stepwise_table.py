@@ -200,8 +200,8 @@ class Table:
         """Return (time,) log density of each frame given those before it; 0 for the first."""
         with np.errstate(divide="ignore"):
             before = np.log(self.pair_masses()[:-1])
-        joint = (before + self._likelihood[1:]).reshape(self.n_frames - 1, -1)
-        return np.concatenate([[0.0], np.logaddexp.reduce(joint, axis=1)])
+        found = np.logaddexp.reduce(before + self._likelihood[1:], axis=(1, 2))
+        return np.concatenate([[0.0], found])
 
 
 def log_prior_of_pairs(log_prior: FloatArray) -> FloatArray:

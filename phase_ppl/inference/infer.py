@@ -27,7 +27,6 @@ from phase_ppl.world.scene import PHASE
 
 if TYPE_CHECKING:
     from phase_ppl.agents.config import PlannerConfig
-    from phase_ppl.models.stepwise import StepwiseLikelihood
 
 CHAINS: Final = 15  # M, the paper's number of particles
 
@@ -130,7 +129,7 @@ def infer(
         InvalidEventError: ``event`` is no event.
         OutputError: the checkpoint exists, or cannot be written.
         SimulationError: all initial simulations failed; or one failed, with "raise".
-        Interrupted: Ctrl-C.
+        Interrupted, StepwiseInterrupted: Ctrl-C.
 
     The last two carry what was done until then as ``posterior``, as any error does that ends a
     run; None where the initial particles were not complete.
@@ -162,7 +161,8 @@ def infer(
     if kernel is None and is_stepwise(model.likelihood):
         usual = {**vars(RunOptions()), "chains": CHAINS}
         for name, value in given.items():
-            if name not in _NOT_REFUSED and value != usual.get(name):
+            of_run = name in _NOT_REFUSED and name not in kernel_options
+            if not of_run and value != usual.get(name):
                 raise InvalidSettingError(
                     f"{name}={value!r} is for sampling: a stepwise likelihood is summed over all "
                     "hypotheses, unless a kernel is named"

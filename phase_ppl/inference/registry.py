@@ -185,6 +185,8 @@ def described(kernel: str | Factory | MCMCKernel) -> KernelInfo:
     for _, info in KERNELS.items():
         if info.factory is kernel:
             return info
+        if info.factory is type(kernel) and hasattr(kernel, "bound_to"):
+            return dataclasses.replace(info, factory=kernel.bound_to)
     if isinstance(kernel, MCMCKernel):
         factory = getattr(kernel, "bound_to", None)
         name = type(kernel).__name__

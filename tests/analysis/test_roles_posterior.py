@@ -16,7 +16,7 @@ from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.analysis import roles_table
 from phase_ppl.analysis.roles_posterior import RolesPosterior
 from phase_ppl.models.roles import factors
-from phase_ppl.world.errors import InvalidEventError, PhasePPLError
+from phase_ppl.world.errors import InvalidEventError, PhasePPLError, QueryError
 from phase_ppl.world.goals import possible_goals
 from phase_ppl.world.hypothesis import Roles, company
 
@@ -148,6 +148,16 @@ def test_casts_of_all_kinds_are_read(agents: list[str], more: dict[str, list[str
     assert str(post.map().world) == str(world)
 
 
+def test_why_speaks_of_goals_and_relations() -> None:
+    post = RolesPosterior(posterior().dataset).define("weak", "strength_red < 300")
+    post.define("at_odds", "relation_red_purple = adversarial")
+    found = post.why("at_odds=True")["log_odds"].values
+    share = post.query("P(relation_red_purple=adversarial)")
+    assert found[-1] == pytest.approx(np.log(share / (1 - share)), abs=1e-4)
+    with pytest.raises(QueryError, match="strength_red"):
+        post.why("strength_red > 300")
+
+
 def test_nobody_helps_with_what_is_no_goal() -> None:
     """Where only green is a goal of touching, nobody has green's part of it."""
     world = ppl.World(
@@ -156,6 +166,10 @@ def test_nobody_helps_with_what_is_no_goal() -> None:
     with pytest.raises(PhasePPLError, match="the green agent cannot help the red agent with 'get"):
         Roles.of(world, {"red agent": "get to green agent"}, {("green agent", "red agent"): "help"})
     assert all(ppl.roles.draw(world, seed).is_possible for seed in range(20))
+    scene = world.random_scene(0)
+    with ppl.watch(scene, MODEL, threads=1) as watching:
+        before = watching.update(scene.start)
+    assert before.log_evidence == pytest.approx(0, abs=1e-9)  # what cannot be has no mass
 
 
 def test_strengths_have_the_priors_margins() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import itertools
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -280,3 +281,22 @@ def test_comparisons_and_definitions_hold_at_every_frame_in_why_and_in_files(
     assert again.query("P(red_leads=True)") == last
     with pytest.raises(InvalidSettingError, match="no draws to be weighted"):
         post.query("P(relation)", weights="count")
+
+
+def test_a_video_of_one_frame_says_what_was_believed_before_it() -> None:
+    one = FOUND.isel(time=slice(0, 1))
+    post = StepwisePosterior(one)
+    assert post.surprise().tolist() == [0.0]
+    assert "Nothing was seen but the start" in post.diagnostics()["verdict"]
+
+
+@pytest.mark.parametrize("frame", [1.5, "2", True, -1, 4])
+def test_frames_that_there_are_not_are_refused(frame: Any) -> None:
+    with pytest.raises(InvalidSettingError, match="frame="):
+        StepwisePosterior(FOUND).at(frame)
+
+
+def test_there_are_no_odds_of_what_is_certain() -> None:
+    post = StepwisePosterior(FOUND)
+    with pytest.raises(InvalidSettingError, match=r"^not strength_red > 0 is impossible"):
+        post.why("strength_red > 0")

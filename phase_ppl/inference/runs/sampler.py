@@ -43,7 +43,13 @@ from phase_ppl.models.likelihood import is_stepwise
 from phase_ppl.simulator.contract import Cancelled, OutOfTime, SimulationResult, Statistics
 from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.checks import check_memory, whole_number
-from phase_ppl.world.errors import InvalidSettingError, OutputError, SimulationError, unknown_name
+from phase_ppl.world.errors import (
+    InvalidSettingError,
+    OutputError,
+    SimulationError,
+    shown,
+    unknown_name,
+)
 from phase_ppl.world.identity import versions
 
 POLL_SECONDS: Final = 0.1  # how long Ctrl-C may go unnoticed
@@ -110,11 +116,14 @@ class RunOptions:
         if self.burn_in is None:
             return
         whole_number("burn_in", self.burn_in, minimum=0)
-        if self.iterations is not None and self.burn_in >= self.iterations:
-            raise InvalidSettingError(
-                f"burn_in={self.burn_in}, but there are {self.iterations} iterations: "
-                "expected fewer"
-            )
+        _check_burn_in(self.burn_in, self.iterations)
+
+
+def _check_burn_in(burn_in: int | None, iterations: int | None) -> None:
+    if burn_in is not None and iterations is not None and burn_in >= iterations:
+        raise InvalidSettingError(
+            f"burn_in={burn_in}, but there are {iterations} iterations: expected fewer"
+        )
 
 
 def sample(run: Run, options: RunOptions, saved: Checkpoint | None = None) -> Posterior:
@@ -137,10 +146,12 @@ def sample(run: Run, options: RunOptions, saved: Checkpoint | None = None) -> Po
 
 def _open_runner(run: Run, options: RunOptions) -> Runner | TableRunner:
     if is_stepwise(run.model.likelihood):
-        if options.executor is not None:
-            raise InvalidSettingError(
-                "a stepwise likelihood simulates nothing: it takes no executor"
-            )
+        for name in ("executor", "on_failure", "retries", "simulation_seconds"):
+            given = getattr(options, name)
+            if given != getattr(RunOptions(), name):
+                raise InvalidSettingError(
+                    f"{name}={shown(given)}: a stepwise likelihood simulates nothing"
+                )
         post = filter_event(
             *(run.event, run.model),
             seed=run.seed,
@@ -185,6 +196,7 @@ class Sampler:
             *(self._kernel, run.info, run.chains, options.iterations, options.budget),
             self._n_frames,
         )
+        _check_burn_in(options.burn_in, self._length.iterations)
         self._check_memory()
         self._init, self._step = compiled(run.recipe)
         self._state: Any = None
