@@ -90,7 +90,8 @@ def test_a_kernel_may_be_a_class_a_function_or_an_instance(program: EventProgram
     assert (bound.program, bound.settings) == (program, settings)
     for kernel in (Racing, SMC):  # whatever is registered of it holds
         info, instance = described(kernel), described(kernel())
-        assert instance == dataclasses.replace(info, factory=instance.factory)
+        same = {"factory": instance.factory, "needs": instance.needs}
+        assert instance == dataclasses.replace(info, **same)
     with pytest.raises(InvalidSettingError, match="neither a name nor a kernel"):
         described(7)  # type: ignore[arg-type]
 
