@@ -27,7 +27,7 @@ def draw_seed(plan: Plan, slot: Slot, attempt: int) -> int:
 
 def uniform_roles(world: World, seed: int) -> Roles:
     """Return roles of which all goals are alike, and all ways to help or hinder (Appendix 4B)."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng([seed, 1])  # not the numbers of the random scene of that seed
     ways = company(len(world.agents))
     social = len(ways) > 1 and rng.random() < SOCIAL
     towards = ways[int(rng.integers(1, len(ways))) if social else 0]

@@ -112,6 +112,10 @@ def test_all_goals_and_ways_to_help_or_hinder_are_drawn_alike() -> None:
     own = {roles.stated[0] for roles in drawn} - {None}
     assert own <= set(possible_goals(0, TRIO))
     assert len(own) > 0.8 * len(possible_goals(0, TRIO))
+    helped = np.array([bool(roles.relation) for roles in drawn])
+    place = np.array([TRIO.random_scene(seed).start[0, 0] for seed in range(300)])
+    apart = place[helped].mean() - place[~helped].mean()
+    assert abs(apart) < 4 * place.std() * np.sqrt(1 / helped.sum() + 1 / (~helped).sum())
 
 
 @pytest.mark.parametrize(
