@@ -3,8 +3,9 @@
     python benchmarks/worlds.py [--world NAME] [--events N] [--planner-seeds N] [--out DIR]
 
 Events are those of ``phase_ppl.generate`` whose own goals are all to get somewhere, evaluated by
-the closed loop and by what the last frame alone says. The latter is given by the probability that
-it leaves the true goal, as many goals may have come true. What is in DIR is gone on with.
+the closed loop, by predicate inverse planning and by what the last frame alone says. The latter is
+given by the probability that it leaves the true goal, as many goals may have come true. What is in
+DIR is gone on with.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ def main() -> None:
 
 
 def measure(options: argparse.Namespace, out: Path) -> None:
-    """Make the events, evaluate both models on them and print what they got right."""
+    """Make the events, evaluate the models on them and print what they got right."""
     given = {"workers": options.workers, "resume": True}
     events = ppl.generate(
         out / "set",
@@ -56,6 +57,7 @@ def measure(options: argparse.Namespace, out: Path) -> None:
     read = ppl.evaluate(
         events, "stepwise", planner_seeds=seeds, seed=options.seed, out=out / "stepwise", **given
     )
+    symbolic = ppl.evaluate(events, "predicate", out=out / "predicate", **given)
     last = ppl.evaluate(events, "last_frame", out=out / "last_frame", **given)
     costs = [
         read.predictions[event.id].cost for event in read.events if event.id in read.predictions
@@ -66,11 +68,14 @@ def measure(options: argparse.Namespace, out: Path) -> None:
         for name in ("cpu_seconds", "searches")
     }
     left = probability_of_true_goals(last)
-    print(read)
+    print(read, symbolic, sep="\n\n")
     print(f"\nlast frame: {left:.2f}; {per_frame['cpu_seconds']:.3f} CPU seconds and "
           f"{per_frame['searches']:.0f} searches a frame")  # fmt: skip
-    report = {"stepwise": read.metrics, "last_frame": last.metrics, "per_frame": per_frame}
-    write({**report, "last_frame_probability": left}, options.json)
+    models = {"stepwise": read, "predicate": symbolic, "last_frame": last}
+    report = {name: found.metrics for name, found in models.items()}
+    report["stepwise"]["per_frame"] = per_frame
+    report["last_frame"]["probability_of_true_goal"] = left
+    write(report, options.json)
 
 
 def to_get_somewhere(world: ppl.World, seed: int) -> Roles | None:

@@ -98,7 +98,7 @@ def evaluate(
             that returns a :class:`phase_ppl.Prediction` or a mapping such as
             ``{"goal_red": {"get to green agent": 0.9, ...}, "relation": "friendly"}``. In another
             world than PHASE the answers are to ``goal_<agent>`` and ``relation_<one>_<other>``,
-            and models by name are "stepwise", "last_frame" and what ``infer`` does there.
+            and models by name are "stepwise", "predicate", "last_frame" and what ``infer`` does.
         out: folder to keep everything in (:mod:`phase_ppl.evaluation.folder`), event by event;
             by default nothing is kept.
         workers: processes, at most; by default one per usable core. 1 runs the model in this

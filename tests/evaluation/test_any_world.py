@@ -149,7 +149,7 @@ def test_the_closed_loop_answers_of_casts_of_any_size(n: int) -> None:
         np.testing.assert_allclose(post.marginal(question).values, shares, atol=1e-9)
 
 
-@pytest.mark.parametrize("model", ["majority", "predicate", "vlm", "socialgnn", "no_physics"])
+@pytest.mark.parametrize("model", ["majority", "vlm", "socialgnn", "no_physics"])
 def test_models_of_phase_are_refused_with_their_names_and_the_worlds(
     events: list[ppl.Event], model: str
 ) -> None:
