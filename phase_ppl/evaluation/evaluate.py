@@ -128,11 +128,11 @@ def evaluate(
     clock = time.monotonic()
     whole_number("seed", seed, minimum=0)
     slots = number_of_workers(workers)
-    chosen = all_events(events, split)
-    world = world_of(chosen)
+    given = all_events(events, split)
+    world = world_of(given)
     if judgments is not None:
-        check_phase(chosen[0].scene, "a file of people's judgments")
-    chosen = judged(chosen, judgments)
+        check_phase(given[0].scene, "a file of people's judgments")
+    chosen = judged(given, judgments)
     check_world(model, world)
     if limit is not None:
         chosen = chosen[: whole_number("limit", limit)]

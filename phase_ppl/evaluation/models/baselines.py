@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -56,7 +58,9 @@ def _predict_elsewhere(scene: Scene, observation: Observation) -> Prediction:
         ]
         alike = came_true or possible
         share[alike] = 1 / len(alike)
-    probabilities = {f"goal_{key}": own for key, own in zip(world.keys, shares, strict=True)}
+    probabilities: dict[str, Any] = {
+        f"goal_{key}": own for key, own in zip(world.keys, shares, strict=True)
+    }
     tables = relation_tables(world)
     for question, pair in pairs_of(world).items():
         one, other = (world.agent(name) for name in pair)

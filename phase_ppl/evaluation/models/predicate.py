@@ -70,59 +70,64 @@ def marginals(
 ) -> dict[str, NDArray[np.float64]]:
     """Return the probabilities of all effective goals and relations in any world.
 
-    Given who helps or hinders whom, an agent that pursues its own goal and those who act on it
-    depend on nobody else.
-
     Args:
         log_likelihood: (agent, goal) log P(trajectory | goal).
         prior: over own goals, and over the ways to help or hinder.
         world: whose agents and goals.
     """
+    ways = company(len(world.agents))
+    found = [_given_way(way, log_likelihood, prior.goals, world) for way in ways]
+    log_mass = prior.company + np.array([log_evidence for log_evidence, _ in found])
+    mass = np.exp(log_mass - log_mass.max())
+    mass /= mass.sum()
+    return {
+        question: np.sum(
+            [m * shares[question] for m, (_, shares) in zip(mass, found, strict=True)], 0
+        )
+        for question in found[0][1]
+    }
+
+
+def _given_way(
+    way: tuple[tuple[int, int] | None, ...],
+    log_likelihood: NDArray[np.float64],
+    log_prior: NDArray[np.float64],
+    world: World,
+) -> tuple[float, dict[str, NDArray[np.float64]]]:
+    """Return log evidence and marginals, given who helps or hinders whom.
+
+    An agent that pursues its own goal, and those who act on it, depend on nobody else.
+    """
     from phase_ppl.analysis.roles_table import of_owners, relation_tables
 
-    acts_on, tables = of_owners(world), relation_tables(world)
-    keys, n_goals = world.keys, len(world.goals)
-    relations = {
-        question: tuple(map(world.agent, pair)) for question, pair in pairs_of(world).items()
-    }
-    log_evidence, given = [], []
-    for way, log_way in zip(company(len(keys)), prior.company, strict=True):
-        effective: list[Any] = [None] * len(keys)  # agent -> own goal of its owner -> its own
-        owner = [agent if one is None else one[0] for agent, one in enumerate(way)]
-        for agent, one in enumerate(way):
-            effective[agent] = np.arange(n_goals) if one is None else acts_on[agent, *one]
-        total, shares = float(log_way), {}
-        for head in sorted(set(owner)):
-            log_p = np.array(prior.goals[head])
-            for agent in range(len(keys)):
-                if owner[agent] == head:
-                    log_p = log_p + log_likelihood[agent, effective[agent]]
-            highest = log_p.max()
-            shares[head] = np.exp(log_p - highest)
-            total += highest + np.log(shares[head].sum())
-            shares[head] /= shares[head].sum()
-        found = {
-            f"goal_{key}": np.bincount(
-                np.maximum(effective[agent], 0), shares[owner[agent]], n_goals
-            )
-            for agent, key in enumerate(keys)
-        }
-        for question, (one, other) in relations.items():
-            if owner[one] == owner[other]:
-                codes = tables[one, other][effective[one], effective[other]]
-                weights = shares[owner[one]]
-            else:
-                codes = tables[one, other].ravel()
-                weights = np.outer(found[f"goal_{keys[one]}"], found[f"goal_{keys[other]}"]).ravel()
-            found[question] = np.bincount(codes, weights, len(RELATIONS))
-        log_evidence.append(total)
-        given.append(found)
-    weight = np.exp(np.array(log_evidence) - max(log_evidence))
-    weight /= weight.sum()
-    return {
-        question: sum(w * one[question] for w, one in zip(weight, given, strict=True))
-        for question in given[0]
-    }
+    n_goals, acts_on = len(world.goals), of_owners(world)
+    owner = [agent if to is None else to[0] for agent, to in enumerate(way)]
+    effective = [  # agent -> own goal of its owner -> what the agent acts on
+        np.arange(n_goals) if to is None else acts_on[agent, *to] for agent, to in enumerate(way)
+    ]
+    log_evidence, of_owner = 0.0, {}
+    for head in set(owner):
+        group = [agent for agent, one in enumerate(owner) if one == head]
+        log_p = log_prior[head] + sum(log_likelihood[agent, effective[agent]] for agent in group)
+        highest = float(log_p.max())
+        p = np.exp(log_p - highest)
+        log_evidence += highest + float(np.log(p.sum()))
+        of_owner[head] = p / p.sum()
+    goals = [
+        # -1 stands for what its owner cannot have, which has no mass
+        np.bincount(np.maximum(effective[agent], 0), of_owner[one], n_goals)
+        for agent, one in enumerate(owner)
+    ]
+    found = {f"goal_{key}": shares for key, shares in zip(world.keys, goals, strict=True)}
+    for question, pair in pairs_of(world).items():
+        one, other = map(world.agent, pair)
+        table = relation_tables(world)[one, other]
+        if owner[one] == owner[other]:
+            codes, shares = table[effective[one], effective[other]], of_owner[owner[one]]
+        else:
+            codes, shares = table.ravel(), np.outer(goals[one], goals[other]).ravel()
+        found[question] = np.bincount(codes, shares, len(RELATIONS))
+    return log_evidence, found
 
 
 def more_options(given: Mapping[str, Any]) -> list[str]:
