@@ -154,6 +154,17 @@ def test_calibration_of_a_few_events(tmp_path: Path, figures: Figures) -> None:
     assert image.stat().st_size > 1000
 
 
+def test_events_of_another_world_are_made_and_read(tmp_path: Path, figures: Figures) -> None:
+    given = ["--events", "1", "--frames", "40", "--workers", "1", "--out", str(tmp_path / "out")]
+    report: dict[str, Any] = figures("worlds.py", *given)
+    for name in ("stepwise", "predicate", "last_frame"):
+        assert report[name]["n"]["truth"] == report[name]["n_events"] == 1
+    assert 0 < report["last_frame"]["probability_of_true_goal"] <= 1
+    assert report["stepwise"]["per_frame"]["searches"] > 0
+    made = ppl.load_events(tmp_path / "out" / "set")
+    assert not any(" away from " in goal for event in made for goal in event.truth.goals.values())
+
+
 def test_an_unknown_setting_of_the_planner_is_named(
     run_script: Run, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -29,20 +29,18 @@ from numpyro import handlers
 from numpyro.infer.inspect import get_dependencies
 
 from phase_ppl.models import priors
-from phase_ppl.models.sites import ALPHA_PROBABILITIES, IMPOSSIBLE
+from phase_ppl.models.sites import IMPOSSIBLE
 from phase_ppl.models.stepwise import nodes_of, place_of_level
 from phase_ppl.world import hypothesis
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.goals import possible_goals
-from phase_ppl.world.hypothesis import STRENGTH_RANGE, Roles
+from phase_ppl.world.hypothesis import SOCIAL, STRENGTH_RANGE, Roles
 from phase_ppl.world.identity import qualified_name
 from phase_ppl.world.scene import World
 
 COMPANY_SITE: Final = "company"
-SOCIAL: Final = 1 - ALPHA_PROBABILITIES[0]
-"""Probability that some agent helps or hinders another (paper, Appendix 4B)."""
 
 _DRAWS: Final = 1000  # of roles, until all can act on their goals
 

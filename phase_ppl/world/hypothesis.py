@@ -259,6 +259,10 @@ STANCES: Final = {"help": 1, "hinder": -1}
 """What an agent may do with another's goal, and the sign of alpha."""
 
 
+SOCIAL: Final = 1 - 1 / 3
+"""Probability that some agent helps or hinders another (paper, Appendix 4B)."""
+
+
 @functools.cache
 def company(n_agents: int) -> tuple[tuple[tuple[int, int] | None, ...], ...]:
     """Return all ways in which agents can stand to each other, as :attr:`Roles.towards`.

@@ -125,7 +125,7 @@ class Rejected(NamedTuple):
 
     id: str  # of it as an event
     reason: str  # why it was not kept
-    recording: Recording  # of it
+    event: Event | None  # it; None: there was nothing to simulate
     found: dict[str, Any]  # its measures
     replanned: bool  # whether it was to be a re-planned copy
 
@@ -155,7 +155,7 @@ def make(plan: Plan, slot: Slot) -> Made:
         reason = reason_against(family.scenario, recording.hypothesis, found)
         if reason is None:
             return recording
-        made.rejected.append(Rejected(id, reason, recording, found, replanned))
+        made.rejected.append(Rejected(id, reason, event_of(recording, id), found, replanned))
         return None
 
     for attempt in range(plan.max_tries):
