@@ -93,7 +93,7 @@ def _given_way(
     log_likelihood: NDArray[np.float64],
     log_prior: NDArray[np.float64],
     world: World,
-) -> tuple[float, dict[str, NDArray[np.float64]]]:
+) -> tuple[float, dict[str, NDArray[Any]]]:
     """Return log evidence and marginals, given who helps or hinders whom.
 
     An agent that pursues its own goal, and those who act on it, depend on nobody else.
@@ -119,7 +119,7 @@ def _given_way(
         np.bincount(np.maximum(effective[agent], 0), of_owner[one], n_goals)
         for agent, one in enumerate(owner)
     ]
-    found: dict[str, NDArray[np.float64]] = {
+    found: dict[str, NDArray[Any]] = {
         f"goal_{key}": shares for key, shares in zip(world.keys, goals, strict=True)
     }
     for question, pair in pairs_of(world).items():
