@@ -61,7 +61,7 @@ def answers(event: Event) -> dict[str, dict[str, float]]:
 
 
 def film_and_read(task: Task) -> dict[str, Any]:
-    """Return how far off an event is when read from a film, and what the closed loop makes of it."""
+    """Return how far off an event read from a film is, and what the closed loop makes of it."""
     event, settings = task
     with tempfile.TemporaryDirectory() as folder:
         film = filmed(event, Path(folder), settings["width"], settings["crf"])
