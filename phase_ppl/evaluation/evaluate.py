@@ -21,7 +21,6 @@ from phase_ppl.evaluation.folder import METRICS, POSTERIOR, ResultsFolder
 from phase_ppl.evaluation.judgments import Study, all_events, judged
 from phase_ppl.evaluation.prediction import Prediction, as_prediction
 from phase_ppl.evaluation.registry import Answer, Predict, ReadyModel, ready
-from phase_ppl.inference.progress import Bar
 from phase_ppl.simulator.contract import described
 from phase_ppl.simulator.processes import Failure, in_worker, results
 from phase_ppl.world.checks import number_of_workers, whole_number
@@ -30,6 +29,7 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.files import locked, writable_folder, write_json
 from phase_ppl.world.identity import event_digest, stable, versions
 from phase_ppl.world.observation import Observation
+from phase_ppl.world.progress import Bar
 from phase_ppl.world.scene import Scene, check_phase
 
 if TYPE_CHECKING:
