@@ -155,8 +155,8 @@ class Standpoints:
                 one = known.setdefault(towards, Alike(own, literal, towards, [], []))
                 if towards.helps_along:
                     self._whose[own] = towards.other
-                    theirs = goals[towards.other]
-                    for goal in literals[towards.other] if theirs is None else [theirs]:
+                    wanted = goals[towards.other]
+                    for goal in literals[towards.other] if wanted is None else [wanted]:
                         self._table[own, code, goal] = self._place(one, goal)
                 else:
                     self._table[own, code] = self._place(one, own)
