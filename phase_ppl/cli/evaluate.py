@@ -460,7 +460,7 @@ def drawn(
     returned in words.
     """
     from phase_ppl.evaluation.figures import draw_figures
-    from phase_ppl.inference.progress import counted
+    from phase_ppl.world.progress import counted
 
     problems = []
     try:

@@ -22,7 +22,6 @@ from phase_ppl.evaluation.judgments import Study, all_events, judged
 from phase_ppl.evaluation.prediction import Prediction, as_prediction
 from phase_ppl.evaluation.registry import Answer, Predict, ReadyModel, check_world, ready
 from phase_ppl.evaluation.tables import world_of
-from phase_ppl.inference.progress import Bar
 from phase_ppl.simulator.contract import described
 from phase_ppl.simulator.processes import Failure, in_worker, results
 from phase_ppl.world.checks import number_of_workers, whole_number
@@ -31,6 +30,7 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.files import locked, writable_folder, write_json
 from phase_ppl.world.identity import event_digest, stable, versions
 from phase_ppl.world.observation import Observation
+from phase_ppl.world.progress import Bar
 from phase_ppl.world.scene import Scene, check_phase
 
 if TYPE_CHECKING:

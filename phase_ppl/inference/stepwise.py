@@ -30,7 +30,6 @@ from phase_ppl.analysis.stepwise_table import (
 from phase_ppl.analysis.tree import scene_dataset
 from phase_ppl.closed_loop.goal_filter import Reading
 from phase_ppl.closed_loop.world_filter import WorldReading
-from phase_ppl.inference.progress import counted, is_shown
 from phase_ppl.models.model import Model, checked_sites
 from phase_ppl.models.own_sites import further_sites
 from phase_ppl.models.roles import factors
@@ -45,6 +44,7 @@ from phase_ppl.world.goals import GOALS, N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
 from phase_ppl.world.names import AGENTS, NOTHING
 from phase_ppl.world.observation import FRAMES_PER_SECOND, SHOWN_SECONDS_PER_FRAME
+from phase_ppl.world.progress import counted, is_shown
 from phase_ppl.world.scene import PHASE, Scene, check_inside, check_phase, finite_array
 
 _NUMBERS: Final = ("unexplained", "log_peak")

@@ -27,7 +27,6 @@ from jax import random
 
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.weights import WEIGHTINGS
-from phase_ppl.inference.progress import Progress
 from phase_ppl.inference.proposals.strength import estimator_name
 from phase_ppl.inference.runs import length
 from phase_ppl.inference.runs.checkpoint import Checkpoint, write_checkpoint
@@ -51,6 +50,7 @@ from phase_ppl.world.errors import (
     unknown_name,
 )
 from phase_ppl.world.identity import versions
+from phase_ppl.world.progress import Progress
 
 POLL_SECONDS: Final = 0.1  # how long Ctrl-C may go unnoticed
 _RECORD_BYTES: Final = 3000
