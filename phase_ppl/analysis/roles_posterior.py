@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.prior_change import settings_under
-from phase_ppl.analysis.quantities import Quantity
+from phase_ppl.analysis.quantities import quantities_of, relations_of
 from phase_ppl.analysis.roles_table import (
     DIMENSIONS,
     MOST_HYPOTHESES,
@@ -28,33 +28,8 @@ from phase_ppl.dataset.hdf5 import read_netcdf, root_attribute
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.files import existing_file
-from phase_ppl.world.hypothesis import RELATIONS, Roles, company
+from phase_ppl.world.hypothesis import Roles, company
 from phase_ppl.world.scene import World
-
-ALPHAS = ("-1", "0", "1")
-"""Labels of ``alpha_<who>_<whom>``: hinders, neither, helps."""
-
-
-def quantities_of(world: World) -> dict[str, Quantity]:
-    """Return the quantities of a world's posteriors, by name.
-
-    With the agents' ``world.keys``: ``goal_<agent>``, the effective goal;
-    ``relation_<one>_<other>`` of two agents, in order; ``alpha_<who>_<whom>``;
-    ``strength_<agent>``, newtons.
-    """
-    keys = world.keys
-    found = {f"goal_{key}": Quantity(f"goal_{key}", world.goals) for key in keys}
-    for b, other in enumerate(keys):
-        for one in keys[:b]:
-            name = f"relation_{one}_{other}"
-            found[name] = Quantity(name, RELATIONS)
-    for one in keys:
-        for other in keys:
-            if one != other:
-                name = f"alpha_{one}_{other}"
-                found[name] = Quantity(name, ALPHAS, (-1, 0, 1))
-    found |= {f"strength_{key}": Quantity(f"strength_{key}") for key in keys}
-    return found
 
 
 class RolesPosterior(StepwisePosterior):
@@ -94,15 +69,10 @@ class RolesPosterior(StepwisePosterior):
         keys = dict(zip(world.agents, world.keys, strict=True))
         self.goals_of = {agent: f"goal_{key}" for agent, key in keys.items()}
         self.strengths_of = {agent: f"strength_{key}" for agent, key in keys.items()}
-        known = quantities_of(world)
-        self.relations_of = {
-            " & ".join(name.split("_", 1)[1].split("_")): name
-            for name in known
-            if name.startswith("relation_")
-        }
+        self.relations_of = relations_of(world)
         self.scenarios_of = MappingProxyType({})
         self._attrs, self._constant = found.attrs, found
-        EventPosterior.__init__(self, known, rows)
+        EventPosterior.__init__(self, quantities_of(world), rows)
         self._define_kept(found.attrs)
 
     def _weights_without(self) -> FloatArray:

@@ -117,7 +117,7 @@ def infer(
         checkpoint: file, ending in .ckpt, in which the run is kept after the initial particles
             and after every iteration, for :func:`resume`. There must be none of that name yet.
         progress: whether to show a bar on stderr; by default where that is a terminal.
-        settings: of SIMPLE; by default the paper's numbers, with learned proposals.
+        settings: of SIMPLE; by default the paper's numbers, with learned proposals in PHASE.
         burn_in: draws at the beginning of each chain that do not count; by default a quarter of
             twenty iterations or more, else none. They are kept: ``Posterior(post.tree, burn_in=0)``
             counts them.
@@ -149,8 +149,8 @@ def infer(
         weights=weights,
     )
     given = {**vars(options), "chains": chains, "settings": settings, **kernel_options}
-    settings = SimpleSettings() if settings is None else settings
-    check_event(event, any_world=True)
+    check_event(event)
+    settings = SimpleSettings.of(event.scene.world) if settings is None else settings
     if model is None and kernel is None and event.scene.world != PHASE:
         model = Model(likelihood=StepwiseLikelihood())
     model = _complete_model(model, planner, settings)
