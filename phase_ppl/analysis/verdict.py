@@ -156,7 +156,7 @@ def _mixing(found: Mapping[str, Any]) -> list[str]:
     worst = {"the log joint": found["scalars"]["log_joint"]["r_hat"]}
     for name, labels in found["categories"].items():
         known = [entry["r_hat"] for entry in labels.values() if entry["r_hat"] is not None]
-        worst[name.replace("_", " of ")] = max(known, default=None)
+        worst[_titled(name)] = max(known, default=None)
     apart = {name: r for name, r in worst.items() if r is not None and r > MIXED}
     if not apart:
         return []
@@ -207,6 +207,10 @@ def _asked(name: str) -> str:
     if name.startswith(_GOAL):
         return f"{_agent(name)}'s goal"
     return "the relation" if name == "relation" else name.replace("_", " ")
+
+
+def _titled(name: str) -> str:
+    return f"goal of {_agent(name)}" if name.startswith(_GOAL) else name.replace("_", " ")
 
 
 def _combined(found: Mapping[str, Any]) -> str:

@@ -263,7 +263,9 @@ def log_reciprocal_proposal(
     limited = np.isfinite(bound)
     log_completion[limited] = np.minimum(0.0, bound[limited] + log_likelihood[limited])
     log_first = -simulations["log_proposal"].values - log_completion
-    return np.asarray(np.logaddexp(log_first, simulations["log_again"].values), np.float64)
+    with np.errstate(invalid="ignore"):  # of what is not known
+        found = np.logaddexp(log_first, simulations["log_again"].values)
+    return np.asarray(found, np.float64)
 
 
 def truncated(weights: FloatArray) -> FloatArray:
