@@ -1,11 +1,13 @@
-"""Who wants what in worlds of other casts than PHASE's, read step by step.
+"""Who wants what in worlds of other casts than PHASE's, read step by step or by simulations.
 
     python benchmarks/worlds.py [--world NAME] [--events N] [--planner-seeds N] [--json FILE]
+    python benchmarks/worlds.py --kernel local_mh --simulations 105
 
 Events are drawn: a scene, roles from the uniform prior, and a simulation of them. Kept are those in
 which all own goals are to get somewhere and at least one of them is reached. Goals and relations
-are then inferred by the closed loop, beside what the last frame alone says (all positive goals that
-are true then, and were not at the start, are alike). Intervals are bootstrapped over events.
+are then inferred by the closed loop, or with ``--kernel`` by simulations, beside what the last
+frame alone says (all positive goals that are true then, and were not at the start, are alike).
+Intervals are bootstrapped over events.
 """
 
 from __future__ import annotations
@@ -31,14 +33,19 @@ def main() -> None:
     parser.add_argument("--events", type=int, default=40)
     parser.add_argument("--first", type=int, default=0, help="seed of the first event")
     parser.add_argument("--planner-seeds", type=int, default=1)
+    parser.add_argument("--kernel", help="infer by simulations, with this kernel")
+    parser.add_argument("--simulations", type=int, default=105, help="budget of a kernel")
     parser.add_argument("--workers", type=int)
     parser.add_argument("--kept", metavar="FILE", help="results so far, to go on from")
     parser.add_argument("--json", metavar="FILE")
     options = parser.parse_args()
     numbers = range(options.first, options.first + options.events)
-    tasks = [(options.world, number, options.planner_seeds) for number in numbers]
+    how = options.planner_seeds, options.kernel, options.simulations
+    tasks = [(options.world, number, *how) for number in numbers]
     kept = Path(options.kept) if options.kept else None
     settings = {"world": options.world, "planner_seeds": options.planner_seeds}
+    if options.kernel:
+        settings |= {"kernel": options.kernel, "simulations": options.simulations}
     found = resumed(
         judged, tasks, lambda task: str(task[1]), "events", kept, settings, options.workers
     )
@@ -83,17 +90,22 @@ def drawn(world: ppl.World, number: int) -> ppl.Event | None:
     return None
 
 
-def judged(task: tuple[str, int, int]) -> dict[str, Any]:
+def judged(task: tuple[str, int, int, str | None, int]) -> dict[str, Any]:
     """Return how one event is explained; nothing, where there is none of that number."""
-    name, number, planner_seeds = task
+    name, number, planner_seeds, kernel, simulations = task
     world = ppl.worlds.named(name)
     event = drawn(world, number)
     if event is None:
         return {}
-    model = ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=planner_seeds))
     began = time.process_time()
     blind = ppl.Event(event.scene, event.observation, id=event.id)
-    post = ppl.infer(blind, model, workers=1, progress=False)
+    post: Any
+    if kernel:
+        budget = ppl.simulations(simulations)
+        post = ppl.infer(blind, kernel=kernel, budget=budget, workers=1, progress=False)
+    else:
+        model = ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=planner_seeds))
+        post = ppl.infer(blind, model, workers=1, progress=False)
     seconds = time.process_time() - began
     truth, keys = event.truth, world.keys
     right, logs, sure, calibration, last = [], [], [], [], []
@@ -131,7 +143,7 @@ def judged(task: tuple[str, int, int]) -> dict[str, Any]:
         "last_frame": float(np.mean(last)),
         "sure": float(np.mean(sure)),
         "seconds_frame": seconds / (len(frames) - 1),
-        "searches": post.cost["searches"] / (len(frames) - 1),
+        "searches": post.cost.get("searches", 0) / (len(frames) - 1),
         "calibration": calibration,
     }
 

@@ -165,8 +165,11 @@ def untried(tree: xr.DataTree) -> float:
         left[tuple(tried.T)] = 0.0
         return float(left.sum())
     found = prior_of_goals(tree, tried)
+    if found is None:
+        return float("nan")
+    log_prior = (constant[f"log_prior_{name}"].values for name in ("goals", "company"))
     # rounded sums of all may be a little above 1
-    return float("nan") if found is None else max(0.0, 1.0 - float(found.sum()))
+    return max(0.0, 1.0 - float(found.sum()) / space_of_tree(tree).possible_share(*log_prior))
 
 
 def without_burn_in(tree: xr.DataTree, burn_in: int) -> xr.DataTree:

@@ -91,7 +91,8 @@ def infer(
 
     Args:
         event: what to explain.
-        model: prior, simulator and likelihood; by default the paper's.
+        model: prior, simulator and likelihood; by default the paper's. Of an event of another
+            world than PHASE, if no kernel is named either, the closed loop's.
         kernel: a name (:func:`phase_ppl.available_kernels`), a kernel class or a function that
             makes a NumPyro kernel from the program of the event, or an instance of one of ours;
             by default "local_mh", which is SIMPLE, and none for a stepwise likelihood.

@@ -3,7 +3,7 @@
 A program samples ``goal_<agent>`` (an index into ``world.goals``), ``company`` (an index into
 :func:`phase_ppl.world.hypothesis.company`: who helps or hinders whom) and ``strength_<agent>``
 (newtons), with the agents' ``world.keys``. The goal of an agent that helps or hinders is not used.
-The closed loop takes these sites to be independent of each other::
+These sites must be independent of each other::
 
     def alone(world):
         phase_ppl.roles.goals(world)

@@ -195,6 +195,19 @@ class HypothesisSpace:
                     found[way][~follows] = -np.inf
         return found
 
+    def possible_share(self, log_goals: FloatArray, log_company: FloatArray) -> float:
+        """Return the prior mass of hypotheses in which whoever helps or hinders can act.
+
+        Masses as of :meth:`log_prior_of_effective`. The others have no part in a posterior.
+        """
+        shares, total = np.exp(log_goals), 0.0
+        for way, share in enumerate(np.exp(log_company)):
+            for owner in np.unique(self.owner[way]):
+                follow = self.becomes[way][self.owner[way] == owner]
+                share *= shares[owner][(follow >= 0).all(axis=0)].sum()
+            total += share
+        return float(total)
+
 
 @functools.lru_cache(16)
 def space_of(world: World) -> HypothesisSpace:

@@ -140,6 +140,20 @@ def test_prior_of_effective_goals_sums_over_what_leads_to_them() -> None:
     np.testing.assert_allclose(found * 450**3, np.bincount(place.ravel(), masses), rtol=1e-4)
 
 
+def test_who_has_nothing_to_do_where_it_helps_has_no_part_in_it() -> None:
+    # with nothing to touch but red, nobody can keep green away from it, or help green to it
+    world = World(
+        ["red agent", "green agent", "blue agent"], [], {"home": (12, 8)}, touchable=["red agent"]
+    )
+    space = space_of(world)
+    even = [np.where(row, -np.inf, -np.log((~row).sum())) for row in space.impossible]
+    log_goals, log_company = np.array(even), np.full(len(space.ways), -np.log(len(space.ways)))
+    rows = np.array(list(itertools.product(range(space.n_goals), repeat=3)))
+    found = np.exp(space.log_prior_of_effective(log_goals, log_company, rows)).sum()
+    assert found == pytest.approx(space.possible_share(log_goals, log_company))
+    assert found < 0.999
+
+
 def test_stated_goals_are_drawn_as_the_prior_has_them() -> None:
     prior = Model(prior=few, simulator=never_called).in_world(CAST).prior
     rows, masses = zip(*stated(), strict=True)
