@@ -81,7 +81,7 @@ def check_tree(tree: xr.DataTree) -> None:
         if group not in tree.children:
             raise InvalidEventError(f"the tree of draws lacks the group {group!r}")
     space = space_of_tree(tree)
-    hypothesis = {
+    hypothesis: dict[str, dict[str, tuple[str, ...]]] = {
         "posterior": dict.fromkeys(space.columns, DRAW),
         "simulations": dict.fromkeys(space.columns, SIMULATION),
     }
@@ -148,8 +148,8 @@ def prior_of_goals(tree: xr.DataTree, goals: NDArray[np.int64]) -> NDArray[np.fl
         return np.asarray(constant["prior_of_pairs"].values[tuple(goals.T)], np.float64)
     if "log_prior_company" not in constant:
         return None
-    log_prior = (constant[f"log_prior_{name}"].values for name in ("goals", "company"))
-    return np.exp(np.logaddexp.reduce(space.log_prior_of_effective(*log_prior, goals), axis=0))
+    own, company = (constant[f"log_prior_{name}"].values for name in ("goals", "company"))
+    return np.exp(np.logaddexp.reduce(space.log_prior_of_effective(own, company, goals), axis=0))
 
 
 def untried(tree: xr.DataTree) -> float:
@@ -167,9 +167,9 @@ def untried(tree: xr.DataTree) -> float:
     found = prior_of_goals(tree, tried)
     if found is None:
         return float("nan")
-    log_prior = (constant[f"log_prior_{name}"].values for name in ("goals", "company"))
+    own, company = (constant[f"log_prior_{name}"].values for name in ("goals", "company"))
     # rounded sums of all may be a little above 1
-    return max(0.0, 1.0 - float(found.sum()) / space_of_tree(tree).possible_share(*log_prior))
+    return max(0.0, 1.0 - float(found.sum()) / space_of_tree(tree).possible_share(own, company))
 
 
 def without_burn_in(tree: xr.DataTree, burn_in: int) -> xr.DataTree:

@@ -81,8 +81,8 @@ class HypothesisSpace:
         """Names that further sites of a prior cannot have."""
         follow = ("relation", "alpha") if not self.is_phase else ()
         pairs = itertools.permutations(self.world.keys, 2)
-        of_pairs = {f"{name}_{one}_{other}" for one, other in pairs for name in follow}
-        return of_pairs.union(self.columns)
+        of_pairs = (f"{name}_{one}_{other}" for one, other in pairs for name in follow)
+        return frozenset((*of_pairs, *self.columns))
 
     @property
     def n_agents(self) -> int:
@@ -167,7 +167,8 @@ class HypothesisSpace:
         way = int(sites[self.company_site])
         strengths = [float(sites[name]) for name in self.strength_sites]
         if self.is_phase:
-            return Hypothesis(*goals, ALPHAS[way], *strengths)  # type: ignore[arg-type]
+            red, green = goals
+            return Hypothesis(red, green, ALPHAS[way], *strengths)
         towards = self.ways[way]
         stated = tuple(None if one else goal for goal, one in zip(goals, towards, strict=True))
         return Roles(self.world, stated, towards, tuple(strengths))

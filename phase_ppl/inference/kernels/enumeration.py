@@ -95,7 +95,7 @@ def _grid_in_world(prior: WorldPrior, strengths: tuple[float, ...], most: int) -
     n_agents = space.n_agents
     forces = np.array(list(itertools.product(strengths, repeat=n_agents)), np.float32)
     possible = [np.flatnonzero(np.isfinite(row)) for row in found.goals]
-    blocks, log_company = [], []
+    blocks, log_masses = [], []
     ways = [way for way in range(len(space.ways)) if np.isfinite(found.company[way])]
     owners = [[one is None for one in space.ways[way]] for way in ways]
     n = sum(math.prod(len(p) for p, o in zip(possible, own, strict=True) if o) for own in owners)
@@ -111,8 +111,8 @@ def _grid_in_world(prior: WorldPrior, strengths: tuple[float, ...], most: int) -
         rows = np.array(list(itertools.product(*choices)), np.int32).reshape(-1, n_agents)
         blocks.append(np.column_stack([rows, np.full(len(rows), way)]))
         used = [found.goals[a][rows[:, a]] for a in range(n_agents) if own[a]]
-        log_company.append(found.company[way] + np.sum(used, axis=0))
-    stated, log_goals = np.concatenate(blocks), np.concatenate(log_company)
+        log_masses.append(found.company[way] + np.sum(used, axis=0))
+    stated, log_goals = np.concatenate(blocks), np.concatenate(log_masses)
     which = np.tile(np.arange(len(stated)), len(forces))
     force = np.repeat(forces, len(stated), axis=0)
     sites = dict(zip(space.sites, stated[which].T.astype(np.int32), strict=False))
