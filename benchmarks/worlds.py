@@ -1,11 +1,12 @@
-"""Who wants what in worlds of other casts than PHASE's, read step by step.
+"""Who wants what in worlds of other casts than PHASE's, read step by step or by simulations.
 
     python benchmarks/worlds.py [--world NAME] [--events N] [--planner-seeds N] [--out DIR]
+        [--kernel local_mh --simulations 105]
 
 Events are those of ``phase_ppl.generate`` whose own goals are all to get somewhere, evaluated by
-the closed loop, by predicate inverse planning and by what the last frame alone says. The latter is
-given by the probability that it leaves the true goal, as many goals may have come true. What is in
-DIR is gone on with.
+the closed loop, by predicate inverse planning and by what the last frame alone says, and with
+``--kernel`` by simulations. The last frame is given by the probability that it leaves the true
+goal, as many goals may have come true. What is in DIR is gone on with.
 """
 
 from __future__ import annotations
@@ -32,6 +33,8 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=FRAMES)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--planner-seeds", type=int, default=1)
+    parser.add_argument("--kernel", help="by which to infer by simulations too")
+    parser.add_argument("--simulations", type=int, default=105, help="budget of a kernel")
     parser.add_argument("--workers", type=int)
     parser.add_argument("--out", metavar="DIR", type=Path, help="keeps events and answers")
     parser.add_argument("--json", metavar="FILE")
@@ -72,6 +75,17 @@ def measure(options: argparse.Namespace, out: Path) -> None:
     print(f"\nlast frame: {left:.2f}; {per_frame['cpu_seconds']:.3f} CPU seconds and "
           f"{per_frame['searches']:.0f} searches a frame")  # fmt: skip
     models = {"stepwise": read, "predicate": symbolic, "last_frame": last}
+    if options.kernel:
+        models[options.kernel] = ppl.evaluate(
+            events,
+            "simple",
+            kernel=options.kernel,
+            budget=ppl.simulations(options.simulations),
+            seed=options.seed,
+            out=out / options.kernel,
+            **given,
+        )
+        print(f"\n{models[options.kernel]}")
     report = {name: found.metrics for name, found in models.items()}
     report["stepwise"]["per_frame"] = per_frame
     report["last_frame"]["probability_of_true_goal"] = left
@@ -88,17 +102,12 @@ def to_get_somewhere(world: ppl.World, seed: int) -> Roles | None:
 def probability_of_true_goals(evaluation: ppl.Evaluation) -> float:
     """Return the mean over events and agents of what is given to the true goal."""
     world = evaluation.events[0].scene.world
-    return float(
-        np.mean(
-            [
-                evaluation.predictions[event.id].estimate(
-                    question, str(true_answer(event, question))
-                )
-                for event in evaluation.events
-                for question in kinds_of(world)["goal"]
-            ]
-        )
-    )
+    found = [
+        evaluation.predictions[event.id].estimate(question, str(true_answer(event, question)))
+        for event in evaluation.events
+        for question in kinds_of(world)["goal"]
+    ]
+    return float(np.mean(found))
 
 
 if __name__ == "__main__":

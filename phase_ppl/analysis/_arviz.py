@@ -12,8 +12,9 @@ import xarray as xr
 
 from phase_ppl.analysis.convergence import MIN_DRAWS, arviz_module, chain_halves
 from phase_ppl.analysis.diagnostics import MASS, categorical_draws, scalars
-from phase_ppl.analysis.quantities import ScenarioFunction, quantities
-from phase_ppl.analysis.tree import SIMULATED, log_weight_of_draws
+from phase_ppl.analysis.quantities import ScenarioFunction
+from phase_ppl.analysis.tree import SIMULATED, log_weight_of_draws, space_of_tree
+from phase_ppl.analysis.vocabulary import vocabulary
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError
 
@@ -99,7 +100,7 @@ def _replicated(tree: xr.DataTree) -> xr.Dataset | None:
     seed = json.loads(tree.attrs["settings"]).get("seed", 0)
     rng = np.random.default_rng([int(seed), _STREAM])
     trajectory = simulated["trajectory"].values.astype(np.float64)
-    likelihood = RadialLikelihood(float(simulated.attrs["beta"]))
+    likelihood = RadialLikelihood(float(simulated.attrs["beta"]), trajectory.shape[-2])
     trajectory[..., :2] = likelihood.replicate(trajectory[..., :2], rng)
     return simulated.assign(trajectory=(simulated["trajectory"].dims, trajectory))
 
@@ -111,10 +112,11 @@ def _posterior(tree: xr.DataTree, scenario: ScenarioFunction | None) -> xr.Datas
         {name: draws[name] for name in _PAIR},
     )
     left_out: dict[str, list[str]] = {}
+    known = vocabulary(space_of_tree(tree)).quantities
     for name, codes in categorical_draws(tree, scenario).items():
         indicators = {
             label: (codes == code).astype(np.int64)
-            for code, label in enumerate(quantities()[name].categories())
+            for code, label in enumerate(known[name].categories())
             if (codes == code).mean() > MASS
         }
         usable = {

@@ -13,27 +13,27 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from phase_ppl.analysis.convergence import ess, mcse, r_hat
-from phase_ppl.analysis.quantities import ScenarioFunction, quantities, relation_codes
+from phase_ppl.analysis.quantities import ScenarioFunction
 from phase_ppl.analysis.tree import (
-    HYPOTHESIS,
-    SITES,
     array,
+    effective_goals,
     kept_scene,
     log_weight_of_draws,
+    prior_of_goals,
+    space_of_tree,
     untried,
 )
 from phase_ppl.analysis.verdict import FEW_DRAWS, verdict
+from phase_ppl.analysis.vocabulary import Vocabulary, vocabulary
 from phase_ppl.analysis.weights import Rows, aborted_mass_bound
 from phase_ppl.dataset.generation.situation import overlaps
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.goals import GOALS, N_GOALS, goal_index, goal_literal, is_self_referring
+from phase_ppl.world.goals import goal_literal
 from phase_ppl.world.names import Predicate
 from phase_ppl.world.scene import Scene
+from phase_ppl.world.space import HypothesisSpace
 
 MASS: Final = 0.02  # share of the draws, or probability, from which on a category is reported
-
-CATEGORICAL: Final = ("goal_red", "goal_green", "relation", "scenario")
-"""Quantities whose categories are reported."""
 
 
 def diagnostics(
@@ -62,10 +62,11 @@ def diagnostics(
       variation between their marginals; None with one particle.
     * ``leaders``: the most probable goals and relation, with errors, the next ones, and what they
       would have ``without_prior``: with all pairs of goals that were simulated equally probable
-      beforehand; None where the file does not hold the prior of pairs.
+      beforehand; None where the file does not hold the prior of pairs. In other worlds than PHASE
+      a pair is what all agents want, and there is a relation for every two agents.
     * ``untried_rivals``: how many pairs that differ from the leading one in nothing but one
       agent's landmark were never simulated, though the prior allows them.
-    * ``decided``: whether all three leaders are sure, with the prior and without it, by
+    * ``decided``: whether all leaders are sure, with the prior and without it, by
       ``FEW_DRAWS`` independent draws or more, and all rivals were tried.
     * ``monte_carlo_error``: per goal, the error of the leading goal's probability under the
       weighting in use; None with one particle.
@@ -85,7 +86,7 @@ def diagnostics(
     * ``frames_saved``, ``frames_saved_share``: by stopping early.
     * ``aborted_mass_bound``: see :func:`phase_ppl.analysis.weights.aborted_mass_bound`.
     * ``best_error_per_frame``: smallest mean error of a draw, units: the norm over x, y of all
-      four entities.
+      entities.
     * ``overlapping_frames``: in which bodies lie on each other or in a wall.
     * ``verdict``: a few sentences.
 
@@ -94,18 +95,24 @@ def diagnostics(
     mean nothing and are not given.
     """
     posterior, stats = tree["posterior"].dataset, tree["sample_stats"].dataset
-    n_chains, n_draws = posterior["goal_red"].shape
+    words = vocabulary(space_of_tree(tree), scenario)
+    space, labels = words.space, words.space.world.goals
     accepted = stats["accepted"].values.astype(float)
-    goals = {name: posterior[name].values for name in ("goal_red", "goal_green")}
+    n_chains, n_draws = accepted.shape
+    goals = {name: posterior[name].values for name in space.goal_sites}
     log_weight = log_weight_of_draws(tree)
     if not np.isfinite(log_weight).any():  # under other weights than the draws' own
         log_weight = np.zeros_like(log_weight)
     draw_weights = np.exp(log_weight - log_weight.max())
     draw_weights /= draw_weights.sum()
     shares = draw_weights.sum(axis=1)
-    by_chain = {name: _chain_marginals(codes, draw_weights) for name, codes in goals.items()}
+    by_chain = {
+        name: _chain_marginals(codes, draw_weights, len(labels)) for name, codes in goals.items()
+    }
     weighted = "log_evidence" in stats or bool(np.ptp(log_weight) > 0)
-    pair = goals["goal_red"].astype(np.int64) * N_GOALS + goals["goal_green"]
+    pair = np.zeros(accepted.shape, np.int64)  # of all agents' goals
+    for codes in goals.values():
+        pair = pair * len(labels) + codes
     n_frames = tree["observed_data"].sizes["time"]
     result: dict[str, Any] = {
         "weights": weights,
@@ -117,7 +124,9 @@ def diagnostics(
         "acceptance_rate": float(accepted.mean()),
         "move_rate": float((pair[:, 1:] != pair[:, :-1]).mean()) if n_draws > 1 else None,
         "distinct_hypotheses": len(
-            set(zip(*(posterior[name].values.ravel().tolist() for name in HYPOTHESIS), strict=True))
+            set(
+                zip(*(posterior[name].values.ravel().tolist() for name in space.given), strict=True)
+            )
         ),
         "distinct_goal_pairs": len(np.unique(pair)),
         "effective_rows": float(1 / (rows.weights**2).sum()),
@@ -125,9 +134,9 @@ def diagnostics(
             float(1 / (draw_weights.size * (draw_weights**2).sum())) if weighted else None
         ),
         "agreement": {name: _agreement(p, shares) for name, p in by_chain.items()},
-        "leading_goals": {name: _leading_goals(p, shares) for name, p in by_chain.items()},
+        "leading_goals": {name: _leading_goals(p, shares, labels) for name, p in by_chain.items()},
         "between_chain_tv": {name: _between_chain_tv(p, shares) for name, p in by_chain.items()},
-        "leaders": (answers := _without_prior(tree, rows, leaders)),
+        "leaders": (answers := _without_prior(tree, rows, leaders, words)),
         "untried_rivals": (n_untried := untried_rivals(tree, leaders)),
         "decided": effective_size >= FEW_DRAWS
         and not n_untried
@@ -147,7 +156,9 @@ def diagnostics(
             for name, values in scalars(tree).items()
         },
         "categories": {
-            name: _categories(name, codes, draw_weights, rows, weighted)
+            name: _categories(
+                words.quantities[name].categories(), codes, draw_weights, rows, name, weighted
+            )
             for name, codes in categorical_draws(tree, scenario).items()
         },
         "windows": _windows(stats["window"].values, tree.attrs["settings"], n_frames),
@@ -163,17 +174,16 @@ def diagnostics(
 
 
 def _without_prior(
-    tree: xr.DataTree, rows: Rows, leaders: Mapping[str, dict[str, Any]]
+    tree: xr.DataTree, rows: Rows, leaders: Mapping[str, dict[str, Any]], words: Vocabulary
 ) -> dict[str, dict[str, Any]]:
     """Return the leaders with what they would have, were all pairs of goals alike beforehand."""
-    constant, share = tree["constant_data"].dataset, dict.fromkeys(leaders)
-    if "prior_of_pairs" in constant:
-        prior = constant["prior_of_pairs"].values[
-            rows.values["goal_red"], rows.values["goal_green"]
-        ]
+    share = dict.fromkeys(leaders)
+    goals = np.stack([rows.values[name] for name in words.space.goal_sites], axis=1)
+    prior = prior_of_goals(tree, goals.astype(np.int64))
+    if prior is not None:
         weights = np.divide(rows.weights, prior, out=np.zeros(len(prior)), where=prior > 0)
         for name, one in leaders.items():
-            code = quantities()[name].categories().index(one["label"])
+            code = words.quantities[name].categories().index(one["label"])
             share[name] = float(weights[rows.values[name] == code].sum() / weights.sum())
     return {
         name: {**one, "error": _finite(one["error"]), "without_prior": share[name]}
@@ -186,27 +196,28 @@ def untried_rivals(tree: xr.DataTree, leaders: Mapping[str, Mapping[str, Any]]) 
 
     A rival differs in the landmark of one agent's goal, about the same entity and of the same sign.
     """
-    constant, simulations = tree["constant_data"].dataset, tree["simulations"].dataset
-    if "prior_of_pairs" not in constant:
-        return 0
-    tried = ~simulations["failed"].values
-    done = set(zip(*(simulations[g].values[tried].tolist() for g in CATEGORICAL[:2]), strict=True))
-    leading = tuple(goal_index(leaders[name]["label"]) for name in CATEGORICAL[:2])
+    space = space_of_tree(tree)
+    tried = effective_goals(tree, "simulations")[~array(tree, "simulations", "failed")]
+    done = set(map(tuple, tried.tolist()))
+    goals = space.world.goals
+    leading = tuple(goals.index(leaders[name]["label"]) for name in space.goal_sites)
     rivals = [
         tuple(other if place == agent else goal for place, goal in enumerate(leading))
-        for agent in range(len(leading))
-        for other in range(N_GOALS)
-        if _elsewhere(other, leading[agent], agent)
+        for agent in range(space.n_agents)
+        for other in range(len(goals))
+        if _elsewhere(other, leading[agent], agent, space)
     ]
-    prior = constant["prior_of_pairs"].values
-    return sum(prior[pair] > 0 and pair not in done for pair in rivals)
+    prior = prior_of_goals(tree, np.array(rivals, np.int64).reshape(-1, space.n_agents))
+    if prior is None:
+        return 0
+    return sum(mass > 0 and one not in done for mass, one in zip(prior, rivals, strict=True))
 
 
-def _elsewhere(goal: int, other: int, agent: int) -> bool:
+def _elsewhere(goal: int, other: int, agent: int, space: HypothesisSpace) -> bool:
     """Whether two goals of an agent differ in the landmark alone."""
-    if is_self_referring(goal, agent) or is_self_referring(other, agent):
+    if space.impossible[agent, [goal, other]].any():
         return False
-    one, two = goal_literal(goal, agent), goal_literal(other, agent)
+    one, two = (goal_literal(code, agent, space.world) for code in (goal, other))
     return (
         one.predicate is Predicate.ON is two.predicate
         and (one.subject, one.positive) == (two.subject, two.positive)
@@ -217,32 +228,37 @@ def _elsewhere(goal: int, other: int, agent: int) -> bool:
 def scalars(tree: xr.DataTree) -> dict[str, FloatArray]:
     """Return the real quantities of the draws, (chain, draw), a user's own sites last."""
     posterior, stats = tree["posterior"].dataset, tree["sample_stats"].dataset
+    space = space_of_tree(tree)
     own = [
         str(name)
         for name, variable in posterior.data_vars.items()
-        if name not in SITES and variable.ndim == 2 and variable.dtype.kind == "f"
+        if name not in space.columns and variable.ndim == 2 and variable.dtype.kind == "f"
     ]
     return {
         **{name: stats[name].values.astype(float) for name in ("log_joint", "total_error")},
-        **{n: posterior[n].values.astype(float) for n in ("strength_red", "strength_green", *own)},
+        **{n: posterior[n].values.astype(float) for n in (*space.strength_sites, *own)},
     }
 
 
 def categorical_draws(
     tree: xr.DataTree, scenario: ScenarioFunction | None = None
 ) -> dict[str, NDArray[np.int64]]:
-    """Return the codes (chain, draw) of :data:`CATEGORICAL` quantities of the draws."""
-    posterior = tree["posterior"].dataset
-    red, green = (posterior[name].values.astype(np.int64) for name in CATEGORICAL[:2])
-    derived = relation_codes(red.ravel(), green.ravel(), scenario)
-    shaped = {name: codes.reshape(red.shape) for name, codes in derived.items()}
-    return {"goal_red": red, "goal_green": green, **shaped}
+    """Return the codes (chain, draw) of goals, relations and scenarios of the draws."""
+    words, goals = vocabulary(space_of_tree(tree), scenario), effective_goals(tree, "posterior")
+    shape = goals.shape[:-1]
+    codes = {name: goals[..., agent] for agent, name in enumerate(words.space.goal_sites)}
+    derived = words.relation_codes({name: values.ravel() for name, values in codes.items()})
+    return codes | {name: values.reshape(shape) for name, values in derived.items()}
 
 
 def _categories(
-    name: str, codes: NDArray[np.int64], draw_weights: FloatArray, rows: Rows, weighted: bool
+    labels: tuple[str, ...],
+    codes: NDArray[np.int64],
+    draw_weights: FloatArray,
+    rows: Rows,
+    name: str,
+    weighted: bool,
 ) -> dict[str, dict[str, float | None]]:
-    labels = quantities()[name].categories()
     probability = np.bincount(rows.values[name], rows.weights, minlength=len(labels))
     share = np.bincount(codes.ravel(), draw_weights.ravel(), minlength=len(labels))
     found: dict[str, dict[str, float | None]] = {}
@@ -277,10 +293,10 @@ def _windows(window: NDArray[Any], settings: str, n_frames: int) -> dict[str, An
     }
 
 
-def _chain_marginals(codes: NDArray[Any], weights: FloatArray) -> FloatArray:
+def _chain_marginals(codes: NDArray[Any], weights: FloatArray, n_goals: int) -> FloatArray:
     """Return (chain, goal): each chain's share of its draws' weight per goal; 0 without weight."""
     mass = np.stack(
-        [np.bincount(c, w, minlength=N_GOALS) for c, w in zip(codes, weights, strict=True)]
+        [np.bincount(c, w, minlength=n_goals) for c, w in zip(codes, weights, strict=True)]
     )
     return mass / np.maximum(mass.sum(axis=1, keepdims=True), np.finfo(float).tiny)
 
@@ -290,11 +306,13 @@ def _agreement(by_chain: FloatArray, shares: FloatArray) -> float:
     return float((by_chain.argmax(axis=1) == leading)[shares > 0].mean())
 
 
-def _leading_goals(by_chain: FloatArray, shares: FloatArray) -> Mapping[str, int]:
+def _leading_goals(
+    by_chain: FloatArray, shares: FloatArray, labels: tuple[str, ...]
+) -> Mapping[str, int]:
     leading = by_chain.argmax(axis=1)[shares > 0]
-    particles = np.bincount(leading, minlength=N_GOALS)
+    particles = np.bincount(leading, minlength=len(labels))
     order = np.argsort(-particles, kind="stable")
-    return {GOALS[code]: int(particles[code]) for code in order if particles[code]}
+    return {labels[code]: int(particles[code]) for code in order if particles[code]}
 
 
 def _between_chain_tv(by_chain: FloatArray, shares: FloatArray) -> dict[str, float] | None:

@@ -94,7 +94,7 @@ class EventPosterior(Hypotheses):
 
     def _checked(self, prior: Callable[..., object] | str) -> Callable[..., object]:
         """Return a prior, by its name or itself; errors as of a model."""
-        return checked_program(prior)
+        return checked_program(prior, self.scene.world)
 
     def under(self, prior: Callable[..., object]) -> Self:
         """Return :meth:`with_prior` of a program that was checked."""

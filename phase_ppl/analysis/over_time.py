@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from typing import Final
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.quantities import ScenarioFunction, quantities, relation_codes
-from phase_ppl.analysis.tree import array
+from phase_ppl.analysis.quantities import ScenarioFunction, by_label
+from phase_ppl.analysis.tree import array, space_of_tree
+from phase_ppl.analysis.vocabulary import vocabulary
 from phase_ppl.analysis.weights import (
     evaluations,
     has_proposals,
@@ -21,9 +21,6 @@ from phase_ppl.analysis.weights import (
 )
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
-
-FOLLOWED: Final = ("goal_red", "goal_green", "relation", "scenario")
-"""Quantities that are followed over time."""
 
 HINDSIGHT: Final = (
     "Hindsight, not what an observer believed at the time: the hypotheses were proposed from the "
@@ -43,9 +40,10 @@ def over_time(tree: xr.DataTree, scenario: ScenarioFunction | None = None) -> xr
     simulated.
 
     Returns:
-        ``goal_red``, ``goal_green``, ``relation``, ``scenario``: probabilities (time, label),
-        with the labels of ``goal_red`` in ``goal_red_is`` and so on; ``time`` in seconds. The
-        attribute ``hindsight`` says what it is, ``weights`` by which weights.
+        ``goal_red``, ``goal_green``, ``relation``, ``scenario``, or the goals and relations of
+        another world: probabilities (time, label), with the labels of ``goal_red`` in
+        ``goal_red_is`` and so on; ``time`` in seconds. The attribute ``hindsight`` says what it is,
+        ``weights`` by which weights.
     """
     simulations = tree["simulations"].dataset
     if "step_log_likelihood" not in simulations:
@@ -62,31 +60,13 @@ def over_time(tree: xr.DataTree, scenario: ScenarioFunction | None = None) -> xr
     else:
         name, log_prior = "importance", simulations["log_prior"].values
         rows, weights = _by_proposals(tree, log_prior)
-    codes = {goal: simulations[goal].values[rows] for goal in FOLLOWED[:2]}
-    codes |= relation_codes(codes["goal_red"], codes["goal_green"], scenario)
+    words = vocabulary(space_of_tree(tree), scenario)
+    codes = {goal: simulations[goal].values[rows] for goal in words.goals.values()}
+    codes |= words.relation_codes(codes)
     time = array(tree, "observed_data", "time")
-    result = by_label(time, codes, lambda indicators: weights.T @ indicators)
+    known = words.quantities
+    result = by_label(time, codes, lambda indicators: weights.T @ indicators, known)
     return result.assign_attrs(hindsight=HINDSIGHT, weights=name)
-
-
-def by_label(
-    time: NDArray[np.float64],
-    codes: Mapping[str, NDArray[np.int64]],
-    masses: Callable[[NDArray[np.bool_]], FloatArray],
-) -> xr.Dataset:
-    """Return probabilities (time, label) of each of :data:`FOLLOWED`.
-
-    ``codes`` are (row,) of the hypotheses; ``masses`` makes of (row, label), which of them have a
-    label, (time, label) what these weigh.
-    """
-    result = xr.Dataset(coords={"time": ("time", time, {"units": "s"})})
-    known = quantities()
-    for name in FOLLOWED:
-        labels = list(known[name].categories())
-        indicators = codes[name][:, None] == np.arange(len(labels))
-        result[name] = (("time", f"{name}_is"), masses(indicators))
-        result = result.assign_coords({f"{name}_is": labels})
-    return result
 
 
 def _by_proposals(tree: xr.DataTree, log_base: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:

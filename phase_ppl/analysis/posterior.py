@@ -6,7 +6,7 @@ import dataclasses
 import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import xarray as xr
@@ -23,13 +23,7 @@ from phase_ppl.analysis.prior_change import (
     settings_under,
     worth,
 )
-from phase_ppl.analysis.quantities import (
-    ScenarioFunction,
-    derived_codes,
-    own_quantity,
-    quantities,
-    relation_codes,
-)
+from phase_ppl.analysis.quantities import ScenarioFunction, own_quantity
 from phase_ppl.analysis.roles_posterior import RolesPosterior, is_of_roles
 from phase_ppl.analysis.stepwise_posterior import StepwisePosterior, is_stepwise
 from phase_ppl.analysis.summary import plain, wrapped
@@ -38,21 +32,23 @@ from phase_ppl.analysis.tree import (
     array,
     check_tree,
     read_tree,
+    shape_of_draws,
     simulation_of_draw,
+    space_of_tree,
     untried,
     without_burn_in,
     write_tree,
 )
+from phase_ppl.analysis.vocabulary import vocabulary
 from phase_ppl.analysis.weights import WEIGHTINGS, chain_groups, halves
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, unknown_name
 from phase_ppl.world.files import existing_file
-from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
 
 
 class Posterior(EventPosterior):
-    """Posterior over two agents' goals, their relation and their strengths.
+    """Posterior over agents' goals, their relation and their strengths.
 
     What one can ask it is in :class:`phase_ppl.analysis.hypotheses.Hypotheses`: ``marginal``,
     ``joint``, ``probability``, ``top``, ``mode``, ``entropy``, ``mean``, ``sd``, ``hdi``, each
@@ -61,7 +57,9 @@ class Posterior(EventPosterior):
 
     ``goal_red`` and ``goal_green`` are effective goals, what an agent acts on; the goals as
     stated before alpha is counted in are ``stated_goal_red`` and ``stated_goal_green``.
-    ``relation`` and ``scenario`` follow from the two effective goals.
+    ``relation`` and ``scenario`` follow from the two effective goals. In other worlds than PHASE
+    the quantities are ``goal_<agent>``, ``relation_<one>_<other>``, ``alpha_<who>_<whom>`` and
+    ``strength_<agent>`` of all agents.
 
     Args:
         tree: draws and simulations, as inference writes them (``phase_ppl.analysis.tree``).
@@ -107,9 +105,10 @@ class Posterior(EventPosterior):
         self._weights = name
         tree = self._kept
         rows = WEIGHTINGS[name](tree)
-        columns = dict(rows.values)
-        columns |= derived_codes(columns["goal_red"], columns["goal_green"], scenario)
-        known = quantities()
+        words = vocabulary(space_of_tree(tree), scenario)
+        columns, known = words.completed(rows.values), words.quantities
+        self.goals_of, self.strengths_of = words.goals, words.strengths
+        self.relations_of, self.scenarios_of = words.relations, words.scenarios
         for site in [name for name in columns if name not in known]:
             known[site], columns[site] = own_quantity(tree, site, columns[site])
         groups = chain_groups(tree)[rows.index["chain"]]
@@ -158,33 +157,35 @@ class Posterior(EventPosterior):
         other = Posterior(self._tree, weights, burn_in=self._burn_in, scenario=self._scenario)
         return other._defining(self._own)
 
-    def map(self) -> Hypothesis:
+    def map(self) -> Any:
         """Return the hypothesis of the completed simulation with the highest log joint.
 
         Among all simulations that were paid for, accepted or not. Its goals are the stated
         ones; the simulator was given the effective ones, ``.effective_goals``. ``.relation`` and
         ``.scenario`` give the rest. The simulator is noisy, so this is the best single simulation.
+
+        Returns:
+            A :class:`phase_ppl.Hypothesis`; in other worlds than PHASE
+            :class:`phase_ppl.world.hypothesis.Roles`.
         """
         row = self._tree["simulations"].dataset.isel(simulation=self._best_simulation())
-        return Hypothesis(
-            goal_red=int(row["stated_goal_red"]),
-            goal_green=int(row["stated_goal_green"]),
-            alpha=ALPHAS[int(row["alpha"])],
-            strength_red=float(row["strength_red"]),
-            strength_green=float(row["strength_green"]),
+        space = space_of_tree(self._tree)
+        return space.hypothesis(
+            {site: row[name].item() for site, name in zip(space.sites, space.given, strict=True)}
         )
 
     def map_record(self) -> dict[str, Any]:
         """Return :meth:`map` as plain data.
 
         ``goal_*`` are the effective goals and ``stated_goal_*`` the stated ones, as everywhere;
-        with alpha, strengths, ``log_joint``, ``relation`` and ``scenario``.
+        with alpha, strengths, ``log_joint``, ``relation`` and ``scenario``. In other worlds than
+        PHASE the plain form of roles, with ``log_joint`` and each ``relation_<one>_<other>``.
         """
-        best = self.map()
-        red, green = (np.array([goal]) for goal in best.effective_goals)
-        codes = relation_codes(red, green, self._scenario)
+        best, words = self.map(), vocabulary(space_of_tree(self._tree), self._scenario)
+        goals = zip(words.space.goal_sites, best.effective_goals, strict=True)
+        codes = words.relation_codes({name: np.array([goal]) for name, goal in goals})
         return {
-            **super().map_record(),
+            **(super().map_record() if words.space.is_phase else best.to_dict()),
             "log_joint": float(self._log_joint().max()),
             **{name: self._quantities[name].categories()[int(c[0])] for name, c in codes.items()},
         }
@@ -284,7 +285,7 @@ class Posterior(EventPosterior):
     def summary(self) -> dict[str, Any]:
         """Return the posterior in JSON's types; numbers that do not exist are None.
 
-        Keys: ``goals`` (agent -> all 36 goals), ``relation``, ``scenario``, ``strengths`` (agent
+        Keys: ``goals`` (agent -> all goals), ``relation``, ``scenario``, ``strengths`` (agent
         -> mean, sd, hdi_low, hdi_high in newtons), ``errors`` (of each of these, in the same
         form), ``map``, ``diagnostics``, ``settings``, ``cost``.
         """
@@ -305,9 +306,11 @@ class Posterior(EventPosterior):
         )
         if self.burn_in and self.weights == "count":
             head += f", after a burn-in of {self.burn_in}"
+        n = self.observed().shape[1]
+        together = "" if n == 1 else f" (all {_WORDS.get(n, n)} entities together)"
         fit = (
             f"the best draw stays {found['best_error_per_frame']:.2f} units per frame from the "
-            "observation (all four entities together)"
+            f"observation{together}"
         )
         lines = [*wrapped("posterior", head), *wrapped("verdict", found["verdict"]), ""]
         lines += [*self._answer_lines(), ""]
@@ -316,8 +319,11 @@ class Posterior(EventPosterior):
         return "\n".join([*lines, *wrapped("fit", fit), *wrapped("cost", _cost(self.cost, found))])
 
     def __repr__(self) -> str:
-        chains, draws = array(self._tree, "posterior", "goal_red").shape
+        chains, draws = shape_of_draws(self._tree)
         return f"<Posterior of {self.event_id}: {chains} x {draws} draws, weights {self.weights!r}>"
+
+
+_WORDS: Final = {2: "two", 3: "three", 4: "four", 5: "five", 6: "six"}
 
 
 def _cost(cost: Mapping[str, Any], found: Mapping[str, Any]) -> str:

@@ -9,10 +9,17 @@ from typing import Any, Final
 import numpy as np
 import xarray as xr
 
-from phase_ppl.analysis.tree import HYPOTHESIS, SITES, log_weight_of_draws, simulation_of_draw
+from phase_ppl.analysis.tree import (
+    effective_goals,
+    log_weight_of_draws,
+    simulation_of_draw,
+    space_of_tree,
+)
+from phase_ppl.models.world_prior import as_given
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.identity import qualified_name, source_hash
+from phase_ppl.world.scene import PHASE, World
 
 FEWEST: Final = 10.0
 """Equal draws that a run under another prior must be worth, unless it was worth few before."""
@@ -24,14 +31,14 @@ _TRIED: Final = 0.25
 """Share that what was simulated must hold of the new prior, of its share of the old one."""
 
 
-def checked_program(prior: Callable[..., object] | str) -> Callable[..., object]:
-    """Return a prior, by its name or itself; errors as of a model."""
-    from phase_ppl.models import priors
-    from phase_ppl.models.model import checked_sites
+def checked_program(
+    prior: Callable[..., object] | str, world: World = PHASE
+) -> Callable[..., object]:
+    """Return a prior, by its name or itself, bound to a world; errors as of a model."""
+    from phase_ppl.models.model import Model
 
-    program = priors.named(prior) if isinstance(prior, str) else prior
-    checked_sites(program)
-    return program
+    given: Any = prior
+    return Model(prior=given).in_world(world).prior
 
 
 def settings_under(settings: str, program: Any, **found: float) -> str:
@@ -42,7 +49,8 @@ def settings_under(settings: str, program: Any, **found: float) -> str:
     record = json.loads(settings)
     model = dict(record.get("model", {}))
     first = record.get("reweighted", {}).get("from", model.get("prior", "unknown"))
-    now = {"prior": qualified_name(program), "prior_source": source_hash(program)}
+    given = as_given(program)
+    now = {"prior": qualified_name(given), "prior_source": source_hash(given)}
     if now["prior_source"] is not None and now.items() <= model.items():
         return settings  # the run's own, given again
     model |= now
@@ -73,23 +81,22 @@ def reweighted(tree: xr.DataTree, program: Callable[..., object]) -> xr.DataTree
     """
     from phase_ppl.models.density import NO_DENSITY
     from phase_ppl.models.effective import (
-        drawn_stated,
-        log_prior_of_effective,
         log_prior_of_hypotheses,
-        prior_of_pairs,
         upstream,
     )
+    from phase_ppl.models.space_prior import drawn_stated, kept_prior, log_prior_of_effective
 
     rows = simulation_of_draw(tree)
     if (rows < 0).any():
         raise InvalidEventError("a draw rests on no completed simulation of the tree")
     simulations, draws = tree["simulations"].to_dataset(), tree["posterior"].to_dataset()
-    own = [str(name) for name in draws.data_vars if name not in SITES]
+    space = space_of_tree(tree)
+    own = [str(name) for name in draws.data_vars if name not in space.columns]
     columns = {
-        name.removeprefix("stated_"): simulations[name].values for name in (*HYPOTHESIS, *own)
+        name.removeprefix("stated_"): simulations[name].values for name in (*space.given, *own)
     }
-    goals = np.stack([simulations[name].values for name in SITES[:2]], axis=1).astype(np.int64)
-    strengths = {name: columns[name] for name in SITES[-2:]}
+    goals = effective_goals(tree, "simulations")
+    strengths = {name: columns[name] for name in space.strength_sites}
     effective = log_prior_of_effective(program, goals, strengths)
     effective[effective <= NO_DENSITY] = -np.inf
     if own and set(own) <= upstream(program).keys():
@@ -100,7 +107,7 @@ def reweighted(tree: xr.DataTree, program: Callable[..., object]) -> xr.DataTree
         change = effective - simulations["log_prior_effective"].values
         stated = drawn_stated(program, goals, np.stack(list(strengths.values()), axis=1))
         simulations, draws = simulations.drop_vars(own), draws.drop_vars(own)
-        for name, codes in zip(HYPOTHESIS[:3], stated.T, strict=True):
+        for name, codes in zip(space.given, stated.T, strict=False):
             simulations[name] = simulations[name].copy(data=codes.astype(simulations[name].dtype))
             draws[name] = draws[name].copy(data=simulations[name].values[rows])
     simulations["log_prior"] = simulations["log_prior"] + change
@@ -109,7 +116,7 @@ def reweighted(tree: xr.DataTree, program: Callable[..., object]) -> xr.DataTree
     stats["log_joint"] = stats["log_joint"] + change[rows]
     stats["log_weight"] = (*stats["log_joint"].dims,), log_weight_of_draws(tree) + change[rows]
     constant = tree["constant_data"].to_dataset()
-    constant["prior_of_pairs"] = ("pair_red", "pair_green"), prior_of_pairs(program)
+    constant = constant.assign(kept_prior(program))
     changed = {
         "simulations": simulations,
         "posterior": draws,

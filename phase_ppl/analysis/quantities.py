@@ -20,6 +20,7 @@ each effective goal, here that of red:
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 from collections.abc import Callable, Mapping
 from typing import Any, Final, cast
@@ -29,6 +30,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from phase_ppl.analysis.tree import array
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, unknown_name
 from phase_ppl.world.goals import GOALS, N_GOALS, goal_literal
 from phase_ppl.world.hypothesis import (
@@ -39,9 +41,13 @@ from phase_ppl.world.hypothesis import (
     SCENARIOS,
 )
 from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS, Predicate
+from phase_ppl.world.scene import World
 
 ScenarioFunction = Callable[[str, str], str]
 """(effective goal of red, of green) -> one of ``SCENARIOS``."""
+
+SIGNS: Final = ("-1", "0", "1")
+"""Labels of ``alpha_<who>_<whom>`` beside PHASE: hinders, neither, helps."""
 
 ALPHA_LABELS: Final = tuple(str(alpha) for alpha in ALPHAS)
 """Labels of ``alpha``: signs of (alpha red -> green, alpha green -> red), as "(1, 0)"."""
@@ -149,6 +155,29 @@ def quantities() -> dict[str, Quantity]:
     return found
 
 
+def quantities_of(world: World) -> dict[str, Quantity]:
+    """Return the quantities of a world's posteriors, by name.
+
+    With the agents' ``world.keys``: ``goal_<agent>``, the effective goal;
+    ``relation_<one>_<other>`` of two agents, in order; ``alpha_<who>_<whom>``;
+    ``strength_<agent>``, newtons.
+    """
+    keys = world.keys
+    found = {f"goal_{key}": Quantity(f"goal_{key}", world.goals) for key in keys}
+    for name in relations_of(world).values():
+        found[name] = Quantity(name, RELATIONS)
+    for pair in itertools.permutations(keys, 2):
+        name = "_".join(("alpha", *pair))
+        found[name] = Quantity(name, SIGNS, (-1, 0, 1))
+    return found | {f"strength_{key}": Quantity(f"strength_{key}") for key in keys}
+
+
+def relations_of(world: World) -> dict[str, str]:
+    """Return two agents' keys -> the quantity of their relation."""
+    pairs = itertools.combinations(world.keys, 2)
+    return {f"{one} & {other}": f"relation_{one}_{other}" for one, other in pairs}
+
+
 def own_quantity(
     tree: xr.DataTree, name: str, values: NDArray[Any]
 ) -> tuple[Quantity, NDArray[Any]]:
@@ -225,3 +254,23 @@ def derived_codes(
 ) -> dict[str, NDArray[np.int64]]:
     """Return the codes of all that follows from pairs of effective goals, arrays (row,)."""
     return relation_codes(goal_red, goal_green, scenario) | part_codes(goal_red, goal_green)
+
+
+def by_label(
+    time: NDArray[np.float64],
+    codes: Mapping[str, NDArray[np.int64]],
+    masses: Callable[[NDArray[np.bool_]], FloatArray],
+    known: Mapping[str, Quantity],
+) -> xr.Dataset:
+    """Return probabilities (time, label) of each of the quantities that have codes.
+
+    ``codes`` are (row,) of the hypotheses; ``masses`` makes of (row, label), which of them have a
+    label, (time, label) what these weigh.
+    """
+    result = xr.Dataset(coords={"time": ("time", time, {"units": "s"})})
+    for name in codes:
+        labels = list(known[name].categories())
+        indicators = codes[name][:, None] == np.arange(len(labels))
+        result[name] = (("time", f"{name}_is"), masses(indicators))
+        result = result.assign_coords({f"{name}_is": labels})
+    return result

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 from collections.abc import Callable, Iterator
 from types import MappingProxyType
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.prior_change import settings_under
-from phase_ppl.analysis.quantities import Quantity
+from phase_ppl.analysis.quantities import quantities_of, relations_of
 from phase_ppl.analysis.roles_table import (
     DIMENSIONS,
     MOST_HYPOTHESES,
@@ -27,34 +26,8 @@ from phase_ppl.analysis.stepwise_posterior import FILTERING, StepwisePosterior, 
 from phase_ppl.analysis.summary import wrapped
 from phase_ppl.dataset.hdf5 import root_attribute
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.hypothesis import RELATIONS, Roles, company
+from phase_ppl.world.hypothesis import Roles, company
 from phase_ppl.world.scene import World
-
-SIGNS: Final = ("-1", "0", "1")
-"""Labels of ``alpha_<who>_<whom>``: hinders, neither, helps."""
-
-
-def quantities_of(world: World) -> dict[str, Quantity]:
-    """Return the quantities of a world's posteriors, by name.
-
-    With the agents' ``world.keys``: ``goal_<agent>``, the effective goal;
-    ``relation_<one>_<other>`` of two agents, in order; ``alpha_<who>_<whom>``;
-    ``strength_<agent>``, newtons.
-    """
-    keys = world.keys
-    found = {f"goal_{key}": Quantity(f"goal_{key}", world.goals) for key in keys}
-    for name in relations_of(world).values():
-        found[name] = Quantity(name, RELATIONS)
-    for pair in itertools.permutations(keys, 2):
-        name = "_".join(("alpha", *pair))
-        found[name] = Quantity(name, SIGNS, (-1, 0, 1))
-    return found | {f"strength_{key}": Quantity(f"strength_{key}") for key in keys}
-
-
-def relations_of(world: World) -> dict[str, str]:
-    """Return two agents' keys -> the quantity of their relation."""
-    pairs = itertools.combinations(world.keys, 2)
-    return {f"{one} & {other}": f"relation_{one}_{other}" for one, other in pairs}
 
 
 class RolesPosterior(StepwisePosterior):

@@ -21,11 +21,11 @@ from phase_ppl.analysis.diagnostics import overlapping_frames
 from phase_ppl.analysis.estimate import Jackknife
 from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.hypotheses import KEPT_DEFINITIONS, Given, Hypotheses
-from phase_ppl.analysis.over_time import by_label
 from phase_ppl.analysis.own_sites import WithSites, with_sites
 from phase_ppl.analysis.prior_change import changed_text, settings_under
 from phase_ppl.analysis.quantities import (
     ScenarioFunction,
+    by_label,
     derived_codes,
     quantities,
     relation_codes,
@@ -345,8 +345,9 @@ class StepwisePosterior(EventPosterior):
         def error(indicators: NDArray[np.bool_]) -> FloatArray:
             return self._error_over_sets(without @ indicators, masses @ indicators)
 
-        found = by_label(time, codes, lambda indicators: masses @ indicators)
-        for name, errors in by_label(time, codes, error).data_vars.items():
+        known = quantities()
+        found = by_label(time, codes, lambda indicators: masses @ indicators, known)
+        for name, errors in by_label(time, codes, error, known).data_vars.items():
             found[f"{name}_error"] = errors
         return found.assign_attrs(filtering=FILTERING)
 

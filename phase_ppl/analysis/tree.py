@@ -6,6 +6,7 @@ numbers only, so that it survives NetCDF unchanged.
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 from collections.abc import Mapping
@@ -20,29 +21,14 @@ from phase_ppl.dataset.events_json import labels_of
 from phase_ppl.dataset.hdf5 import netcdf_bytes, read_netcdf
 from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.files import check_output, existing_file, write_bytes
-from phase_ppl.world.goals import N_GOALS
-from phase_ppl.world.hypothesis import ALPHAS
 from phase_ppl.world.scene import PHASE, Scene, World
+from phase_ppl.world.space import HypothesisSpace, space_of
 
 SCHEMA: Final = "phase-ppl-posterior-2"  # value of the root attribute ``schema``
 
 SIMULATED: Final = "simulated"
 """Group of the simulation that each draw rests on, as the simulator made it. Where the likelihood
 is the radial one, its attribute ``beta`` says how much noise the likelihood puts around it."""
-
-SITES: Final = (
-    "goal_red",
-    "goal_green",
-    "stated_goal_red",
-    "stated_goal_green",
-    "alpha",
-    "strength_red",
-    "strength_green",
-)
-"""Variables of a hypothesis: effective goals, stated goals, alpha, strengths."""
-
-HYPOTHESIS: Final = SITES[2:]
-"""The sites that the prior is a density of; the effective goals follow from them."""
 
 _SCENE_DIMS: Final = ("entity", "coord", "landmark", "bound")
 DRAW: Final = ("chain", "draw")
@@ -51,7 +37,7 @@ FRAME: Final = ("time", "entity", "coord")
 """Dimensions of what there is of each draw, of each simulation, and of a trajectory."""
 
 REQUIRED: Final[Mapping[str, Mapping[str, tuple[str, ...] | None]]] = {
-    "posterior": dict.fromkeys(SITES, DRAW),
+    "posterior": {},
     "sample_stats": {
         **dict.fromkeys(("log_joint", "total_error", "accepted", "window"), DRAW),
         **dict.fromkeys(("frames_simulated", "sim_seed"), DRAW),
@@ -61,7 +47,6 @@ REQUIRED: Final[Mapping[str, Mapping[str, tuple[str, ...] | None]]] = {
     "observed_data": {"trajectory": FRAME},
     "simulations": dict.fromkeys(
         (
-            *SITES,
             *("seed", "chain", "iteration", "log_prior", "log_prior_effective"),
             "log_likelihood",
             *("total_error", "completed", "frames_simulated", "failed"),
@@ -70,7 +55,8 @@ REQUIRED: Final[Mapping[str, Mapping[str, tuple[str, ...] | None]]] = {
     ),
     "constant_data": dict.fromkeys(("start", "radius", "walls", "arena", "landmark_centres")),
 }
-"""Group -> variable -> dimensions (None: any)."""
+"""Group -> variable -> dimensions (None: any); beside the columns of a hypothesis, which draws and
+simulations have: ``HypothesisSpace.columns`` of the world."""
 
 OPTIONAL: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {
     "sample_stats": dict.fromkeys(("log_weight", "log_evidence"), DRAW),
@@ -91,9 +77,16 @@ def check_tree(tree: xr.DataTree) -> None:
     missing = [name for name in REQUIRED_ATTRS if name not in tree.attrs]
     if missing:
         raise InvalidEventError(f"the tree of draws lacks the root attributes {missing}")
-    for group, variables in REQUIRED.items():
+    for group in REQUIRED:
         if group not in tree.children:
             raise InvalidEventError(f"the tree of draws lacks the group {group!r}")
+    space = space_of_tree(tree)
+    hypothesis: dict[str, dict[str, tuple[str, ...]]] = {
+        "posterior": dict.fromkeys(space.columns, DRAW),
+        "simulations": dict.fromkeys(space.columns, SIMULATION),
+    }
+    for group, others in REQUIRED.items():
+        variables = {**hypothesis.get(group, {}), **others}
         dataset = tree[group].dataset
         missing = [name for name in variables if name not in dataset.variables]
         if missing:
@@ -104,7 +97,7 @@ def check_tree(tree: xr.DataTree) -> None:
                     f"{group}/{name} has dimensions {dataset[name].dims}, expected {dims}"
                 )
     _check_sizes(tree)
-    limits = {**dict.fromkeys(SITES[:4], N_GOALS), "alpha": len(ALPHAS)}
+    limits = {**dict.fromkeys(space.stated_sites, space.n_goals), **space.limits}
     for group in ("posterior", "simulations"):
         for name, limit in limits.items():
             codes = array(tree, group, name)
@@ -113,7 +106,7 @@ def check_tree(tree: xr.DataTree) -> None:
 
 
 def _check_sizes(tree: xr.DataTree) -> None:
-    shape = array(tree, "posterior", "goal_red").shape
+    shape = shape_of_draws(tree)
     if 0 in shape:
         raise InvalidEventError(f"the tree holds no draws: (chain, draw) = {shape}")
     frames = array(tree, "observed_data", "trajectory").shape
@@ -137,19 +130,46 @@ def array(tree: xr.DataTree, group: str, name: str) -> NDArray[Any]:
     return tree[group].dataset[name].values
 
 
-def untried(tree: xr.DataTree) -> float:
-    """Return the prior mass of the pairs of effective goals without a completed simulation.
+def shape_of_draws(tree: xr.DataTree) -> tuple[int, ...]:
+    """Return how many chains there are, and draws of each."""
+    return array(tree, "posterior", space_of_tree(tree).goal_sites[0]).shape
 
-    NaN where the tree does not hold the prior of pairs.
+
+def effective_goals(tree: xr.DataTree, group: str) -> NDArray[np.int64]:
+    """Return (..., agent) the effective goals of the draws or the simulations."""
+    names = space_of_tree(tree).goal_sites
+    return np.stack([array(tree, group, name).astype(np.int64) for name in names], axis=-1)
+
+
+def prior_of_goals(tree: xr.DataTree, goals: NDArray[np.int64]) -> NDArray[np.float64] | None:
+    """Return (row,) the prior mass of effective goals (row, agent); None where it is not kept."""
+    constant, space = tree["constant_data"].dataset, space_of_tree(tree)
+    if "prior_of_pairs" in constant:
+        return np.asarray(constant["prior_of_pairs"].values[tuple(goals.T)], np.float64)
+    if "log_prior_company" not in constant:
+        return None
+    own, company = (constant[f"log_prior_{name}"].values for name in ("goals", "company"))
+    return np.exp(np.logaddexp.reduce(space.log_prior_of_effective(own, company, goals), axis=0))
+
+
+def untried(tree: xr.DataTree) -> float:
+    """Return the prior mass of the effective goals of all without a completed simulation.
+
+    NaN where the tree does not hold their prior.
     """
-    constant = tree["constant_data"].dataset
-    if "prior_of_pairs" not in constant:
-        return float("nan")
-    left = constant["prior_of_pairs"].values.astype(np.float64)
     done = array(tree, "simulations", "completed") & ~array(tree, "simulations", "failed")
-    red, green = (array(tree, "simulations", name)[done] for name in SITES[:2])
-    left[red.astype(np.int64), green.astype(np.int64)] = 0.0
-    return float(left.sum())
+    tried = np.unique(effective_goals(tree, "simulations")[done], axis=0)
+    constant = tree["constant_data"].dataset
+    if "prior_of_pairs" in constant:
+        left = constant["prior_of_pairs"].values.astype(np.float64)
+        left[tuple(tried.T)] = 0.0
+        return float(left.sum())
+    found = prior_of_goals(tree, tried)
+    if found is None:
+        return float("nan")
+    own, company = (constant[f"log_prior_{name}"].values for name in ("goals", "company"))
+    # rounded sums of all may be a little above 1
+    return max(0.0, 1.0 - float(found.sum()) / space_of_tree(tree).possible_share(own, company))
 
 
 def without_burn_in(tree: xr.DataTree, burn_in: int) -> xr.DataTree:
@@ -167,7 +187,7 @@ def log_weight_of_draws(tree: xr.DataTree) -> NDArray[np.float64]:
     """Return (chain, draw) the log weights of the draws; 0 where the tree has none."""
     stats = tree["sample_stats"].dataset
     if "log_weight" not in stats:
-        return np.zeros(array(tree, "posterior", "goal_red").shape)
+        return np.zeros(shape_of_draws(tree))
     return stats["log_weight"].values.astype(float)
 
 
@@ -176,10 +196,11 @@ def simulation_of_draw(tree: xr.DataTree) -> NDArray[np.int64]:
 
     A draw and its simulation share hypothesis and seed; -1 where no completed simulation does.
     """
-    draws = {name: array(tree, "posterior", name) for name in HYPOTHESIS}
+    given = space_of_tree(tree).given
+    draws = {name: array(tree, "posterior", name) for name in given}
     draws["seed"] = array(tree, "sample_stats", "sim_seed")
     simulations = tree["simulations"].dataset
-    columns = [simulations[name].values for name in (*HYPOTHESIS, "seed")]
+    columns = [simulations[name].values for name in (*given, "seed")]
     usable = simulations["completed"].values & ~simulations["failed"].values
     index = {
         key: row
@@ -248,11 +269,11 @@ def scene_dataset(scene: Scene) -> xr.Dataset:
 def kept_scene(kept: xr.Dataset) -> Scene:
     """Return the scene that :func:`scene_dataset` wrote into a dataset."""
     x0, x1, y0, y1 = (float(v) for v in kept["arena"].values)
+    world = kept_world(kept)
     if "world" in kept.attrs:
-        record, half_width = json.loads(kept.attrs["world"])
-        world = World.from_dict(record)
+        half_width = json.loads(kept.attrs["world"])[1]
     else:
-        world, half_width = PHASE, float(kept.attrs["landmark_half_width"])
+        half_width = float(kept.attrs["landmark_half_width"])
     return Scene(
         start=kept["start"].values,
         radius=kept["radius"].values,
@@ -264,3 +285,18 @@ def kept_scene(kept: xr.Dataset) -> Scene:
         landmark_half_width=half_width,
         world=world,
     )
+
+
+def kept_world(kept: xr.Dataset) -> World:
+    """Return the world of the scene that :func:`scene_dataset` wrote into a dataset."""
+    return _world_of(kept.attrs["world"]) if "world" in kept.attrs else PHASE
+
+
+@functools.lru_cache(16)
+def _world_of(record: str) -> World:
+    return World.from_dict(json.loads(record)[0])
+
+
+def space_of_tree(tree: xr.DataTree) -> HypothesisSpace:
+    """Return the hypotheses of the world of a tree of draws."""
+    return space_of(kept_world(tree["constant_data"].dataset))

@@ -26,8 +26,6 @@ UNTRIED: Final = 0.05
 _CONSISTENT: Final = ("stratified", "importance")
 """Weightings that do not depend on the law that a kernel's draws follow."""
 
-_NAMES: Final = {"goal_red": "red", "goal_green": "green"}
-_ASKED: Final = {"goal_red": "red's goal", "goal_green": "green's goal", "relation": "the relation"}
 _NAMED: Final = 2
 """Goals that are named where particles disagree."""
 
@@ -39,9 +37,9 @@ def verdict(found: Mapping[str, Any]) -> str:
 
     What speaks most against it comes first. Only where nothing does, this is said.
     """
-    weighted = found["weighted_draws_ess"] is not None
+    weighted, n_agents = found["weighted_draws_ess"] is not None, len(found["agreement"])
     signs = [overlap_sign(found["overlapping_frames"])] if found["overlapping_frames"] else []
-    signs += _biased(found) + undecided(found["leaders"]) + _by_prior(found["leaders"])
+    signs += _biased(found) + undecided(found["leaders"]) + _by_prior(found)
     signs += _untried_rivals(found["untried_rivals"])
     if not weighted:
         signs += _acceptance(found["acceptance_rate"])
@@ -58,17 +56,18 @@ def verdict(found: Mapping[str, Any]) -> str:
     untried = found["untried"]
     if untried is not None and untried >= UNTRIED:
         signs.append(
-            f"Pairs of goals with {untried:.2f} of the prior's mass were never simulated, and "
-            "count as impossible."
+            f"{_combined(found).capitalize()} with {untried:.2f} of the prior's mass were never "
+            "simulated, and count as impossible."
         )
     simulations = found["simulations"]
     if simulations["failed"]:
         signs.append(f"{simulations['failed']} of {simulations['total']} simulations failed.")
     if weighted and found["decided"]:
-        signs.append("Both goals and the relation are decided, by more than their errors.")
+        signs.append(f"{_all_asked(found)} decided, by more than their errors.")
     sentences = [*signs, *([] if weighted else _notes(found))]
     if not weighted and found["particles"] > 1 and not _split(found):
-        agreed = f"The {found['particles']} particles agree on both agents' goals {_margin(found)}"
+        whose = {1: "the agent's goal", 2: "both agents' goals"}.get(n_agents, "all agents' goals")
+        agreed = f"The {found['particles']} particles agree on {whose} {_margin(found)}"
         none = ": nothing speaks against the leading goals."
         sentences.append(agreed + ("." if signs else none))
     return " ".join(sentences)
@@ -111,14 +110,18 @@ def _disagreement(found: Mapping[str, Any]) -> list[str]:
     if not split:
         return []
     camps = {name: _camps(found["leading_goals"][name]) for name in split}
-    if len(split) == 1:
-        agreed = next(name for name in _NAMES if name not in split)
-        text = f"agree on {_NAMES[agreed]}'s goal but not on {_NAMES[split[0]]}'s"
+    agreed = [name for name in found["agreement"] if name not in split]
+    by_agent = "; ".join(f"for {_agent(name)}, {camp}" for name, camp in camps.items())
+    if len(split) == 1 and len(agreed) == 1:
+        text = f"agree on {_asked(agreed[0])} but not on {_agent(split[0])}'s"
         text += f", where {camps[split[0]]}"
+    elif agreed:
+        text = f"agree on {' and '.join(map(_asked, agreed))} only: {by_agent}"
+    elif len(split) == 1:
+        text = f"do not agree on {_asked(split[0])}: {camps[split[0]]}"
     else:
-        text = "agree on neither agent's goal: " + "; ".join(
-            f"for {_NAMES[name]}, {camp}" for name, camp in camps.items()
-        )
+        whose = "neither agent's goal" if len(split) == 2 else "no agent's goal"
+        text = f"agree on {whose}: {by_agent}"
     return [
         f"The {particles} particles {text} {_margin(found)}. More iterations would tell real "
         "uncertainty from chains that have not mixed."
@@ -153,7 +156,7 @@ def _mixing(found: Mapping[str, Any]) -> list[str]:
     worst = {"the log joint": found["scalars"]["log_joint"]["r_hat"]}
     for name, labels in found["categories"].items():
         known = [entry["r_hat"] for entry in labels.values() if entry["r_hat"] is not None]
-        worst[name.replace("_", " of ")] = max(known, default=None)
+        worst[_titled(name)] = max(known, default=None)
     apart = {name: r for name, r in worst.items() if r is not None and r > MIXED}
     if not apart:
         return []
@@ -182,12 +185,44 @@ def _notes(found: Mapping[str, Any]) -> list[str]:
 def _other_leaders(categories: Mapping[str, Any]) -> list[str]:
     """Return for which agent the weighting puts another goal first than the draws do."""
     sentences = []
-    for name, agent in _NAMES.items():
-        goals = categories[name]
+    for name, goals in categories.items():
+        if not name.startswith(_GOAL):
+            continue
+        agent = _agent(name)
         first = max(goals, key=lambda goal: goals[goal]["probability"])
         if goals[first]["share"] < max(entry["share"] for entry in goals.values()):
             sentences.append(f"The weights put another goal of {agent} first, '{first}'.")
     return sentences
+
+
+_GOAL: Final = "goal_"  # begins the names of goals
+
+
+def _agent(goal: str) -> str:
+    return goal.removeprefix(_GOAL)
+
+
+def _asked(name: str) -> str:
+    """Return in words what a goal or relation is of."""
+    if name.startswith(_GOAL):
+        return f"{_agent(name)}'s goal"
+    return "the relation" if name == "relation" else name.replace("_", " ")
+
+
+def _titled(name: str) -> str:
+    return f"goal of {_agent(name)}" if name.startswith(_GOAL) else name.replace("_", " ")
+
+
+def _combined(found: Mapping[str, Any]) -> str:
+    """Return in words what all agents want together, in the plural."""
+    return {1: "goals", 2: "pairs of goals"}.get(len(found["agreement"]), "combinations of goals")
+
+
+def _all_asked(found: Mapping[str, Any]) -> str:
+    n = len(found["agreement"])
+    return {1: "The goal is", 2: "Both goals and the relation are"}.get(
+        n, "All goals and relations are"
+    )
 
 
 def undecided(leaders: Mapping[str, Mapping[str, Any]]) -> list[str]:
@@ -198,21 +233,22 @@ def undecided(leaders: Mapping[str, Mapping[str, Any]]) -> list[str]:
             error = math.nan if one["error"] is None else one["error"]
             first = f"'{one['label']}' ({with_error(one['probability'], error)})"
             second = f"'{one['next']}' ({one['next_probability']:.2f})"
-            open_ones.append(f"{_ASKED.get(name, name)} {first} or {second}")
+            open_ones.append(f"{_asked(name)} {first} or {second}")
     return [f"Not decided: {'; '.join(open_ones)}."] if open_ones else []
 
 
-def _by_prior(leaders: Mapping[str, Mapping[str, Any]]) -> list[str]:
+def _by_prior(found: Mapping[str, Any]) -> list[str]:
     """Return what is sure by the prior only."""
     names = [
-        f"{_ASKED[name]} '{one['label']}' {one['without_prior']:.2f}"
-        for name, one in leaders.items()
+        f"{_asked(name)} '{one['label']}' {one['without_prior']:.2f}"
+        for name, one in found["leaders"].items()
         if one["sure"] and one["without_prior"] is not None and one["without_prior"] <= 0.5
     ]
     if not names:
         return []
     return [
-        "The prior decides, not the video: with all pairs of goals alike beforehand, "
+        "The prior decides, not the video: with all "
+        f"{_combined(found)} alike beforehand, "
         f"{' and '.join(names)} would have no more."
     ]
 

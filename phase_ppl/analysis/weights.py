@@ -51,16 +51,16 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from phase_ppl.analysis.tree import (
-    HYPOTHESIS,
-    SITES,
     array,
+    effective_goals,
     log_weight_of_draws,
+    prior_of_goals,
+    shape_of_draws,
     simulation_of_draw,
+    space_of_tree,
 )
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
-
-_PAIR: Final = ("goal_red", "goal_green")
 
 MOST_GROUPS: Final = 32
 """Groups of chains that are left out, at most: more would hardly make errors surer."""
@@ -101,7 +101,7 @@ def chain_groups(tree: xr.DataTree) -> NDArray[np.int64]:
     Groups are single chains, or where there are more than :data:`MOST_GROUPS` as many groups of
     neighbouring chains, whose sizes differ by 1 at most.
     """
-    n_chains = array(tree, "posterior", "goal_red").shape[0]
+    n_chains = shape_of_draws(tree)[0]
     return np.arange(n_chains) * min(n_chains, MOST_GROUPS) // n_chains
 
 
@@ -162,7 +162,7 @@ def stratified(tree: xr.DataTree) -> Rows:
     """Return every completed simulation, by P(pair) times its part of the pair's mean L."""
     if not has_proposals(tree):
         raise _no_proposals("stratified", tree)
-    if "prior_of_pairs" not in tree["constant_data"]:
+    if prior_of_goals(tree, effective_goals(tree, "simulations")[:0]) is None:
         raise InvalidSettingError(
             "weights 'stratified' need the prior of pairs of goals; 'importance' does without"
         )
@@ -187,13 +187,14 @@ def log_shares(tree: xr.DataTree) -> FloatArray:
     with np.errstate(invalid="ignore"):
         log_ratio = simulations["log_prior"].values - log_proposal
     known = np.flatnonzero(np.isfinite(log_ratio) & ~simulations["failed"].values)
-    pair = np.stack([simulations[name].values[known].astype(np.int64) for name in _PAIR])
-    _, stratum = np.unique(pair, axis=1, return_inverse=True)
+    goals = effective_goals(tree, "simulations")[known]
+    _, stratum = np.unique(goals, axis=0, return_inverse=True)
     found = np.full(len(log_ratio), np.nan)
     for number in range(int(stratum.max(initial=-1)) + 1):
         rows = known[stratum == number]
         found[rows] = np.log(truncated(normalised(log_ratio[rows])))
-    prior = tree["constant_data"].dataset["prior_of_pairs"].values[tuple(pair)]
+    prior = prior_of_goals(tree, goals)
+    assert prior is not None, "it was asked for"
     with np.errstate(divide="ignore"):
         found[known] += np.log(prior)
     return found + log_proposal
@@ -262,7 +263,9 @@ def log_reciprocal_proposal(
     limited = np.isfinite(bound)
     log_completion[limited] = np.minimum(0.0, bound[limited] + log_likelihood[limited])
     log_first = -simulations["log_proposal"].values - log_completion
-    return np.asarray(np.logaddexp(log_first, simulations["log_again"].values), np.float64)
+    with np.errstate(invalid="ignore"):  # of what is not known
+        found = np.logaddexp(log_first, simulations["log_again"].values)
+    return np.asarray(found, np.float64)
 
 
 def truncated(weights: FloatArray) -> FloatArray:
@@ -297,15 +300,16 @@ def evaluations(tree: xr.DataTree) -> pd.DataFrame:
     log_mass = log_share + log likelihood (a bound where not completed).
     """
     simulations = tree["simulations"].dataset
-    names = [name for name in _sites(tree) if name in HYPOTHESIS or name not in SITES]
-    columns = (*_PAIR, *names, "seed", "log_prior_effective", "log_likelihood", "completed")
+    goals = space_of_tree(tree).goal_sites
+    names = [name for name in _sites(tree) if name not in goals]
+    columns = (*goals, *names, "seed", "log_prior_effective", "log_likelihood", "completed")
     table = pd.DataFrame({name: simulations[name].values for name in columns})
     table.insert(0, "simulation", np.arange(len(table)))
     table = table[~simulations["failed"].values]
     # a completed run of a hypothesis and seed says more than a stopped one of the same
     table = table.sort_values("completed", ascending=False, kind="stable")
     table = table.drop_duplicates([*names, "seed"]).sort_values("simulation")
-    n_of_pair = table.groupby(list(_PAIR), sort=False)["seed"].transform("size")
+    n_of_pair = table.groupby(list(goals), sort=False)["seed"].transform("size")
     log_share = table["log_prior_effective"].astype(float) - np.log(n_of_pair)
     return pd.DataFrame(
         {
@@ -320,18 +324,19 @@ def evaluations(tree: xr.DataTree) -> pd.DataFrame:
 def _sites(tree: xr.DataTree) -> list[str]:
     """Return the sites that both draws and simulations give: ours, then a user's own."""
     posterior, simulations = tree["posterior"].dataset, tree["simulations"].dataset
+    columns = space_of_tree(tree).columns
     own = [
         str(name)
         for name, variable in posterior.data_vars.items()
-        if name not in SITES and variable.ndim == 2 and name in simulations
+        if name not in columns and variable.ndim == 2 and name in simulations
     ]
-    return [*SITES, *own]
+    return [*columns, *own]
 
 
 def _draws(tree: xr.DataTree) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[np.int64]]]:
     posterior = tree["posterior"].dataset
     values = {name: posterior[name].values.reshape(-1) for name in _sites(tree)}
-    n_chains, n_draws = posterior["goal_red"].shape
+    n_chains, n_draws = shape_of_draws(tree)
     chain, draw = np.divmod(np.arange(n_chains * n_draws), n_draws)
     return values, {"chain": chain, "draw": draw}
 

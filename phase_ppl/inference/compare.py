@@ -38,6 +38,7 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.files import locked
 from phase_ppl.world.identity import versions, versions_so_far
 from phase_ppl.world.progress import is_shown
+from phase_ppl.world.scene import check_phase
 
 BUDGET: Final = simulations(500)
 REPEATS: Final = 8
@@ -120,6 +121,7 @@ def compare(
         ComparisonInterrupted: Ctrl-C; it carries what was finished.
     """
     check_event(event)
+    check_phase(event.scene, "a comparison of kernels")
     model = Model() if model is None else model
     settings = SimpleSettings() if settings is None else settings
     repeats = whole_number("repeats", repeats, maximum=_MOST_REPEATS)

@@ -90,7 +90,8 @@ def infer(
 
     Args:
         event: what to explain.
-        model: prior, simulator and likelihood; by default the paper's.
+        model: prior, simulator and likelihood; by default the paper's. Of an event of another
+            world than PHASE, if no kernel is named either, the closed loop's.
         kernel: a name (:func:`phase_ppl.available_kernels`), a kernel class or a function that
             makes a NumPyro kernel from the program of the event, or an instance of one of ours;
             by default "local_mh", which is SIMPLE, and none for a stepwise likelihood.
@@ -116,7 +117,7 @@ def infer(
         checkpoint: file, ending in .ckpt, in which the run is kept after the initial particles
             and after every iteration, for :func:`resume`. There must be none of that name yet.
         progress: whether to show a bar on stderr; by default where that is a terminal.
-        settings: of SIMPLE; by default the paper's numbers, with learned proposals.
+        settings: of SIMPLE; by default the paper's numbers, with learned proposals in PHASE.
         burn_in: draws at the beginning of each chain that do not count; by default a quarter of
             twenty iterations or more, else none. They are kept: ``Posterior(post.tree, burn_in=0)``
             counts them.
@@ -153,8 +154,8 @@ def infer(
             "infer(event, **phase_ppl.preset(...))"
         )
     given = {**vars(options), "chains": chains, "settings": settings, **kernel_options}
-    settings = SimpleSettings() if settings is None else settings
-    check_event(event, any_world=True)
+    check_event(event)
+    settings = SimpleSettings.of(event.scene.world) if settings is None else settings
     if model is None and kernel is None and event.scene.world != PHASE:
         model = Model(likelihood=StepwiseLikelihood())
     model = _complete_model(model, planner, settings)

@@ -18,7 +18,7 @@ from phase_ppl.inference.proposals.tables import (
 from phase_ppl.world.checks import nonnegative_number, number_or_nan, positive_number, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.observation import Observation
-from phase_ppl.world.scene import Scene
+from phase_ppl.world.scene import PHASE, Scene, World
 
 
 @dataclasses.dataclass(frozen=True)
@@ -70,6 +70,26 @@ class SimpleSettings:
                 f"it is {self.proposal!r}"
             )
         strength_estimator(self.strength)
+
+    @classmethod
+    def of(cls, world: World) -> SimpleSettings:
+        """Return the default settings for events of a world.
+
+        What was learned knows PHASE: elsewhere goals are proposed by distances, as in the paper,
+        and strengths by the analytic rule.
+        """
+        return cls() if world == PHASE else cls(proposal="paper", strength="analytic")
+
+    def check_world(self, world: World) -> None:
+        """Raise InvalidSettingError, naming the setting, where one does not know a world."""
+        learned = {"proposal": "learned", "strength": "network"}
+        for name, value in learned.items() if world != PHASE else ():
+            if getattr(self, name) == value:
+                usual = getattr(SimpleSettings.of(world), name)
+                raise InvalidSettingError(
+                    f"{name}={value!r} was learned in PHASE and knows no other world, such as "
+                    f"{world.name!r}: expected SimpleSettings({name}={usual!r})"
+                )
 
     def tables(self, scene: Scene, observation: Observation) -> BottomUpTables:
         """Return what the windows of an observation suggest under these settings."""

@@ -18,10 +18,9 @@ from jax.interpreters import batching, mlir
 from numpy.typing import NDArray
 
 from phase_ppl.models.density import NO_DENSITY, Sites
-from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, SELF_REFERRING, STRENGTH_SITES
 from phase_ppl.simulator.contract import SimulationResult
-from phase_ppl.world.goals import N_GOALS
-from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
+from phase_ppl.world.scene import PHASE
+from phase_ppl.world.space import HypothesisSpace, space_of
 
 _Columns = dict[str, NDArray[Any]]
 
@@ -31,7 +30,7 @@ class RunsSimulations(Protocol):
 
     def run(
         self,
-        hypotheses: Sequence[Hypothesis],
+        hypotheses: Sequence[Any],
         seeds: Sequence[int],
         error_ceilings: Sequence[float],
     ) -> list[SimulationResult]:
@@ -67,6 +66,11 @@ class SimulatorBridge:
     therefore reorder it, and one that was answered by a completed simulation before is answered
     by it again, at no cost. All particles of a vectorised step arrive in one call.
 
+    Args:
+        runner: simulates.
+        n_frames: of the observation.
+        space: what values of sites stand for; by default that of PHASE.
+
     Attributes:
         handle: number by which compiled code knows this bridge (:func:`request_errors`).
         records: every simulation so far.
@@ -76,13 +80,16 @@ class SimulatorBridge:
             would be logged by JAX and replaced by an exception of another class.
     """
 
-    def __init__(self, runner: RunsSimulations, n_frames: int) -> None:
+    def __init__(
+        self, runner: RunsSimulations, n_frames: int, space: HypothesisSpace | None = None
+    ) -> None:
         self.handle = next(_handles)
         self.records: list[Record] = []
         self.iteration = 0
         self.failure: BaseException | None = None
         self._runner = runner
         self._n_frames = n_frames
+        self._space = space_of(PHASE) if space is None else space
         self._completed: dict[tuple[Any, ...], int] = {}  # request -> row of the records
         _open[self.handle] = self
 
@@ -125,7 +132,9 @@ class SimulatorBridge:
         ceiling, log_proposal, log_bound = (limit.ravel() for limit in limits)
         errors = np.full((n_rows, self._n_frames), np.inf, np.float32)
         rows: list[int] = []
-        for row in np.flatnonzero(_in_support(flat, log_prior)).tolist():
+        # a density that is no number: outside
+        inside = (log_prior > NO_DENSITY) & self._space.in_support(flat)
+        for row in np.flatnonzero(inside).tolist():
             sites = {name: values[row] for name, values in flat.items()}
             known = self._completed.get(request_key(sites, int(seed[row])))
             if known is None:
@@ -137,7 +146,7 @@ class SimulatorBridge:
                     log_again = float(np.logaddexp(record.log_again, -log_proposal[row]))
                     self.records[known] = dataclasses.replace(record, log_again=log_again)
         results = self._runner.run(
-            [hypothesis_of_row(flat, row) for row in rows],
+            [self._space.hypothesis({k: v[row] for k, v in flat.items()}) for row in rows],
             [int(seed[row]) for row in rows],
             [float(ceiling[row]) for row in rows],
         )
@@ -232,26 +241,6 @@ batching.primitive_batchers[request_p] = _as_one
 mlir.register_lowering(request_p, mlir.lower_fun(_from_within, multiple_results=False))
 
 
-def _in_support(flat: _Columns, log_prior: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return which rows are hypotheses at all, and have prior mass."""
-    inside = log_prior > NO_DENSITY  # not a number: outside
-    for holder, name in enumerate(GOAL_SITES):
-        codes = flat[name]
-        in_range = (codes >= 0) & (codes < N_GOALS)
-        inside &= in_range & ~SELF_REFERRING[holder][np.where(in_range, codes, 0)]
-    inside &= (flat[ALPHA_SITE] >= 0) & (flat[ALPHA_SITE] < len(ALPHAS))
-    for name in STRENGTH_SITES:
-        inside &= (flat[name] > 0) & np.isfinite(flat[name])
-    return inside
-
-
 def request_key(sites: Mapping[str, NDArray[Any]], seed: int) -> tuple[Any, ...]:
     """Return what identifies a request: seed and sites, to the last bit."""
     return seed, *(sites[name].tobytes() for name in sorted(sites))
-
-
-def hypothesis_of_row(flat: _Columns, row: int) -> Hypothesis:
-    """Return the hypothesis that a row of columns of sites stands for."""
-    red, green = (int(flat[name][row]) for name in GOAL_SITES)
-    strengths = (float(flat[name][row]) for name in STRENGTH_SITES)
-    return Hypothesis(red, green, ALPHAS[int(flat[ALPHA_SITE][row])], *strengths)

@@ -3,8 +3,8 @@
 The other kind, of which nothing is simulated, is the closed loop's (``stepwise.py``).
 
 The paper's exp(-beta sum_t ||s_t - s^_t||) is made a proper density: per frame, the position of
-all entities (d = 8 numbers) has the radial density exp(-beta ||s - s^||) / Z. Z does not depend
-on the hypothesis, so the posterior is the paper's; but data can be drawn from it.
+all entities (d numbers, 8 in PHASE) has the radial density exp(-beta ||s - s^||) / Z. Z does not
+depend on the hypothesis, so the posterior is the paper's; but data can be drawn from it.
 
 The mean distance under it is d / beta, 160 units at the paper's beta = 0.05, eight times the
 arena's width: it is a tempered likelihood, not a model of the observation noise.
@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import TYPE_CHECKING, Any, Final, Protocol, TypeGuard, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeGuard, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,6 @@ from phase_ppl.world.names import ENTITIES
 if TYPE_CHECKING:
     from phase_ppl.models.stepwise import StepwiseLikelihood
 
-N_COORDINATES: Final = 2 * len(ENTITIES)  # d, numbers per frame: x and y of each entity
 _Array = TypeVar("_Array")
 
 
@@ -68,9 +67,8 @@ class InNats:
         return self.log_prob(log_floor)
 
 
-def _log_normaliser(beta: float) -> float:
+def _log_normaliser(beta: float, d: int) -> float:
     """Return log Z of exp(-beta ||x||) in d dimensions."""
-    d = N_COORDINATES
     sphere = math.log(2) + d / 2 * math.log(math.pi) - math.lgamma(d / 2)
     return sphere + math.lgamma(d) - d * math.log(beta)
 
@@ -81,24 +79,31 @@ class RadialLikelihood:
 
     Attributes:
         beta: 1 / units; the paper's 0.05.
+        n_entities: of the world, which a run sees to; d is twice that.
 
     Raises:
         InvalidSettingError: ``beta`` is no positive number.
     """
 
     beta: float = 0.05
+    n_entities: int = dataclasses.field(default=len(ENTITIES), repr=False)
 
     def __post_init__(self) -> None:
         positive_number("beta", self.beta)
 
+    @property
+    def n_coordinates(self) -> int:
+        """Numbers per frame, d: x and y of each entity."""
+        return 2 * self.n_entities
+
     def log_prob(self, errors: _Array) -> _Array:
         """Return the log density of each frame from its error, units; -inf for an infinite one."""
-        result: _Array = -self.beta * errors - _log_normaliser(self.beta)  # type: ignore[operator,assignment]
+        result: _Array = -self.beta * errors - _log_normaliser(self.beta, self.n_coordinates)  # type: ignore[operator,assignment]
         return result
 
     def max_total_error(self, log_floor: _Array, n_frames: int) -> _Array:
         """Return the summed error at which the log density of all frames is ``log_floor``."""
-        spent = n_frames * _log_normaliser(self.beta)
+        spent = n_frames * _log_normaliser(self.beta, self.n_coordinates)
         result: _Array = -(log_floor + spent) / self.beta  # type: ignore[operator,assignment]
         return result
 
@@ -107,7 +112,7 @@ class RadialLikelihood:
     ) -> NDArray[np.float64]:
         """Return what could have been observed around simulated positions.
 
-        In every frame all entities are off by a vector of :data:`N_COORDINATES` numbers, of a
+        In every frame all entities are off by a vector of ``n_coordinates`` numbers, of a
         direction by chance and a Gamma(d, beta) length.
 
         Args:
@@ -116,6 +121,6 @@ class RadialLikelihood:
         """
         direction = rng.standard_normal(positions.shape)
         direction /= np.linalg.norm(direction, axis=(-2, -1), keepdims=True)
-        length = rng.gamma(N_COORDINATES, 1 / self.beta, positions.shape[:-2])
+        length = rng.gamma(self.n_coordinates, 1 / self.beta, positions.shape[:-2])
         noise: NDArray[np.float64] = positions + direction * length[..., None, None]
         return noise

@@ -27,12 +27,13 @@ from phase_ppl.models.density import (
     site_shapes,
 )
 from phase_ppl.models.likelihood import InNats, RadialLikelihood, TrajectoryLikelihood, is_stepwise
-from phase_ppl.models.roles import is_of_any_world
-from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, HYPOTHESIS_SITES, STRENGTH_SITES
+from phase_ppl.models.roles import in_world, is_of_any_world, masses
+from phase_ppl.models.sites import HYPOTHESIS_SITES
+from phase_ppl.models.world_prior import WorldPrior, as_given, space_of_prior
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
-from phase_ppl.world.goals import N_GOALS
-from phase_ppl.world.hypothesis import ALPHAS
 from phase_ppl.world.identity import qualified_name, source_hash
+from phase_ppl.world.scene import PHASE, World
+from phase_ppl.world.space import HypothesisSpace
 
 if TYPE_CHECKING:
     from typing_extensions import TypeVar
@@ -74,7 +75,8 @@ class Model(Generic[Kind]):
 
     Attributes:
         prior: NumPyro program that samples the five hypothesis sites, and perhaps more; or the
-            name of a ready-made one (:mod:`phase_ppl.models.priors`).
+            name of a ready-made one (:mod:`phase_ppl.models.priors`). For events of other worlds
+            than PHASE a program of one argument, the world (:mod:`phase_ppl.models.roles`).
         simulator: generator function ``(scene, hypothesis, rng)`` of frames; None for the joint
             simulator of the paper (Algorithm 1).
         likelihood: one that compares a simulation with the video
@@ -157,9 +159,30 @@ class Model(Generic[Kind]):
     @functools.cached_property
     def sites(self) -> dict[str, tuple[int, ...]]:
         """Latent sites of the prior with their shapes."""
-        if is_stepwise(self.likelihood) and is_of_any_world(self.prior):
+        if is_of_any_world(self.prior):
             return {}  # what it samples is known where the world is
         return checked_sites(self.prior)
+
+    def in_world(self, world: World) -> Model:
+        """Return the model for events of a world: its prior bound to it, and its likelihood.
+
+        Raises:
+            InvalidSettingError: the prior is of PHASE and the world another, or the reverse, or it
+                cannot work.
+        """
+        prior: Program = as_given(self.prior)
+        if world == PHASE:
+            if is_of_any_world(prior):
+                raise InvalidSettingError(
+                    f"the prior {qualified_name(prior)} takes a world as its argument: in PHASE "
+                    f"one takes none and samples {', '.join(HYPOTHESIS_SITES)}"
+                )
+            return self
+        likelihood = self.likelihood
+        if type(likelihood) is RadialLikelihood:
+            likelihood = dataclasses.replace(likelihood, n_entities=len(world.entities))
+        bound: Any = WorldPrior(prior, in_world(prior, world), world)
+        return dataclasses.replace(self, prior=bound, likelihood=likelihood)
 
     @property
     def error_likelihood(self) -> TrajectoryLikelihood:
@@ -192,8 +215,8 @@ class Model(Generic[Kind]):
         details = getattr(self.simulator, "settings", None)
         return {
             **({"simulator_settings": details()} if callable(details) else {}),
-            "prior": qualified_name(self.prior),
-            "prior_source": source_hash(self.prior),
+            "prior": qualified_name(as_given(self.prior)),
+            "prior_source": source_hash(as_given(self.prior)),
             "simulator": qualified_name(self.simulator) if own else "joint",
             "simulator_source": source_hash(self.simulator) if own else None,
             "likelihood": repr(self.likelihood),
@@ -204,15 +227,25 @@ class Model(Generic[Kind]):
 
 # --- whether a prior can work ---------------------------------------------------------------------
 
-_EXPECTED: Final = {
-    **dict.fromkeys(GOAL_SITES, f"a goal code, 0..{N_GOALS - 1}, as phase_ppl.sites.goals()"),
-    ALPHA_SITE: f"an alpha code, 0..{len(ALPHAS) - 1}, as phase_ppl.sites.alpha()",
-    **dict.fromkeys(
-        STRENGTH_SITES,
-        "a positive real number, as phase_ppl.sites.strengths(), or one of a few, as "
-        "phase_ppl.sites.OneOf",
-    ),
-}
+
+def _expected(space: HypothesisSpace) -> dict[str, str]:
+    """Return in words what each site of a hypothesis must be."""
+    where, world = ("sites", "") if space.is_phase else ("roles", "world")
+    company = space.company_site
+    return {
+        **dict.fromkeys(
+            space.goal_sites,
+            f"a goal code, 0..{space.n_goals - 1}, as phase_ppl.{where}.goals({world})",
+        ),
+        company: f"an {company} code, 0..{len(space.ways) - 1}, as "
+        f"phase_ppl.{where}.{company}({world})",
+        **dict.fromkeys(
+            space.strength_sites,
+            f"a positive real number, as phase_ppl.{where}.strengths({world}), or one of a few, as "
+            "phase_ppl.sites.OneOf",
+        ),
+    }
+
 
 RESERVED_SITES: Final = frozenset(
     (
@@ -249,7 +282,8 @@ def checked_sites(prior: Program) -> dict[str, tuple[int, ...]]:
 
 @remembered(_REMEMBERED)
 def _checked(prior: Program) -> dict[str, tuple[int, ...]]:
-    name = getattr(prior, "__name__", shown(prior))
+    given = as_given(prior)
+    name = getattr(given, "__name__", shown(given))
     try:
         jax.local_devices(backend="cpu")
     except RuntimeError as error:
@@ -257,13 +291,16 @@ def _checked(prior: Program) -> dict[str, tuple[int, ...]]:
         raise InvalidSettingError(
             f"JAX has no processor to work on, with JAX_PLATFORMS={platforms!r}: {_reason(error)}"
         ) from error
-    if priors.is_ready_made(prior):
+    if priors.is_ready_made(given):
         return site_shapes(prior)  # to draw takes seconds, and the tests do
+    if isinstance(prior, WorldPrior):
+        masses(given, prior.world)
     try:
         trace = handlers.trace(handlers.seed(prior, random.key(0))).get_trace()
     except Exception as error:  # whatever a user's program does
         raise InvalidSettingError(f"the prior {name} cannot be run: {_reason(error)}") from error
-    _check_trace(name, trace)
+    space = space_of_prior(prior)
+    _check_trace(name, trace, space)
     sites = {site: tuple(jnp.shape(s["value"])) for site, s in latent_sites(trace).items()}
     _check_draws(name, prior, sites)
     return sites
@@ -273,44 +310,45 @@ def _reason(error: BaseException) -> str:
     return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
 
-def _check_trace(prior: str, trace: Mapping[str, Any]) -> None:
+def _check_trace(prior: str, trace: Mapping[str, Any], space: HypothesisSpace) -> None:
     """Refuse a run of the program whose sites are not what they should be."""
     for name, site in trace.items():
         if site["type"] == "sample" and site["is_observed"]:
             raise InvalidSettingError(
                 f"the prior {prior} conditions on {name!r} (obs= or factor); a prior only samples"
             )
-    latent = latent_sites(trace)
-    for name in HYPOTHESIS_SITES:
+    latent, expected = latent_sites(trace), _expected(space)
+    for name in space.sites:
         if name not in latent:
             raise InvalidSettingError(
-                f"the prior {prior} does not sample {name!r}: expected {_EXPECTED[name]}"
+                f"the prior {prior} does not sample {name!r}: expected {expected[name]}"
             )
     for name, site in latent.items():
-        fault = _fault_of_hypothesis_site(name, site) if name in _EXPECTED else ""
-        if fault := fault or _fault(name, site):
+        fault = _fault_of_hypothesis_site(name, site, space) if name in expected else ""
+        if fault := fault or _fault(name, site, space):
             raise InvalidSettingError(f"the prior {prior} samples {name!r}{fault}")
 
 
-def _fault_of_hypothesis_site(name: str, site: Mapping[str, Any]) -> str:
-    """Return in words what is wrong with one of the five sites; "" if nothing is."""
+def _fault_of_hypothesis_site(name: str, site: Mapping[str, Any], space: HypothesisSpace) -> str:
+    """Return in words what is wrong with a site of a hypothesis; "" if nothing is."""
+    expected = _expected(space)[name]
     if site["cond_indep_stack"]:
         plates = ", ".join(repr(frame.name) for frame in site["cond_indep_stack"])
         where = f" in the plate {plates}: expected a single value outside of plates"
-        return f"{where}, {_EXPECTED[name]}"
+        return f"{where}, {expected}"
     shape, dtype = jnp.shape(site["value"]), jnp.result_type(site["value"])
     if shape != ():
-        return f" of shape {shape}: expected a single value, {_EXPECTED[name]}"
-    if not _support_fits(name, site["fn"]):
-        return f" with support {site['fn'].support}: expected {_EXPECTED[name]}"
-    if name not in STRENGTH_SITES and not jnp.issubdtype(dtype, jnp.integer):
-        return f" of type {dtype}: expected {_EXPECTED[name]}"
+        return f" of shape {shape}: expected a single value, {expected}"
+    if not _support_fits(site["fn"], space.limits.get(name)):
+        return f" with support {site['fn'].support}: expected {expected}"
+    if name in space.limits and not jnp.issubdtype(dtype, jnp.integer):
+        return f" of type {dtype}: expected {expected}"
     return ""
 
 
-def _fault(name: str, site: Mapping[str, Any]) -> str:
+def _fault(name: str, site: Mapping[str, Any], space: HypothesisSpace) -> str:
     """Return in words what is wrong with any site; "" if nothing is."""
-    if name in RESERVED_SITES:
+    if name in RESERVED_SITES or (name not in space.sites and name in space.reserved):
         return ", a reserved name"
     if not name or "/" in name:
         return ": expected a name without '/', by which it is stored"
@@ -322,16 +360,16 @@ def _fault(name: str, site: Mapping[str, Any]) -> str:
     return ""
 
 
-def _support_fits(name: str, distribution: dist.Distribution) -> bool:
+def _support_fits(distribution: dist.Distribution, limit: int | None) -> bool:
+    """Whether a site has codes below a limit; None: strengths."""
     try:
         support = distribution.support
-        if name in STRENGTH_SITES and support.is_discrete:
+        if limit is None and support.is_discrete:
             values = np.asarray(distribution.enumerate_support(expand=False))
             possible = values[np.asarray(support(values))]
             return bool(((possible > 0) & np.isfinite(possible)).all())
-        if name in STRENGTH_SITES:
+        if limit is None:
             return not np.asarray(support(_NOT_POSITIVE)).any()
-        limit = len(ALPHAS) if name == ALPHA_SITE else N_GOALS
         outside = np.append(np.arange(-_FAR, 0), np.arange(limit, limit + _FAR))
         return support.is_discrete and not np.asarray(support(outside)).any()
     except (NotImplementedError, AttributeError, TypeError, ValueError):
@@ -366,7 +404,8 @@ def _check_draws(name: str, prior: Program, sites: Mapping[str, tuple[int, ...]]
             f"the prior {name} samples {', '.join(map(repr, differing))} in some runs and not, or "
             "with another shape, in others: expected the same sites each time"
         )
-    _check_values(name, {site: np.asarray(value) for site, value in values.items()})
+    space = space_of_prior(prior)
+    _check_values(name, {site: np.asarray(value) for site, value in values.items()}, space)
     for site, densities in by_site.items():
         bad = ~np.isfinite(np.asarray(densities))
         if bad.any():
@@ -404,16 +443,15 @@ def _log_prob(prior: str, name: str, site: Mapping[str, Any]) -> jax.Array:
         ) from error
 
 
-def _check_values(prior: str, columns: Mapping[str, NDArray[Any]]) -> None:
-    limits = {**dict.fromkeys(GOAL_SITES, N_GOALS), ALPHA_SITE: len(ALPHAS)}
-    for name in HYPOTHESIS_SITES:
+def _check_values(prior: str, columns: Mapping[str, NDArray[Any]], space: HypothesisSpace) -> None:
+    for name in space.sites:
         values = columns[name]
-        if name in limits:
-            wrong = (values < 0) | (values >= limits[name])
+        if name in space.limits:
+            wrong = (values < 0) | (values >= space.limits[name])
         else:
             wrong = ~((values > 0) & np.isfinite(values))
         if wrong.any():
             raise InvalidSettingError(
                 f"the prior {prior} draws {name!r} as {values[wrong][0]}: "
-                f"expected {_EXPECTED[name]}"
+                f"expected {_expected(space)[name]}"
             )

@@ -21,8 +21,7 @@ from phase_ppl.models.density import (
     trace_log_density,
 )
 from phase_ppl.models.model import Model
-from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, STRENGTH_SITES
-from phase_ppl.world.hypothesis import effective_pairs
+from phase_ppl.models.world_prior import space_of_prior
 from phase_ppl.world.identity import physics_rules
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
@@ -56,6 +55,7 @@ class EventProgram:
         observed: jax.Array | int | None = None,
     ) -> None:
         self.model = model
+        self.space = space_of_prior(model.prior)
         self.likelihood = model.error_likelihood
         self.bridge = bridge
         self.n_frames = n_frames
@@ -119,13 +119,22 @@ class EventProgram:
         simulator is told: effective goals and strengths.
         """
         if self.model.noise == "fixed":
-            codes = tuple(sites[name] for name in (*GOAL_SITES, ALPHA_SITE))
-            pair = jnp.asarray(effective_pairs().astype(np.uint32))[codes]
-            key = random.fold_in(random.key(self.salt), pair)
-            for name in STRENGTH_SITES:
+            key = random.fold_in(random.key(self.salt), self._effective(sites))
+            for name in self.space.strength_sites:
                 strength = jnp.asarray(sites[name], jnp.float32)
                 key = random.fold_in(key, strength.view(jnp.uint32))
         return random.randint(key, (), 0, MAX_SEED, jnp.int32)
+
+    def _effective(self, sites: Sites) -> jax.Array:
+        """Return a number, uint32, that stands for the effective goals of all agents."""
+        space = self.space
+        way = sites[space.company_site]
+        stated = jnp.stack([jnp.asarray(sites[name], jnp.int32) for name in space.goal_sites])
+        owner, agents = jnp.asarray(space.owner)[way], np.arange(space.n_agents)
+        goals = jnp.asarray(space.becomes)[way, agents, stated[owner]].astype(jnp.uint32)
+        # the last agent's goal counts least
+        place = np.array([space.n_goals**k for k in agents[::-1].tolist()], np.uint64)
+        return (goals * place.astype(np.uint32)).sum(dtype=jnp.uint32)
 
 
 def event_salt(scene: Scene, observation: Observation) -> int:

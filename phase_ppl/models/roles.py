@@ -3,7 +3,7 @@
 A program samples ``goal_<agent>`` (an index into ``world.goals``), ``company`` (an index into
 :func:`phase_ppl.world.hypothesis.company`: who helps or hinders whom) and ``strength_<agent>``
 (newtons), with the agents' ``world.keys``. The goal of an agent that helps or hinders is not used.
-The closed loop takes these sites to be independent of each other::
+These sites must be independent of each other::
 
     def alone(world):
         phase_ppl.roles.goals(world)
@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
 
 import jax
@@ -39,8 +39,7 @@ from phase_ppl.world.goals import possible_goals
 from phase_ppl.world.hypothesis import SOCIAL, STRENGTH_RANGE, Roles
 from phase_ppl.world.identity import qualified_name
 from phase_ppl.world.scene import World
-
-COMPANY_SITE: Final = "company"
+from phase_ppl.world.space import COMPANY_SITE, space_of
 
 _DRAWS: Final = 1000  # of roles, until all can act on their goals
 
@@ -57,12 +56,12 @@ class Factors(NamedTuple):
 
 def goal_sites(world: World) -> tuple[str, ...]:
     """Return the names of the sites of goals, agent by agent."""
-    return tuple(f"goal_{key}" for key in world.keys)
+    return space_of(world).goal_sites
 
 
 def strength_sites(world: World) -> tuple[str, ...]:
     """Return the names of the sites of strengths, agent by agent."""
-    return tuple(f"strength_{key}" for key in world.keys)
+    return space_of(world).strength_sites
 
 
 def goals(world: World) -> None:
@@ -165,6 +164,14 @@ def in_world(prior: Callable[..., object], world: World) -> RolePrior:
     return prior
 
 
+class Masses(NamedTuple):
+    """Log prior masses of own goals and of ways to help or hinder, and the program's trace."""
+
+    goals: FloatArray  # (agent, goal)
+    company: FloatArray  # (way,), see ``hypothesis.company``
+    trace: Mapping[str, Any]  # a run of the program
+
+
 def factors(prior: Callable[..., object], world: World, levels: tuple[float, ...]) -> Factors:
     """Return the masses that a prior gives to goals, ways to help or hinder, and strengths.
 
@@ -172,6 +179,30 @@ def factors(prior: Callable[..., object], world: World, levels: tuple[float, ...
         prior: NumPyro program of a world, or a ready-made one.
         world: whose agents and goals.
         levels: of strength, newtons, ascending; each stands for those nearest to it.
+
+    Raises:
+        InvalidSettingError: as of :func:`masses`, or strengths are all beyond the levels.
+    """
+    found = masses(prior, world)
+    forces = []
+    for site in strength_sites(world):
+        of_levels = _of_levels(found.trace[site]["fn"], np.array(levels))
+        if not np.isfinite(of_levels).any():
+            low, high = STRENGTH_RANGE
+            raise InvalidSettingError(
+                f"the prior {qualified_name(prior)} gives {site} no mass between {low:g} and "
+                f"{high:g} newtons"
+            )
+        forces.append(of_levels)
+    return Factors(found.goals, found.company, np.stack(forces))
+
+
+def masses(prior: Callable[..., object], world: World) -> Masses:
+    """Return the masses that a prior gives to goals and to ways to help or hinder.
+
+    Args:
+        prior: NumPyro program of a world, or a ready-made one.
+        world: whose agents and goals.
 
     Raises:
         InvalidSettingError: it is of PHASE only, cannot be run, lacks a site, or has some that are
@@ -203,7 +234,7 @@ def factors(prior: Callable[..., object], world: World, levels: tuple[float, ...
                 "goals, company and strengths must be independent of each other"
             )
 
-    def masses(site: str, n: int) -> FloatArray:
+    def of_site(site: str, n: int) -> FloatArray:
         found = trace[site]["fn"]
         if not getattr(found.support, "is_discrete", False) or trace[site]["value"].shape != ():
             raise InvalidSettingError(
@@ -222,23 +253,14 @@ def factors(prior: Callable[..., object], world: World, levels: tuple[float, ...
         return inside
 
     n_ways = len(hypothesis.company(len(world.agents)))
-    own = np.stack([masses(site, len(world.goals)) for site in goal_sites(world)])
+    own = np.stack([of_site(site, len(world.goals)) for site in goal_sites(world)])
     for agent, goal in np.argwhere(np.isfinite(own)).tolist():
         if goal not in possible_goals(agent, world):
             raise InvalidSettingError(
                 f"the prior {name} gives mass to the goal {world.goals[goal]!r} of the "
                 f"{world.agents[agent]}, whom it names"
             )
-    forces = []
-    for site in strength_sites(world):
-        of_levels = _of_levels(trace[site]["fn"], np.array(levels))
-        if not np.isfinite(of_levels).any():
-            low, high = STRENGTH_RANGE
-            raise InvalidSettingError(
-                f"the prior {name} gives {site} no mass between {low:g} and {high:g} newtons"
-            )
-        forces.append(of_levels)
-    return Factors(own, masses(COMPANY_SITE, n_ways), np.stack(forces))
+    return Masses(own, of_site(COMPANY_SITE, n_ways), trace)
 
 
 def _of_levels(found: Any, levels: FloatArray) -> FloatArray:

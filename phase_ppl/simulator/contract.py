@@ -28,15 +28,12 @@ from numpy.typing import NDArray
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import PhasePPLError, SimulationError, shown
 from phase_ppl.world.hypothesis import Hypothesis, Roles
-from phase_ppl.world.names import ENTITIES
 from phase_ppl.world.scene import Scene
 
 Result = TypeVar("Result")
 
 _FINITE: Final = 1e30
 """Larger numbers are as good as infinite; their distances would be so in single precision."""
-
-FRAME_SHAPE: Final = (len(ENTITIES), 3)  # of a frame of PHASE
 
 _STREAM: Final = 0x5EED
 """Keeps simulations' random streams apart from others that a user derives from the same seed."""
@@ -51,15 +48,15 @@ class Simulator(Protocol):
 
     A simulator may have three more methods:
 
-    * ``simulate_batch(scene, hypotheses, rngs, n_frames) -> (batch, time, 4, 3)``, for an engine
-      that runs many simulations at once; where there is one, it is used, in this process.
+    * ``simulate_batch(scene, hypotheses, rngs, n_frames) -> (batch, time, entity, 3)``, for an
+      engine that runs many simulations at once; where there is one, it is used, in this process.
     * ``settings() -> dict``: what else determines its simulations, as plain data, to be kept with
       a run.
     * ``warm_up()``: does once what all processes can then share, such as compiling.
     """
 
     def __call__(
-        self, scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator, /
+        self, scene: Scene, hypothesis: Any, rng: np.random.Generator, /
     ) -> Iterable[NDArray[Any]]: ...
 
 
@@ -75,7 +72,7 @@ class OutOfTime(Cancelled):
 class SimulationResult:
     """One simulation, complete or not."""
 
-    hypothesis: Hypothesis  # as requested (stated goals and alpha)
+    hypothesis: Hypothesis | Roles  # as requested (stated goals and who helps or hinders whom)
     seed: int  # as requested
     # (time, entity, coord) x, y [units], angle [rad]; NaN where not simulated
     trajectory: FloatArray
@@ -93,10 +90,15 @@ class SimulationResult:
 
     @classmethod
     def failed(
-        cls, hypothesis: Hypothesis, seed: int, n_frames: int, failure: str, seconds: float = 0.0
+        cls,
+        hypothesis: Hypothesis | Roles,
+        seed: int,
+        n_frames: int,
+        failure: str,
+        seconds: float = 0.0,
     ) -> SimulationResult:
         """Return the result of a simulation that gave nothing."""
-        trajectory = np.full((n_frames, *FRAME_SHAPE), np.nan)
+        trajectory = np.full((n_frames, len(hypothesis.world.entities), 3), np.nan)
         errors = np.full(n_frames, np.inf)
         return cls(hypothesis, seed, trajectory, errors, 0, False, seconds, failure)
 
@@ -109,7 +111,7 @@ def random_generator(seed: int) -> np.random.Generator:
 def simulate_one(
     simulator: Simulator,
     scene: Scene,
-    hypothesis: Hypothesis,
+    hypothesis: Hypothesis | Roles,
     seed: int,
     observed_positions: FloatArray,
     error_ceiling: float = math.inf,
@@ -243,7 +245,7 @@ os.register_at_fork(after_in_child=_idle.clear)
 def simulate_together(
     simulator: Any,
     scene: Scene,
-    hypotheses: Sequence[Hypothesis],
+    hypotheses: Sequence[Hypothesis | Roles],
     seeds: Sequence[int],
     observed_positions: FloatArray,
 ) -> list[SimulationResult]:
@@ -263,7 +265,7 @@ def simulate_together(
             ),
             dtype=np.float64,
         )
-        expected = (len(hypotheses), n_frames, *FRAME_SHAPE)
+        expected = (len(hypotheses), n_frames, observed_positions.shape[1], 3)
         if batch.shape != expected:
             raise SimulationError(f"the batch has shape {batch.shape}, expected {expected}")
     except (Exception, SystemExit) as error:
@@ -304,22 +306,22 @@ def simulate_trajectory(
 
 def _follow(
     start: Callable[[], Iterable[NDArray[Any]]],
-    hypothesis: Hypothesis,
+    hypothesis: Hypothesis | Roles,
     seed: int,
     observed_positions: FloatArray,
     error_ceiling: float = math.inf,
     cancelled: Callable[[], bool] | None = None,
 ) -> SimulationResult:
     """Compare frame by frame; close the simulation once its fate is decided."""
-    n_frames = len(observed_positions)
+    n_frames, shape = len(observed_positions), (observed_positions.shape[1], 3)
     observed = observed_positions.reshape(n_frames, -1).tolist()
-    trajectory = np.full((n_frames, *FRAME_SHAPE), np.nan)
+    trajectory = np.full((n_frames, *shape), np.nan)
     errors = np.full(n_frames, np.inf)
     total, done = 0.0, 0
     failure = None
     clock = time.perf_counter()
     try:
-        with contextlib.closing(_checked(start, n_frames)) as incoming:
+        with contextlib.closing(_checked(start, n_frames, shape)) as incoming:
             while done < n_frames and total <= error_ceiling:
                 frame = next(incoming)
                 error = math.dist(frame[:, :2].ravel().tolist(), observed[done])
@@ -345,7 +347,7 @@ def _follow(
 
 
 def _checked(
-    start: Callable[[], Iterable[NDArray[Any]]], n_frames: int, shape: tuple[int, int] = FRAME_SHAPE
+    start: Callable[[], Iterable[NDArray[Any]]], n_frames: int, shape: tuple[int, int]
 ) -> Generator[FloatArray, None, None]:
     """Yield frames until closed, which closes the simulator too; raise if one is not usable."""
     produced = start()

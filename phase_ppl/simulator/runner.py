@@ -29,11 +29,11 @@ from phase_ppl.simulator.processes import BorrowedExecutor, CannotLoad, Dispatch
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import number_of_workers, positive_number, whole_number
 from phase_ppl.world.errors import InvalidSettingError, SimulationError, shown, unknown_name
-from phase_ppl.world.hypothesis import Hypothesis
+from phase_ppl.world.hypothesis import Hypothesis, Roles
 from phase_ppl.world.observation import Observation
-from phase_ppl.world.scene import Scene, check_phase
+from phase_ppl.world.scene import Scene
 
-Request = tuple[Hypothesis, int, float]  # hypothesis, seed, error ceiling
+Request = tuple[Hypothesis | Roles, int, float]  # hypothesis, seed, error ceiling
 
 POLICIES: Final = ("reject", "raise", "retry")
 """A failed simulation is a result without likelihood; ends the run; is run again."""
@@ -74,7 +74,12 @@ class Work(NamedTuple):
     observed_positions: FloatArray  # (time, entity, 2) x, y, units
 
     def simulate(
-        self, hypothesis: Hypothesis, seed: int, error_ceiling: float, limit: float, **more: Any
+        self,
+        hypothesis: Hypothesis | Roles,
+        seed: int,
+        error_ceiling: float,
+        limit: float,
+        **more: Any,
     ) -> SimulationResult:
         """Run one simulation; arguments as of :func:`simulate_one`."""
         return simulate_one(
@@ -145,7 +150,6 @@ class Runner:
     ) -> None:
         if not callable(simulator):
             raise InvalidSettingError(f"simulator={shown(simulator)} cannot be called")
-        check_phase(scene, "inference")
         if executor is not None and not callable(getattr(executor, "submit", None)):
             raise InvalidSettingError(f"executor={shown(executor)} is no PEP 3148 executor")
         own = executor is None or workers is not None
@@ -209,7 +213,7 @@ class Runner:
 
     def run(
         self,
-        hypotheses: Sequence[Hypothesis],
+        hypotheses: Sequence[Hypothesis | Roles],
         seeds: Sequence[int],
         error_ceilings: Sequence[float] | None = None,
     ) -> list[SimulationResult]:
@@ -257,7 +261,7 @@ class Runner:
 
     def _requests(
         self,
-        hypotheses: Sequence[Hypothesis],
+        hypotheses: Sequence[Hypothesis | Roles],
         seeds: Sequence[int],
         error_ceilings: Sequence[float] | None,
     ) -> list[Request]:

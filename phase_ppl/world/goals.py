@@ -105,28 +105,33 @@ def possible_goals(holder: int, world: World = PHASE) -> list[int]:
     return [goal for goal in range(len(world.goals)) if not is_self_referring(goal, holder, world)]
 
 
-def neighbouring_goals(goal: str | int) -> tuple[int, ...]:
+def neighbouring_goals(goal: str | int, world: World = PHASE) -> tuple[int, ...]:
     """Return the goals that differ from ``goal`` in one thing.
 
     A goal says who or what is to be where, and whether it is to get there or away; being at the
-    goal's holder counts as a place beside the landmarks. So "Get red agent to red lm" neighbours
-    on the same with another entity or another landmark, on its negation, and on "get to red
-    agent". If one goal is a neighbour of another, so is the other of it.
+    goal's holder, or at another entity, counts as a place beside the landmarks. So "Get red agent
+    to red lm" neighbours on the same with another entity or another landmark, on its negation, and
+    on "get to red agent". If one goal is a neighbour of another, so is the other of it.
     """
-    parts = _parts(goal_index(goal))
+    parts = _parts(goal_index(goal, world), world)
 
     def differences(other: int) -> int:
-        return sum(a != b for a, b in zip(parts, _parts(other), strict=True))
+        return sum(a != b for a, b in zip(parts, _parts(other, world), strict=True))
 
-    return tuple(other for other in range(N_GOALS) if differences(other) == 1)
+    return tuple(other for other in range(len(world.goals)) if differences(other) == 1)
 
 
-def _parts(index: int) -> tuple[int, int | None, bool]:
-    """Return a goal's entity, its landmark (None: its holder), and whether it is to get there."""
-    literal = goal_literal(index, RED)
-    if literal.predicate is Predicate.TOUCH:
-        return literal.target, None, literal.positive
-    return literal.subject, literal.target, literal.positive
+def _parts(index: int, world: World) -> tuple[int, tuple[Predicate, int | None], bool]:
+    """Return a goal's entity, its place, and whether it is to get there.
+
+    A place is a landmark or another entity; None: the goal's holder.
+    """
+    literal = goal_literal(index, RED, world)
+    if literal.predicate is not Predicate.TOUCH:
+        return literal.subject, (literal.predicate, literal.target), literal.positive
+    if world.goals[index].startswith("get "):
+        return literal.target, (Predicate.TOUCH, None), literal.positive
+    return literal.subject, (Predicate.TOUCH, literal.target), literal.positive
 
 
 def shared_goal(

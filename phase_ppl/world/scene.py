@@ -649,8 +649,13 @@ def check_inside(trajectory: FloatArray, scene: Scene, name: str) -> None:
 
 def check_phase(scene: Scene, what: str) -> None:
     """Raise InvalidSettingError, for ``what`` knows no other world, unless a scene is of PHASE."""
-    if scene.world != PHASE:
-        raise InvalidSettingError(f"{what} knows the world PHASE only, not {scene.world.name!r}")
+    check_is_phase(scene.world, what)
+
+
+def check_is_phase(world: World, what: str) -> None:
+    """Raise InvalidSettingError, for ``what`` knows no other world, unless it is PHASE."""
+    if world != PHASE:
+        raise InvalidSettingError(f"{what} knows the world PHASE only, not {world.name!r}")
 
 
 def one_or_all(values: Sequence[float]) -> float | list[float]:

@@ -10,7 +10,6 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from phase_ppl.analysis import plots
-from phase_ppl.analysis.over_time import FOLLOWED
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.world.errors import InvalidEventError
 
@@ -24,6 +23,8 @@ from .factory import (
     make_tree,
     random_tree,
 )
+
+FOLLOWED = ("goal_red", "goal_green", "relation", "scenario")
 
 
 def tree_by_frame(seed: int = 0) -> xr.DataTree:

@@ -7,20 +7,21 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from phase_ppl.models.likelihood import N_COORDINATES, RadialLikelihood
+from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.world.errors import InvalidSettingError
 
 BETAS = (0.05, 0.7)
+N_COORDINATES = 8  # of the four entities of PHASE
 
 
+@pytest.mark.parametrize("n_entities", [4, 1, 10])
 @pytest.mark.parametrize("beta", BETAS)
-def test_radial_density_integrates_to_one(beta: float) -> None:
-    radius = np.linspace(1e-6, 60 / beta, 200_001)
-    sphere = 2 * math.pi ** (N_COORDINATES / 2) / math.gamma(N_COORDINATES / 2)
-    density = np.exp(RadialLikelihood(beta).log_prob(radius))
-    assert np.trapezoid(density * sphere * radius ** (N_COORDINATES - 1), radius) == pytest.approx(
-        1, abs=1e-4
-    )
+def test_radial_density_integrates_to_one(beta: float, n_entities: int) -> None:
+    radius, d = np.linspace(1e-6, 90 / beta, 200_001), 2 * n_entities
+    sphere = 2 * math.pi ** (d / 2) / math.gamma(d / 2)
+    density = np.exp(RadialLikelihood(beta, n_entities).log_prob(radius))
+    found = np.trapezoid(density * sphere * radius ** (d - 1), radius)
+    assert found == pytest.approx(1, abs=1e-4)
 
 
 @pytest.mark.parametrize("beta", BETAS)

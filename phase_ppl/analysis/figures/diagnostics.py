@@ -25,11 +25,9 @@ from phase_ppl.analysis.figures.style import (
     new_figure,
     written,
 )
-from phase_ppl.analysis.hypotheses import GOALS_OF
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.tree import array
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.goals import GOALS, N_GOALS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,10 +37,8 @@ if TYPE_CHECKING:
 NAMES: Final = {
     "log_joint": "log joint",
     "total_error": "total error [units]",
-    "strength_red": "strength of red [N]",
-    "strength_green": "strength of green [N]",
 }
-"""Scalar -> title of its panel."""
+"""Scalar -> title of its panel, beside strengths."""
 
 _BEST: Final = "#d55e00"
 _PALE: Final = "#7d93ad"
@@ -68,8 +64,11 @@ def diagnostics(post: Posterior, path: str | os.PathLike[str] | None = None) -> 
     upper, middle, lower = figure.subfigures(3, 1, squeeze=False, height_ratios=(2.9, 4, 2.8))[:, 0]
     _goal_panels(upper, post)
     values = scalars(post.tree)
-    panels = middle.subplots(2, 4, width_ratios=(2.1, 1, 2.1, 1)).reshape(-1, 2)
-    for (trace, ranks), name in zip(panels, NAMES, strict=True):
+    shown = [*NAMES, *post.strengths_of.values()]
+    panels = middle.subplots((len(shown) + 1) // 2, 4, width_ratios=(2.1, 1, 2.1, 1))
+    for axes in panels.reshape(-1, 2)[len(shown) :].ravel():
+        axes.set_axis_off()
+    for (trace, ranks), name in zip(panels.reshape(-1, 2), shown, strict=False):
         _trace(trace, values[name], _best_chain(post), name)
         _ranks(ranks, values[name])
     _chains_note(middle, post)
@@ -121,20 +120,25 @@ def errors(post: Posterior, path: str | os.PathLike[str] | None = None) -> Figur
 
 
 def _goal_panels(figure: Figure | SubFigure, post: Posterior) -> None:
-    """Draw the two agents' maps, and what the colours mean to the right of them."""
+    """Draw the agents' maps, and what the colours mean to the right of them."""
+    from matplotlib.colors import to_rgb
     from matplotlib.patches import Patch
 
-    codes = {name: array(post.tree, "posterior", name) for name in GOALS_OF.values()}
-    held = np.bincount(np.stack(list(codes.values())).ravel(), minlength=N_GOALS)
+    codes = {name: array(post.tree, "posterior", name) for name in post.goals_of.values()}
+    goals = post.scene.world.goals
+    held = np.bincount(np.stack(list(codes.values())).ravel(), minlength=len(goals))
     order = np.argsort(-held, kind="stable")[: np.count_nonzero(held)]
     room = len(MANY_COLOURS)
     coloured = order if len(order) <= room else order[: room - 1]
-    panels = figure.subplots(1, 2)
-    for axes, (agent, name) in zip(panels, GOALS_OF.items(), strict=True):
-        _goal_panel(axes, codes[name], coloured)
-        dressed(axes, f"Goal of the {agent}", x="draw", y="" if axes is panels[1] else "particle")
+    table = np.tile(to_rgb(OTHER), (len(goals), 1))
+    for code, colour in zip(coloured, MANY_COLOURS, strict=False):
+        table[code] = to_rgb(colour)
+    panels = figure.subplots(1, len(codes), squeeze=False)[0]
+    for axes, (agent, name) in zip(panels, post.goals_of.items(), strict=True):
+        _goal_panel(axes, codes[name], table)
+        dressed(axes, f"Goal of the {agent}", x="draw", y="particle" if axes is panels[0] else "")
         bare(axes, "left", "bottom")
-    entries = {GOALS[code]: c for code, c in zip(coloured, MANY_COLOURS, strict=False)}
+    entries = {goals[code]: c for code, c in zip(coloured, MANY_COLOURS, strict=False)}
     if len(order) > len(coloured):
         entries[f"{len(order) - len(coloured)} other goals"] = OTHER
     figure.legend(
@@ -144,12 +148,8 @@ def _goal_panels(figure: Figure | SubFigure, post: Posterior) -> None:
     )  # fmt: skip
 
 
-def _goal_panel(axes: Axes, codes: NDArray[Any], coloured: NDArray[np.int64]) -> None:
-    from matplotlib.colors import to_rgb
-
-    table = np.tile(to_rgb(OTHER), (N_GOALS, 1))
-    for code, colour in zip(coloured, MANY_COLOURS, strict=False):
-        table[code] = to_rgb(colour)
+def _goal_panel(axes: Axes, codes: NDArray[Any], table: FloatArray) -> None:
+    """Draw (chain, draw) codes by a table (code, 3) of colours."""
     n_chains, n_draws = codes.shape
     extent = (0.5, n_draws + 0.5, n_chains + 0.5, 0.5)
     axes.imshow(table[codes], aspect="auto", interpolation="nearest", extent=extent)
@@ -179,7 +179,9 @@ def _trace(axes: Axes, values: FloatArray, best: int, name: str) -> None:
     axes.set_xlim(*((0.5, 1.5) if n == 1 else (1, n)))
     _whole_ticks(axes, n)
     axes.locator_params(axis="y", nbins=4)
-    dressed(axes, NAMES.get(name, name), x="draw")
+    agent = name.removeprefix("strength_")
+    title = NAMES.get(name, name) if agent == name else f"strength of {agent} [N]"
+    dressed(axes, title, x="draw")
 
 
 def _ranks(axes: Axes, values: FloatArray) -> None:

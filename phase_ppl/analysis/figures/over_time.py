@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import textwrap
 from collections.abc import Mapping, Sequence
@@ -80,7 +81,8 @@ def over_time(
     figure.supxlabel(textwrap.fill(note, 120), x=0.012, ha="left", fontsize=SMALL + 0.3, color=GREY)
     shown = {name: _leading(found[name]) for name in post.goals_of.values()}
     goals = list(dict.fromkeys(goal for goals in shown.values() for goal in goals))
-    colours = dict(zip(goals, MANY_COLOURS, strict=False)) | _RELATION_COLOURS
+    # of more goals than colours some share theirs: labels stand beside the lines
+    colours = dict(zip(goals, itertools.cycle(MANY_COLOURS), strict=False)) | _RELATION_COLOURS
     shown |= {key: list(_RELATION_COLOURS) for key in post.relations_of.values()}
     heights = [5] * len(post.goals_of) + [4] * len(post.relations_of)
     rows = figure.subplots(len(heights), 1, squeeze=False, sharex=True, height_ratios=heights)

@@ -13,12 +13,13 @@ has the seed and the errors that belong to the state. The seeds not chosen are t
 
 All values are simulated in one batch, to the end, because each one's likelihood counts. Only an
 agent that acts on its own goal is chosen: that of a helper or hinderer changes nothing that is
-simulated. Which agents do follows from alpha, which stays, so that the choice needs no correction.
+simulated. Which agents do follows from the site of who helps or hinders whom, which stays, so that
+the choice needs no correction.
 """
 
 from __future__ import annotations
 
-from typing import ClassVar, Final
+from typing import Final
 
 import jax
 import jax.numpy as jnp
@@ -30,16 +31,19 @@ from phase_ppl.inference.kernels.metropolis import MetropolisKernel, MHState
 from phase_ppl.inference.kernels.particle import as_batch_of_one
 from phase_ppl.inference.registry import register_kernel
 from phase_ppl.models.density import NO_DENSITY
-from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, SELF_REFERRING
-from phase_ppl.world.goals import N_GOALS
-from phase_ppl.world.hypothesis import ALPHAS
+from phase_ppl.world.scene import PHASE
+from phase_ppl.world.space import HypothesisSpace, space_of
 
-SIMS_PER_STEP: Final = int((~SELF_REFERRING).sum(axis=1).max())
-"""The most a step takes: all other goals that do not name their holder, and one more simulation.
-Goals without prior mass are not simulated."""
 
-_LOG_CHOICE: Final = np.where(np.array(ALPHAS) == 0, 0.0, -np.inf)
-"""(alpha, agent) 0 where the agent acts on its own goal."""
+def most_simulations(space: HypothesisSpace) -> int:
+    """Return the most that a step takes: all other goals that an agent can have, and one more.
+
+    Goals without prior mass are not simulated.
+    """
+    return int((~space.impossible).sum(axis=1).max())
+
+
+SIMS_PER_STEP: Final = most_simulations(space_of(PHASE))
 
 
 @register_kernel("enumerated_gibbs", validity="exact", sims_per_step=SIMS_PER_STEP, any_length=True)
@@ -50,7 +54,10 @@ class EnumeratedGibbs(MetropolisKernel):
     ``early_reject`` is about the second.
     """
 
-    sims_per_step: ClassVar[int] = SIMS_PER_STEP
+    @property
+    def sims_per_step(self) -> int:
+        """The most that a step takes."""
+        return SIMS_PER_STEP if self._program is None else most_simulations(self.program.space)
 
     def _sample_fn(self, state: MHState) -> MHState:
         if not is_prng_key(state.rng_key):
@@ -70,16 +77,18 @@ class EnumeratedGibbs(MetropolisKernel):
 
     def _goal_drawn(self, key: jax.Array, state: MHState) -> MHState:
         """Return the state after a draw of one agent's goal; its counters stay."""
-        program = self.program
-        key_agent, key_value, *keys = random.split(key, 2 + N_GOALS)
-        agent = random.categorical(key_agent, jnp.asarray(_LOG_CHOICE)[state.z[ALPHA_SITE]])
-        values = jnp.arange(N_GOALS)
-        current = jnp.stack([state.z[name] for name in GOAL_SITES])[agent]
+        program, space = self.program, self.program.space
+        key_agent, key_value, *keys = random.split(key, 2 + space.n_goals)
+        acts_on_own = space.owner == np.arange(space.n_agents)
+        log_choice = jnp.asarray(np.where(acts_on_own, 0.0, -np.inf))
+        agent = random.categorical(key_agent, log_choice[state.z[space.company_site]])
+        values = jnp.arange(space.n_goals)
+        current = jnp.stack([state.z[name] for name in space.goal_sites])[agent]
 
         def with_goal(value: jax.Array) -> dict[str, jax.Array]:
             goals = {
                 name: jnp.where(agent == holder, value, state.z[name]).astype(state.z[name].dtype)
-                for holder, name in enumerate(GOAL_SITES)
+                for holder, name in enumerate(space.goal_sites)
             }
             return {**state.z, **goals}
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import functools
+import itertools
+import math
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
@@ -19,13 +21,20 @@ from phase_ppl.models.density import NO_DENSITY, log_density
 from phase_ppl.models.effective import drawn_stated, log_prior_of_effective, stated_hypotheses
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import EventProgram
-from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, HYPOTHESIS_SITES, STRENGTH_SITES
+from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, STRENGTH_SITES
+from phase_ppl.models.space_prior import masses
+from phase_ppl.models.world_prior import WorldPrior, space_of_prior
+from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import number_or_nan, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown
 
 NEVER: Final = -60.0
 """Log prior, less the highest, below which a hypothesis is left out; NumPyro gives a probability
 of 0 some -87."""
+
+
+STRENGTHS: Final = (150.0, 300.0, 450.0, 600.0)  # grid of each agent's strength, newtons
+MAX_SIMULATIONS: Final = 50_000
 
 
 class Grid(NamedTuple):
@@ -42,9 +51,13 @@ class Grid(NamedTuple):
         return len(self.log_prior)
 
 
-def hypothesis_grid(model: Model, strengths: Sequence[float]) -> Grid:
-    """Return all effective pairs of goals with prior mass, times all pairs of strengths [N]."""
-    own = [name for name in model.sites if name not in HYPOTHESIS_SITES]
+def hypothesis_grid(model: Model, strengths: Sequence[float], most: int = MAX_SIMULATIONS) -> Grid:
+    """Return all effective goals of all agents with prior mass, times all strengths [N].
+
+    In other worlds than PHASE as many as ``most``; each way to help or hinder counts by itself.
+    """
+    space = space_of_prior(model.prior)
+    own = [name for name in model.sites if name not in space.sites]
     if own:
         raise InvalidSettingError(
             f"the prior's own sites {own} cannot be enumerated, only goals, alpha and strengths"
@@ -55,7 +68,10 @@ def hypothesis_grid(model: Model, strengths: Sequence[float]) -> Grid:
             f"strengths={shown(strengths)}, expected a few positive numbers, newtons"
         )
     with jax.ensure_compile_time_eval():  # kernels are made inside compiled code
-        return _grid(model.prior, tuple(float(value) for value in strengths))
+        forces = tuple(float(value) for value in strengths)
+        if isinstance(model.prior, WorldPrior):
+            return _grid_in_world(model.prior, forces, most)
+        return _grid(model.prior, forces)
 
 
 @functools.lru_cache(8)
@@ -70,6 +86,50 @@ def _grid(prior: Any, strengths: tuple[float, ...]) -> Grid:
     stated = drawn_stated(prior, pairs[which], force)
     sites = dict(zip((*GOAL_SITES, ALPHA_SITE), stated.T.astype(np.int32), strict=True))
     sites |= dict(zip(STRENGTH_SITES, force.T, strict=True))
+    return _with_mass(prior, sites, log_prior, strengths)
+
+
+@functools.lru_cache(8)
+def _grid_in_world(prior: WorldPrior, strengths: tuple[float, ...], most: int) -> Grid:
+    found, space = masses(prior), space_of_prior(prior)
+    n_agents = space.n_agents
+    forces = np.array(list(itertools.product(strengths, repeat=n_agents)), np.float32)
+    possible = [np.flatnonzero(np.isfinite(row)) for row in found.goals]
+    blocks, log_masses = [], []
+    ways = [way for way in range(len(space.ways)) if np.isfinite(found.company[way])]
+    owners = [[one is None for one in space.ways[way]] for way in ways]
+    n = sum(math.prod(len(p) for p, o in zip(possible, own, strict=True) if o) for own in owners)
+    if n * len(forces) > most:
+        raise InvalidSettingError(
+            f"{space.world.name!r} has {n} combinations of goals and of who helps or hinders whom, "
+            f"and with the strengths {list(strengths)} {n * len(forces)} hypotheses: more than "
+            f"max_simulations={most}"
+        )
+    for way, own in zip(ways, owners, strict=True):
+        # of who helps or hinders any goal will do: it is not used
+        choices = [p if is_own else p[:1] for p, is_own in zip(possible, own, strict=True)]
+        rows = np.array(list(itertools.product(*choices)), np.int32).reshape(-1, n_agents)
+        blocks.append(np.column_stack([rows, np.full(len(rows), way)]))
+        used = [found.goals[a][rows[:, a]] for a in range(n_agents) if own[a]]
+        log_masses.append(found.company[way] + np.sum(used, axis=0))
+    stated, log_goals = np.concatenate(blocks), np.concatenate(log_masses)
+    which = np.tile(np.arange(len(stated)), len(forces))
+    force = np.repeat(forces, len(stated), axis=0)
+    sites = dict(zip(space.sites, stated[which].T.astype(np.int32), strict=False))
+    sites |= dict(zip(space.strength_sites, force.T, strict=True))
+    log_strengths = np.zeros(len(which))
+    for name in space.strength_sites:
+        law = found.trace[name]["fn"]
+        log_strengths += np.asarray(law.log_prob(sites[name]), np.float64)
+    inside = space.in_support(sites)
+    kept = {name: values[inside] for name, values in sites.items()}
+    return _with_mass(prior, kept, (log_goals[which] + log_strengths)[inside], strengths)
+
+
+def _with_mass(
+    prior: Any, sites: dict[str, NDArray[Any]], log_prior: FloatArray, strengths: Sequence[float]
+) -> Grid:
+    """Return the grid of those hypotheses that have prior mass."""
     density = jax.jit(jax.vmap(functools.partial(log_density, prior)))(sites)
     keep = np.asarray(density) > NO_DENSITY  # looks at the support, as NumPyro's own does not
     keep &= log_prior > np.max(log_prior, initial=-np.inf, where=keep) + NEVER
@@ -82,20 +142,16 @@ def _grid(prior: Any, strengths: tuple[float, ...]) -> Grid:
     return Grid(kept, log_prior.astype(np.float32))
 
 
-STRENGTHS: Final = (150.0, 300.0, 450.0, 600.0)  # grid of either agent's strength, newtons
-MAX_SIMULATIONS: Final = 50_000
-
-
 @register_kernel("enumerate", validity="consistent", keeps="start", weighted=True, any_length=True)
 class Enumeration(ParticleKernel[WeightedState]):
-    """Enumeration of all pairs of effective goals on a grid of strengths.
+    """Enumeration of all agents' effective goals on a grid of strengths.
 
     Every hypothesis is simulated, one after the other, and weighs P(h) L. As good as its grid of
     strengths and, where the simulator is noisy, as its number of seeds: hence "consistent" and not
     "exact". The particles share the work; the seeds vary slowest.
 
     Args:
-        strengths: grid of either agent's strength, newtons, weighted by the prior's density.
+        strengths: grid of each agent's strength, newtons, weighted by the prior's density.
         noise_seeds: simulations of each hypothesis, with seeds of their own.
         max_simulations: more than these are refused.
 
@@ -140,7 +196,7 @@ class Enumeration(ParticleKernel[WeightedState]):
 
     @property
     def _grid(self) -> Grid:
-        return hypothesis_grid(self.program.model, self._strengths)
+        return hypothesis_grid(self.program.model, self._strengths, self._max_simulations)
 
     @property
     def n_simulations(self) -> int:

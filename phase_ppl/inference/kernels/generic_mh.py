@@ -20,10 +20,9 @@ from phase_ppl.inference.registry import register_kernel
 from phase_ppl.inference.settings import SimpleSettings, probability
 from phase_ppl.models.density import Program
 from phase_ppl.models.program import EventProgram
-from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, SELF_REFERRING, STRENGTH_SITES
 from phase_ppl.world.checks import positive_number
-from phase_ppl.world.goals import N_GOALS, neighbouring_goals
-from phase_ppl.world.hypothesis import ALPHAS
+from phase_ppl.world.goals import neighbouring_goals
+from phase_ppl.world.space import HypothesisSpace
 
 
 @register_kernel("prior_mh", validity="exact", any_length=True)
@@ -69,7 +68,7 @@ class RandomWalkMH(ProposalKernel):
     * a goal: to one of those neighbours (:func:`phase_ppl.world.goals.neighbouring_goals`) that
       have prior mass; with probability :data:`LEAP`, or where there is none, to a goal from its
       prior given the sites above it;
-    * alpha: to any other;
+    * who helps or hinders whom: to any other way;
     * a strength: by a normal step, reflected at the ends of its support; one that the prior makes
       one of a few values, drawn from it given the sites above;
     * a site of a user's own: drawn from its prior given the sites above it.
@@ -93,27 +92,30 @@ class RandomWalkMH(ProposalKernel):
         self._scale = positive_number("scale", scale)
 
     def propose(self, key: jax.Array, state: MHState) -> tuple[dict[str, jax.Array], jax.Array]:
-        moves: dict[str, SiteMove] = {ALPHA_SITE: _another_alpha}
-        for holder, name in enumerate(GOAL_SITES):
-            moves[name] = functools.partial(_nearby_goal, holder)
-        for name in STRENGTH_SITES:
+        space = self.program.space
+        moves: dict[str, SiteMove] = {}
+        if len(space.ways) > 1:
+            moves[space.company_site] = functools.partial(_another_way, len(space.ways))
+        for holder, name in enumerate(space.goal_sites):
+            moves[name] = functools.partial(_nearby_goal, _neighbours(space)[holder])
+        for name in space.strength_sites:
             moves[name] = functools.partial(_reflected_step, self._scale)
         return self.one_site_moved(key, state.z, moves)
 
 
 def _nearby_goal(
-    holder: int, key: jax.Array, site: Mapping[str, Any]
+    near: NDArray[np.bool_], key: jax.Array, site: Mapping[str, Any]
 ) -> tuple[jax.Array, jax.Array]:
-    goals = jnp.arange(N_GOALS)
+    goals = jnp.arange(len(near))
     log_prior = jnp.where(site["fn"].support(goals), site["fn"].log_prob(goals), -jnp.inf)
     prior = jnp.exp(log_prior)
-    neighbours = jnp.asarray(_neighbours()[holder]) & (log_prior > NEVER)
+    neighbours = jnp.asarray(near) & (log_prior > NEVER)
 
     def log_q(goal: jax.Array) -> jax.Array:
         """Return (goal,) log probabilities of what is proposed from a goal."""
-        near = neighbours[goal]
-        leap = jnp.where(near.any(), LEAP, 1.0)
-        return jnp.log((1 - leap) * near / jnp.maximum(near.sum(), 1) + leap * prior)
+        row = neighbours[goal]
+        leap = jnp.where(row.any(), LEAP, 1.0)
+        return jnp.log((1 - leap) * row / jnp.maximum(row.sum(), 1) + leap * prior)
 
     old = site["value"]
     there = log_q(old)
@@ -121,16 +123,17 @@ def _nearby_goal(
     return new, log_q(new)[old] - there[new]
 
 
-@functools.cache
-def _neighbours() -> NDArray[np.bool_]:
+@functools.lru_cache(16)
+def _neighbours(space: HypothesisSpace) -> NDArray[np.bool_]:
     """Return (holder, goal, goal) which possible goals are each other's neighbours."""
-    near = [np.isin(np.arange(N_GOALS), neighbouring_goals(goal)) for goal in range(N_GOALS)]
-    return np.array(near)[None] & ~SELF_REFERRING[:, None, :]
+    goals = np.arange(space.n_goals)
+    near = [np.isin(goals, neighbouring_goals(goal, space.world)) for goal in goals.tolist()]
+    return np.array(near)[None] & ~space.impossible[:, None, :]
 
 
-def _another_alpha(key: jax.Array, site: Mapping[str, Any]) -> tuple[jax.Array, float]:
-    further = random.randint(key, (), 1, len(ALPHAS))
-    return (site["value"] + further) % len(ALPHAS), 0.0
+def _another_way(n_ways: int, key: jax.Array, site: Mapping[str, Any]) -> tuple[jax.Array, float]:
+    further = random.randint(key, (), 1, n_ways)
+    return (site["value"] + further) % n_ways, 0.0
 
 
 def _reflected_step(

@@ -55,6 +55,7 @@ from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES
 from phase_ppl.world.checks import positive_number
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import effective_pairs
+from phase_ppl.world.scene import check_is_phase
 
 POOL: Final = 4096
 """Draws from the proposal in every iteration, of which those that are simulated are taken."""
@@ -102,7 +103,8 @@ class Racing(EventKernel[RacingState]):
             with, nats: the larger, the longer are pairs tried again that seem to have lost.
 
     Raises:
-        InvalidSettingError: ``sigma`` is no positive number.
+        InvalidSettingError: ``sigma`` is no positive number, or the event is of another world than
+            PHASE: the kernel keeps account of all pairs of goals of two agents.
     """
 
     def __init__(
@@ -114,6 +116,8 @@ class Racing(EventKernel[RacingState]):
         sigma: float = 8.0,
     ) -> None:
         super().__init__(program, guide, settings)
+        if program is not None:
+            check_is_phase(program.space.world, "kernel 'racing'")
         self._sigma = positive_number("sigma", sigma)
 
     def _init_fn(self, key: jax.Array, sites: dict[str, jax.Array] | None) -> RacingState:

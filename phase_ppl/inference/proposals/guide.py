@@ -28,9 +28,9 @@ from numpyro.primitives import Messenger
 from phase_ppl.inference.proposals.tables import BottomUpTables
 from phase_ppl.models.density import Program, draw, log_density, remembered
 from phase_ppl.models.hosted import Hosted
-from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, IMPOSSIBLE, STRENGTH_SITES, OneOf
+from phase_ppl.models.sites import ALPHA_SITE, IMPOSSIBLE, OneOf
+from phase_ppl.models.world_prior import space_of_prior
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_RANGE
 
 Replace = Callable[[dist.Distribution, Mapping[str, jax.Array]], dist.Distribution]
@@ -64,10 +64,10 @@ def bottom_up_guide(
 def _local_program(
     prior: Program, sites: Mapping[str, tuple[int, ...]], tables: BottomUpTables
 ) -> Program:
-    order = list(sites)
-    alpha_is_late = any(order.index(goal) < order.index(ALPHA_SITE) for goal in GOAL_SITES)
-    prior_of_alpha = None
-    if tables.alpha_logits is not None and alpha_is_late:
+    order, space, prior_of_alpha = list(sites), space_of_prior(prior), None
+    if tables.alpha_logits is not None and any(
+        order.index(goal) < order.index(ALPHA_SITE) for goal in space.goal_sites
+    ):
         prior_of_alpha = _prior_of_alpha(prior)
 
     def local(window: jax.Array) -> None:
@@ -87,9 +87,9 @@ def _local_program(
             given[ALPHA_SITE] = numpyro.sample(ALPHA_SITE, both)
         elif social is not None:
             replace[ALPHA_SITE] = functools.partial(_alpha_distribution, social)
-        for agent, name in enumerate(GOAL_SITES):
+        for agent, name in enumerate(space.goal_sites):
             replace[name] = functools.partial(_goal_distribution, logits[..., agent, :])
-        for agent, name in enumerate(STRENGTH_SITES):
+        for agent, name in enumerate(space.strength_sites):
             normal = dist.TruncatedNormal(
                 estimate[agent], sd[agent], low=STRENGTH_RANGE[0], high=STRENGTH_RANGE[1]
             )
@@ -137,7 +137,7 @@ def _goal_distribution(
     """
     if logits.ndim == 2:
         logits = logits[values[ALPHA_SITE]]
-    codes = jnp.arange(N_GOALS)
+    codes = jnp.arange(logits.shape[-1])
     possible = (prior.log_prob(codes) > NEVER) & prior.support(codes)
     return dist.Categorical(logits=jnp.where(possible, logits, IMPOSSIBLE))
 

@@ -249,7 +249,7 @@ class StrengthEstimates(NamedTuple):
 
 
 class Estimator(Protocol):
-    """Estimates both agents' strengths from windows of what was observed.
+    """Estimates all agents' strengths from windows of what was observed.
 
     ``windows`` is (window, 2), the first and the last frame of each; they differ by 1 or more.
     """
@@ -322,7 +322,8 @@ def analytic_strengths(
 
     Arguments as for :class:`~phase_ppl.inference.proposals.strength.Estimator`.
     """
-    hits = _driving_hits(observation.trajectory, scene.radius, scene.resets_velocity)
+    radius = scene.radius[: len(scene.world.agents)]
+    hits = _driving_hits(observation.trajectory, radius, scene.resets_velocity)
     inside = [hits[first : max(last - 1, first)] for first, last in windows]
     largest = np.array([found.max(axis=0, initial=0.0) for found in inside])
     mean = np.where(largest > 0, largest, np.nan)
@@ -334,16 +335,21 @@ _FROM_REST: Final = SUBSTEP**2 * SUBSTEPS * (SUBSTEPS + 1) / 2
 
 
 def _driving_hits(trajectory: FloatArray, radius: FloatArray, resets: bool) -> FloatArray:
-    """Return (time - 2, agent) the level that frames k, k + 1, k + 2 give away; 0 where none."""
+    """Return (time - 2, agent) the level that frames k, k + 1, k + 2 give away; 0 where none.
+
+    Radii are (agent,), units.
+    """
     levels = np.array(STRENGTH_LEVELS)
     driving_force = _force_from_rest if resets else _driving_force
-    hits = np.zeros((max(len(trajectory) - 2, 0), len(AGENTS)))
-    for agent in range(len(AGENTS)):
-        force, heading = driving_force(trajectory[:, agent], mass(agent, float(radius[agent])))
-        size = np.linalg.norm(force, axis=-1)
-        nearest = np.abs(size[:, None] - levels).argmin(axis=1)
-        exact = np.abs(size - levels[nearest]) < TOLERANCE * levels[nearest]
-        forward = (force * heading).sum(axis=-1) > np.cos(MAX_OFF_HEADING) * size
+    n_agents = len(radius)
+    hits = np.zeros((max(len(trajectory) - 2, 0), n_agents))
+    for agent, size in enumerate(radius.tolist()):
+        own_mass = mass(agent, size, n_agents)
+        force, heading = driving_force(trajectory[:, agent], own_mass)
+        newtons = np.linalg.norm(force, axis=-1)
+        nearest = np.abs(newtons[:, None] - levels).argmin(axis=1)
+        exact = np.abs(newtons - levels[nearest]) < TOLERANCE * levels[nearest]
+        forward = (force * heading).sum(axis=-1) > np.cos(MAX_OFF_HEADING) * newtons
         hits[:, agent] = np.where(exact & forward, levels[nearest], 0.0)
     return hits
 
@@ -508,7 +514,7 @@ def estimated_strengths(
     """Return what an estimator says of each window."""
     found = strength_estimator(strength)(scene, observation, windows)
     mean, sd = (np.asarray(part, float) for part in found)
-    wanted = (len(windows), len(AGENTS))
+    wanted = (len(windows), len(scene.world.agents))
     if mean.shape != wanted or sd.shape != wanted:
         raise InvalidSettingError(
             f"the estimator of strengths {estimator_name(strength)} returned shapes {mean.shape} "

@@ -6,15 +6,16 @@ Computed once per event, in NumPy, in one of two forms.
 proposed together with alpha (:func:`joint_logits`). The weights of the features were learned from
 simulated events. Strengths are estimated from the whole observation.
 
-"paper". A goal is proposed for a window from t1 to t2 in proportion to
-exp(-gamma (2 d(t2) - d(t1)) / 28.28): it is likely if it is nearly achieved at the end (d(t2)
-small) or has come closer (d(t1) - d(t2) large); alpha comes from the prior. The paper prints the
-opposite sign, which its text contradicts; ``sign="printed"`` keeps it.
+"paper", for any world. A goal is proposed for a window from t1 to t2 in proportion to
+exp(-gamma (2 d(t2) - d(t1)) / R), with R the diagonal of the arena, in PHASE 28.28: it is likely if
+it is nearly achieved at the end (d(t2) small) or has come closer (d(t1) - d(t2) large); who helps
+or hinders whom comes from the prior. The paper prints the opposite sign, which its text
+contradicts; ``sign="printed"`` keeps it.
 
 d is the distance of the goal's own entity: of the item for a goal about an item, of the named
-agent for a goal about an agent at a landmark, between the agents for "get to". For a goal to be
-*away* it is the distance to the set of places that are away: max(0, R - distance), with R the
-diagonal of the arena. A smaller R leaves many goals at distance 0 that nobody works for.
+agent for a goal about an agent at a landmark, between the two for goals of touching. For a goal to
+be *away* it is the distance to the set of places that are away: max(0, R - distance). A smaller R
+leaves many goals at distance 0 that nobody works for.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from phase_ppl.world.hypothesis import ALPHAS
 from phase_ppl.world.names import AGENTS, Predicate
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
+from phase_ppl.world.space import space_of
 
 Sign = Literal["intended", "printed"]
 Form = Literal["learned", "paper"]
@@ -113,7 +115,8 @@ def bottom_up_tables(
     unit = float(np.hypot(x1 - x0, y1 - y0))
     closeness = gamma * (2 * distance[last] - distance[first]) / unit
     logits = closeness if sign == "printed" else -closeness
-    return BottomUpTables(np.where(SELF_REFERRING, IMPOSSIBLE, logits), *estimates)
+    impossible = space_of(scene.world).impossible
+    return BottomUpTables(np.where(impossible, IMPOSSIBLE, logits), *estimates)
 
 
 _EFFECTIVE: Final = [
@@ -157,14 +160,17 @@ def goal_weights() -> dict[str, FloatArray]:
 
 
 def goal_distances(scene: Scene, observation: Observation) -> FloatArray:
-    """Return (time, agent, goal) how far each goal is from being achieved, units."""
-    position = observation.positions
+    """Return (time, agent, goal) how far each goal is from being achieved, units.
+
+    Of goals that an agent cannot have too, as it names itself: these are 0.
+    """
+    position, world = observation.positions, scene.world
     x0, x1, y0, y1 = scene.arena
     farthest = float(np.hypot(x1 - x0, y1 - y0))
-    distance = np.empty((len(position), len(AGENTS), N_GOALS))
-    for holder in range(len(AGENTS)):
-        for goal in range(N_GOALS):
-            literal = goal_literal(goal, holder)
+    distance = np.empty((len(position), len(world.agents), len(world.goals)))
+    for holder in range(len(world.agents)):
+        for goal in range(len(world.goals)):
+            literal = goal_literal(goal, holder, world)
             if literal.predicate is Predicate.ON:
                 target = scene.landmark_centres[literal.target]
             else:

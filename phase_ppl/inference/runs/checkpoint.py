@@ -24,13 +24,14 @@ from numpy.typing import NDArray
 from phase_ppl.dataset.events_json import event_from_record, event_record
 from phase_ppl.inference.runs.draws import PARTICLE_COLUMNS, SITE, Columns, numbers_of
 from phase_ppl.inference.settings import frames, seconds, simulations
-from phase_ppl.models.bridge import Record, hypothesis_of_row
+from phase_ppl.models.bridge import Record
 from phase_ppl.models.density import on_cpu
-from phase_ppl.simulator.contract import FRAME_SHAPE, SimulationResult, Statistics
+from phase_ppl.simulator.contract import SimulationResult, Statistics
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import as_path, existing_file, write_bytes
 from phase_ppl.world.identity import event_digest
+from phase_ppl.world.space import space_of
 
 SCHEMA: Final = "phase-ppl-checkpoint-3"
 SUFFIXES: Final = (".ckpt",)
@@ -149,11 +150,12 @@ def _packed_records(records: Sequence[Record]) -> Columns:
     return columns
 
 
-def _unpacked_records(columns: Columns, failed: Mapping[str, str], n_frames: int) -> list[Record]:
-    """Return the records that :func:`_packed_records` was given.
+def _unpacked_records(columns: Columns, failed: Mapping[str, str], event: Event) -> list[Record]:
+    """Return the records of an event that :func:`_packed_records` was given.
 
     ``failed`` has, by the number of the record, what went wrong.
     """
+    space, (n_frames, *shape) = space_of(event.scene.world), event.observation.trajectory.shape
     errors, trajectory = columns.pop("error"), columns.pop("trajectory")
     sites = _below(columns, SITE)
     simulated = columns["frames_simulated"]
@@ -165,12 +167,12 @@ def _unpacked_records(columns: Columns, failed: Mapping[str, str], n_frames: int
         raise ValueError(f"a record has more than {n_frames} frames")
     records = []
     for row, (end, n) in enumerate(zip(ends, simulated, strict=True)):
-        frames_shown = np.full((n_frames, *FRAME_SHAPE), np.nan)
+        frames_shown = np.full((n_frames, *shape), np.nan)
         frames_shown[:n] = trajectory[end - n : end]
         by_frame = np.full(n_frames, np.inf)
         by_frame[:n] = errors[end - n : end]
         result = SimulationResult(
-            hypothesis_of_row(sites, row),
+            space.hypothesis({name: values[row] for name, values in sites.items()}),
             int(columns["seed"][row]),
             frames_shown,
             by_frame,
@@ -255,9 +257,7 @@ class Checkpoint:
             name: document["again"][name] for name in ("model", "kernel", "options", "settings")
         }
         self.particles = _unpacked_particles(arrays, int(document["iterations"]) + 1)
-        self.records = _unpacked_records(
-            _below(arrays, "records/"), document["failed"], self.event.observation.n_frames
-        )
+        self.records = _unpacked_records(_below(arrays, "records/"), document["failed"], self.event)
         self.versions = [dict(one) for one in document["versions"]]
         spent = document["spent"]
         self.statistics = Statistics(**spent["statistics"])

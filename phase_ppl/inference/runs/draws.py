@@ -14,15 +14,13 @@ from phase_ppl.analysis.tree import DRAW, FRAME, SCHEMA, SIMULATED, SIMULATION, 
 from phase_ppl.analysis.weights import WEIGHTINGS, has_proposals
 from phase_ppl.inference.registry import KernelInfo
 from phase_ppl.models.bridge import Record, request_key
-from phase_ppl.models.effective import log_prior_of_effective, prior_of_pairs
 from phase_ppl.models.likelihood import RadialLikelihood
 from phase_ppl.models.model import Model
-from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, HYPOTHESIS_SITES, STRENGTH_SITES
+from phase_ppl.models.space_prior import kept_prior, log_prior_of_effective
+from phase_ppl.models.world_prior import space_of_prior
 from phase_ppl.world.event import Event
-from phase_ppl.world.goals import GOALS
-from phase_ppl.world.hypothesis import effective_table
-from phase_ppl.world.names import ENTITIES
 from phase_ppl.world.observation import FRAMES_PER_SECOND
+from phase_ppl.world.space import HypothesisSpace
 
 Columns = dict[str, NDArray[Any]]  # name -> an array with one row per particle, or per simulation
 
@@ -32,11 +30,6 @@ LONG: Final = 20
 Shorter chains, such as the paper's, have hardly left where they began: their simulations are
 weighed by importance where the kernel's proposals have a density (``benchmarks/estimates.py``)."""
 
-_STORED: Final = {
-    **dict.fromkeys((*GOAL_SITES, *(f"stated_{name}" for name in GOAL_SITES)), np.int16),
-    ALPHA_SITE: np.int8,
-    **dict.fromkeys(STRENGTH_SITES, np.float64),
-}
 SITE: Final = "z/"  # begins the names of those columns of particles that are sites
 
 
@@ -99,18 +92,20 @@ def build_tree(
     """
     iterations = kept_iterations(len(particles) - 1, kernel)
     steps = [particles[i] for i in iterations]
-    own = [name for name in records[0].sites if name not in HYPOTHESIS_SITES]
-    table = _hypothesis_columns(records, own)
+    space = space_of_prior(model.prior)
+    own = [name for name in records[0].sites if name not in space.sites]
+    table = _hypothesis_columns(records, own, space)
     sites = list(table)
-    table |= _results(records, table, model)
+    table |= _results(records, table, model, space)
     index = _records_of_draws(steps, records)
     n_draws = len(steps)
     draw_coords = {"chain": np.arange(len(index)), "draw": np.arange(n_draws)}
     time = ("time", np.arange(event.observation.n_frames) / FRAMES_PER_SECOND, {"units": "s"})
-    frame_coords = {"time": time, "entity": list(ENTITIES), "coord": ["x", "y", "angle"]}
+    entities = list(space.world.entities)
+    frame_coords = {"time": time, "entity": entities, "coord": ["x", "y", "angle"]}
     groups = {
         "posterior": xr.Dataset(
-            {name: _variable(name, DRAW, table[name][index]) for name in sites}, draw_coords
+            {name: _variable(name, DRAW, table[name][index], space) for name in sites}, draw_coords
         ),
         "sample_stats": xr.Dataset(
             _sample_stats(steps, iterations, records, table, index), {**draw_coords, "time": time}
@@ -125,7 +120,10 @@ def build_tree(
         ),
         "simulations": xr.Dataset(
             {
-                **{name: _variable(name, SIMULATION, values) for name, values in table.items()},
+                **{
+                    name: _variable(name, SIMULATION, values, space)
+                    for name, values in table.items()
+                },
                 "step_log_likelihood": (
                     (*SIMULATION, "time"),
                     _step_log_likelihood(records, model),
@@ -134,9 +132,7 @@ def build_tree(
             },
             {"time": time},
         ),
-        "constant_data": scene_dataset(event.scene).assign(
-            prior_of_pairs=(("pair_red", "pair_green"), prior_of_pairs(model.prior))
-        ),
+        "constant_data": scene_dataset(event.scene).assign(kept_prior(model.prior)),
     }
     tree = xr.DataTree.from_dict(groups)
     if kernel.weights is not None:
@@ -187,12 +183,14 @@ def numbers_of(records: Sequence[Record]) -> Columns:
     }
 
 
-def _results(records: Sequence[Record], sites: Columns, model: Model) -> Columns:
+def _results(
+    records: Sequence[Record], sites: Columns, model: Model, space: HypothesisSpace
+) -> Columns:
     """Return what came out of each simulation, and its prior."""
     results = [record.result for record in records]
     numbers = numbers_of(records)
-    goals = np.stack([sites[name] for name in GOAL_SITES], axis=1).astype(np.int64)
-    strengths = {name: sites[name] for name in STRENGTH_SITES}
+    goals = np.stack([sites[name] for name in space.goal_sites], axis=1).astype(np.int64)
+    strengths = {name: sites[name] for name in space.strength_sites}
     errors = np.array([result.errors for result in results])
     # what was not simulated counts as without error: a bound for simulations stopped early
     simulated = np.where(np.isfinite(errors), errors, 0.0)
@@ -217,14 +215,18 @@ def _step_log_likelihood(records: Sequence[Record], model: Model) -> NDArray[np.
     return np.where(simulated, by_frame, np.nan).astype(np.float64)
 
 
-def _hypothesis_columns(records: Sequence[Record], own: Sequence[str]) -> Columns:
-    """Return effective and stated goals, alpha, strengths and own sites as they are stored."""
-    raw = {name: np.array([r.sites[name] for r in records]) for name in (*HYPOTHESIS_SITES, *own)}
-    effective = effective_table()[tuple(raw[name] for name in (*GOAL_SITES, ALPHA_SITE))]
-    columns = {name: effective[:, i] for i, name in enumerate(GOAL_SITES)}
-    columns |= {f"stated_{name}": raw[name] for name in GOAL_SITES}
-    columns |= {name: raw[name] for name in (ALPHA_SITE, *STRENGTH_SITES)}
-    columns = {name: values.astype(_STORED[name]) for name, values in columns.items()}
+def _hypothesis_columns(
+    records: Sequence[Record], own: Sequence[str], space: HypothesisSpace
+) -> Columns:
+    """Return effective and stated goals, company, strengths and own sites as they are stored."""
+    raw = {name: np.array([r.sites[name] for r in records]) for name in (*space.sites, *own)}
+    effective = space.effective(raw).astype(np.int16)
+    columns: Columns = {name: effective[:, i] for i, name in enumerate(space.goal_sites)}
+    for name, stated in zip(space.goal_sites, space.stated_sites, strict=True):
+        columns[stated] = raw[name].astype(np.int16)
+    way = raw[space.company_site]
+    columns[space.company_site] = way.astype(np.int8 if len(space.ways) < 128 else np.int16)
+    columns |= {name: raw[name].astype(np.float64) for name in space.strength_sites}
     return columns | {name: raw[name] for name in own}
 
 
@@ -298,11 +300,14 @@ def _trajectories(records: Sequence[Record], index: NDArray[np.int64]) -> NDArra
     return stored[inverse.reshape(index.shape)]
 
 
-def _variable(name: str, dims: tuple[str, ...], values: NDArray[Any]) -> tuple[Any, ...]:
+def _variable(
+    name: str, dims: tuple[str, ...], values: NDArray[Any], space: HypothesisSpace
+) -> tuple[Any, ...]:
     attrs: dict[str, Any] = {}
-    if name.endswith(GOAL_SITES):
-        attrs = {"flag_values": np.arange(len(GOALS)), "flag_meanings": json.dumps(GOALS)}
-    elif name in STRENGTH_SITES:
+    if name in (*space.goal_sites, *space.stated_sites):
+        meanings = json.dumps(space.world.goals)
+        attrs = {"flag_values": np.arange(space.n_goals), "flag_meanings": meanings}
+    elif name in space.strength_sites:
         attrs = {"units": "N"}
     own_dims = tuple(f"{name}_dim_{i}" for i in range(values.ndim - len(dims)))
     return (*dims, *own_dims), values, attrs

@@ -20,9 +20,10 @@ from phase_ppl.inference.settings import Budget, SimpleSettings
 from phase_ppl.models import priors
 from phase_ppl.models.density import remembered
 from phase_ppl.models.hosted import Hosted
-from phase_ppl.models.likelihood import InNats, RadialLikelihood
+from phase_ppl.models.likelihood import InNats, RadialLikelihood, is_stepwise
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import EventProgram, event_salt
+from phase_ppl.models.world_prior import WorldPrior, as_given
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
 from phase_ppl.world.event import Event
@@ -84,7 +85,12 @@ class Run:
 
     def __post_init__(self) -> None:
         check_event(self.event)
+        world = self.event.scene.world
         object.__setattr__(self, "info", described(self.kernel))
+        if is_stepwise(self.model.likelihood):
+            check_phase(self.event.scene, f"kernel {self.info.name!r} on the closed loop's table")
+        object.__setattr__(self, "model", self.model.in_world(world))
+        self.settings.check_world(world)
         object.__setattr__(self, "chains", whole_number("chains", self.chains))
         object.__setattr__(self, "seed", whole_number("seed", self.seed, minimum=0))
         if self.info.even_chains and self.chains % 2:
@@ -116,8 +122,9 @@ class Run:
     def again(self) -> dict[str, Any]:
         """Return what makes the run again from a file; None for what is no plain data."""
         model = self.model
-        prior = next((name for name, known in priors.PRIORS.items() if known is model.prior), None)
-        if not getattr(model.prior, "__module__", "").startswith(_OURS):
+        given = as_given(model.prior)
+        prior = next((name for name, known in priors.PRIORS.items() if known is given), None)
+        if not getattr(given, "__module__", "").startswith(_OURS):
             prior = None  # another package's may not be there, or be another by then
         stored = None
         if prior and model.simulator is None and type(model.likelihood) is RadialLikelihood:
@@ -176,12 +183,10 @@ class Run:
         )
 
 
-def check_event(given: object, any_world: bool = False) -> None:
-    """Raise InvalidEventError if something is no event, InvalidSettingError if of another world."""
+def check_event(given: object) -> None:
+    """Raise InvalidEventError if something is no event."""
     if not isinstance(given, Event):
         raise InvalidEventError(f"{shown(given)} is no event; phase_ppl.load_event reads one")
-    if not any_world:
-        check_phase(given.scene, "inference by simulations")
 
 
 def model_again(stored: Mapping[str, Any]) -> Model:
@@ -256,12 +261,14 @@ def _identity(recipe: Recipe) -> str | None:
     known = KERNELS.entries.get(info.name) is info and info.factory.__module__.startswith(_OURS)
     if plain is None or not known:
         return None
-    prior = next((name for name, known in priors.PRIORS.items() if known is model.prior), None)
+    given = as_given(model.prior)
+    prior = next((name for name, known in priors.PRIORS.items() if known is given), None)
     likelihood = model.error_likelihood
     ours = type(likelihood) in _BY_FRAME
-    if prior is None or not model.prior.__module__.startswith(_OURS) or not ours:
+    if prior is None or not given.__module__.startswith(_OURS) or not ours:
         return None
     numbers = settings.eta, settings.window, settings.prior_share
     parts = info.name, plain, prior, model.noise, numbers, length
     kind = likelihood if isinstance(likelihood, RadialLikelihood) else "nats"
-    return f"{parts!r} {kind!r}"
+    world = f" {model.prior.world.to_dict()!r}" if isinstance(model.prior, WorldPrior) else ""
+    return f"{parts!r} {kind!r}{world}"

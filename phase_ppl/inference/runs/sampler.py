@@ -51,6 +51,7 @@ from phase_ppl.world.errors import (
 )
 from phase_ppl.world.identity import versions
 from phase_ppl.world.progress import Progress
+from phase_ppl.world.space import space_of
 
 POLL_SECONDS: Final = 0.1  # how long Ctrl-C may go unnoticed
 _RECORD_BYTES: Final = 3000
@@ -189,7 +190,7 @@ class Sampler:
     ) -> None:
         self._run, self._options, self._runner = run, options, runner
         self._n_frames = run.event.observation.n_frames
-        self._bridge = SimulatorBridge(runner, self._n_frames)
+        self._bridge = SimulatorBridge(runner, self._n_frames, space_of(run.event.scene.world))
         self._data = run.data(self._bridge.handle)
         self._kernel = make_kernel(run.recipe, self._data)
         self._length = Length.of(

@@ -1,0 +1,222 @@
+"""Which hypotheses there are in a world: the sites of a prior, and what they come to.
+
+A hypothesis is a goal of each agent, a way in which agents stand to each other, and strengths. It
+has a site for each: ``goal_<agent>``, ``alpha`` in PHASE and ``company`` elsewhere, and
+``strength_<agent>``. Priors, kernels, the bridge to the simulator, files and posteriors take names,
+codes and effective goals from here.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import functools
+import itertools
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.errors import UnknownNameError
+from phase_ppl.world.goals import effective_goal, is_self_referring
+from phase_ppl.world.hypothesis import ALPHAS, Hypothesis, Roles, company
+from phase_ppl.world.scene import PHASE, World
+
+Towards = tuple[tuple[int, int] | None, ...]
+"""(agent,) another agent, and 1 where it is helped, -1 where it is hindered; None: neither."""
+
+COMPANY_SITE: Final = "company"
+ALPHA_SITE: Final = "alpha"
+"""Sites of the way in which agents stand to each other, elsewhere and in PHASE."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class HypothesisSpace:
+    """The hypotheses of a world; :func:`space_of` makes it.
+
+    Attributes:
+        world: whose agents and goals.
+        company_site: name of the site of the ways.
+        ways: in which agents can stand to each other, by code.
+    """
+
+    world: World
+    company_site: str
+    ways: tuple[Towards, ...]
+
+    @functools.cached_property
+    def goal_sites(self) -> tuple[str, ...]:
+        """Names of the sites of stated goals; in files and posteriors, of effective ones."""
+        return tuple(f"goal_{key}" for key in self.world.keys)
+
+    @functools.cached_property
+    def stated_sites(self) -> tuple[str, ...]:
+        """Names of stated goals in files and posteriors."""
+        return tuple(f"stated_{name}" for name in self.goal_sites)
+
+    @functools.cached_property
+    def strength_sites(self) -> tuple[str, ...]:
+        """Names of the sites of strengths, newtons."""
+        return tuple(f"strength_{key}" for key in self.world.keys)
+
+    @functools.cached_property
+    def sites(self) -> tuple[str, ...]:
+        """Names of all sites of a hypothesis."""
+        return (*self.goal_sites, self.company_site, *self.strength_sites)
+
+    @functools.cached_property
+    def given(self) -> tuple[str, ...]:
+        """The columns of files that the prior is a density of: those of ``sites``, in order."""
+        return (*self.stated_sites, self.company_site, *self.strength_sites)
+
+    @functools.cached_property
+    def columns(self) -> tuple[str, ...]:
+        """The columns of files: effective goals, which follow, and those of ``given``."""
+        return (*self.goal_sites, *self.given)
+
+    @functools.cached_property
+    def reserved(self) -> frozenset[str]:
+        """Names that further sites of a prior cannot have."""
+        follow = ("relation", "alpha") if not self.is_phase else ()
+        pairs = itertools.permutations(self.world.keys, 2)
+        of_pairs = (f"{name}_{one}_{other}" for one, other in pairs for name in follow)
+        return frozenset((*of_pairs, *self.columns))
+
+    @property
+    def n_agents(self) -> int:
+        return len(self.world.agents)
+
+    @property
+    def n_goals(self) -> int:
+        return len(self.world.goals)
+
+    @functools.cached_property
+    def limits(self) -> dict[str, int]:
+        """Site -> number of its codes; of goals and the company."""
+        return {
+            **dict.fromkeys(self.goal_sites, self.n_goals),
+            self.company_site: len(self.ways),
+        }
+
+    @functools.cached_property
+    def impossible(self) -> NDArray[np.bool_]:
+        """(agent, goal) goals that an agent cannot have, which have no prior mass."""
+        return np.array(
+            [
+                [is_self_referring(goal, agent, self.world) for goal in range(self.n_goals)]
+                for agent in range(self.n_agents)
+            ]
+        )
+
+    @functools.cached_property
+    def owner(self) -> NDArray[np.int32]:
+        """(way, agent) the agent on whose stated goal an agent acts: mostly itself."""
+        return np.array(
+            [[a if one is None else one[0] for a, one in enumerate(way)] for way in self.ways],
+            np.int32,
+        )
+
+    @functools.cached_property
+    def becomes(self) -> NDArray[np.int32]:
+        """(way, agent, goal) what a stated goal of the owner's is for an agent; -1: nothing."""
+        found: dict[tuple[int, tuple[int, int] | None], NDArray[np.int32]] = {}
+        for agent, towards in {pair for way in self.ways for pair in enumerate(way)}:
+            owner = agent if towards is None else towards[0]
+            row = np.full(self.n_goals, -1, np.int32)
+            for goal in np.flatnonzero(~self.impossible[owner]).tolist():
+                with contextlib.suppress(UnknownNameError):  # of what nobody could have as a goal
+                    row[goal] = effective_goal([goal] * self.n_agents, agent, towards, self.world)
+            found[agent, towards] = row
+        return np.array([[found[pair] for pair in enumerate(way)] for way in self.ways])
+
+    def effective(self, sites: Mapping[str, NDArray[Any]]) -> NDArray[np.int32]:
+        """Return (row, agent) effective goals of columns of sites, each (row,)."""
+        way = np.asarray(sites[self.company_site])
+        stated = np.stack([np.asarray(sites[name]) for name in self.goal_sites], axis=-1)
+        owner = self.owner[way]
+        return self.becomes[
+            way[..., None], np.arange(self.n_agents), np.take_along_axis(stated, owner, axis=-1)
+        ]
+
+    def in_support(self, sites: Mapping[str, NDArray[Any]]) -> NDArray[np.bool_]:
+        """Return which rows of columns of sites are hypotheses at all.
+
+        All have goals that they can have, and something to do where they help or hinder.
+        """
+        inside = np.ones(np.shape(sites[self.company_site]), bool)
+        for agent, name in enumerate(self.goal_sites):
+            codes = sites[name]
+            in_range = (codes >= 0) & (codes < self.n_goals)
+            inside &= in_range & ~self.impossible[agent][np.where(in_range, codes, 0)]
+        way = sites[self.company_site]
+        inside &= (way >= 0) & (way < len(self.ways))
+        readable = {name: np.where(inside, sites[name], 0) for name in self.limits}
+        inside &= (self.effective(readable) >= 0).all(axis=-1)
+        for name in self.strength_sites:
+            inside &= (sites[name] > 0) & np.isfinite(sites[name])
+        return inside
+
+    def hypothesis(self, sites: Mapping[str, Any]) -> Any:
+        """Return what values of the sites stand for, as simulators take it.
+
+        A :class:`Hypothesis` in PHASE, :class:`Roles` elsewhere.
+        """
+        goals = [int(sites[name]) for name in self.goal_sites]
+        way = int(sites[self.company_site])
+        strengths = [float(sites[name]) for name in self.strength_sites]
+        if self.is_phase:
+            red, green = goals
+            return Hypothesis(red, green, ALPHAS[way], *strengths)
+        towards = self.ways[way]
+        stated = tuple(None if one else goal for goal, one in zip(goals, towards, strict=True))
+        return Roles(self.world, stated, towards, tuple(strengths))
+
+    @property
+    def is_phase(self) -> bool:
+        return self.world == PHASE
+
+    def log_prior_of_effective(
+        self, log_goals: FloatArray, log_company: FloatArray, goals: NDArray[Any]
+    ) -> FloatArray:
+        """Return (way, row) log masses of effective goals (row, agent) together with each way.
+
+        Stated goals, (agent, goal) log masses, and ways, (way,), are independent of each other.
+        """
+        goals = np.asarray(goals, np.int64)
+        found = np.empty((len(self.ways), len(goals)))
+        for way, towards in enumerate(self.ways):
+            found[way] = log_company[way]
+            for agent, one in enumerate(towards):
+                if one is None:
+                    found[way] += log_goals[agent][goals[:, agent]]
+                else:
+                    follows = self.becomes[way, agent][goals[:, one[0]]] == goals[:, agent]
+                    found[way][~follows] = -np.inf
+        return found
+
+    def possible_share(self, log_goals: FloatArray, log_company: FloatArray) -> float:
+        """Return the prior mass of hypotheses in which whoever helps or hinders can act.
+
+        Masses as of :meth:`log_prior_of_effective`. The others have no part in a posterior.
+        """
+        shares, total = np.exp(log_goals), 0.0
+        for way, share in enumerate(np.exp(log_company)):
+            for owner in np.unique(self.owner[way]):
+                follow = self.becomes[way][self.owner[way] == owner]
+                share *= shares[owner][(follow >= 0).all(axis=0)].sum()
+            total += share
+        return float(total)
+
+
+@functools.lru_cache(16)
+def space_of(world: World) -> HypothesisSpace:
+    """Return the hypotheses of a world."""
+    if world == PHASE:
+        ways = tuple(
+            tuple((1 - agent, sign) if sign else None for agent, sign in enumerate(alpha))
+            for alpha in ALPHAS
+        )
+        return HypothesisSpace(PHASE, ALPHA_SITE, ways)
+    return HypothesisSpace(world, COMPANY_SITE, company(len(world.agents)))

@@ -1,0 +1,422 @@
+"""Inference by simulations in worlds of other casts, against enumeration of what can be listed."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import numpyro
+import numpyro.distributions as dist
+import pytest
+from jax import random
+
+import phase_ppl as ppl
+from phase_ppl.inference.proposals.guide import bottom_up_guide
+from phase_ppl.inference.proposals.tables import BottomUpTables, goal_distances, window_count
+from phase_ppl.inference.registry import kernel_info
+from phase_ppl.models import roles
+from phase_ppl.models.bridge import SimulatorBridge
+from phase_ppl.models.likelihood import RadialLikelihood
+from phase_ppl.models.model import Model
+from phase_ppl.models.program import EventProgram
+from phase_ppl.models.space_prior import drawn_stated, log_prior_of_effective
+from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.errors import InvalidSettingError, PhasePPLError
+from phase_ppl.world.event import Event
+from phase_ppl.world.goals import goal_literal, neighbouring_goals
+from phase_ppl.world.hypothesis import ALPHAS, RELATION_OF_SCENARIO, Hypothesis, Roles, scenario
+from phase_ppl.world.names import Predicate
+from phase_ppl.world.observation import Observation
+from phase_ppl.world.scene import PHASE, Scene, World
+from phase_ppl.world.space import space_of
+from phase_ppl.world.worlds import SOLO, TRIO
+from tests.inference.toy import (
+    N_FRAMES,
+    SEEDS,
+    SETTINGS,
+    TableRunner,
+    never_called,
+    run,
+    total_variation,
+)
+
+CAST = World(
+    ["red agent", "green agent", "blue agent"], [], {"home": (12, 8)}, touchable=[], name="cast"
+)
+"""Three agents with six goals: each of them to or away from home."""
+
+SPACE = space_of(CAST)
+GOALS = ({0: 0.5, 3: 0.3, 4: 0.2}, {1: 0.6, 2: 0.4}, {5: 0.7, 0: 0.3})
+COMPANY = {0: 0.4, 3: 0.3, 9: 0.2, 20: 0.1}
+CHAINS = 15
+
+
+def few(world: World) -> None:
+    """A prior with mass on 48 combinations, unequal ones."""
+    for name, masses in zip(roles.goal_sites(world), GOALS, strict=True):
+        _one_of(name, masses, len(world.goals))
+    _one_of("company", COMPANY, len(SPACE.ways))
+    roles.strengths(world)
+
+
+def _one_of(name: str, masses: dict[int, float], n: int) -> None:
+    probs = jnp.zeros(n).at[jnp.array(list(masses))].set(jnp.array(list(masses.values())))
+    numpyro.sample(name, dist.Categorical(probs=probs))
+
+
+# --- what there is ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("world", [CAST, SOLO, TRIO])
+def test_sites_stand_for_the_roles_that_have_their_effective_goals(world: World) -> None:
+    space, rng = space_of(world), np.random.default_rng(0)
+    columns = {
+        name: rng.choice(np.flatnonzero(~space.impossible[agent]), 50)
+        for agent, name in enumerate(space.goal_sites)
+    }
+    columns[space.company_site] = rng.integers(len(space.ways), size=50)
+    columns |= {name: rng.uniform(150, 600, 50) for name in space.strength_sites}
+    assert space.in_support(columns).all()
+    for row, effective in enumerate(space.effective(columns).tolist()):
+        one = space.hypothesis({name: values[row] for name, values in columns.items()})
+        assert isinstance(one, Roles)
+        assert list(one.effective_goals) == effective
+
+
+def test_phase_is_one_space_among_others() -> None:
+    space = space_of(PHASE)
+    for code, alpha in enumerate(ALPHAS):
+        sites: dict[str, Any] = {"goal_red": 3, "goal_green": 9, "alpha": code}
+        sites |= {"strength_red": 300.0, "strength_green": 450.0}
+        assert space.hypothesis(sites) == Hypothesis(3, 9, alpha, 300.0, 450.0)
+        columns = {name: np.array([value]) for name, value in sites.items()}
+        assert tuple(space.effective(columns)[0]) == Hypothesis(3, 9, alpha).effective_goals
+
+
+def test_of_what_cannot_be_nothing_is_simulated() -> None:
+    own = TRIO.goals.index("get to green agent")
+    sites = {name: np.zeros(3, int) for name in SPACE_TRIO.goal_sites}
+    sites["company"] = np.array([0, len(SPACE_TRIO.ways), 0])
+    sites |= {name: np.full(3, 300.0) for name in SPACE_TRIO.strength_sites}
+    sites["goal_green"] = np.array([0, 0, own])
+    assert SPACE_TRIO.in_support(sites).tolist() == [True, False, False]
+
+
+SPACE_TRIO = space_of(TRIO)
+
+
+@pytest.mark.parametrize("world", [PHASE, SOLO, TRIO])
+def test_of_two_neighbouring_goals_each_is_the_others(world: World) -> None:
+    near = [neighbouring_goals(goal, world) for goal in range(len(world.goals))]
+    assert all(near)
+    assert all(goal in near[other] for goal, others in enumerate(near) for other in others)
+
+
+# --- priors --------------------------------------------------------------------------------------
+
+
+def stated() -> Iterator[tuple[tuple[int, ...], float]]:
+    """Yield all stated goals and ways with their prior mass."""
+    for row in itertools.product(*GOALS, COMPANY):
+        yield row, float(np.prod([m[code] for m, code in zip((*GOALS, COMPANY), row, strict=True)]))
+
+
+def columns_of(rows: list[tuple[int, ...]]) -> dict[str, Any]:
+    return dict(zip(SPACE.sites, np.array(rows).T, strict=False))
+
+
+def test_prior_of_effective_goals_sums_over_what_leads_to_them() -> None:
+    rows, masses = zip(*stated(), strict=True)
+    effective = SPACE.effective(columns_of(list(rows)))
+    distinct, place = np.unique(effective, axis=0, return_inverse=True)
+    prior = Model(prior=few, simulator=never_called).in_world(CAST).prior
+    strengths = {name: np.full(len(distinct), 300.0) for name in SPACE.strength_sites}
+    found = np.exp(log_prior_of_effective(prior, distinct.astype(np.int64), strengths))
+    np.testing.assert_allclose(found * 450**3, np.bincount(place.ravel(), masses), rtol=1e-4)
+
+
+def test_who_has_nothing_to_do_where_it_helps_has_no_part_in_it() -> None:
+    # with nothing to touch but red, nobody can keep green away from it, or help green to it
+    world = World(
+        ["red agent", "green agent", "blue agent"], [], {"home": (12, 8)}, touchable=["red agent"]
+    )
+    space = space_of(world)
+    even = [np.where(row, -np.inf, -np.log((~row).sum())) for row in space.impossible]
+    log_goals, log_company = np.array(even), np.full(len(space.ways), -np.log(len(space.ways)))
+    rows = np.array(list(itertools.product(range(space.n_goals), repeat=3)))
+    found = np.exp(space.log_prior_of_effective(log_goals, log_company, rows)).sum()
+    assert found == pytest.approx(space.possible_share(log_goals, log_company))
+    assert found < 0.999
+
+
+def test_stated_goals_are_drawn_as_the_prior_has_them() -> None:
+    prior = Model(prior=few, simulator=never_called).in_world(CAST).prior
+    rows, masses = zip(*stated(), strict=True)
+    effective = SPACE.effective(columns_of(list(rows)))
+    alike = (effective == effective[0]).all(axis=1)
+    n = 4000
+    drawn = drawn_stated(
+        prior, np.tile(effective[0].astype(np.int64), (n, 1)), np.full((n, 3), 300.0)
+    )
+    share = [(drawn == row).all(axis=1).mean() for row in rows]
+    expected = np.where(alike, masses, 0) / np.sum(masses, where=alike)
+    np.testing.assert_allclose(share, expected, atol=0.03)
+
+
+# --- kernels -------------------------------------------------------------------------------------
+
+
+@functools.cache
+def table() -> FloatArray:
+    rng, shape = np.random.default_rng(0), (SPACE.n_goals,) * 3
+    level = rng.gamma(2.0, 5.0, (*shape, 1, 1))
+    return np.asarray(level * rng.gamma(3.0, 0.5, (*shape, SEEDS, N_FRAMES)))
+
+
+@functools.cache
+def exact() -> FloatArray:
+    """Return (row,) the posterior of stated goals and ways, by enumeration."""
+    rows, masses = zip(*stated(), strict=True)
+    effective = SPACE.effective(columns_of(list(rows)))
+    likelihood = RadialLikelihood(n_entities=3)
+    by_seed = likelihood.log_prob(table()[tuple(effective.T)]).sum(axis=-1)
+    found = np.array(masses) * np.exp(by_seed - by_seed.max()).mean(axis=-1)
+    return np.asarray(found / found.sum())
+
+
+def visited(z: dict[str, Any]) -> FloatArray:
+    rows = np.stack([np.ravel(z[name]) for name in (*SPACE.goal_sites, "company")], axis=1)
+    return np.array([(rows == row).all(axis=1).mean() for row, _ in stated()])
+
+
+@pytest.mark.parametrize(
+    ("name", "steps"),
+    [
+        ("local_mh", 300),
+        pytest.param("random_walk_mh", 1000, marks=pytest.mark.slow),
+        pytest.param("enumerated_gibbs", 300, marks=pytest.mark.slow),
+    ],
+)
+def test_draws_visit_roles_as_often_as_the_posterior_says(name: str, steps: int) -> None:
+    model = Model(prior=few, simulator=never_called).in_world(CAST)
+    bridge = SimulatorBridge(TableRunner(table()), N_FRAMES, SPACE)
+    needs: dict[str, Any] = {}
+    if kernel_info(name).needs:
+        n_windows, rng = window_count(N_FRAMES, SETTINGS.window), np.random.default_rng(1)
+        logits = rng.normal(0.0, 1.0, (n_windows + 1, 3, SPACE.n_goals))
+        nothing = np.full((n_windows + 1, 3), np.nan)
+        tables = BottomUpTables(logits, nothing, nothing)
+        guide = bottom_up_guide(model.prior, model.sites, tables, prior_share=0.1)
+        needs = {"guide": guide, "settings": SETTINGS}
+    made = kernel_info(name).make(EventProgram(model, bridge.handle, N_FRAMES), **needs)
+    z = run(made, steps, random.split(random.key(0), CHAINS)).z
+    assert bridge.failure is None
+    kept = {site: np.asarray(values)[50:] for site, values in z.items()}
+    share = np.stack([visited({s: v[:, c] for s, v in kept.items()}) for c in range(CHAINS)])
+    assert share.sum() == pytest.approx(CHAINS)
+    # the total variation to be expected of so many independent chains
+    expected = 0.5 * np.sqrt(2 / np.pi) * (share.std(axis=0, ddof=1) / np.sqrt(CHAINS)).sum()
+    assert expected < 0.09
+    assert total_variation(share.mean(axis=0), exact()) < 2 * expected
+
+
+def test_goals_that_come_closer_are_proposed() -> None:
+    event = walking()
+    distance = goal_distances(event.scene, event.observation)
+    assert distance.shape == (event.observation.n_frames, 1, len(SOLO.goals))
+    way = distance[-1, 0] - distance[0, 0]
+    truth = SOLO.goal_index(TRUE_GOAL)
+    assert way.argmin() == truth
+    tables = ppl.SimpleSettings(proposal="paper", strength="analytic").tables(
+        event.scene, event.observation
+    )
+    logits = np.asarray(tables.goal_logits)[:-1, 0]
+    assert (logits.argsort(axis=1)[:, ::-1][:, :8] == truth).any(axis=1).all()
+
+
+# --- whole runs ----------------------------------------------------------------------------------
+
+TRUE_GOAL = "ball to home"
+
+
+def walkers(scene: Scene, roles: Roles, rng: np.random.Generator) -> Iterator[FloatArray]:
+    """Each goal's entity goes straight to its target, the faster the stronger its agent."""
+    frame = scene.start.copy()
+    while True:
+        yield frame.copy()
+        for agent, goal in enumerate(roles.effective_goals):
+            literal = goal_literal(goal, agent, scene.world)
+            on = literal.predicate is Predicate.ON
+            target = scene.landmark_centres[literal.target] if on else frame[literal.target, :2]
+            way = (target - frame[literal.subject, :2]) * (1 if literal.positive else -1)
+            frame[literal.subject, :2] += roles.strengths[agent] / 600 * way / np.hypot(*way)
+
+
+@functools.cache
+def walking(n_frames: int = 14) -> Event:
+    scene = SOLO.random_scene(3)
+    truth = Roles.of(SOLO, {"red agent": TRUE_GOAL}, strength=450.0)
+    frames = itertools.islice(walkers(scene, truth, np.random.default_rng(0)), n_frames)
+    return Event(scene, Observation(np.array(list(frames))), id="walk")
+
+
+def inferred(event: Event, kernel: str, **options: Any) -> ppl.Posterior:
+    given = {"chains": 8, "seed": 1, "workers": 1, "progress": False, **options}
+    return ppl.infer(event, ppl.Model(simulator=walkers), kernel=kernel, **given)
+
+
+@functools.cache
+def enumerated() -> ppl.Posterior:
+    return inferred(walking(), "enumerate")
+
+
+def test_a_solo_event_has_the_posterior_that_can_be_worked_out_by_hand() -> None:
+    event, likelihood = walking(), RadialLikelihood(n_entities=3)
+    mass: dict[tuple[str, float], float] = {}
+    for goal, force in itertools.product(SOLO.goals, (150.0, 300.0, 450.0, 600.0)):
+        one = Roles.of(SOLO, {"red agent": goal}, strength=force)
+        frames = itertools.islice(walkers(event.scene, one, np.random.default_rng(0)), 14)
+        apart = (np.array(list(frames)) - event.observation.trajectory)[..., :2]
+        error = np.linalg.norm(apart.reshape(14, -1), axis=1)
+        mass[goal, force] = float(np.exp(likelihood.log_prob(error).sum() + 14 * 26))
+    post, total = enumerated(), sum(mass.values())
+    for goal in SOLO.goals:
+        expected = sum(m for (g, _), m in mass.items() if g == goal) / total
+        assert float(post.probability(goal_red=goal)) == pytest.approx(expected, rel=1e-3)
+    strength = sum(force * m for (_, force), m in mass.items()) / total
+    assert float(post.mean("strength_red")) == pytest.approx(strength, rel=1e-3)
+    assert post.untried == pytest.approx(0.0, abs=1e-5)
+    best = post.map()
+    assert isinstance(best, Roles)
+    assert best.goals == {"red agent": SOLO.goals[SOLO.goal_index(TRUE_GOAL)]}
+    assert best.strengths == (450.0,)
+
+
+@pytest.mark.slow
+def test_simple_agrees_with_enumeration() -> None:
+    levels = ppl.Model(prior=of_levels, simulator=walkers)
+    options: dict[str, Any] = {"seed": 1, "workers": 1, "progress": False}
+    post = ppl.infer(walking(), levels, kernel="local_mh", chains=16, iterations=40, **options)
+    assert post.diagnostics()["validity"] == "exact"
+    expected = enumerated().marginal("goal_red")
+    found = post.marginal("goal_red")
+    error = np.nan_to_num(found["error"].values)
+    assert (np.abs(found.values - expected.values) < 4 * error + 0.02).all()
+
+
+def of_levels(world: World) -> None:
+    roles.goals(world)
+    roles.company(world)
+    numpyro.sample("strength_red", ppl.sites.OneOf([150.0, 300.0, 450.0, 600.0]))
+
+
+@functools.cache
+def of_trio() -> Event:
+    scene = TRIO.random_scene(2)
+    truth = Roles.of(
+        TRIO,
+        {"red agent": "blue ball to home", "purple agent": "pink ball to pond"},
+        {("green agent", "red agent"): "hinder"},
+    )
+    frames = itertools.islice(walkers(scene, truth.effective(), np.random.default_rng(0)), 6)
+    return Event(scene, Observation(np.array(list(frames))), id="three")
+
+
+def test_a_posterior_of_three_agents_answers_is_kept_and_tells_of_itself(tmp_path: Path) -> None:
+    path = tmp_path / "run.ckpt"
+    post = inferred(of_trio(), "prior_mh", iterations=3, checkpoint=path)
+    assert set(post.goals_of) == set(TRIO.agents)
+    assert float(post.query("P(goal_purple = get to red agent)")) >= 0
+    assert float(post.marginal("relation_red_green").sum()) == pytest.approx(1)
+    assert -1 <= float(post.query("E[alpha_green_red]")) <= 1
+    assert 150 < float(post.mean("strength_purple")) < 600
+    for row in post.to_dataframe().to_dict("records"):
+        red, green = (TRIO.goals.index(row[f"goal_{key}"]) for key in ("red", "green"))
+        word = RELATION_OF_SCENARIO[scenario(red, green, TRIO, (0, 1))]
+        assert row["relation_red_green"] == word
+    again = ppl.load_posterior(post.save(tmp_path / "post.nc"))
+    assert str(again) == str(post)
+    assert again.map() == post.map()
+    assert "purple agent" in str(post)
+    assert set(post.summary()["goals"]) == set(TRIO.agents)
+    assert set(post.over_time()) >= {"goal_green", "relation_green_purple"}
+    model = ppl.Model(simulator=walkers)
+    longer = ppl.resume(path, model=model, iterations=4, workers=1, progress=False)
+    straight = inferred(of_trio(), "prior_mh", iterations=4)
+    np.testing.assert_array_equal(
+        longer.tree["simulations"]["total_error"], straight.tree["simulations"]["total_error"]
+    )
+
+
+def test_another_prior_weighs_what_was_simulated_anew() -> None:
+    post = enumerated().with_prior(biased)
+    before = enumerated().marginal("goal_red").values
+    expected = before * np.where(np.arange(len(before)) == 0, 2.0, 1.0)
+    found = post.marginal("goal_red").values
+    np.testing.assert_allclose(found, expected / expected.sum(), rtol=1e-3, atol=1e-6)
+
+
+def biased(world: World) -> None:
+    probs = jnp.ones(len(world.goals)).at[0].set(2.0)
+    numpyro.sample("goal_red", dist.Categorical(probs=probs / probs.sum()))
+    roles.company(world)
+    roles.strengths(world)
+
+
+def dependent(world: World) -> None:
+    roles.goals(world)
+    roles.company(world)
+    strength = numpyro.sample("strength_red", dist.Uniform(150, 600))
+    numpyro.sample("strength_green", dist.Uniform(150, strength))
+    numpyro.sample("strength_purple", dist.Uniform(150, 600))
+
+
+def taken(world: World) -> None:
+    roles.uniform(world)
+    numpyro.sample("alpha_red_green", dist.Normal())
+
+
+STEPWISE = ppl.StepwiseLikelihood()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"kernel": "racing"}, "kernel 'racing' knows the world PHASE only, not 'trio'"),
+        ({"kernel": "enumerate"}, "'trio' has .* more than max_simulations=50000"),
+        (
+            {"kernel": "prior_mh", "settings": ppl.SimpleSettings()},
+            "proposal='learned' was learned in PHASE and knows no other world, such as 'trio'",
+        ),
+        (
+            {"kernel": "local_mh", "settings": ppl.SimpleSettings(proposal="paper")},
+            "strength='network' was learned in PHASE",
+        ),
+        (
+            {"kernel": "local_mh", "model": ppl.Model(likelihood=STEPWISE)},
+            "kernel 'local_mh' on the closed loop's table knows the world PHASE only",
+        ),
+        ({"model": ppl.Model("relation_first")}, "relation_first"),
+        ({"model": ppl.Model(dependent)}, "'strength_green' depend on strength_red"),
+        ({"model": ppl.Model(taken)}, "'alpha_red_green', a reserved name"),
+    ],
+)
+def test_what_does_not_know_a_world_says_so(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(InvalidSettingError, match=message) as found:
+        ppl.infer(of_trio(), **{"kernel": "prior_mh", "progress": False, **options})
+    assert "\n" not in str(found.value)
+
+
+def test_a_prior_of_a_world_is_none_of_phase() -> None:
+    with pytest.raises(PhasePPLError, match="in PHASE one takes none and samples goal_red"):
+        ppl.infer(ppl.load_event("collaborate"), ppl.Model(roles.uniform), kernel="prior_mh")
+
+
+def test_scenarios_of_ones_own_are_for_phase() -> None:
+    with pytest.raises(InvalidSettingError, match="scenario replaces that of the world PHASE"):
+        ppl.Posterior(enumerated().tree, scenario=lambda red, green: "independent")
