@@ -19,7 +19,7 @@ from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.identity import qualified_name
-from phase_ppl.world.scene import Scene, check_phase
+from phase_ppl.world.scene import Scene, World, check_phase
 
 if TYPE_CHECKING:
     from phase_ppl.analysis.what_if import Source, WhatIf
@@ -51,6 +51,11 @@ class EventPosterior(Hypotheses):
     def scene(self) -> Scene:
         """Where the event takes place, and how it starts."""
         return kept_scene(self._constant)
+
+    @property
+    def world(self) -> World:
+        """Whose agents and goals."""
+        return self.scene.world
 
     def map(self) -> Hypothesis:
         """Return the most probable hypothesis; its goals are the stated ones."""
