@@ -118,7 +118,9 @@ def _given_way(
         np.bincount(np.maximum(effective[agent], 0), of_owner[one], n_goals)
         for agent, one in enumerate(owner)
     ]
-    found = {f"goal_{key}": shares for key, shares in zip(world.keys, goals, strict=True)}
+    found: dict[str, Any] = {
+        f"goal_{key}": shares for key, shares in zip(world.keys, goals, strict=True)
+    }
     for question, pair in pairs_of(world).items():
         one, other = map(world.agent, pair)
         table = relation_tables(world)[one, other]
