@@ -8,7 +8,6 @@ weighted by what they were drawn with: then sums are Monte-Carlo means.
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import itertools
 import math
@@ -24,10 +23,11 @@ from phase_ppl.analysis.tree import kept_scene
 from phase_ppl.analysis.weights import Rows, log_sum_exp
 from phase_ppl.physics.actions import N_ACTIONS
 from phase_ppl.world.arrays import FloatArray, IntArray
-from phase_ppl.world.errors import InvalidEventError, UnknownNameError
-from phase_ppl.world.goals import effective_goal, possible_goals
+from phase_ppl.world.errors import InvalidEventError
+from phase_ppl.world.goals import possible_goals
 from phase_ppl.world.hypothesis import RELATION_OF_SCENARIO, RELATIONS, company, scenario
 from phase_ppl.world.scene import World
+from phase_ppl.world.space import space_of
 
 SCHEMA: Final = "phase_ppl/stepwise-roles/1"
 
@@ -96,7 +96,7 @@ class RolesTable:
         self._log_goals = found["log_prior_goals"].values
         self._log_company = found["log_prior_company"].values
         self._levels = np.unique(found["combinations"].values)
-        self._own = of_owners(self.world)
+        self._space = space_of(self.world)
         # (way, its owners, the goals that each can have by the prior)
         self._ways: list[tuple[int, list[int], list[IntArray]]] = []
         for way, towards in enumerate(company(len(self.world.agents))):
@@ -216,34 +216,22 @@ class RolesTable:
         for (way, owners, _), own in zip(self._ways, picked, strict=True):
             every = np.empty((len(own), n_agents), np.int64)
             every[:, owners] = own
-            for agent, one in enumerate(company(n_agents)[way]):
-                if one is not None:
-                    every[:, agent] = self._own[agent, one[0], one[1]][every[:, one[0]]]
+            for agent, owner in enumerate(self._space.owner[way]):
+                every[:, agent] = self._space.becomes[way, agent][every[:, owner]]
             goals.append(every)
             log_prior.append(self._log_company[way] + self._log_goals[owners, own].sum(axis=1))
             ways.append(np.full(len(own), way))
+        possible_share = self._space.possible_share(self._log_goals, self._log_company)
         all_goals = np.concatenate(goals)
         possible = (all_goals >= 0).all(axis=1)
         all_goals = all_goals[possible]
         return RoleRows(
             np.concatenate(ways)[possible],
             all_goals,
-            np.concatenate(log_prior)[possible] - self._log_possible(),
+            np.concatenate(log_prior)[possible] - np.log(possible_share),
             np.concatenate(log_drawn)[possible],
             [standpoints(agent, self.world).of(all_goals) for agent in range(n_agents)],
         )
-
-    def _log_possible(self) -> float:
-        """Return the log of the prior mass of roles in which everybody has something to do."""
-        masses = []
-        for way, owners, _ in self._ways:
-            own = {owner: self._log_goals[owner] for owner in owners}
-            for agent, one in enumerate(company(len(self.world.agents))[way]):
-                if one is not None:
-                    done = self._own[agent, one[0], one[1]]
-                    own[one[0]] = np.where(done >= 0, own[one[0]], -np.inf)
-            masses.append(self._log_company[way] + sum(map(log_sum_exp, own.values())))
-        return log_sum_exp(np.array(masses))
 
     # --- tables ---------------------------------------------------------------------------------
 
@@ -332,21 +320,6 @@ class RolesTable:
             before = self.log_masses(t - 1)[0]
             found[t] = log_sum_exp(before - log_sum_exp(before) + self._frame(t)[0])
         return found
-
-
-@functools.lru_cache(16)
-def of_owners(world: World) -> dict[tuple[int, int, int], IntArray]:
-    """Return (agent, owner, sign) -> (goal of the owner,) what the agent then acts on; -1: none."""
-    found = {}
-    for agent, owner in itertools.permutations(range(len(world.agents)), 2):
-        for sign in (1, -1):
-            table = np.full(len(world.goals), -1)
-            for goal in possible_goals(owner, world):
-                stated = [goal] * len(world.agents)
-                with contextlib.suppress(UnknownNameError):  # that is no goal of this world
-                    table[goal] = effective_goal(stated, agent, (owner, sign), world)
-            found[agent, owner, sign] = table
-    return found
 
 
 @functools.lru_cache(16)

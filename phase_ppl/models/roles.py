@@ -266,7 +266,9 @@ def masses(prior: Callable[..., object], world: World) -> Masses:
 def _of_levels(found: Any, levels: FloatArray) -> FloatArray:
     """Return (level,) log masses of the strengths that are nearest to each level."""
     values, weights = nodes_of(found, levels)
-    density = np.asarray(found.log_prob(jnp.asarray(values)), np.float64) + np.log(weights)
+    inside = np.asarray(found.support(jnp.asarray(values)), bool)
+    density = np.full(len(values), -np.inf)
+    density[inside] = found.log_prob(jnp.asarray(values[inside])) + np.log(weights[inside])
     place = place_of_level(values, levels)
-    found = [np.logaddexp.reduce(density[place == level]) for level in range(len(levels))]
-    return np.array(found)
+    by_level = [np.logaddexp.reduce(density[place == level]) for level in range(len(levels))]
+    return np.array(by_level)

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction, pairs_of
 from phase_ppl.evaluation.registry import register_model
 from phase_ppl.world.errors import InvalidSettingError
-from phase_ppl.world.hypothesis import RELATIONS, STRENGTH, company
+from phase_ppl.world.hypothesis import RELATIONS, STRENGTH
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import PHASE, Scene, World
+from phase_ppl.world.space import space_of
 
 if TYPE_CHECKING:
     from phase_ppl.models.predicate import Rationality, Thresholds
@@ -75,7 +76,7 @@ def marginals(
         prior: over own goals, and over the ways to help or hinder.
         world: whose agents and goals.
     """
-    ways = company(len(world.agents))
+    ways = range(len(space_of(world).ways))
     found = [_given_way(way, log_likelihood, prior.goals, world) for way in ways]
     log_mass = prior.company + np.array([log_evidence for log_evidence, _ in found])
     mass = np.exp(log_mass - log_mass.max())
@@ -89,7 +90,7 @@ def marginals(
 
 
 def _given_way(
-    way: tuple[tuple[int, int] | None, ...],
+    way: int,
     log_likelihood: NDArray[np.float64],
     log_prior: NDArray[np.float64],
     world: World,
@@ -98,20 +99,18 @@ def _given_way(
 
     An agent that pursues its own goal, and those who act on it, depend on nobody else.
     """
-    from phase_ppl.analysis.roles_table import of_owners, relation_tables
+    from phase_ppl.analysis.roles_table import relation_tables
     from phase_ppl.analysis.weights import log_sum_exp
 
-    n_goals, acts_on = len(world.goals), of_owners(world)
-    owner = [agent if to is None else to[0] for agent, to in enumerate(way)]
-    effective = [  # agent -> own goal of its owner -> what the agent acts on
-        np.arange(n_goals) if to is None else acts_on[agent, *to] for agent, to in enumerate(way)
-    ]
+    n_goals, space = len(world.goals), space_of(world)
+    # agent -> own goal of its owner -> what the agent acts on
+    owner, effective = space.owner[way].tolist(), space.becomes[way]
     log_evidence, of_owner = 0.0, {}
     for head in set(owner):
         group = [agent for agent, one in enumerate(owner) if one == head]
         log_p = log_prior[head] + sum(log_likelihood[agent, effective[agent]] for agent in group)
         # -1 stands for what its owner cannot have, or its helper cannot act on
-        log_p[(np.stack([effective[agent] for agent in group]) < 0).any(axis=0)] = -np.inf
+        log_p[(effective[group] < 0).any(axis=0)] = -np.inf
         total = log_sum_exp(log_p)
         log_evidence += total
         of_owner[head] = np.exp(log_p - total) if np.isfinite(total) else np.zeros(n_goals)

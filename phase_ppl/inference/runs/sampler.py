@@ -35,7 +35,7 @@ from phase_ppl.inference.runs.length import Length, Pace, Tally
 from phase_ppl.inference.runs.run import Run, compiled, fields_of, make_kernel
 from phase_ppl.inference.settings import Budget
 from phase_ppl.inference.stepwise import TableRunner, filter_event
-from phase_ppl.models.bridge import SimulatorBridge
+from phase_ppl.models.bridge import SimulatorBridge, request_key
 from phase_ppl.models.density import on_cpu
 from phase_ppl.models.hosted import Hosted
 from phase_ppl.models.likelihood import is_stepwise
@@ -323,7 +323,16 @@ class Sampler:
         Any start leaves the stationary law as it is.
         """
         records, chain = self._bridge.records, np.arange(self._run.chains)
-        completed = np.isin(chain, [r.chain for r in records if r.result.completed])
+        done = [record for record in records if record.result.completed]
+        keys = {request_key(record.sites, record.result.seed) for record in done}
+        sites = {name: np.asarray(values) for name, values in state.z.items()}
+        # a request that two chains share is recorded for one of them
+        completed = np.array(
+            [
+                request_key({name: values[c] for name, values in sites.items()}, int(seed)) in keys
+                for c, seed in enumerate(np.asarray(state.sim_seed))
+            ]
+        ) | np.isin(chain, [record.chain for record in done])
         if not records:
             raise SimulationError("no initial hypothesis has prior mass: nothing was simulated")
         if not completed.any():

@@ -32,14 +32,14 @@ def homewards(world: ppl.World, seed: int) -> Roles | None:
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> GeneratedEvents:
     folder = tmp_path_factory.mktemp("sets") / "solo"
-    return generate(folder, 3, world=SOLO, frames=50, seed=3, keep_rejected=True, **ONE_THREAD)
+    return generate(folder, 3, world=SOLO, frames=36, seed=0, keep_rejected=True, **ONE_THREAD)
 
 
 def test_an_event_is_made_of_the_one_number_of_its_entry(made: GeneratedEvents) -> None:
     for event, entry in zip(ppl.load_events(made.path), made.entries, strict=True):
         seed = entry["seed"]
         again = ppl.simulate(
-            SOLO.random_scene(seed), uniform_roles(SOLO, seed), frames=50, seed=seed
+            SOLO.random_scene(seed), uniform_roles(SOLO, seed), frames=36, seed=seed
         )
         assert np.array_equal(event.observation.trajectory, again.observation.trajectory)
         assert event.truth == again.truth
@@ -56,7 +56,7 @@ def test_kept_are_events_in_which_a_goal_of_ones_own_is_reached(made: GeneratedE
     assert not any(is_reached(event) for event, _ in made.rejected())
     kept, refused = made.manifest["kept"], made.manifest["rejected"]
     assert kept == {"solo": 3}
-    assert refused["solo"] == {"no goal is reached": len(made.rejected())}
+    assert refused["solo"] == {"no goal is reached": len(made.rejected())}, "there are some"
     assert verify(made.path) == []
 
 
