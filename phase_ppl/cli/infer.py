@@ -289,7 +289,8 @@ def _write_results(
     for name in set(_RESULTS) - set(written):  # of another run, which was to be overwritten
         (out / name).unlink(missing_ok=True)
     print(f"\nWritten to {out}: {', '.join(written)}")
-    print(cli.report_hint(out))
+    if event.scene.world == PHASE:
+        print(cli.report_hint(out))
 
 
 # --- watching --------------------------------------------------------------------------------
