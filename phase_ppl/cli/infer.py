@@ -107,7 +107,8 @@ def _add_run_options(parser: argparse.ArgumentParser) -> None:
 
 def _infer(options: argparse.Namespace) -> int:
     event = cli.load(options)
-    if event.scene.world != PHASE and options.model is None and options.likelihood is None:
+    told = options.model, options.likelihood, options.kernel
+    if event.scene.world != PHASE and told == (None, None, None):
         options.model = "stepwise"
     stepwise = _is_stepwise(options)
     if options.watch and (not stepwise or options.kernel is not None):
@@ -276,7 +277,8 @@ def _write_results(
     for name in set(_RESULTS) - set(written):  # of another run, which was to be overwritten
         (out / name).unlink(missing_ok=True)
     print(f"\nWritten to {out}: {', '.join(written)}")
-    print(cli.report_hint(out))
+    if event.scene.world == PHASE:
+        print(cli.report_hint(out))
 
 
 # --- watching --------------------------------------------------------------------------------

@@ -29,7 +29,7 @@ from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.geometry import agent_outline, is_agent
 from phase_ppl.world.hypothesis import STRENGTH_RANGE
-from phase_ppl.world.scene import PHASE, World
+from phase_ppl.world.scene import PHASE, World, check_is_phase
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -103,12 +103,13 @@ def posteriors(
     ``posts`` has what each is called, such as the name of its prior or likelihood.
 
     Raises:
-        InvalidSettingError: there is none, or something else among them.
+        InvalidSettingError: there is none, something else among them, or one of another world.
     """
     if not isinstance(posts, Mapping) or not posts:
         raise InvalidSettingError(f"posteriors of {shown(posts)}, expected names -> posteriors")
     for name, post in posts.items():
         instance_of(f"posteriors[{name!r}]", post, (Posterior, StepwisePosterior), "a posterior")
+        check_is_phase(post.scene.world, "posteriors side by side")
     tops = {q: [label for p in posts.values() for label, share in p.top(q, _SIDE_BY_SIDE) if share]
             for q in (*GOALS_OF.values(), "relation")}  # fmt: skip
     labels = {quantity: list(dict.fromkeys(found)) for quantity, found in tops.items()}

@@ -41,7 +41,7 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import ALPHA_WORDS, ALPHAS, RELATIONS, SCENARIOS
 from phase_ppl.world.names import AGENTS
 from phase_ppl.world.progress import counted
-from phase_ppl.world.scene import Scene
+from phase_ppl.world.scene import Scene, check_phase
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -242,6 +242,7 @@ def _posterior(evaluation: Evaluation, event_id: str) -> Posterior | None:
 def run_page(folder: Path) -> str:
     """Return the page of the run of inference in ``folder``."""
     post = load_posterior(folder / POSTERIOR)
+    check_phase(post.scene, "a report")
     strips = [_strip("Observed", post.observed(), post.scene, post.event_id)]
     shown: dict[str, Any] = {"decided": None}
     if isinstance(post, StepwisePosterior):
