@@ -281,7 +281,8 @@ def work(name: str, folder: Path) -> Any:
         events = [walking_event(n) for n in range(8, 18)]
         events = [dataclasses.replace(e, id=str(n)) for n, e in enumerate(events)]
         done = ppl.evaluate(events, predict, out=folder / "e", resume=True, workers=1, **QUIET)
-        return {n: (p.top("goal_red"), p.top("goal_green")) for n, p in done.predictions.items()}
+        goals = "goal_red", "goal_green"
+        return {n: [p.top(goal, 1) for goal in goals] for n, p in done.predictions.items()}
     if name == "generate":
         planner = PlannerConfig(particles=5, simulations=2, rollout_length=1)
         cells = {"chasing": 3, "independent:LMA+LMA": 1}

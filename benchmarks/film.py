@@ -1,8 +1,9 @@
 """How well are events read back from films? Real videos are filmed, read, and compared.
 
 With their scene, or by the layout PHASE alone; as they are, or smaller and more compressed. With
-`--closed-loop N`, what the closed loop says of goals on the tracks as read, beside what it says on
-the true ones, for the N shortest videos.
+`--closed-loop`, what the closed loop says of goals and relation on the tracks as read, beside what
+it says on the true ones. `--kept FILE` keeps what is done, video by video, so that a run that was
+interrupted goes on.
 """
 
 from __future__ import annotations
@@ -15,14 +16,15 @@ from typing import Any
 
 import imageio_ffmpeg
 import numpy as np
-from common import dev_events, write
+from common import dev_events, interval, resumed, write
 from numpy.typing import NDArray
-from tqdm import tqdm
 
 import phase_ppl as ppl
 from phase_ppl.world.event import Event
 
 QUANTILES = (0.5, 0.99, 1.0)
+ASKED = ("goal_red", "goal_green", "relation")
+Task = tuple[Event, dict[str, Any]]
 
 
 def filmed(event: Event, folder: Path, width: int | None, crf: int | None) -> Path:
@@ -51,10 +53,72 @@ def same_walls(one: Event, other: Event) -> bool:
     return len(first) == len(second) and np.allclose(first, second, atol=0.051)
 
 
-def goals(event: Event) -> dict[str, dict[str, float]]:
+def answers(event: Event) -> dict[str, dict[str, float]]:
+    """Return the closed loop's probabilities of goals and relation."""
     model = ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=1))
     post = ppl.infer(event, model, seed=0, workers=1, progress=False)
-    return {name: dict(post.top(name, 40)) for name in ("goal_red", "goal_green")}
+    return {name: {k: float(p) for k, p in post.top(name, 40)} for name in ASKED}
+
+
+def film_and_read(task: Task) -> dict[str, Any]:
+    """Return how far off an event read from a film is, and what the closed loop makes of it."""
+    event, settings = task
+    with tempfile.TemporaryDirectory() as folder:
+        film = filmed(event, Path(folder), settings["width"], settings["crf"])
+        what: dict[str, Any] = {"layout": "phase"} if settings["layout"] else {"scene": event.scene}
+        try:
+            reading = ppl.read_video(film, **what, progress=False)
+        except ppl.PhasePPLError as error:
+            return {"refused": str(error)}
+    off, turned = errors(reading.event, event)
+    scene = reading.event.scene
+    found = {
+        "frames": event.observation.n_frames,
+        "off": off.round(5).tolist(),
+        "turned": turned.round(5).tolist(),
+        "confidence": reading.confidence.tolist(),
+        "size": float(np.abs(scene.radius - event.scene.radius).max()),
+        "walls": same_walls(reading.event, event),
+        "turning": bool(scene.turning == event.scene.turning),
+    }
+    if settings["closed_loop"]:
+        found |= {"read": answers(reading.event), "true": answers(event)}
+    return found
+
+
+def what_changes(event: Event, read: Any, true: Any) -> dict[str, Any]:
+    """Return, by quantity, what the closed loop says on the tracks as read and on the true ones."""
+    rows: dict[str, Any] = {}
+    for name in ASKED:
+        truth, one, other = getattr(event.truth, name), read[name], true[name]
+        changes = [abs(one.get(label, 0.0) - other.get(label, 0.0)) for label in {**one, **other}]
+        rows[name] = {"change": max(changes)}
+        for which, shares in (("read", one), ("true", other)):
+            right = max(shares, key=shares.__getitem__) == truth
+            rows[name][which] = {"right": float(right), "truth": shares.get(truth, 0.0)}
+    return rows
+
+
+def say_closed_loop(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """Print and return means over videos, and of differences with paired bootstrap intervals."""
+    table: dict[str, Any] = {}
+    print(f"closed loop, {len(rows)} videos: on tracks as read, on true ones, difference")
+    for title, names in {"goals": ASKED[:2], "relation": ASKED[2:]}.items():
+        for what in ("right", "truth"):
+            read, true = (
+                np.array([[row[name][which][what] for name in names] for row in rows]).mean(1)
+                for which in ("read", "true")
+            )
+            found = {"read": interval(read), "true": interval(true), "by": interval(read - true)}
+            table[f"{title} {what}"] = found
+            said = (
+                f"{x['value']:8.3f} [{x['ci_low']:.3f}, {x['ci_high']:.3f}]" for x in found.values()
+            )
+            print(f"{title + ' ' + what:16}" + "".join(said))
+    most = [max(row[name]["change"] for name in ASKED[:2]) for row in rows]
+    table["change"] = np.quantile(most, [0.25, 0.5, 0.75, 1.0]).tolist()
+    print("largest change of a goal's share: quartiles and most", np.round(table["change"], 3))
+    return table
 
 
 def main() -> None:
@@ -63,56 +127,54 @@ def main() -> None:
     parser.add_argument("--limit", type=int, help="so many videos, the shortest")
     parser.add_argument("--width", type=int, help="of the film, pixels")
     parser.add_argument("--crf", type=int, help="H.264's constant rate factor, 18 as made")
-    parser.add_argument("--closed-loop", type=int, default=0, metavar="N")
+    parser.add_argument("--closed-loop", action="store_true", help="with the closed loop's answers")
+    parser.add_argument("--kept", type=Path, metavar="FILE", help="results of single videos")
+    parser.add_argument("--workers", type=int)
     parser.add_argument("--json")
     options = parser.parse_args()
     events = dev_events()[::-1][: options.limit]
-    known = "layout" if options.layout else "scene"
-    report: dict[str, Any] = {"known": known, "videos": {}, "refused": {}, "closed_loop": {}}
-    kept: list[tuple[NDArray[Any], ...]] = []
-    with tempfile.TemporaryDirectory() as folder:
-        for number, event in enumerate(tqdm(events, disable=None)):
-            film = filmed(event, Path(folder), options.width, options.crf)
-            what: dict[str, Any] = {"layout": "phase"} if options.layout else {"scene": event.scene}
-            try:
-                reading = ppl.read_video(film, **what, progress=False)
-            except ppl.PhasePPLError as error:
-                report["refused"][event.id] = str(error)
-                continue
-            found, scene = errors(reading.event, event), reading.event.scene
-            kept.append((*found, reading.confidence))
-            report["videos"][event.id] = {
-                "frames": event.observation.n_frames,
-                "position": np.quantile(found[0], QUANTILES).tolist(),
-                "angle": np.quantile(found[1], QUANTILES).tolist(),
-                "size": float(np.abs(scene.radius - event.scene.radius).max()),
-                "walls": same_walls(reading.event, event),
-                "turning": scene.turning == event.scene.turning,
-            }
-            if number < options.closed_loop:
-                read, true = goals(reading.event), goals(event)
-                report["closed_loop"][event.id] = {
-                    name: max(
-                        abs(read[name].get(goal, 0.0) - true[name].get(goal, 0.0))
-                        for goal in {*read[name], *true[name]}
-                    )
-                    for name in true
-                }
-                most = max(report["closed_loop"][event.id].values())
-                print(f"{event.id}: a goal's share changes by at most {most:.3f}", flush=True)
-    parts = (np.concatenate([part.ravel() for part in each]) for each in zip(*kept, strict=True))
-    off, turned, sure = parts
-    rows, n = report["videos"].values(), len(report["videos"])
+    settings = {name: getattr(options, name) for name in ("layout", "width", "crf", "closed_loop")}
+    tasks = [(event, settings) for event in events]
+    found = resumed(
+        film_and_read,
+        tasks,
+        lambda task: task[0].id,
+        "videos",
+        options.kept,
+        settings,
+        options.workers,
+    )
+    rows = {e.id: row for e, row in zip(events, found, strict=True) if "refused" not in row}
+    refused = {
+        e.id: row["refused"] for e, row in zip(events, found, strict=True) if e.id not in rows
+    }
+    report: dict[str, Any] = {"known": "layout" if options.layout else "scene", "refused": refused}
+    off, turned, sure = (
+        np.concatenate([np.ravel(row[name]) for row in rows.values()])
+        for name in ("off", "turned", "confidence")
+    )
     report["interpolated"] = float((sure == 0).mean())
-    print(f"{n} videos read, {len(report['refused'])} refused; median, 99 %, largest error")
+    print(f"{len(rows)} videos read, {len(refused)} refused; median, 99 %, largest error")
     for name, values in (("position", off), ("seen", off[sure > 0]), ("angle", turned)):
         report[name] = np.quantile(values, QUANTILES).tolist()
         print(f"{name:9}" + "".join(f"{value:8.3f}" for value in report[name]))
     print(f"{report['interpolated']:.4f} of all places interpolated")
     if options.layout:
-        print(f"sizes off by at most {max(row['size'] for row in rows):.3f} units")
+        print(f"sizes off by at most {max(row['size'] for row in rows.values()):.3f} units")
         for name in ("walls", "turning"):
-            print(f"{name} right in {sum(row[name] for row in rows)} of {n}")
+            print(f"{name} right in {sum(row[name] for row in rows.values())} of {len(rows)}")
+    report["videos"] = {
+        name: {key: row[key] for key in ("frames", "size", "walls", "turning")}
+        | {"position": np.quantile(row["off"], QUANTILES).tolist()}
+        | {"angle": np.quantile(row["turned"], QUANTILES).tolist()}
+        for name, row in rows.items()
+    }
+    if options.closed_loop:
+        read = [event for event in events if event.id in rows]
+        each = [what_changes(e, rows[e.id]["read"], rows[e.id]["true"]) for e in read]
+        report["closed_loop"] = say_closed_loop(each)
+        for event, row in zip(read, each, strict=True):
+            report["videos"][event.id]["closed_loop"] = row
     write(report, options.json)
 
 

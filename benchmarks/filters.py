@@ -162,7 +162,9 @@ def main() -> None:
             row = {
                 name: share(
                     [case for case in cases if case.scenario in rule.scenarios],
-                    lambda case, rule=rule, threshold=threshold: rule.passes(case, threshold),
+                    lambda case, rule=rule, threshold=threshold: rule.passes(  # type: ignore[misc]
+                        case, threshold
+                    ),
                 )
                 for name, cases in groups.items()
             }

@@ -50,7 +50,7 @@ def sources(events: list[Event], given: list[str]) -> dict[str, tuple[Evidence, 
             evaluation = Evaluation.load(folder)
             found[name] = ppl.evidence_from(events, evaluation), dict(evaluation.predictions)
         elif name == "cues":
-            even = {e.id: ppl.Prediction(e.id, {"relation": [1 / 3] * 3}) for e in events}
+            even = {e.id: ppl.Prediction(e.id, {"relation": np.full(3, 1 / 3)}) for e in events}
             found[name] = ppl.evidence_from(events, None), even
         else:
             own = {k: with_shares(v) for k, v in reference_predictions(events)[name].items()}
@@ -63,7 +63,7 @@ def with_shares(given: Prediction) -> Prediction:
         return given
     rest = (1 - LABELLED) / (len(RELATIONS) - 1)
     shares = [LABELLED if one == given.answers["relation"] else rest for one in RELATIONS]
-    return ppl.Prediction(given.event_id, {"relation": shares}, given.answers)
+    return ppl.Prediction(given.event_id, {"relation": np.array(shares)}, given.answers)
 
 
 def scores(events: list[Event], predictions: Mapping[str, Prediction]) -> dict[str, Any]:
@@ -201,7 +201,7 @@ def sampler(name: str, draws: int) -> Any:
         n = len(counts)
         prior, codes = np.full(counts.shape, -np.log(len(RELATIONS))), np.arange(len(RELATIONS))
         evidence = Evidence(("",) * n, logs, prior, {"relation": codes}, cues)
-        people(observer_named(name), evidence, Answers({"relation": counts}, *NOBODY), np.ones(n))
+        people(observer_named(name), evidence, Answers({"relation": counts}, *NOBODY), np.ones(n))  # type: ignore[arg-type]
 
     return MCMC(
         NUTS(program, target_accept_prob=0.9), num_warmup=draws, num_samples=draws,

@@ -46,7 +46,7 @@ def settings() -> list[Setting]:
 
 def model(setting: Setting, prior: str) -> PredicateInversePlanning:
     factor = setting["factor"]
-    return predicate(
+    return predicate(  # type: ignore[return-value]
         prior=prior,
         rationality=setting["rationality"],
         lasting=int(setting["lasting"]),

@@ -10,7 +10,7 @@ badly), by form of the proposal and scenario.
 from __future__ import annotations
 
 import argparse
-from typing import Any
+from typing import Any, Literal
 
 import common
 import numpy as np
@@ -26,7 +26,7 @@ INITIAL, LATER = 15, 90
 MEASURES = ("initial", "ever", "log_proposal")
 
 
-def probabilities(event: Event, form: str) -> np.ndarray:
+def probabilities(event: Event, form: Literal["learned", "paper"]) -> np.ndarray:
     """Return (window + 1,) probabilities that the true effective goals are proposed."""
     assert event.truth is not None
     truth = GOALS.index(event.truth.goal_red), GOALS.index(event.truth.goal_green)
@@ -51,7 +51,7 @@ def probabilities(event: Event, form: str) -> np.ndarray:
     return found
 
 
-def judge(task: tuple[Event, str]) -> dict[str, Any]:
+def judge(task: tuple[Event, Literal["learned", "paper"]]) -> dict[str, Any]:
     event, form = task
     found = probabilities(event, form)
     first = (1 - found[-1]) ** INITIAL

@@ -90,7 +90,7 @@ def main() -> None:
             seen = observations(events, jitter, options.draws)
             for name, estimator in estimators.items():
                 figures = judged(estimator, seen, window == "all")
-                rows.append({"window": window, "jitter": jitter, "estimator": name} | figures)
+                rows.append({"window": window, "jitter": jitter, "estimator": name, **figures})
                 shown = "".join(
                     f"{'-':>13}" if figures[column] is None else f"{figures[column]:13.3f}"
                     for column in COLUMNS

@@ -101,7 +101,9 @@ class Player:
         where = self.address.replace("http", "ws") + "play/socket"
         headers = {"Cookie": self.cookie}
         origin: Any = self.address.rstrip("/")
-        agent, last, before, asked, keys = 0, 0.0, None, None, ("forward", "backward")
+        agent, last, keys = 0, 0.0, ("forward", "backward")
+        before: Any = None
+        asked: float | None = None
         async with connect(where, origin=origin, additional_headers=headers) as socket:
             async for text in socket:
                 now, message = time.perf_counter(), json.loads(text)
@@ -114,7 +116,7 @@ class Player:
                 elif message["t"] in ("end", "go"):
                     return
                 elif message["t"] == "begun":
-                    last = before = None
+                    last, before = 0.0, None
                 elif message["t"] == "frame" and before is None:
                     last, before = now, message["poses"][agent]
                 elif message["t"] == "frame" and last:

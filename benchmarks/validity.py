@@ -54,7 +54,8 @@ def main() -> None:
     report: dict[str, Any] = {"kernels": {}}
     print(f"{'kernel':20}{'validity':>12}{'simulations':>13}{'total variation':>17}")
     for name in options.only:
-        result = measured(*VARIANTS.get(name, (name, {})), options.simulations)
+        kernel, given = VARIANTS.get(name, (name, {}))
+        result = measured(kernel, given, options.simulations)
         report["kernels"][name] = result
         print(
             f"{name:20}{result['validity']:>12}{result['simulations']:13}{result['tv']:17.3f}",

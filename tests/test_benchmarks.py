@@ -14,7 +14,9 @@ import pytest
 
 import phase_ppl as ppl
 from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.analysis.stepwise_posterior import StepwisePosterior
 from phase_ppl.dataset.generation.making import NEAR
+from tests.analysis.readings import reading
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 VIDEOS = Path(os.environ.get("PHASE_TEST") or BENCHMARKS.parents[1] / "shared" / "phase-test")
@@ -110,6 +112,27 @@ def test_one_video_is_filmed_and_read(figures: Figures) -> None:
     assert report["position"][1] < 0.4
 
 
+def test_answers_called_decided_are_compared_with_the_truth(
+    tmp_path: Path, figures: Figures
+) -> None:
+    post = StepwisePosterior(reading())
+    leaders = {name: one["label"] for name, one in post.leaders().items()}
+    assert leaders["goal_red"] == leaders["goal_green"] == "Get blue item to red lm"
+    event = ppl.Event(
+        post.scene,
+        ppl.Observation(post.observed()),
+        id=post.event_id,
+        truth=ppl.Truth(leaders["goal_red"], "Get pink item to red lm"),
+    )
+    ppl.save_event(event, tmp_path / "event.json")
+    post.save(tmp_path / "some.nc")
+    options = ["--events", str(tmp_path / "event.json")]
+    report: dict[str, Any] = figures("decided.py", str(tmp_path), *options)[str(tmp_path)]
+    assert report["all"]["answers"] == 3
+    assert report["goals"]["right"]["value"] == 0.5
+    assert report["all"]["decided"] == sum(one["sure"] for one in post.leaders().values())
+
+
 @pytest.mark.slow
 def test_a_few_attacks_of_each_kind_are_withstood(figures: Figures) -> None:
     report: dict[str, Any] = figures("attack.py", "--inputs", "12", "--kills", "2")
@@ -129,6 +152,17 @@ def test_calibration_of_a_few_events(tmp_path: Path, figures: Figures) -> None:
     assert {len(values) for values in ranks.values()} == {2}
     assert all(0 <= rank <= 15 for v in ranks.values() for rank in v)
     assert image.stat().st_size > 1000
+
+
+def test_events_of_another_world_are_made_and_read(tmp_path: Path, figures: Figures) -> None:
+    given = ["--events", "1", "--frames", "40", "--workers", "1", "--out", str(tmp_path / "out")]
+    report: dict[str, Any] = figures("worlds.py", *given)
+    for name in ("stepwise", "predicate", "last_frame"):
+        assert report[name]["n"]["truth"] == report[name]["n_events"] == 1
+    assert 0 < report["last_frame"]["probability_of_true_goal"] <= 1
+    assert report["stepwise"]["per_frame"]["searches"] > 0
+    made = ppl.load_events(tmp_path / "out" / "set")
+    assert not any(" away from " in goal for event in made for goal in event.truth.goals.values())
 
 
 def test_an_unknown_setting_of_the_planner_is_named(

@@ -566,3 +566,20 @@ def test_help_lists_all_commands_and_imports_none_of_them() -> None:
     *listed, imported = done.stdout.splitlines()
     assert imported == "set()"
     assert all(any(line.split()[:1] == [name] for line in listed) for name in COMMANDS)
+
+
+def test_a_query_imports_nothing_that_infers_simulates_or_draws(
+    results: Path, tmp_path: Path
+) -> None:
+    stepwise = StepwisePosterior(reading()).save(tmp_path / "post.nc")
+    questions = ["P(relation=friendly)", "top 3 goal_red", "hdi strength_red"]
+    heavy = {"arviz", "jax", "matplotlib", "numba", "numpyro", "pymunk", "scipy.stats", "torch"}
+    code = (
+        "import sys\nfrom phase_ppl.cli import main\n"
+        f"for file in {[str(results), str(stepwise)]}: main(['query', file, *{questions}])\n"
+        f"print({heavy} & set(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    *answers, imported = done.stdout.splitlines()
+    assert imported == "set()"
+    assert sum(line.startswith("P(relation=friendly) = ") for line in answers) == 2

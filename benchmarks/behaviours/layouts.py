@@ -10,7 +10,7 @@ from phase_ppl.dataset.generation.situation import LAYOUTS, walls_of_lengths
 from phase_ppl.world.scene import Scene
 
 WALLS: Final[dict[int | str, tuple[float, float, float, float]]] = {
-    **LAYOUTS,
+    **dict(LAYOUTS.items()),
     "near room": (10, 5, 0, 7.5),
 }
 """Lengths of the walls up, left, down, right of the original layouts, and of one of ours."""

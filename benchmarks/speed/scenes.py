@@ -38,7 +38,7 @@ def undecided() -> dict[str, Scene]:
 def contact_mix(n: int) -> list[tuple[State, tuple[int, int]]]:
     """Return states of crowded random motion, holding or not, each with a pair of actions."""
     rng = np.random.default_rng(0)
-    mix = []
+    mix: list[tuple[State, tuple[int, int]]] = []
     while len(mix) < n:
         world = PymunkWorld(crowded(), STRENGTHS)
         for _ in range(20):

@@ -50,12 +50,12 @@ def early_stop() -> dict[str, Any]:
             rng[:] = begin
             one = pomcp.make_tree(search.n_simulations) if stops else tree
             settings = search._replace(early_stop=stops)
-            chosen[stops] = original(one, *where, settings, params, layout, scratch, rng)
+            chosen[stops] = original(one, *where, settings, params, layout, scratch, rng)  # type: ignore[call-arg]
             steps[stops] += int(one.statistics[1])
         same.append(chosen[True] == chosen[False])
         return int(chosen[False])
 
-    pomcp.run = both
+    pomcp.run = both  # type: ignore[assignment]
     try:
         run(PlannerConfig())
     finally:

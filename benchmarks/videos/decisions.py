@@ -154,7 +154,7 @@ def judge(task: Task) -> list[dict[str, Any]]:
             others = ~np.eye(len(chosen), dtype=bool)
             with_itself = float(np.mean(same[np.ix_(chosen, chosen)][others]))
             for decision in decisions:
-                (subgoal, _, _), root, _ = decision
+                subgoal, root = decision.intent.subgoal, decision.root
                 alike = same[pair[a], root.actions]
                 share = float(root.visits[alike].sum() / root.visits.sum())
                 chance = float(same[pair[a]].mean())

@@ -61,8 +61,8 @@ def own_event(number: int, likelihood: StepwiseLikelihood, n_frames: int = 41) -
         Policies(a, world_model, planner, int(rng.integers(2**60)), [goals])
         for a in range(len(AGENTS))
     ]
-    bodies, held, weld = (part[None].copy() for part in compiled.from_state(
-        State.at_start(scene), scene.radius))  # fmt: skip
+    start = compiled.from_state(State.at_start(scene), scene.radius)
+    bodies, held, weld = start[0][None].copy(), start[1][None].copy(), start[2][None].copy()
     params = compiled.make_params(scene, strengths, inner_steps=WORLD_INNER_STEPS)
     scratch, trial = compiled.make_scratch(), inverse.make_trial()
     newtons, gains = np.array([strengths]), filter_gains(tracking.scale, 0.0)

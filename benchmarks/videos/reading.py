@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.closed_loop.goal_filter import GoalFilter, frame_log_likelihood
 from phase_ppl.closed_loop.hidden_state import HiddenState, Tracking
-from phase_ppl.closed_loop.search_sets import Conduct, Looked
+from phase_ppl.closed_loop.search_sets import Conduct, Looked, SearchSets
 from phase_ppl.models import priors
 from phase_ppl.models.effective import log_prior_of_effective
 from phase_ppl.models.stepwise import StepwiseLikelihood
@@ -180,24 +180,30 @@ class Scores(NamedTuple):
         return cls(*np.mean(rows, axis=0).tolist())
 
 
-class Recorder(GoalFilter):
-    """One that keeps what its searches found."""
+class Recorder(SearchSets):
+    """Sets that keep what their searches found, and the densities of frames."""
 
-    def __init__(self, *arguments: Any, **options: Any) -> None:
-        super().__init__(*arguments, **options)
+    def __init__(self, *arguments: Any) -> None:
+        super().__init__(*arguments)
         self.searched: list[tuple[list[list[Looked]], NDArray[np.bool_]]] = []
-        look = self._sets.look
+        self.densities: list[FloatArray] = []
+        advance = self.hidden.advance
 
-        def looked(wanted: Any) -> list[list[Looked]]:
-            found = look(wanted)
-            small = [
-                [one._replace(intent_of=one.intent_of.astype(np.int16)) for one in pair]
-                for pair in found
-            ]
-            self.searched.append((small, wanted[0].reshape(N_GOALS, N_GOALS)))
-            return found
+        def advanced(*arguments: Any) -> FloatArray:
+            self.densities.append(advance(*arguments))
+            return self.densities[-1]
 
-        self._sets.look = looked  # type: ignore[method-assign]
+        self.hidden.advance = advanced  # type: ignore
+
+    def look(self, wanted: Sequence[NDArray[np.bool_]] | None = None) -> list[list[Looked]]:
+        assert wanted is not None
+        found = super().look(wanted)
+        small = [
+            [one._replace(intent_of=one.intent_of.astype(np.int16)) for one in pair]
+            for pair in found
+        ]
+        self.searched.append((small, wanted[0].reshape(N_GOALS, N_GOALS)))
+        return found
 
 
 def levels_of(event: Event) -> tuple[int, int]:
@@ -214,24 +220,10 @@ def record(event: Event, likelihood: StepwiseLikelihood, seed: int = 0) -> Kept:
     assert event.truth is not None
     truth = goal_index(event.truth.goal_red), goal_index(event.truth.goal_green)
     began = time.process_time()
-    densities: list[FloatArray] = []
-    with Recorder(
-        event.scene,
-        PlannerConfig.fast(),
-        likelihood.tracking,
-        likelihood.conduct,
-        seed,
-        planner_seeds=likelihood.planner_seeds,
-        weight=likelihood.weight,
-        log_prior=log_prior(),
-    ) as goals:
-        advance = goals._sets.hidden.advance
-
-        def advanced(*arguments: Any) -> FloatArray:
-            densities.append(advance(*arguments))
-            return densities[-1]
-
-        goals._sets.hidden.advance = advanced  # type: ignore[method-assign]
+    sets = Recorder(
+        event.scene, PlannerConfig.fast(), likelihood.tracking, seed, 1, likelihood.planner_seeds
+    )
+    with GoalFilter(sets, likelihood.conduct, likelihood.weight, log_prior()) as goals:
         readings = [goals.read(frame) for frame in event.observation.trajectory[1:]]
     seconds = time.process_time() - began
     unexplained, log_peak = (
@@ -239,7 +231,7 @@ def record(event: Event, likelihood: StepwiseLikelihood, seed: int = 0) -> Kept:
     )
     steps = [
         (*found, np.exp(density - density.max()), float(density.max()))
-        for found, density in zip(goals.searched, densities, strict=True)
+        for found, density in zip(sets.searched, sets.densities, strict=True)
     ]
     strengths = np.stack([one.strengths for one in readings])
     return Kept(truth, levels_of(event), steps, strengths, unexplained, log_peak, seconds)

@@ -103,7 +103,6 @@ def judge(task: Task) -> dict[str, Any]:
                 holds.append([decision.held for decision in decisions])
             if len(frames) == len(observed):
                 break
-        steps.close()
         positions = np.array(frames)
         simulated.append(figures(event, positions[: n + 1], np.array(holds[:n])))
         error = np.linalg.norm((positions - observed).reshape(len(observed), -1), axis=1)

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from phase_ppl.agents import pomcp, symbols
 from phase_ppl.agents.beliefs import Beliefs, Perception
 from phase_ppl.agents.config import PlannerConfig
-from phase_ppl.agents.standpoints import Alike, alike, standpoints
-from phase_ppl.agents.subgoals import Stance, subgoal_planners
+from phase_ppl.agents.standpoints import Alike, Stance, alike, standpoints
+from phase_ppl.agents.subgoals import subgoal_planners
 from phase_ppl.agents.world_model import WorldModel
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import Action

@@ -10,19 +10,55 @@ from __future__ import annotations
 import functools
 import itertools
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from phase_ppl.agents.subgoals import Stance, stance, wants
 from phase_ppl.world.arrays import IntArray
 from phase_ppl.world.goals import goal_literal, possible_goals
-from phase_ppl.world.names import NOTHING, STOP, Literal
+from phase_ppl.world.names import NOTHING, STOP, Literal, Predicate
 from phase_ppl.world.scene import World
 
 _SAME, _OPPOSITE = 1, 2  # what another agent wants; 0: neither
 _KINDS: Final = 3
+
+
+class Stance(NamedTuple):
+    """All that matters to an agent of what others want."""
+
+    # whom its goal concerns: the agent that it is about; else one that wants the same, or the
+    # opposite where the goal is to prevent something; else any. ``NOTHING``: nobody
+    other: int
+    cooperative: bool  # that one wants the same
+    contested: bool  # somebody wants the opposite
+    # the agent's goal is that the other one gets somewhere, so that it matters whether the other is
+    # where it wants to be
+    helps_along: bool
+
+
+def stance(agent: int, goals: Sequence[Literal]) -> Stance:
+    """Return how an agent stands to the others, given the goals of all, in order."""
+    own = goals[agent]
+    others = [other for other in range(len(goals)) if other != agent]
+    about = [own.subject] if own.subject in others else []
+    alike = [other for other in others if wants(own, agent, goals[other], other)]
+    against = [other for other in others if wants(own.negated(), agent, goals[other], other)]
+    concerned = [*about, *(alike + against if own.positive else against + alike), *others, NOTHING]
+    return Stance(
+        concerned[0],
+        concerned[0] in alike,
+        bool(against),
+        bool(about) and own.predicate is Predicate.ON and own.positive,
+    )
+
+
+def wants(own: Literal, agent: int, theirs: Literal, other: int) -> bool:
+    """Return whether another agent wants what ``own`` of an agent says.
+
+    Two who are to touch each other each have a goal of their own.
+    """
+    return own == theirs or (own.says(theirs) and {own.subject, own.target} != {agent, other})
 
 
 class Alike(NamedTuple):
@@ -109,18 +145,17 @@ class Standpoints:
                 }
                 if -1 in goals.values():  # nobody can want that
                     continue
-                everyone = [STOP] * len(literals)
+                everyone: list[Literal] = [STOP] * len(literals)
                 everyone[agent] = literal
-                for other, wanted in goals.items():
-                    if wanted is not None:
-                        everyone[other] = literals[other][wanted]
+                for other, its in goals.items():
+                    everyone[other] = STOP if its is None else literals[other][its]
                 towards = stance(agent, everyone)
                 code = sum(kind * _KINDS**place for place, kind in enumerate(kinds))
                 one = known.setdefault(towards, Alike(own, literal, towards, [], []))
                 if towards.helps_along:
                     self._whose[own] = towards.other
-                    theirs = goals[towards.other]
-                    for goal in literals[towards.other] if theirs is None else [theirs]:
+                    helped = goals[towards.other]
+                    for goal in literals[towards.other] if helped is None else [helped]:
                         self._table[own, code, goal] = self._place(one, goal)
                 else:
                     self._table[own, code] = self._place(one, own)

@@ -10,50 +10,13 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Callable
 
 from phase_ppl.agents.operators import Node, Step, plan, start_node
+from phase_ppl.agents.standpoints import Stance
 from phase_ppl.agents.symbols import SymbolicState
 from phase_ppl.agents.world_model import Abilities
 from phase_ppl.world.names import NOTHING, STOP, Literal, Predicate
-
-
-class Stance(NamedTuple):
-    """All that matters to an agent of what others want."""
-
-    # whom its goal concerns: the agent that it is about; else one that wants the same, or the
-    # opposite where the goal is to prevent something; else any. ``NOTHING``: nobody
-    other: int
-    cooperative: bool  # that one wants the same
-    contested: bool  # somebody wants the opposite
-    # the agent's goal is that the other one gets somewhere, so that it matters whether the other is
-    # where it wants to be
-    helps_along: bool
-
-
-def stance(agent: int, goals: Sequence[Literal]) -> Stance:
-    """Return how an agent stands to the others, given the goals of all, in order."""
-    own = goals[agent]
-    others = [other for other in range(len(goals)) if other != agent]
-    about = [own.subject] if own.subject in others else []
-    alike = [other for other in others if wants(own, agent, goals[other], other)]
-    against = [other for other in others if wants(own.negated(), agent, goals[other], other)]
-    concerned = [*about, *(alike + against if own.positive else against + alike), *others, NOTHING]
-    return Stance(
-        concerned[0],
-        concerned[0] in alike,
-        bool(against),
-        bool(about) and own.predicate is Predicate.ON and own.positive,
-    )
-
-
-def wants(own: Literal, agent: int, theirs: Literal, other: int) -> bool:
-    """Return whether another agent wants what ``own`` of an agent says.
-
-    Two who are to touch each other each have a goal of their own.
-    """
-    return own == theirs or (own.says(theirs) and {own.subject, own.target} != {agent, other})
 
 
 class SubgoalPlanner:

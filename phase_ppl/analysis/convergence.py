@@ -8,7 +8,6 @@ from typing import Any, Final, Literal
 
 import numpy as np
 import pandas as pd
-import scipy.special
 
 from phase_ppl.world.arrays import FloatArray
 
@@ -93,8 +92,10 @@ def chain_halves(values: FloatArray) -> FloatArray:
 
 def _normal_ranks(values: FloatArray) -> FloatArray:
     """Return the values' ranks, of equals the mean, as quantiles of the normal distribution."""
+    from scipy.special import ndtri
+
     ranks = pd.Series(values.ravel()).rank().to_numpy()
-    quantiles: FloatArray = scipy.special.ndtri((ranks - 3 / 8) / (values.size + 1 / 4))
+    quantiles: FloatArray = ndtri((ranks - 3 / 8) / (values.size + 1 / 4))
     return quantiles.reshape(values.shape)
 
 

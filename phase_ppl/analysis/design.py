@@ -22,7 +22,7 @@ import pandas as pd
 import xarray as xr
 from scipy.special import gammaln, logsumexp
 
-from phase_ppl.analysis.estimate import Estimate
+from phase_ppl.analysis.estimate import Estimate, entropy
 from phase_ppl.dataset.documents import read_json
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import whole_number
@@ -83,7 +83,7 @@ class Design:
     @property
     def most(self) -> float:
         """The most that can be known: the entropy of the prior over models, nats."""
-        return _entropy(np.log(np.maximum(self.prior, 1e-300)))
+        return float(entropy(self.prior))
 
     # --- single events -------------------------------------------------------------------------
 
@@ -385,10 +385,6 @@ def checked(
         weights / weights.sum(),
         whole_number("seed", seed, minimum=0),
     )
-
-
-def _entropy(logs: FloatArray) -> float:
-    return float(-(np.exp(logs) * logs).sum())
 
 
 @functools.lru_cache(8)

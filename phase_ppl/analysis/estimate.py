@@ -33,7 +33,6 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import stdtrit
 
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, shown
@@ -239,6 +238,8 @@ def widened(size: float) -> float:
     """
     if math.isnan(size):
         return 1.0
+    from scipy.special import stdtrit  # slow to import, as in convergence.py
+
     return float(stdtrit(max(size - 1.0, 1.0), 0.975)) / 1.96
 
 

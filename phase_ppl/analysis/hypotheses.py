@@ -207,8 +207,9 @@ class Hypotheses:
                 f"the joint of {', '.join(names)} has {math.prod(shape)} entries, "
                 f"at most {MOST_CELLS} are possible: ask for fewer quantities"
             )
-        rows, weights, without = self._weighed(given)
-        codes = np.ravel_multi_index([self._rows.values[name][rows] for name in names], shape)
+        columns = [self._rows.values[name] for name in names]
+        rows, weights, without = self._weighed(given, *columns)
+        codes = np.ravel_multi_index([column[rows] for column in columns], shape)
         occupied, codes = np.unique(codes, return_inverse=True)
         mass = estimate.shares(codes, weights)
         table = np.zeros(shape)
@@ -257,7 +258,7 @@ class Hypotheses:
         if (of := self._knowing(name, given=given)) is not self:
             return of.mode(name, given=given)
         labels = self._quantity(name).categories()
-        rows, weights, without = self._weighed(given)
+        rows, weights, without = self._weighed(given, self._rows.values[name])
         codes, size = self._rows.values[name][rows], len(labels)
         mass = estimate.shares(codes, weights, size)
         label = labels[int(mass.argmax())]
@@ -348,7 +349,7 @@ class Hypotheses:
         if (of := self._knowing(name, given=given)) is not self:
             return of.hdi(name, prob, given=given)
         values = self._numbers(name)
-        rows, weights, without = self._weighed(given, LEFT_OUT_OF_INTERVALS)
+        rows, weights, without = self._weighed(given, values, share=LEFT_OUT_OF_INTERVALS)
         levels, codes = np.unique(values[rows], return_inverse=True)
         bounds = estimate.shortest_interval(levels, estimate.shares(codes, weights), prob)
         error = np.full(2, np.nan)
@@ -579,11 +580,12 @@ class Hypotheses:
         )
 
     def _weighed(
-        self, given: Given, share: float = 0.0
+        self, given: Given, *asked: NDArray[Any], share: float = 0.0
     ) -> tuple[NDArray[np.bool_], FloatArray, Jackknife | None]:
         """Return which rows fulfil ``given``, and of these the weights, sum 1.
 
-        Third, those without sets with a ``share`` of the chains; None where unknown.
+        Third, those without sets with a ``share`` of the chains; None where unknown, as it may be
+        for the columns that are ``asked`` about.
         """
         rows = self._satisfied(given)
         weights = self._rows.weights[rows]
@@ -591,8 +593,12 @@ class Hypotheses:
         if not total > 0:
             said = given.text if isinstance(given, Conditions) else given
             raise InvalidSettingError(f"cannot condition on {said}: {self._why_impossible(given)}")
-        without = self._jackknife(share)
+        without = self._jackknife(share) if self._has_error(rows, *asked) else None
         return rows, weights / total, None if without is None else without.only(rows)
+
+    def _has_error(self, *columns: NDArray[Any]) -> bool:
+        """Return whether the jackknife knows the error of what depends on these columns."""
+        return True
 
     def _number(
         self,
@@ -601,7 +607,7 @@ class Hypotheses:
         given: Given,
     ) -> Estimate:
         """Return ``statistic`` of values (row,) and weights (..., row), with its error."""
-        rows, weights, without = self._weighed(given)
+        rows, weights, without = self._weighed(given, values)
         values = values[rows]
         number = float(statistic(values, weights))
         if without is None:

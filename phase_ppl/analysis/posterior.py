@@ -381,5 +381,7 @@ def load_posterior(
                 f"{name}={given!r}: {path} was read step by step and has no draws to be weighted"
             )
     if of_roles:
+        if scenario is not None:
+            raise InvalidSettingError(f"scenario= is for PHASE: {path} is of another world")
         return RolesPosterior.load(path)
     return StepwisePosterior.load(path, scenario=scenario)

@@ -18,16 +18,14 @@ from phase_ppl.analysis.roles_table import (
     DIMENSIONS,
     MOST_HYPOTHESES,
     SCHEMA,
-    Hypotheses,
+    RoleRows,
     RolesTable,
     check,
 )
-from phase_ppl.analysis.stepwise_posterior import FILTERING, StepwisePosterior
+from phase_ppl.analysis.stepwise_posterior import FILTERING, StepwisePosterior, frame_of
 from phase_ppl.analysis.summary import wrapped
-from phase_ppl.dataset.hdf5 import read_netcdf, root_attribute
+from phase_ppl.dataset.hdf5 import root_attribute
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
-from phase_ppl.world.files import existing_file
 from phase_ppl.world.hypothesis import Roles, company
 from phase_ppl.world.scene import World
 
@@ -51,6 +49,7 @@ class RolesPosterior(StepwisePosterior):
     """
 
     _table: Any
+    _schema = SCHEMA
 
     def __init__(
         self, found: xr.Dataset, frame: int | None = None, *, table: RolesTable | None = None
@@ -60,10 +59,7 @@ class RolesPosterior(StepwisePosterior):
             table = RolesTable(found)
         self._found, self._table, self._scenario = found, table, None
         self._prior, self._of_sites = None, {}  # further sites are for PHASE
-        last = table.n_frames - 1
-        self._frame = last if frame is None else frame
-        if not 0 <= self._frame <= last:
-            raise InvalidSettingError(f"frame={frame!r}, expected a number in 0..{last}")
+        self._frame = frame_of(frame, table.n_frames)
         rows, self._without = table.rows(self._frame)
         world = table.world
         keys = dict(zip(world.agents, world.keys, strict=True))
@@ -112,8 +108,8 @@ class RolesPosterior(StepwisePosterior):
 
     def map(self) -> Roles:  # type: ignore[override]  # of another world
         """Return the most probable roles of all agents."""
-        hypotheses: Hypotheses = self._table.hypotheses
-        best = int(self._table.log_masses(self._frame)[0].argmax())
+        hypotheses: RoleRows = self._table.hypotheses
+        best = self._table.most_probable(self._frame)
         way = company(len(self.world.agents))[hypotheses.way[best]]
         goals = hypotheses.goals[best].tolist()
         stated = tuple(None if one else goal for goal, one in zip(goals, way, strict=True))
@@ -135,8 +131,9 @@ class RolesPosterior(StepwisePosterior):
         codes = self._table.codes(self._table.hypotheses.goals)
         known, n = quantities_of(self.world), self._frame + 1
         sizes = {name: len(known[name].categories()) for name in codes}
-        masses = {name: np.empty((self._n_tables, n, size)) for name, size in sizes.items()}
-        for t, weights in zip(range(n), self._table.over_time(), strict=False):
+        masses = {name: np.empty((self._table.n_tables, n, size)) for name, size in sizes.items()}
+        for t in range(n):
+            weights = self._table.weights(t)
             for name, size in sizes.items():
                 for row, own in enumerate(weights):
                     masses[name][row, t] = np.bincount(codes[name], own, size)
@@ -149,35 +146,20 @@ class RolesPosterior(StepwisePosterior):
             result = result.assign_coords({f"{name}_is": list(known[name].categories())})
         return result.assign_attrs(filtering=FILTERING)
 
-    @property
-    def _n_tables(self) -> int:
-        return 1 + (self.planner_seeds if self.planner_seeds > 1 else 0)
-
     def _columns(self) -> dict[str, NDArray[Any]]:
         return self._table.columns()  # type: ignore[no-any-return]
 
     def _log_masses(self, frame: int) -> Iterator[FloatArray]:
         yield from self._table.log_masses(frame)
 
-    @classmethod
-    def load(cls, path: str | os.PathLike[str], **_: object) -> RolesPosterior:
-        """Read a posterior that :meth:`save` wrote.
-
-        Raises:
-            InvalidEventError: there is no such file, or it is damaged or of another kind.
-        """
-        source = existing_file(path)
-        try:
-            return cls(read_netcdf(source)["/"])
-        except InvalidEventError as error:
-            raise InvalidEventError(f"{source}: {error}") from None
-
     def _notes(self) -> list[str]:
         if not self._table.sampled:
             return []
+        n = self._table.n_effective(self._frame)
         words = (
-            f"of {self._table.n_hypotheses:.2g} hypotheses {MOST_HYPOTHESES} were drawn: "
-            "probabilities are Monte-Carlo means"
+            f"of {self._table.n_hypotheses:.2g} hypotheses {MOST_HYPOTHESES} were drawn, worth "
+            f"{n:.0f} of equal weight: probabilities are Monte-Carlo means with standard errors of "
+            f"up to {0.5 / n**0.5:.1g}, beside those shown"
         )
         return wrapped("hypotheses", words)
 

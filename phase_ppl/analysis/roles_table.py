@@ -9,7 +9,8 @@ weighted by what they were drawn with: then sums are Monte-Carlo means.
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator
+import itertools
+import math
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -17,14 +18,16 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from phase_ppl.agents.standpoints import standpoints
+from phase_ppl.analysis.stepwise_table import check_sizes, check_variables
 from phase_ppl.analysis.tree import kept_scene
 from phase_ppl.analysis.weights import Rows, log_sum_exp
 from phase_ppl.physics.actions import N_ACTIONS
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.errors import InvalidEventError
-from phase_ppl.world.goals import effective_goal, is_self_referring
+from phase_ppl.world.goals import possible_goals
 from phase_ppl.world.hypothesis import RELATION_OF_SCENARIO, RELATIONS, company, scenario
 from phase_ppl.world.scene import World
+from phase_ppl.world.space import space_of
 
 SCHEMA: Final = "phase_ppl/stepwise-roles/1"
 
@@ -59,25 +62,11 @@ REQUIRED_ATTRS: Final = ("event_id", "settings", "cost", "weight", "schema", "wo
 
 def check(found: xr.Dataset) -> None:
     """Raise InvalidEventError, naming what is missing or wrong, if ``found`` is no such table."""
-    if found.attrs.get("schema") != SCHEMA:
-        raise InvalidEventError(
-            f"this was not read step by step in a world of its own: its schema is "
-            f"{found.attrs.get('schema')!r}"
-        )
-    missing = [name for name in REQUIRED_ATTRS if name not in found.attrs]
-    missing += [name for name in DIMENSIONS if name not in found.variables]
-    if missing:
-        raise InvalidEventError(f"it lacks {', '.join(missing)}")
-    for name, dims in DIMENSIONS.items():
-        if found[name].dims != dims:
-            raise InvalidEventError(f"{name} has dimensions {found[name].dims}, expected {dims}")
+    check_variables(found, SCHEMA, DIMENSIONS, REQUIRED_ATTRS)
     world = kept_scene(found).world
-    sizes = {"agent": len(world.agents), "goal": len(world.goals), "action": N_ACTIONS}
-    sizes["joint_action"] = N_ACTIONS ** len(world.agents)
-    sizes["way"] = len(company(len(world.agents)))
-    for name, size in sizes.items():
-        if found.sizes[name] != size:
-            raise InvalidEventError(f"{name} has {found.sizes[name]} entries, expected {size}")
+    n = len(world.agents)
+    sizes = {"agent": n, "goal": len(world.goals), "action": N_ACTIONS, "way": len(company(n))}
+    check_sizes(found, {**sizes, "joint_action": N_ACTIONS**n})
     numbers = found["policy_of"].values
     if (numbers < 0).any() or (numbers >= found.sizes["policy"]).any():
         raise InvalidEventError("policy_of names a policy that there is not")
@@ -87,12 +76,13 @@ def check(found: xr.Dataset) -> None:
             raise InvalidEventError(f"{name} has values that cannot be")
 
 
-class Hypotheses(NamedTuple):
+class RoleRows(NamedTuple):
     """Hypotheses about who wants what."""
 
     way: IntArray  # (row,) index into ``company``
     goals: IntArray  # (row, agent) effective goals
-    log_prior: FloatArray  # (row,) log prior mass, less the log probability of being drawn
+    log_prior: FloatArray  # (row,) log prior mass
+    log_drawn: FloatArray  # (row,) log of how often it is expected among those drawn; else 0
     standpoints: list[IntArray]  # of each agent (row,)
 
 
@@ -103,10 +93,18 @@ class RolesTable:
         self.world = kept_scene(found).world
         self._found = found
         self._weight = float(found.attrs["weight"])
-        self._prior = found["log_prior_goals"].values, found["log_prior_company"].values
+        self._log_goals = found["log_prior_goals"].values
+        self._log_company = found["log_prior_company"].values
         self._levels = np.unique(found["combinations"].values)
-        self._own = of_owners(self.world)
-        self.n_hypotheses = count(self.world)
+        self._space = space_of(self.world)
+        # (way, its owners, the goals that each can have by the prior)
+        self._ways: list[tuple[int, list[int], list[IntArray]]] = []
+        for way, towards in enumerate(company(len(self.world.agents))):
+            owners = [agent for agent, one in enumerate(towards) if one is None]
+            if np.isfinite(self._log_company[way]):
+                own = [np.flatnonzero(np.isfinite(self._log_goals[owner])) for owner in owners]
+                self._ways.append((way, owners, own))
+        self.n_hypotheses = sum(math.prod(map(len, choices)) for _, _, choices in self._ways)
         self.sampled = self.n_hypotheses > MOST_HYPOTHESES
         self._at = -1  # the frame up to which ``_so_far`` counts
         self._so_far = np.zeros((0, 0))
@@ -121,10 +119,29 @@ class RolesTable:
         """Sets of searches."""
         return int(self._found.sizes["planner_seed"])
 
+    @property
+    def n_tables(self) -> int:
+        """Masses there are of each hypothesis: with all sets of searches, and without each."""
+        return 1 + (self.n_seeds if self.n_seeds > 1 else 0)
+
     @functools.cached_property
-    def hypotheses(self) -> Hypotheses:
+    def hypotheses(self) -> RoleRows:
         """The hypotheses that are summed over."""
         return self._drawn() if self.sampled else self._enumerated()
+
+    def most_probable(self, frame: int) -> int:
+        """Return the place of the hypothesis with the highest mass, given frames up to one."""
+        return int((self.log_masses(frame)[0] + self.hypotheses.log_drawn).argmax())
+
+    def n_effective(self, frame: int) -> float:
+        """Return of how many independent draws the masses at a frame are worth."""
+        weights = self.weights(frame)[0]
+        return float(1 / (weights**2).sum())
+
+    def weights(self, frame: int) -> FloatArray:
+        """Return (1 + planner_seed, row) :meth:`log_masses` as probabilities."""
+        masses = self.log_masses(frame)
+        return np.exp(masses - np.array([log_sum_exp(one) for one in masses])[:, None])
 
     def log_masses(self, frame: int, weight: float | None = None) -> FloatArray:
         """Return (1 + planner_seed, row) log masses given the frames up to ``frame``.
@@ -136,15 +153,11 @@ class RolesTable:
         rows = self.hypotheses
         if self._at > frame or self._at < 0:
             self._at = 0
-            self._so_far = np.zeros((self._n_tables, len(rows.way)))
+            self._so_far = np.zeros((self.n_tables, len(rows.way)))
         for t in range(self._at + 1, frame + 1):
             self._so_far += self._frame(t)
         self._at = frame
-        return np.asarray(rows.log_prior + weight * self._so_far)
-
-    @property
-    def _n_tables(self) -> int:
-        return 1 + (self.n_seeds if self.n_seeds > 1 else 0)
+        return np.asarray(rows.log_prior - rows.log_drawn + weight * self._so_far)
 
     def _frame(self, t: int) -> FloatArray:
         """Return (1 + planner_seed, row) log likelihoods of one frame."""
@@ -157,7 +170,7 @@ class RolesTable:
         place = np.zeros(len(self.hypotheses.way), np.int64)
         for agent in range(n):
             place = place * sizes[agent] + numbers[agent][self.hypotheses.standpoints[agent]]
-        found = np.empty((self._n_tables, len(place)))
+        found = np.empty((self.n_tables, len(place)))
         for row, left_out in zip(found, [None, *range(n_sets)], strict=False):
             sets = [one for one in range(n_sets) if one != left_out]
             table = relative
@@ -168,77 +181,63 @@ class RolesTable:
                 row[:] = np.log(table.ravel())[place] + density.max()
         return found
 
-    def _enumerated(self) -> Hypotheses:
-        goals, log_prior, ways = [], [], []
-        for way, (towards, owners) in enumerate(zip(*self._company(), strict=True)):
-            if not np.isfinite(self._prior[1][way]):
-                continue
-            choices = [np.flatnonzero(np.isfinite(self._prior[0][owner])) for owner in owners]
-            picked = np.stack(np.meshgrid(*choices, indexing="ij"), -1).reshape(-1, len(owners))
-            goals.append(self._effective(towards, owners, picked))
-            log_prior.append(self._log_prior(way, owners, picked))
-            ways.append(np.full(len(picked), way))
-        return self._put_together(ways, goals, log_prior)
+    def _enumerated(self) -> RoleRows:
+        picked = [
+            np.stack(np.meshgrid(*choices, indexing="ij"), -1).reshape(-1, len(choices))
+            for _, _, choices in self._ways
+        ]
+        return self._put_together(picked, [np.zeros(len(one)) for one in picked])
 
-    def _drawn(self) -> Hypotheses:
+    def _drawn(self) -> RoleRows:
         """Return hypotheses drawn by how probable each agent's goals are at about any frame."""
         marginals = self._found["marginals"].values
         masses = np.exp(marginals - marginals.max(axis=2, keepdims=True))
         likely = (masses / masses.sum(axis=2, keepdims=True)).mean(axis=0)
-        possible = [w for w in range(len(self._prior[1])) if np.isfinite(self._prior[1][w])]
         rng = np.random.default_rng(0)
-        goals, log_prior, ways = [], [], []
-        companies = self._company()
-        for way in possible:
-            towards, owners = companies[0][way], companies[1][way]
+        every, logs = [], []
+        for way, owners, _ in self._ways:
             # more where more goals are to be chosen
-            n = MOST_HYPOTHESES // (2 * len(possible)) + (way == 0) * (MOST_HYPOTHESES // 2)
-            picked, log_q = np.empty((n, len(owners)), np.int64), np.zeros(n)
+            n = MOST_HYPOTHESES // (2 * len(self._ways)) + (way == 0) * (MOST_HYPOTHESES // 2)
+            picked, log_drawn = np.empty((n, len(owners)), np.int64), np.full(n, np.log(n))
             for column, owner in enumerate(owners):
-                own = np.exp(self._prior[0][owner])
+                own = np.exp(self._log_goals[owner])
                 share = _FROM_PRIOR * own + (1 - _FROM_PRIOR) * likely[owner] * (own > 0)
                 share /= share.sum()
                 picked[:, column] = rng.choice(len(share), n, p=share)
-                log_q += np.log(share[picked[:, column]])
-            goals.append(self._effective(towards, owners, picked))
-            log_prior.append(self._log_prior(way, owners, picked) - log_q - np.log(n))
-            ways.append(np.full(n, way))
-        return self._put_together(ways, goals, log_prior)
+                log_drawn += np.log(share[picked[:, column]])
+            every.append(picked)
+            logs.append(log_drawn)
+        return self._put_together(every, logs)
 
-    def _company(self) -> tuple[list[Any], list[list[int]]]:
-        ways = company(len(self.world.agents))
-        return list(ways), [[a for a, one in enumerate(way) if one is None] for way in ways]
-
-    def _log_prior(self, way: int, owners: list[int], picked: IntArray) -> FloatArray:
-        found = np.full(len(picked), self._prior[1][way])
-        for column, owner in enumerate(owners):
-            found += self._prior[0][owner][picked[:, column]]
-        return found
-
-    def _effective(self, towards: Any, owners: list[int], picked: IntArray) -> IntArray:
-        found = np.empty((len(picked), len(towards)), np.int64)
-        for column, owner in enumerate(owners):
-            found[:, owner] = picked[:, column]
-        for agent, one in enumerate(towards):
-            if one is not None:
-                found[:, agent] = self._own[agent, one[0], one[1]][found[:, one[0]]]
-        return found
-
-    def _put_together(
-        self, ways: list[IntArray], goals: list[IntArray], log_prior: list[FloatArray]
-    ) -> Hypotheses:
-        every = np.concatenate(goals)
-        masses = np.concatenate(log_prior)
-        masses[(every < 0).any(axis=1)] = -np.inf
-        places = [standpoints(agent, self.world).of(every) for agent in range(every.shape[1])]
-        return Hypotheses(np.concatenate(ways), every, masses, places)
+    def _put_together(self, picked: list[IntArray], log_drawn: list[FloatArray]) -> RoleRows:
+        """Return the hypotheses in which the owners of each way have some goals."""
+        n_agents = len(self.world.agents)
+        goals, log_prior, ways = [], [], []
+        for (way, owners, _), own in zip(self._ways, picked, strict=True):
+            every = np.empty((len(own), n_agents), np.int64)
+            every[:, owners] = own
+            for agent, owner in enumerate(self._space.owner[way]):
+                every[:, agent] = self._space.becomes[way, agent][every[:, owner]]
+            goals.append(every)
+            log_prior.append(self._log_company[way] + self._log_goals[owners, own].sum(axis=1))
+            ways.append(np.full(len(own), way))
+        possible_share = self._space.possible_share(self._log_goals, self._log_company)
+        all_goals = np.concatenate(goals)
+        possible = (all_goals >= 0).all(axis=1)
+        all_goals = all_goals[possible]
+        return RoleRows(
+            np.concatenate(ways)[possible],
+            all_goals,
+            np.concatenate(log_prior)[possible] - np.log(possible_share),
+            np.concatenate(log_drawn)[possible],
+            [standpoints(agent, self.world).of(all_goals) for agent in range(n_agents)],
+        )
 
     # --- tables ---------------------------------------------------------------------------------
 
     def rows(self, frame: int) -> tuple[Rows, FloatArray]:
         """Return the hypotheses that have any mass to speak of, and (set, row) weights without."""
-        masses = self.log_masses(frame)
-        weights = np.exp(masses - np.array([log_sum_exp(one) for one in masses])[:, None])
+        weights = self.weights(frame)
         kept = np.flatnonzero(weights[0] > _LEAST * weights[0].max())
         weights = weights[:, kept]
         of_strengths = self.strengths(frame)
@@ -246,10 +245,11 @@ class RolesTable:
             combination = np.tile(np.arange(len(of_strengths)), len(kept))
             kept = np.repeat(kept, len(of_strengths))
             weights = (weights[:, :, None] * of_strengths).reshape(len(weights), -1)
-        else:  # one combination each, in their proportions
-            at = np.arange(len(kept)) * _GOLDEN % 1.0
-            combination = np.searchsorted(np.cumsum(of_strengths), at)
+        else:  # two combinations each, in their proportions
+            at = (np.arange(len(kept)) * _GOLDEN)[:, None] + [0.0, 0.5]
+            combination = np.searchsorted(np.cumsum(of_strengths), (at % 1.0).ravel())
             combination = np.minimum(combination, len(of_strengths) - 1)
+            kept, weights = np.repeat(kept, 2), np.repeat(weights, 2, axis=1)
         weights /= weights.sum(axis=1, keepdims=True)
         values = self.columns(kept)
         newtons = self._found["combinations"].values[combination]
@@ -260,18 +260,19 @@ class RolesTable:
 
     def strengths(self, frame: int) -> FloatArray:
         """Return (combination,) probabilities of the strengths that were followed."""
-        prior = self._log_prior_of_combinations()
+        prior = self.log_prior_of_combinations
         found = prior + np.log(np.maximum(self._found["strengths"].values[frame], 1e-300))
         return np.exp(found - log_sum_exp(found))
 
     def log_evidence(self, frame: int) -> float:
         """Return log p of the frames up to ``frame``, in nats, each counted in full."""
         strengths = self._found["strengths"].values[frame]
-        prior = np.exp(self._log_prior_of_combinations())
+        prior = np.exp(self.log_prior_of_combinations)
         of_strengths = np.log(prior @ strengths * len(strengths))
         return float(log_sum_exp(self.log_masses(frame, 1.0)[0]) + of_strengths)
 
-    def _log_prior_of_combinations(self) -> FloatArray:
+    @functools.cached_property
+    def log_prior_of_combinations(self) -> FloatArray:
         """Return (combination,) log masses whose margins are the prior's, so far as they can be."""
         combinations = self._found["combinations"].values
         place = np.searchsorted(self._levels, combinations)
@@ -311,13 +312,7 @@ class RolesTable:
                     found[f"alpha_{key}_{other_key}"] = np.array(signs)[way] + 1
         return found
 
-    def over_time(self) -> Iterator[FloatArray]:
-        """Yield, frame by frame, the (1 + planner_seed, row) weights of the hypotheses."""
-        for t in range(self.n_frames):
-            masses = self.log_masses(t)
-            total = np.array([log_sum_exp(one) for one in masses])
-            yield np.exp(masses - total[:, None])
-
+    @functools.cached_property
     def log_predictive(self) -> FloatArray:
         """Return (time,) log density of each frame given those before it; 0 for the first."""
         found = np.zeros(self.n_frames)
@@ -327,48 +322,14 @@ class RolesTable:
         return found
 
 
-def count(world: World) -> int:
-    """Return how many hypotheses about goals and company there are."""
-    n_goals = [
-        sum(not is_self_referring(goal, agent, world) for goal in range(len(world.goals)))
-        for agent in range(len(world.agents))
-    ]
-    return sum(
-        int(np.prod([n for n, one in zip(n_goals, way, strict=True) if one is None]))
-        for way in company(len(world.agents))
-    )
-
-
-@functools.lru_cache(16)
-def of_owners(world: World) -> dict[tuple[int, int, int], IntArray]:
-    """Return (agent, owner, sign) -> (goal of the owner,) what the agent then acts on; -1: none."""
-    agents, n_goals = range(len(world.agents)), len(world.goals)
-    found = {}
-    for agent in agents:
-        for owner in agents:
-            for sign in (1, -1):
-                if agent == owner:
-                    continue
-                table = np.full(n_goals, -1)
-                for goal in range(n_goals):
-                    if not is_self_referring(goal, owner, world):
-                        stated = [goal] * len(world.agents)
-                        table[goal] = effective_goal(stated, agent, (owner, sign), world)
-                found[agent, owner, sign] = table
-    return found
-
-
 @functools.lru_cache(16)
 def relation_tables(world: World) -> dict[tuple[int, int], IntArray]:
     """Return two agents -> (goal, goal) codes of the relation between them."""
-    n_agents, n_goals = len(world.agents), len(world.goals)
     found = {}
-    for pair in ((a, b) for b in range(n_agents) for a in range(b)):
-        table = np.full((n_goals, n_goals), RELATIONS.index("neutral"))
-        for goals in np.ndindex(n_goals, n_goals):
-            if not any(is_self_referring(g, a, world) for g, a in zip(goals, pair, strict=True)):
-                one, other = goals
-                name = RELATION_OF_SCENARIO[scenario(one, other, world, pair)]
-                table[goals] = RELATIONS.index(name)
+    for pair in itertools.combinations(range(len(world.agents)), 2):
+        table = np.full((len(world.goals), len(world.goals)), RELATIONS.index("neutral"))
+        for one, other in itertools.product(*(possible_goals(agent, world) for agent in pair)):
+            name = RELATION_OF_SCENARIO[scenario(one, other, world, pair)]
+            table[one, other] = RELATIONS.index(name)
         found[pair] = table
     return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import json
@@ -9,7 +10,7 @@ import os
 import re
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, ClassVar, Final, Self
 
 import numpy as np
 import xarray as xr
@@ -17,9 +18,9 @@ from numpy.typing import NDArray
 
 from phase_ppl.analysis.definitions import Definition, defined
 from phase_ppl.analysis.diagnostics import overlapping_frames
-from phase_ppl.analysis.estimate import Estimate, Jackknife
+from phase_ppl.analysis.estimate import Jackknife
 from phase_ppl.analysis.event_posterior import EventPosterior
-from phase_ppl.analysis.hypotheses import HDI_PROBABILITY, KEPT_DEFINITIONS, Given, Hypotheses
+from phase_ppl.analysis.hypotheses import KEPT_DEFINITIONS, Given, Hypotheses
 from phase_ppl.analysis.own_sites import WithSites, with_sites
 from phase_ppl.analysis.prior_change import changed_text, settings_under
 from phase_ppl.analysis.quantities import (
@@ -42,8 +43,8 @@ from phase_ppl.analysis.summary import plain, wrapped
 from phase_ppl.analysis.verdict import frames_text, overlap_sign, undecided
 from phase_ppl.analysis.weights import log_sum_exp
 from phase_ppl.dataset.hdf5 import netcdf_bytes, read_netcdf, root_attribute
-from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, QueryError
+from phase_ppl.world.arrays import FloatArray, IntArray
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, QueryError, shown
 from phase_ppl.world.files import check_output, existing_file, write_bytes
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
@@ -100,6 +101,8 @@ class StepwisePosterior(EventPosterior):
         InvalidSettingError: there is no such frame.
     """
 
+    _schema: ClassVar[str] = SCHEMA
+
     def __init__(
         self,
         found: xr.Dataset,
@@ -111,11 +114,8 @@ class StepwisePosterior(EventPosterior):
         check(found)
         self._found, self._scenario, self._prior = found, scenario, prior
         self._table = Table(found)
-        last = self._table.n_frames - 1
-        self._frame = last if frame is None else frame
+        self._frame = frame_of(frame, self._table.n_frames)
         self._of_sites: dict[str, Definition] = {}  # defined in terms of further sites
-        if not 0 <= self._frame <= last:
-            raise InvalidSettingError(f"frame={frame!r}, expected a number in 0..{last}")
         rows = self._table.rows(self._frame)
         self._attrs, self._constant = found.attrs, found
         columns = self._derived(dict(rows.values))
@@ -190,6 +190,8 @@ class StepwisePosterior(EventPosterior):
                 self.sites.define(name, definition)
             return self
         self.sites.define(name, definition)
+        if self._own.pop(name, None) is not None:
+            self._quantities = {key: one for key, one in self._quantities.items() if key != name}
         self._of_sites[name] = definition
         return self
 
@@ -200,28 +202,22 @@ class StepwisePosterior(EventPosterior):
             self._jackknives[0.0] = Jackknife(self._weights_without(), n - 1.0) if n > 1 else None
         return self._jackknives[0.0]
 
-    def mean(self, name: str, *, given: Given = None) -> Estimate:
-        return self._sure_of(name, super().mean(name, given=given))
+    def _has_error(self, *columns: NDArray[Any]) -> bool:
+        """Return whether no column depends on strengths.
 
-    def sd(self, name: str, *, given: Given = None) -> Estimate:
-        return self._sure_of(name, super().sd(name, given=given))
-
-    def median(self, name: str, *, given: Given = None) -> Estimate:
-        return self._sure_of(name, super().median(name, given=given))
-
-    def hdi(self, name: str, prob: float = HDI_PROBABILITY, *, given: Given = None) -> xr.DataArray:
-        found = super().hdi(name, prob, given=given)
-        if name in self.strengths_of.values():
-            found = found.assign_coords(error=found["error"] * np.nan)
-        return found
-
-    def _sure_of(self, name: str, found: Estimate) -> Estimate:
-        """Return an estimate; of a strength without an error.
-
-        One filter follows strengths, whatever the sets of searches find: how far these differ says
-        nothing of it.
+        One filter follows these, whatever the sets of searches find: how far the sets differ says
+        nothing of them.
         """
-        return Estimate(float(found)) if name in self.strengths_of.values() else found
+        return all((column == column[self._first_alike]).all() for column in columns)
+
+    @functools.cached_property
+    def _first_alike(self) -> IntArray:
+        """(row,) the first row with the same goals and alphas; such rows follow each other."""
+        apart = {*self.strengths_of.values(), *self._own}
+        columns = [column for name, column in self._rows.values.items() if name not in apart]
+        new = np.any([column[1:] != column[:-1] for column in columns], axis=0)
+        place = np.arange(len(self._rows.weights))
+        return np.maximum.accumulate(np.where(np.concatenate([[True], new]), place, 0))
 
     def _weights_without(self) -> FloatArray:
         """Return (planner_seed, row) the weights without each set of searches."""
@@ -283,7 +279,7 @@ class StepwisePosterior(EventPosterior):
         A perfect match is a frame exactly where an action puts it, were that action certain; what
         was expected is the posterior given the frames before. 0 for the first frame.
         """
-        found = self._found["log_peak"].values - self._table.log_predictive()
+        found = self._found["log_peak"].values - self._table.log_predictive
         return np.asarray(found[: self._frame + 1])
 
     def diagnostics(self) -> dict[str, Any]:
@@ -384,12 +380,14 @@ class StepwisePosterior(EventPosterior):
         """
         if self._knowing(given=event) is not self or self._knowing(given=over) is not self:
             raise InvalidSettingError(
-                f"{over or event}: frames speak of hypotheses, not of further sites of the prior"
+                f"{event}{f' over {over}' if over else ''}: frames speak of hypotheses, not of "
+                "further sites of the prior"
             )
-        known = {n: one for n, one in self._quantities.items() if n not in self._own}
         columns = self._columns()
+        known = {n: one for n, one in self._quantities.items() if n in columns}
         for name, definition in self._own.items():
-            known[name], columns[name] = defined(name, definition, known, columns)
+            with contextlib.suppress(QueryError):  # of what frames do not speak of
+                known[name], columns[name] = defined(name, definition, known, columns)
         wanted = conditions(known, event).holds(columns)
         other = ~wanted if over is None else conditions(known, over).holds(columns)
         odds = np.empty(self._frame + 1)
@@ -408,7 +406,8 @@ class StepwisePosterior(EventPosterior):
                     odds[t] = found
         if not np.isfinite(odds[0]):
             raise InvalidSettingError(
-                f"{over if possible else event} is impossible under the prior: there are no odds"
+                f"{over or f'not {event}' if possible else event} is impossible under the prior: "
+                "there are no odds"
             )
         with np.errstate(invalid="ignore"):  # of odds that are not finite there is no error
             error = self._error_over_sets(without, odds)
@@ -464,12 +463,13 @@ class StepwisePosterior(EventPosterior):
             InvalidEventError: there is no such file, or it is damaged or of another kind.
         """
         source = existing_file(path)
-        if not is_stepwise(source):
+        if root_attribute(source, "schema") != cls._schema:
             raise InvalidEventError(
-                f"{source} was not read step by step: load_posterior or Posterior.load reads it"
+                f"{source} is not of this kind: phase_ppl.load_posterior reads any posterior"
             )
+        given: dict[str, Any] = {} if scenario is None else {"scenario": scenario}
         try:
-            return cls(read_netcdf(source)["/"], scenario=scenario)
+            return cls(read_netcdf(source)["/"], **given)
         except InvalidEventError as error:
             raise InvalidEventError(f"{source}: {error}") from None
 
@@ -522,7 +522,18 @@ class StepwisePosterior(EventPosterior):
         return []
 
     def __repr__(self) -> str:
-        return f"<StepwisePosterior of {self.event_id} after frame {self._frame}>"
+        return f"<{type(self).__name__} of {self.event_id} after frame {self._frame}>"
+
+
+def frame_of(frame: int | None, n_frames: int) -> int:
+    """Return the frame that is meant: one of so many, None the last."""
+    if frame is None:
+        return n_frames - 1
+    if isinstance(frame, bool) or not isinstance(frame, int | np.integer):
+        raise InvalidSettingError(f"frame={shown(frame)}, expected a whole number")
+    if not 0 <= frame < n_frames:
+        raise InvalidSettingError(f"frame={frame}, expected a number in 0..{n_frames - 1}")
+    return int(frame)
 
 
 def _verdict(found: Mapping[str, Any]) -> str:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import functools
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -49,24 +50,40 @@ _LEAST: Final = 1e-12  # rows with less of the mass than this are left out of ta
 
 def check(found: xr.Dataset) -> None:
     """Raise InvalidEventError, naming what is missing or wrong, if ``found`` is no such table."""
-    schema = found.attrs.get("schema")
-    if schema != SCHEMA:
-        raise InvalidEventError(f"this was not read step by step: its schema is {schema!r}")
-    missing = [name for name in REQUIRED_ATTRS if name not in found.attrs]
-    missing += [name for name in DIMENSIONS if name not in found.variables]
-    if missing:
-        raise InvalidEventError(f"it lacks {', '.join(missing)}")
-    for name, dims in DIMENSIONS.items():
-        if found[name].dims != dims:
-            raise InvalidEventError(f"{name} has dimensions {found[name].dims}, expected {dims}")
+    check_variables(found, SCHEMA, DIMENSIONS, REQUIRED_ATTRS)
     sizes = {"goal_red": N_GOALS, "goal_green": N_GOALS, "alpha": len(ALPHAS)}
-    sizes |= dict.fromkeys(STATED[:2], N_GOALS)
-    for name, size in sizes.items():
-        if found.sizes[name] != size:
-            raise InvalidEventError(f"{name} has {found.sizes[name]} entries, expected {size}")
+    check_sizes(found, {**sizes, **dict.fromkeys(STATED[:2], N_GOALS)})
     likelihood = found["log_likelihood"].values
     if np.isnan(likelihood).any() or (likelihood == np.inf).any():
         raise InvalidEventError("log_likelihood has values that are no log densities")
+
+
+def check_variables(
+    found: xr.Dataset,
+    schema: str,
+    dimensions: Mapping[str, tuple[str, ...]],
+    attrs: Sequence[str],
+) -> None:
+    """Raise InvalidEventError unless there are these variables and attributes."""
+    if found.attrs.get("schema") != schema:
+        raise InvalidEventError(
+            f"this was not read step by step: its schema is {found.attrs.get('schema')!r}, "
+            f"expected {schema!r}"
+        )
+    missing = [name for name in attrs if name not in found.attrs]
+    missing += [name for name in dimensions if name not in found.variables]
+    if missing:
+        raise InvalidEventError(f"it lacks {', '.join(missing)}")
+    for name, dims in dimensions.items():
+        if found[name].dims != dims:
+            raise InvalidEventError(f"{name} has dimensions {found[name].dims}, expected {dims}")
+
+
+def check_sizes(found: xr.Dataset, sizes: Mapping[str, int]) -> None:
+    """Raise InvalidEventError unless dimensions have these sizes."""
+    for name, size in sizes.items():
+        if found.sizes[name] != size:
+            raise InvalidEventError(f"{name} has {found.sizes[name]} entries, expected {size}")
 
 
 class Table:
@@ -178,12 +195,13 @@ class Table:
             found[frame] = np.exp(log_mass - log_sum_exp(log_mass))
         return found.reshape(self.n_frames, N_GOALS, N_GOALS)
 
+    @functools.cached_property
     def log_predictive(self) -> FloatArray:
         """Return (time,) log density of each frame given those before it; 0 for the first."""
         with np.errstate(divide="ignore"):
             before = np.log(self.pair_masses()[:-1])
-        joint = (before + self._likelihood[1:]).reshape(self.n_frames - 1, -1)
-        return np.concatenate([[0.0], np.logaddexp.reduce(joint, axis=1)])
+        found = np.logaddexp.reduce(before + self._likelihood[1:], axis=(1, 2))
+        return np.concatenate([[0.0], found])
 
 
 def log_prior_of_pairs(log_prior: FloatArray) -> FloatArray:

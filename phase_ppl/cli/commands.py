@@ -8,13 +8,14 @@ import importlib
 import json
 import shlex
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import phase_ppl
 from phase_ppl.world.errors import (
     InvalidEventError,
+    InvalidSettingError,
     OutputError,
     PhasePPLError,
     shown,
@@ -219,6 +220,16 @@ def add_options(parser: argparse._ActionsContainer, says: str, type: Any = None)
     """Add the option that takes options of something else, several times."""
     pairs = type or named_value
     add(parser, "--option NAME=VALUE", says, pairs, [], action="append")
+
+
+def once(pairs: Iterable[tuple[str, Any]]) -> dict[str, Any]:
+    """Return name -> value of ``--option`` (InvalidSettingError: a name is given twice)."""
+    found: dict[str, Any] = {}
+    for name, value in pairs:
+        if name in found:
+            raise InvalidSettingError(f"--option {name}: given twice")
+        found[name] = value
+    return found
 
 
 def given(options: argparse.Namespace, *names: str) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from phase_ppl.cli import own
 from phase_ppl.world.errors import InvalidSettingError, OutputError, unknown_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import writable_folder, write_json
+from phase_ppl.world.scene import PHASE, check_phase
 
 if TYPE_CHECKING:
     from phase_ppl.evaluation.comparison import ModelComparison
@@ -192,7 +193,7 @@ def _evaluate(options: argparse.Namespace) -> int:
         else:
             print(evaluation)
         problems = []
-        if evaluation.folder is not None and not options.no_figures:
+        if evaluation.folder is not None and not options.no_figures and _of_phase(evaluation):
             problems = _draw(evaluation, evaluation.folder, options)
         for problem in problems:
             print(f"phase-ppl: error: {named}{problem}", file=sys.stderr)
@@ -271,6 +272,7 @@ def _check_several(
     from phase_ppl.evaluation.registry import ready
 
     check_names(list(models))
+    check_phase(events[0].scene, "a comparison of models")
     chosen = events[: options.limit]
     for label, model in models.items():
         asked = ready(model, of_models[label])
@@ -312,13 +314,19 @@ def _end_of_one(found: Evaluation, options: argparse.Namespace) -> None:
     from phase_ppl.evaluation.evaluation import difference_table
 
     folder = None if found.folder is None else found.folder.path
-    print(_NOTHING_SAVED if folder is None else f"\nKept in {folder}\n{cli.report_hint(folder)}")
+    hint = f"\n{cli.report_hint(folder)}" if folder is not None and _of_phase(found) else ""
+    print(_NOTHING_SAVED if folder is None else f"\nKept in {folder}{hint}")
     if options.against is None:
         return
     difference = found.against(options.against)
     print(f"\n{difference_table(difference)}")
     if folder is not None:
         write_json(folder / AGAINST, difference)
+
+
+def _of_phase(evaluation: Evaluation) -> bool:
+    """Return whether there are figures and pages of the events."""
+    return evaluation.events[0].scene.world == PHASE
 
 
 def _draw(evaluation: Evaluation, folder: ResultsFolder, options: argparse.Namespace) -> list[str]:
@@ -452,7 +460,7 @@ def drawn(
     returned in words.
     """
     from phase_ppl.evaluation.figures import draw_figures
-    from phase_ppl.inference.progress import counted
+    from phase_ppl.world.progress import counted
 
     problems = []
     try:

@@ -25,23 +25,13 @@ _STRIP: Final = 6
 """Frames of a film strip, where the event has as many."""
 
 
-def _alpha(text: str) -> int:
-    if text not in ("-1", "0", "1", "+1"):
-        raise argparse.ArgumentTypeError(f"{text!r} is none of -1, 0, 1")
-    return int(text)
-
-
 def add_to(commands: Any) -> None:
     """Add the commands."""
-    _add_goals(commands)
+    cli.command(commands, "goals", _goals, "phase-ppl goals")
     _add_simulate(commands)
     _add_render(commands)
     _add_describe(commands)
     _add_export(commands)
-
-
-def _add_goals(commands: Any) -> None:
-    cli.command(commands, "goals", _goals, "phase-ppl goals")
 
 
 def _goals(_: argparse.Namespace) -> int:
@@ -58,13 +48,9 @@ def _add_simulate(commands: Any) -> None:
         "--goal-green 'get to red agent' --out simulated.mp4",
     )
     for agent in ("red", "green"):
-        parser.add_argument(f"--goal-{agent}", metavar="GOAL", required=True)
-        parser.add_argument(
-            f"--alpha-{agent}", metavar="A", type=_alpha, default=0, help="-1, 0 or 1"
-        )
-        parser.add_argument(
-            f"--strength-{agent}", metavar="NEWTON", type=float, default=450.0, help="default 450"
-        )
+        cli.add(parser, f"--goal-{agent} GOAL", required=True)
+        cli.add(parser, f"--alpha-{agent} A", "-1, 0 or 1", int, 0, choices=(-1, 0, 1))
+        cli.add(parser, f"--strength-{agent} NEWTON", "default 450", float, 450.0)
     cli.add_planner(parser)
     cli.add(parser, "--frames T", "default: as long as the event", cli.whole(2))
     cli.add(parser, "--overlapping", "though bodies overlap at the start")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import functools
 import re
 import sys
 from collections import Counter
@@ -13,9 +14,9 @@ from typing import Any, Final
 
 import phase_ppl
 from phase_ppl.cli import commands as cli
+from phase_ppl.cli import own
 from phase_ppl.dataset.generated import GeneratedEvents, verify
 from phase_ppl.dataset.generation.generate import PRESETS, GenerationInterrupted, generate
-from phase_ppl.dataset.generation.plan import PHASE500
 from phase_ppl.world.scene import TURNINGS
 
 VIDEOS: Final = "videos"
@@ -40,11 +41,16 @@ def add_to(commands: Any) -> None:
         "they should.",
     )
     size = parser.add_mutually_exclusive_group()
-    cli.add(size, "--n N", "events, in the paper's proportions", cli.whole(1))
+    cli.add(size, "--n N", "events, of PHASE in the paper's proportions", cli.whole(1))
     cli.add(size, "--preset", "the paper's 500 events; default", choices=tuple(PRESETS))
     says = "events of a family, such as chasing=10 or hinder:LMA=5; may be given several times"
     cli.add(size, "--cell FAMILY=N", says, _cell, action="append")
     cli.add(parser, "--out DIR", type=Path, required=True)
+    says = f"{', '.join(phase_ppl.worlds.available())} (default PHASE), whose events are random "
+    says += f"scenes with roles; families are PHASE's; {own.FILE}"
+    cli.add(parser, "--world NAME", says)
+    says = f"over who wants what in another world than PHASE, default uniform; {own.FILE}"
+    cli.add(parser, "--prior NAME", says)
     cli.add_planner(parser)
     cli.add_seed(parser)
     says = "of each event, with other reflections and colours; default 0"
@@ -69,12 +75,21 @@ def add_to(commands: Any) -> None:
 
 
 def _generate(options: argparse.Namespace) -> int:
-    cells = dict(options.cell) if options.cell else PRESETS.get(options.preset, PHASE500)
+    given: dict[str, Any] = {}
+    if options.world is not None:
+        given["world"] = own.taken(options.world, "world")
+    if options.prior is not None:
+        from phase_ppl.models import priors
+
+        prior = own.taken(options.prior, "prior")
+        prior = priors.named(prior) if isinstance(prior, str) else prior
+        given["roles"] = functools.partial(phase_ppl.roles.draw, prior=prior)
     try:
         made = generate(
             options.out,
             options.n,
-            cells=cells,
+            cells=dict(options.cell) if options.cell else PRESETS.get(options.preset),
+            **given,
             progress=cli.shows_progress(options),
             **cli.given(options, *_PASSED_ON),
         )

@@ -8,7 +8,7 @@ import inspect
 import shlex
 import shutil
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -126,7 +126,7 @@ def _infer(options: argparse.Namespace) -> int:
         model, of_kernel = _model_of(options, stepwise)
         given = {
             **_run_options(options),
-            **_kernel_options(of_kernel),
+            **of_kernel,
             **_kernel(options),
             **cli.given(options, "chains", "planner"),
         }
@@ -156,18 +156,17 @@ def _is_stepwise(options: argparse.Namespace) -> bool:
 
 def _model_of(
     options: argparse.Namespace, stepwise: bool
-) -> tuple[phase_ppl.Model, list[tuple[str, Any]]]:
+) -> tuple[phase_ppl.Model, dict[str, Any]]:
     """Return the model, and those of ``--option`` that are not of its likelihood."""
+    given = cli.once(options.option)
+    names = own.stepwise_settings() if stepwise else ()
+    rest = {name: value for name, value in given.items() if name not in names}
+    if taken := rest.keys() & inspect.signature(phase_ppl.infer).parameters.keys():
+        raise InvalidSettingError(f"--option {min(taken)}: no option of a kernel")
     if not stepwise:  # its planner is an argument of ``infer``, where a preset may have one
-        return own.model(options), options.option
-    names = own.stepwise_settings()
-    of_likelihood = [pair for pair in options.option if pair[0] in names]
-    twice = [name for place, (name, _) in enumerate(of_likelihood)
-             if name in dict(of_likelihood[:place])]  # fmt: skip
-    if twice:
-        raise InvalidSettingError(f"--option {twice[0]}: given twice")
-    rest = [pair for pair in options.option if pair[0] not in names]
-    return own.model(options, options.planner, **dict(of_likelihood)), rest
+        return own.model(options), rest
+    of_likelihood = {name: value for name, value in given.items() if name in names}
+    return own.model(options, options.planner, **of_likelihood), rest
 
 
 def _kernel(options: argparse.Namespace) -> dict[str, Any]:
@@ -256,17 +255,6 @@ def _run_options(options: argparse.Namespace) -> dict[str, Any]:
         *("simulation_seconds", "burn_in", "weights"),
     )
     return {"progress": cli.shows_progress(options), **cli.given(options, *names)}
-
-
-def _kernel_options(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
-    taken = inspect.signature(phase_ppl.infer).parameters
-    found: dict[str, Any] = {}
-    for name, value in pairs:
-        if name in taken or name in found:
-            why = "given twice" if name in found else "no option of a kernel"
-            raise InvalidSettingError(f"--option {name}: {why}")
-        found[name] = value
-    return found
 
 
 def _write_results(

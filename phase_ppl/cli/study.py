@@ -212,7 +212,7 @@ def _simulate(options: argparse.Namespace) -> int:
         _study(options),
         options.out,
         options.people,
-        options=dict(options.option),
+        options=cli.once(options.option),
         progress=cli.shows_progress(options),
         **cli.given(options, "model", "predictions", "lapse", "drop_outs", "seed"),
     )

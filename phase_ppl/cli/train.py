@@ -13,7 +13,7 @@ import phase_ppl
 from phase_ppl.cli import commands as cli
 from phase_ppl.models.socialgnn.graphs import VARIANTS
 from phase_ppl.models.socialgnn.store import TrainingSettings
-from phase_ppl.world.errors import InvalidSettingError, unknown_name
+from phase_ppl.world.errors import unknown_name
 from phase_ppl.world.files import writable_folder
 
 
@@ -42,14 +42,11 @@ def add_to(commands: Any) -> None:
 
 
 def _train(options: argparse.Namespace) -> int:
-    given: dict[str, Any] = {}
+    given = cli.once(options.option)
     known = [field.name for field in dataclasses.fields(TrainingSettings)][1:]
-    for name, value in options.option:
+    for name in given:
         if name not in known:
             raise unknown_name("option", name, known)
-        if name in given:
-            raise InvalidSettingError(f"--option {name}: given twice")
-        given[name] = value
     settings = TrainingSettings.of(options.variant, **given)
     writable_folder(options.out)
     try:

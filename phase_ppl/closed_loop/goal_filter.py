@@ -53,13 +53,8 @@ class GoalFilter:
     """Takes in a video of PHASE frame by frame; what it says of a frame never changes afterwards.
 
     Args:
-        scene: where everything starts, at rest.
-        planner: settings of the agents' planner.
-        tracking: settings of the filter of hidden states.
+        sets: beliefs and searches; they go along with the filter, and end with it.
         conduct: how agents act on their plans.
-        seed: of beliefs and searches.
-        threads: at most so many at a time; the result does not depend on it.
-        planner_seeds: independent sets of beliefs and searches.
         weight: what a frame counts as evidence, and
         log_prior: (goal_red, goal_green) log prior masses; both only say which pairs of goals are
             improbable enough for one set of searches to do. None: all alike.
@@ -69,18 +64,12 @@ class GoalFilter:
 
     def __init__(
         self,
-        scene: Scene,
-        planner: PlannerConfig,
-        tracking: Tracking,
+        sets: SearchSets,
         conduct: Conduct,
-        seed: int = 0,
-        threads: int = 1,
-        planner_seeds: int = 1,
         weight: float = 1.0,
         log_prior: FloatArray | None = None,
     ) -> None:
-        self._conduct, self._weight = conduct, weight
-        self._sets = SearchSets(scene, planner, tracking, seed, threads, planner_seeds)
+        self._sets, self._conduct, self._weight = sets, conduct, weight
         self._log_mass = np.zeros((N_GOALS, N_GOALS)) if log_prior is None else log_prior.copy()
 
     def __enter__(self) -> GoalFilter:
@@ -193,6 +182,6 @@ def warm_up() -> None:
     spots = [[8.0, 20.0, 0.0], [24.0, 20.0, 0.0], [24.0, 4.0, 0.0], [8.0, 4.0, 0.0]]
     scene = Scene(start=np.array(spots), radius=np.full(4, 0.8))
     planner, tracking = PlannerConfig(simulations=2), Tracking(states=1)
-    with GoalFilter(scene, planner, tracking, Conduct(1.0, 1.0)) as goals:
+    with GoalFilter(SearchSets(scene, planner, tracking), Conduct(1.0, 1.0)) as goals:
         for _ in range(2):
             goals.read(scene.start)

@@ -56,6 +56,7 @@ class SearchSets:
             them.
 
     Attributes:
+        scene: where everything starts.
         hidden: velocities, holds and strengths; whoever reads frames takes them there.
     """
 
@@ -68,7 +69,7 @@ class SearchSets:
         threads: int = 1,
         n: int = 1,
     ) -> None:
-        self._scene, self._planner = scene, planner
+        self.scene, self._planner = scene, planner
         self.hidden = HiddenState(scene, tracking, threads)
         self._models: dict[tuple[float, ...], WorldModel] = {}
         self._policies = [
@@ -123,7 +124,7 @@ class SearchSets:
 
     def _model(self, strengths: tuple[float, ...]) -> WorldModel:
         if strengths not in self._models:
-            self._models[strengths] = WorldModel.of(self._scene, strengths, self._planner)
+            self._models[strengths] = WorldModel.of(self.scene, strengths, self._planner)
         return self._models[strengths]
 
 

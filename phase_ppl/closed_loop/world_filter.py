@@ -16,13 +16,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.agents.standpoints import standpoints
-from phase_ppl.closed_loop.hidden_state import Tracking, most_probable_actions
+from phase_ppl.closed_loop.hidden_state import most_probable_actions
 from phase_ppl.closed_loop.search_sets import Conduct, Looked, SearchSets
 from phase_ppl.physics.actions import N_ACTIONS
 from phase_ppl.world.arrays import FloatArray, IntArray
-from phase_ppl.world.scene import Scene
 
 
 class WorldReading(NamedTuple):
@@ -33,6 +31,9 @@ class WorldReading(NamedTuple):
     # of each agent (policy, planner_seed, action) probabilities
     policies: list[FloatArray]
     policy_of: list[IntArray]  # of each agent (standpoint,) which of its policies
+    # (agent, goal) log masses of each agent's goal, the others taken to act as is believed of them:
+    # approximate, to draw hypotheses from where they are too many
+    marginals: FloatArray
     strengths: FloatArray  # (combination,) probabilities given the frames so far
     actions: FloatArray  # (agent, action) probabilities of what each has just done
     held: IntArray  # (agent,) item that each most probably holds now, or ``NOTHING``
@@ -45,35 +46,26 @@ class WorldFilter:
     """Takes in a video of any world frame by frame.
 
     Args:
-        scene, planner, tracking, conduct, seed, threads, planner_seeds: as of
-            :class:`~phase_ppl.closed_loop.goal_filter.GoalFilter`.
+        sets, conduct: as of :class:`~phase_ppl.closed_loop.goal_filter.GoalFilter`.
         weight: what a frame counts as evidence, and
         log_prior: (agent, goal) log prior masses; both are for ``marginals`` only.
 
     Attributes:
         combinations: (combination, agent) strengths that are followed, newtons.
-        marginals: (agent, goal) log masses of each agent's goal, the others taken to act as is
-            believed of them: approximate, to draw hypotheses from where they are too many.
     """
 
     def __init__(
         self,
-        scene: Scene,
-        planner: PlannerConfig,
-        tracking: Tracking,
+        sets: SearchSets,
         conduct: Conduct,
-        seed: int,
-        threads: int,
-        planner_seeds: int,
         weight: float,
         log_prior: FloatArray,
     ) -> None:
-        world = scene.world
-        self._conduct, self._weight = conduct, weight
-        self._sets = SearchSets(scene, planner, tracking, seed, threads, planner_seeds)
+        world = sets.scene.world
+        self._sets, self._conduct, self._weight = sets, conduct, weight
         self._points = [standpoints(agent, world) for agent in range(len(world.agents))]
-        self.marginals = log_prior.copy()
-        self.combinations = self._sets.hidden.combinations
+        self._marginals = log_prior.copy()
+        self.combinations = sets.hidden.combinations
         # (agent) (goal,) the standpoint of each goal where the others want something else
         n_goals = len(world.goals)
         self._usual = [self._alone(agent, n_goals) for agent in range(len(world.agents))]
@@ -87,16 +79,17 @@ class WorldFilter:
         hidden = self._sets.hidden
         looked = self._sets.look()
         density = hidden.advance(frame, self._sets.map)
-        policies, policy_of = self._policies(looked)
-        self._learn(np.exp(density - density.max()), policies, policy_of)
-        self._sets.done(most_probable_actions(density))
         relative = np.exp(density - density.max())
+        policies, policy_of = self._policies(looked)
+        self._learn(relative, policies, policy_of)
+        self._sets.done(most_probable_actions(density))
         axes = range(density.ndim)
         actions = np.stack([relative.sum(tuple(a for a in axes if a != k)) for k in axes])
         return WorldReading(
             density.ravel(),
             policies,
             policy_of,
+            self._marginals.copy(),
             hidden.strengths(),
             actions / actions.sum(axis=1, keepdims=True),
             hidden.best().held.copy(),
@@ -135,7 +128,7 @@ class WorldFilter:
         """Bring the marginals up to date."""
         of_goals, believed = [], []
         for table, numbers, usual, log_mass in zip(
-            policies, policy_of, self._usual, self.marginals, strict=True
+            policies, policy_of, self._usual, self._marginals, strict=True
         ):
             mean = table.mean(axis=1)[numbers[usual]]
             mass = np.exp(log_mass - log_mass.max())
@@ -146,4 +139,4 @@ class WorldFilter:
             for other in range(len(believed) - 1, -1, -1):
                 if other != agent:
                     left = np.tensordot(left, believed[other], axes=(other, 0))
-            self.marginals[agent] += self._weight * np.log(mean @ left)
+            self._marginals[agent] += self._weight * np.log(mean @ left)

@@ -284,9 +284,5 @@ class WorldEnv(_ParallelEnv):  # type: ignore[misc]
         """
         if len(self._frames) < 2:
             raise InvalidEventError(f"event {shown(id)}: no step has been made since the reset")
-        truth: Truth | Roles = self.roles
-        if self.world == PHASE:
-            red, green = (self.world.goals[goal] for goal in self._goals)
-            one, other = self.roles.strengths
-            truth = Truth(red, green, strength_red=one, strength_green=other)
+        truth = Truth.of(self.roles) if self.world == PHASE else self.roles
         return Event(self.scene, Observation(np.array(self._frames)), id=id, truth=truth)

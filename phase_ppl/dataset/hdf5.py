@@ -126,15 +126,13 @@ def read_netcdf(path: str | os.PathLike[str] | BinaryIO) -> Groups:
 
     Characters of attributes that would move the cursor of a terminal are replaced.
     """
-    import xarray as xr
+    import h5netcdf
 
-    found: Groups = {}
     with reading():
         check_hdf5(path, groups=True)
-        # times stay plain numbers: "seconds" must not turn into a time type
-        for group in (_ROOT, *_names_of_groups(path)):
-            with xr.open_dataset(path, engine="h5netcdf", decode_times=False, group=group) as one:
-                found[group] = one.load().drop_encoding()
+        with h5netcdf.File(path, "r", decode_vlen_strings=True) as file:
+            found = {_ROOT: _content(file)}
+            found |= {f"/{name}": _content(group) for name, group in file.groups.items()}
     seal = found[_ROOT].attrs.get(_SEAL)
     if seal is not None and seal != _checksum(found):
         raise InvalidEventError(
@@ -145,6 +143,20 @@ def read_netcdf(path: str | os.PathLike[str] | BinaryIO) -> Groups:
     for dataset in found.values():
         dataset.attrs = {name: _plain(value) for name, value in dataset.attrs.items()}
     return found
+
+
+def _content(group: Any) -> xr.Dataset:
+    """Return what a group holds; xarray's reader does the same, but also asks how it is stored."""
+    import xarray as xr
+
+    variables: dict[str, xr.Variable] = {}
+    for name, variable in group.variables.items():
+        values = np.asarray(variable[...])
+        values = values.astype(str) if values.dtype.kind == "O" else values
+        variables[name] = xr.Variable(variable.dimensions, values, dict(variable.attrs))
+    found = xr.Dataset(variables, attrs=dict(group.attrs))
+    # times stay plain numbers: "seconds" must not turn into a time type
+    return xr.decode_cf(found, decode_times=False).drop_encoding()
 
 
 @contextlib.contextmanager
@@ -272,13 +284,6 @@ class _Check:
             for start in range(0, array.shape[-1] if array.ndim else 1, at_once):
                 place = (*row, slice(start, start + at_once)) if array.ndim else ()
                 yield np.ravel(array[place]).tolist()
-
-
-def _names_of_groups(path: str | os.PathLike[str] | BinaryIO) -> list[str]:
-    import h5py
-
-    with h5py.File(path, "r") as file:
-        return [f"/{name}" for name in file if isinstance(file[name], h5py.Group)]
 
 
 def _plain(value: Any) -> Any:

@@ -44,6 +44,7 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.files import writable_folder, write_json
 from phase_ppl.world.hypothesis import SCENARIOS
 from phase_ppl.world.picture import preformatted
+from phase_ppl.world.scene import check_phase
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -256,6 +257,7 @@ def compare_models(
     if not found:
         raise InvalidSettingError("there are no evaluations to compare")
     events, notes = shared_events(found, common)
+    check_phase(events[0].scene, "a comparison of models")
     compared = entries(found, events, stored)
     given = {"margin": margin, "against": against, "seed": seed, "resamples": resamples}
     settings = _checked(given, compared)

@@ -21,12 +21,12 @@ from phase_ppl.evaluation.observers.answers import Made, evidence_of
 from phase_ppl.evaluation.observers.fit import FittedObserver
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
 from phase_ppl.evaluation.registry import available_models
-from phase_ppl.inference.progress import counted
 from phase_ppl.models import priors
 from phase_ppl.models.model import Model
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidSettingError, PhasePPLError, shown, unknown_name
 from phase_ppl.world.event import Event
+from phase_ppl.world.progress import counted
 
 Candidate: TypeAlias = (
     "str | os.PathLike[str] | Model | Evaluation | FittedObserver | Callable[..., Any] "

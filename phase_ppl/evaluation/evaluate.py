@@ -20,8 +20,8 @@ from phase_ppl.evaluation.evaluation import Evaluation, cost_of
 from phase_ppl.evaluation.folder import METRICS, POSTERIOR, ResultsFolder
 from phase_ppl.evaluation.judgments import Study, all_events, judged
 from phase_ppl.evaluation.prediction import Prediction, as_prediction
-from phase_ppl.evaluation.registry import Answer, Predict, ReadyModel, ready
-from phase_ppl.inference.progress import Bar
+from phase_ppl.evaluation.registry import Answer, Predict, ReadyModel, check_world, ready
+from phase_ppl.evaluation.tables import world_of
 from phase_ppl.simulator.contract import described
 from phase_ppl.simulator.processes import Failure, in_worker, results
 from phase_ppl.world.checks import number_of_workers, whole_number
@@ -30,6 +30,7 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.files import locked, writable_folder, write_json
 from phase_ppl.world.identity import event_digest, stable, versions
 from phase_ppl.world.observation import Observation
+from phase_ppl.world.progress import Bar
 from phase_ppl.world.scene import Scene, check_phase
 
 if TYPE_CHECKING:
@@ -91,11 +92,13 @@ def evaluate(
 
     Args:
         events: an event file, a folder of event files or of a generated data set, the name of a
-            bundled event, or events.
+            bundled event, or events; all of one world.
         model: a name (:func:`phase_ppl.available_models`); a :class:`phase_ppl.Model`, for SIMPLE
             with that prior, simulator and likelihood; or a function ``(scene, observation, seed)``
             that returns a :class:`phase_ppl.Prediction` or a mapping such as
-            ``{"goal_red": {"get to green agent": 0.9, ...}, "relation": "friendly"}``.
+            ``{"goal_red": {"get to green agent": 0.9, ...}, "relation": "friendly"}``. In another
+            world than PHASE the answers are to ``goal_<agent>`` and ``relation_<one>_<other>``,
+            and models by name are "stepwise", "predicate", "last_frame" and what ``infer`` does.
         out: folder to keep everything in (:mod:`phase_ppl.evaluation.folder`), event by event;
             by default nothing is kept.
         workers: processes, at most; by default one per usable core. 1 runs the model in this
@@ -116,7 +119,8 @@ def evaluate(
     Raises:
         InvalidEventError: the events, their judgments or predictions cannot be read, two have
             the same id, or the results in ``out`` are damaged.
-        InvalidSettingError, UnknownNameError: a setting that cannot be used; or ``out`` holds an
+        InvalidSettingError, UnknownNameError: a setting that cannot be used; a model that knows
+            PHASE only, or events of several worlds; or ``out`` holds an
             evaluation with others, the message says which.
         OutputError: ``out`` cannot be written, or holds an evaluation and ``resume`` is not set.
         EvaluationInterrupted: Ctrl-C; it carries what was finished.
@@ -124,13 +128,17 @@ def evaluate(
     clock = time.monotonic()
     whole_number("seed", seed, minimum=0)
     slots = number_of_workers(workers)
-    chosen = judged(all_events(events, split), judgments)
-    for event in chosen:
-        check_phase(event.scene, "evaluation")
+    given = all_events(events, split)
+    world = world_of(given)
+    if judgments is not None:
+        check_phase(given[0].scene, "a file of people's judgments")
+    chosen = judged(given, judgments)
+    check_world(model, world)
     if limit is not None:
         chosen = chosen[: whole_number("limit", limit)]
     asked = ready(model, options)
     if observer is not None:
+        check_phase(chosen[0].scene, "an observer of people")
         from phase_ppl.evaluation.observers.fit import observed  # needs JAX
 
         asked = observed(asked, observer)
@@ -282,7 +290,7 @@ def _outcome(predict: Predict, job: _Job) -> _Outcome:
     seconds, cpu = time.perf_counter() - clock, time.process_time() - used
     try:
         answer = given if isinstance(given, Answer) else Answer(given)
-        prediction = as_prediction(answer.given)
+        prediction = as_prediction(answer.given, world=job.scene.world)
         cost = {**stable(plain(prediction.cost)), "seconds": seconds, "cpu_seconds": cpu}
         prediction = dataclasses.replace(prediction, cost=cost)
         return _Outcome(prediction, _contents(answer) if job.with_artefacts else {})

@@ -22,11 +22,14 @@ from phase_ppl.evaluation.metrics import (
     reference_models,
 )
 from phase_ppl.evaluation.prediction import Prediction, reference_predictions
+from phase_ppl.evaluation.tables import world_of
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown, unknown_name
 from phase_ppl.world.event import Event
-from phase_ppl.world.hypothesis import SCENARIOS
 from phase_ppl.world.identity import event_digest
 from phase_ppl.world.picture import preformatted
+from phase_ppl.world.scene import PHASE, check_phase
+
+_DRAWN: Final = "a figure or page of an evaluation"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -62,9 +65,10 @@ class Evaluation:
         (:func:`~phase_ppl.evaluation.metrics.human_accuracy`); ``reference_models``, the metrics
         of the models whose predictions the events carry; ``failures``, ``settings``, ``cost``.
         """
+        of_phase = world_of(self.events) == PHASE
         found = {
             **evaluate_predictions(self.events, self.predictions),
-            "people": human_accuracy(self.events),
+            "people": human_accuracy(self.events) if of_phase else None,
             "reference_models": reference_models(self.events),
             "failures": self.failures,
             "settings": self.settings,
@@ -80,12 +84,14 @@ class Evaluation:
     @functools.cached_property
     def answers(self) -> list[AnswerSet]:
         """All answers, of people first, as figures and pages show them."""
+        check_phase(self.events[0].scene, _DRAWN)
         return answer_sets(self.events, self.name, self.predictions)
 
     @functools.cached_property
     def measured(self) -> list[AnswerSet]:
         """The same with metrics; of an evaluation that is not finished all about what is."""
         metrics, events = self.metrics, self.events
+        check_phase(events[0].scene, _DRAWN)
         others = {PEOPLE: metrics["people"], **metrics["reference_models"]}
         if not self.finished:
             events = [event for event in events if event.id in self.predictions]
@@ -302,13 +308,20 @@ def _rows(metrics: Mapping[str, Any]) -> Iterator[_Row]:
     for kind, title in (("goal", "goals right"), ("relation", "relation right")):
         name = f"{kind}_accuracy"
         yield _Row(title, (name,), (name,))
-        for scenario in SCENARIOS:
-            n = metrics["by_scenario"].get(scenario, {}).get("n")
+        for scenario, of_scenario in metrics.get("by_scenario", {}).items():
+            n = of_scenario.get("n")
             path = ("by_scenario", scenario, name)
             yield _Row(f"  {scenario} ({n})" if n else f"  {scenario}", path, path)
+        parts = "by_agent" if kind == "goal" else "by_pair"
+        for part in metrics.get(parts, {}):
+            yield _Row(f"  {part}"[: _LABEL - 1], (parts, part, name))
         if kind == "goal":
             yield _Row("  among the top 3", ("goal_top3_accuracy",))
         yield _Row("  log score of truth", (f"{kind}_log_score_truth",))
+        for least, of_those in metrics.get("calibration", {}).get(kind, {}).items():
+            if least != "0":
+                label = f"  of p >= {least} ({of_those['n']})"
+                yield _Row(label, ("calibration", kind, least, "accuracy"))
     for kind, prefix in (("goal", "goal_"), ("relation", "")):
         score, js = f"{prefix}log_score", f"{prefix}js"
         yield _Row(

@@ -209,8 +209,9 @@ class ResultsFolder:
             return None
         source = self.folder_of(event_id) / PREDICTION
         record = read_json(source)
+        world = self.events[self._place[event_id]].scene.world
         try:
-            prediction = Prediction.from_dict(record)
+            prediction = Prediction.from_dict(record, world)
         except PhasePPLError as error:
             raise InvalidEventError(f"{source}: {error}") from None
         if prediction.event_id != event_id:

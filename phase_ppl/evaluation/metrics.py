@@ -28,6 +28,18 @@ per question.
                                None where there are no probabilities
 =============================  ===================================================================
 
+Of events of another world than PHASE there are no ``by_scenario``, ``confusion``, ``human`` and
+``doubt``, but:
+
+=============================  ===================================================================
+``by_agent``                   agent -> ``goal_accuracy``, ``goal_log_score_truth``
+``by_pair``                    "red & green" -> ``relation_accuracy``,
+                               ``relation_log_score_truth``
+``calibration``                "goal" and "relation" -> "0", "0.5", "0.8" and "0.95" -> of the
+                               answers of at least that probability ``n``, ``probability``, its
+                               mean, and ``accuracy``, the share that is true
+=============================  ===================================================================
+
 ``human`` is about people's answers, of which each event has a distribution per question; names
 without "goal" are about the relation:
 
@@ -78,8 +90,9 @@ from phase_ppl.evaluation.doubt import (
 )
 from phase_ppl.evaluation.prediction import (
     GOAL_QUESTIONS,
-    QUESTIONS,
     Prediction,
+    pairs_of,
+    questions_of,
     reference_predictions,
 )
 from phase_ppl.evaluation.ratings import Judgments, event_judgments
@@ -87,6 +100,7 @@ from phase_ppl.evaluation.tables import KINDS, Facts, Said, true_answer
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS, scenario
+from phase_ppl.world.scene import PHASE, World
 
 Path = tuple[str, ...]  # keys under which a figure is found in the metrics
 
@@ -96,7 +110,7 @@ PREFIX: Final[Mapping[str, str]] = {"goal": "goal_", "relation": ""}
 _ORDER: Final = (
     *("n_events", "n", "goal_accuracy", "goal_top3_accuracy", "relation_accuracy"),
     *("goal_log_score_truth", "relation_log_score_truth", "by_scenario", "confusion", "human"),
-    *("doubt", "ties"),
+    *("by_agent", "by_pair", "calibration", "doubt", "ties"),
 )
 _HUMAN_ORDER: Final = (
     *("relation_r", "relation_r_given_truth", "goal_r", "log_score", "log_score_people"),
@@ -171,11 +185,15 @@ def metrics_of_each(
         }
         curves = model_curves(known, model, weights) | people_curves(known, model, weights)
         put(result, {path: curve.figure() for path, curve in curves.items()})
-        put(result, among_people)
-        count_scenarios(result, known.scenario)
-        result["confusion"] = confusion(zip(known.scenario, model.scenario, strict=True))
-        result["doubt"] = doubt(known, model, ids, seed, resamples)
-        result["ties"] = count_ties([predictions[event.id] for event in chosen])
+        if known.world == PHASE:
+            put(result, among_people)
+            count_scenarios(result, known.scenario)
+            result["confusion"] = confusion(zip(known.scenario, model.scenario, strict=True))
+            result["doubt"] = doubt(known, model, ids, seed, resamples)
+        else:
+            result["n"]["truth"] = events_with(np.where(known.truth["goal"] < 0, np.nan, 0.0))
+            result["calibration"] = calibration(model)
+        result["ties"] = count_ties([predictions[event.id] for event in chosen], known.world)
         found[name] = _ordered(result)
     return found
 
@@ -236,7 +254,8 @@ class Paired:
                 for path, curve in of_one.items()
             },
         )
-        count_scenarios(result, self._facts[ids][0].scenario)
+        if self._facts[ids][0].world == PHASE:
+            count_scenarios(result, self._facts[ids][0].scenario)
         return _ordered(result)
 
     def _of(
@@ -269,8 +288,11 @@ def _among_people(known: Facts, weights: FloatArray, seed: int) -> dict[Path, An
 
 
 def _ordered(result: Mapping[str, Any]) -> dict[str, Any]:
-    human = {name: result["human"][name] for name in _HUMAN_ORDER if name in result["human"]}
-    return {name: {**result, "human": human}[name] for name in _ORDER if name in result}
+    given = dict(result)
+    if "human" in given:
+        of_people = given["human"]
+        given["human"] = {name: of_people[name] for name in _HUMAN_ORDER if name in of_people}
+    return {name: given[name] for name in _ORDER if name in given}
 
 
 # --- every metric of a model as a curve: its value, and its values on the resamples ---------------
@@ -291,7 +313,8 @@ class Curve(NamedTuple):
 
 def model_curves(known: Facts, model: Said, weights: FloatArray) -> dict[Path, Curve]:
     """Return all figures that are about the model."""
-    curves = accuracy_curves(model.right, known.scenario, weights)
+    elsewhere = known.world != PHASE
+    curves = accuracy_curves(model.right, known.scenario, weights, by_scenario=not elsewhere)
 
     def mean(values: FloatArray) -> Curve:
         return Curve(weighted_mean(weights, values), events_with(values))
@@ -305,16 +328,33 @@ def model_curves(known: Facts, model: Said, weights: FloatArray) -> dict[Path, C
         )
         logs = log_probabilities(probabilities)
         of_truth = np.take_along_axis(logs, np.maximum(truth, 0)[..., None], axis=-1)[..., 0]
-        curves[f"{kind}_log_score_truth",] = mean(np.where(truth < 0, np.nan, of_truth))
+        of_truth = np.where(truth < 0, np.nan, of_truth)
+        curves[f"{kind}_log_score_truth",] = mean(of_truth)
+        if elsewhere:
+            for place, part in enumerate(_parts(kind, known.world)):
+                right = model.right[kind][:, [place]]
+                curves[*part, f"{kind}_accuracy"] = share_curve(weights, right)
+                curves[*part, f"{kind}_log_score_truth"] = mean(of_truth[:, [place]])
+            continue
         curves["human", f"{kind}_r"] = _r(weights, probabilities, people)
         curves["human", f"{prefix}log_score"] = mean(log_score(probabilities, people))
         curves["human", f"{prefix}js"] = mean(jensen_shannon(probabilities, people))
+    if elsewhere:
+        return curves
     true, n = known.truth["relation"], len(RELATIONS)
     groups = np.where(true < 0, -1, true * n + np.arange(n))
     curves["human", "relation_r_given_truth"] = _r(
         weights, model.probabilities["relation"], known.people["relation"], groups
     )
     return curves
+
+
+def _parts(kind: str, world: World) -> list[Path]:
+    """Return where the figures of each question of a kind are, in another world than PHASE."""
+    if kind == "goal":
+        return [("by_agent", agent) for agent in world.agents]
+    key = dict(zip(world.agents, world.keys, strict=True))
+    return [("by_pair", f"{key[one]} & {key[other]}") for one, other in pairs_of(world).values()]
 
 
 def _r(weights: FloatArray, x: FloatArray, y: FloatArray, groups: IntArray | None = None) -> Curve:
@@ -331,6 +371,8 @@ def share_curve(weights: FloatArray, scores: FloatArray) -> Curve:
 def people_curves(known: Facts, model: Said, weights: FloatArray) -> dict[Path, Curve]:
     """Return people's own log scores, on the events on which the model has one."""
     curves: dict[Path, Curve] = {}
+    if known.world != PHASE:
+        return curves
     for kind, prefix in PREFIX.items():
         people = np.where(np.isnan(model.probabilities[kind]), np.nan, known.people[kind])
         bound = negative_entropy(people)
@@ -340,7 +382,11 @@ def people_curves(known: Facts, model: Said, weights: FloatArray) -> dict[Path, 
 
 
 def accuracy_curves(
-    right: Mapping[str, FloatArray], scenario: IntArray, weights: FloatArray
+    right: Mapping[str, FloatArray],
+    scenario: IntArray,
+    weights: FloatArray,
+    *,
+    by_scenario: bool = True,
 ) -> dict[Path, Curve]:
     """Return the accuracies, overall and by true scenario.
 
@@ -350,7 +396,7 @@ def accuracy_curves(
     curves: dict[Path, Curve] = {}
     for kind, values in right.items():
         curves[f"{kind}_accuracy",] = share_curve(weights, values)
-        for place, name in enumerate(SCENARIOS):
+        for place, name in enumerate(SCENARIOS if by_scenario else ()):
             part = np.where((scenario == place)[:, None], values, np.nan)
             path = ("by_scenario", name, f"{kind}_accuracy")
             curves[path] = share_curve(weights, part)
@@ -379,10 +425,31 @@ def confusion(pairs: Iterable[tuple[int, int]]) -> dict[str, dict[str, int]] | N
     }
 
 
-def count_ties(given: Sequence[Prediction | Judgments]) -> dict[str, int | None]:
+SURE: Final = (0.0, 0.5, 0.8, 0.95)
+"""Probabilities of an answer from which on it is counted whether it is true."""
+
+
+def calibration(model: Said) -> dict[str, dict[str, Any]]:
+    """Return how often answers are true that the model is sure of (``calibration``, above)."""
+    found: dict[str, dict[str, Any]] = {}
+    for kind, right in model.right.items():
+        sure = model.probabilities[kind].max(axis=-1, initial=-np.inf)
+        found[kind] = {}
+        for least in SURE:
+            chosen = (sure >= least) & ~np.isnan(right)
+            if chosen.any():
+                accuracy = proportion(np.where(chosen, right, np.nan))
+                told = {"n": int(chosen.sum()), "probability": float(sure[chosen].mean())}
+                found[kind][f"{least:g}"] = {**told, "accuracy": accuracy}
+    return found
+
+
+def count_ties(
+    given: Sequence[Prediction | Judgments], world: World = PHASE
+) -> dict[str, int | None]:
     """Return question -> events in which several answers lead; None where none is known."""
     found = {}
-    for question in QUESTIONS:
+    for question in questions_of(world):
         ties = [one.ties(question) for one in given]
         found[question] = sum(n > 1 for n in ties) if any(ties) else None
     return found

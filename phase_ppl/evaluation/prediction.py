@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 import numbers
 from collections.abc import Mapping, Sequence
@@ -16,21 +17,47 @@ from phase_ppl.dataset.documents import in_front, of_kind
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, shown, unknown_name
 from phase_ppl.world.event import Event
-from phase_ppl.world.goals import GOALS, goal_index
+from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import RELATIONS, scenario
 from phase_ppl.world.names import AGENTS
+from phase_ppl.world.scene import PHASE, World
 
 QUESTIONS: Final[Mapping[str, tuple[str, ...]]] = {
     "goal_red": GOALS,
     "goal_green": GOALS,
     "relation": RELATIONS,
 }
-"""What is asked about an event -> the possible answers, in label order. Goals are effective."""
+"""What is asked about an event of PHASE -> the possible answers, in label order. Goals are
+effective."""
 
 GOAL_QUESTIONS: Final = dict(zip(AGENTS, ("goal_red", "goal_green"), strict=True))
 """Agent -> the question about its goal."""
 
 _SUM_TOLERANCE: Final = 1e-3
+
+
+@functools.lru_cache(16)
+def questions_of(world: World) -> Mapping[str, tuple[str, ...]]:
+    """Return what is asked about an event of a world -> the possible answers, in label order.
+
+    Of another world than PHASE ``goal_<agent>`` and ``relation_<one>_<other>``, with the agents'
+    ``world.keys``, as its posteriors call them.
+    """
+    if world == PHASE:
+        return QUESTIONS
+    goals = {f"goal_{key}": world.goals for key in world.keys}
+    return goals | dict.fromkeys(pairs_of(world), RELATIONS)
+
+
+@functools.lru_cache(16)
+def pairs_of(world: World) -> Mapping[str, tuple[str, str]]:
+    """Return the question about a relation -> the two agents, of another world than PHASE."""
+    named = list(zip(world.keys, world.agents, strict=True))
+    return {
+        f"relation_{one}_{other}": (agent, whom)
+        for place, (other, whom) in enumerate(named)
+        for one, agent in named[:place]
+    }
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -45,6 +72,7 @@ class Prediction:
         answers: question -> the answer given (top 1). Where only probabilities are given it is
             the most probable one, of equals the first in label order.
         cost: seconds, simulations and whatever else the model counts.
+        world: of the event; it has the questions and their answers (:func:`questions_of`).
 
     Raises:
         UnknownNameError: there is no such question or answer; the message names close matches.
@@ -58,22 +86,23 @@ class Prediction:
     answers: Mapping[str, str] = dataclasses.field(default_factory=dict)
     cost: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     errors: Mapping[str, FloatArray] = dataclasses.field(default_factory=dict)
+    world: World = PHASE
 
     def __post_init__(self) -> None:
-        given = {**self.probabilities, **self.answers}
+        given, questions = {**self.probabilities, **self.answers}, self.questions
         for question in {**given, **self.errors}:
-            if question not in QUESTIONS:
-                raise unknown_name("question", question, QUESTIONS)
+            if question not in questions:
+                raise unknown_name("question", question, questions)
         probabilities = {
-            question: _distribution(question, self.probabilities[question])
-            for question in QUESTIONS
+            question: _distribution(question, self.probabilities[question], labels)
+            for question, labels in questions.items()
             if question in self.probabilities
         }
         answers = {
-            question: _answer(question, self.answers[question])
+            question: _answer(question, self.answers[question], self.world)
             if question in self.answers
-            else QUESTIONS[question][int(probabilities[question].argmax())]
-            for question in QUESTIONS
+            else labels[int(probabilities[question].argmax())]
+            for question, labels in questions.items()
             if question in given
         }
         errors = {}
@@ -92,14 +121,21 @@ class Prediction:
         object.__setattr__(self, "answers", answers)
 
     @property
+    def questions(self) -> Mapping[str, tuple[str, ...]]:
+        """The questions of its world -> the possible answers, in label order."""
+        return questions_of(self.world)
+
+    @property
     def scenario(self) -> str | None:
-        """Scenario of the two goals answered; None where one is missing."""
+        """Scenario of the two goals answered in PHASE; None where one is missing."""
+        if self.world != PHASE:
+            return None
         red, green = (self.answers.get(question) for question in GOAL_QUESTIONS.values())
         return None if red is None or green is None else scenario(red, green)
 
     def estimate(self, question: str, answer: str) -> Estimate:
         """Return the probability of an answer, with its error where that is known."""
-        place = QUESTIONS[question].index(answer)
+        place = self.questions[question].index(answer)
         errors = self.errors.get(question)
         error = math.nan if errors is None else float(errors[place])
         return Estimate(float(self.probabilities[question][place]), error)
@@ -109,7 +145,7 @@ class Prediction:
         if question not in self.probabilities:
             return None
         order = np.argsort(-self.probabilities[question], kind="stable")[:n]
-        return tuple(QUESTIONS[question][index] for index in order)
+        return tuple(self.questions[question][index] for index in order)
 
     def ties(self, question: str) -> int:
         """Return how many answers share the highest probability: 1 where it is clear, 0 unknown."""
@@ -123,7 +159,7 @@ class Prediction:
         return {
             "event": self.event_id,
             "probabilities": {
-                question: dict(zip(QUESTIONS[question], values.tolist(), strict=True))
+                question: dict(zip(self.questions[question], values.tolist(), strict=True))
                 for question, values in self.probabilities.items()
             },
             **({"errors": self._plain_errors()} if self.errors else {}),
@@ -135,14 +171,16 @@ class Prediction:
         return {
             question: {
                 label: None if math.isnan(error) else error
-                for label, error in zip(QUESTIONS[question], errors.tolist(), strict=True)
+                for label, error in zip(self.questions[question], errors.tolist(), strict=True)
             }
             for question, errors in self.errors.items()
         }
 
     @classmethod
-    def from_dict(cls, record: Mapping[str, Any]) -> Prediction:
+    def from_dict(cls, record: Mapping[str, Any], world: World = PHASE) -> Prediction:
         """Read what :meth:`to_dict` wrote; answers of probability 0 may be left out.
+
+        The world is that of the event.
 
         Raises:
             InvalidEventError, UnknownNameError: as for the class; or a field is missing or of
@@ -160,21 +198,27 @@ class Prediction:
         return cls(
             event_id=record["event"],
             probabilities={
-                question: probabilities_of(question, shares)
+                question: probabilities_of(question, shares, world)
                 for question, shares in record["probabilities"].items()
             },
             answers=record["answers"],
             cost=given["cost"],
             errors={
-                question: _in_order(question, errors)
+                question: _in_order(question, errors, math.nan, world)
                 for question, errors in given["errors"].items()
             },
+            world=world,
         )
 
 
-def as_prediction(given: object, event_id: str = "") -> Prediction:
-    """Return an answer as a prediction of the event."""
+def as_prediction(given: object, event_id: str = "", world: World = PHASE) -> Prediction:
+    """Return an answer as a prediction of the event, which is of the world."""
     if isinstance(given, Prediction):
+        if given.world != world:
+            raise InvalidEventError(
+                f"the answer is about an event of the world {given.world.name!r}, not "
+                f"{world.name!r}"
+            )
         found = dataclasses.replace(given, event_id=event_id)
     elif isinstance(given, Mapping):
         probabilities, labels = {}, {}
@@ -184,51 +228,57 @@ def as_prediction(given: object, event_id: str = "") -> Prediction:
             if isinstance(answer, str):
                 labels[question] = answer
             elif isinstance(answer, Mapping):
-                probabilities[question] = probabilities_of(question, answer)
+                probabilities[question] = probabilities_of(question, answer, world)
             else:
                 probabilities[question] = np.asarray(answer)
-        found = Prediction(event_id, probabilities, labels)
+        found = Prediction(event_id, probabilities, labels, world=world)
     else:
         raise InvalidEventError(
-            f"the answer is {shown(given)}, expected a Prediction or a mapping with goal_red, "
-            "goal_green or relation"
+            f"the answer is {shown(given)}, expected a Prediction or a mapping with "
+            f"{_one_of(world)}"
         )
     if not found.answers:
-        raise InvalidEventError("the answer is empty: goal_red, goal_green or relation is needed")
+        raise InvalidEventError(f"the answer is empty: {_one_of(world)} is needed")
     return found
 
 
-def probabilities_of(question: str, shares: Mapping[str, Any]) -> FloatArray:
+def _one_of(world: World) -> str:
+    *others, last = questions_of(world)
+    return f"{', '.join(others)} or {last}" if others else last
+
+
+def probabilities_of(question: str, shares: Mapping[str, Any], world: World = PHASE) -> FloatArray:
     """Return probabilities in label order from answer -> probability; those left out are 0."""
-    return _in_order(question, shares, 0.0)
+    return _in_order(question, shares, 0.0, world)
 
 
-def _in_order(question: str, shares: Mapping[str, Any], default: float = math.nan) -> FloatArray:
+def _in_order(question: str, shares: Mapping[str, Any], default: float, world: World) -> FloatArray:
     """Return numbers in label order; ``default`` for answers that are left out, or null."""
-    if question not in QUESTIONS:
-        raise unknown_name("question", question, QUESTIONS)
+    questions = questions_of(world)
+    if question not in questions:
+        raise unknown_name("question", question, questions)
     if not isinstance(shares, Mapping):
         raise InvalidEventError(f"{question} is {shown(shares)}, expected answers with numbers")
-    values = np.full(len(QUESTIONS[question]), default)
+    labels = questions[question]
+    values = np.full(len(labels), default)
     for answer, share in shares.items():
         if share is None and math.isnan(default):
             continue
         if isinstance(share, bool) or not isinstance(share, numbers.Real):
             raise InvalidEventError(f"{question}: {answer!r} has {shown(share)}, expected a number")
-        values[QUESTIONS[question].index(_answer(question, answer))] = share
+        values[labels.index(_answer(question, answer, world))] = share
     return values
 
 
-def _answer(question: str, answer: object) -> str:
-    if question == "relation":
+def _answer(question: str, answer: object, world: World) -> str:
+    if questions_of(world)[question] is RELATIONS:
         if answer not in RELATIONS:
             raise unknown_name("relation", answer, RELATIONS)
         return str(answer)
-    return GOALS[goal_index(str(answer))]
+    return world.goals[world.goal_index(str(answer))]
 
 
-def _distribution(question: str, given: ArrayLike) -> FloatArray:
-    labels = QUESTIONS[question]
+def _distribution(question: str, given: ArrayLike, labels: Sequence[str]) -> FloatArray:
     try:
         values = np.array(given, np.float64)
     except (TypeError, ValueError):
@@ -264,8 +314,9 @@ def reference_predictions(events: Sequence[Event]) -> dict[str, dict[str, Predic
          "goal_probs": {"red agent": {"...": 0.9, "...": 0.1}, ...},
          "relation_probs": {"friendly": 0.6, "neutral": 0.3, "adversarial": 0.1}}
 
-    where every field may be missing or null, or to what :meth:`Prediction.to_dict` writes, without
-    ``event``. Goals are effective ones; of probabilities, answers of probability 0 may be left out.
+    in PHASE, where every field may be missing or null, or to what :meth:`Prediction.to_dict`
+    writes, without ``event``. Goals are effective ones; of probabilities, answers of probability 0
+    may be left out.
 
     Raises:
         InvalidEventError: a prediction has no such form, or probabilities that are none.
@@ -278,16 +329,16 @@ def reference_predictions(events: Sequence[Event]) -> dict[str, dict[str, Predic
             if record is None:
                 continue
             with in_front(f"event {event.id}: predictions: {model}: "):
-                prediction = _prediction(event.id, record)
+                prediction = _prediction(event.id, record, event.scene.world)
             found.setdefault(str(model), {})[event.id] = prediction
     return found
 
 
-def _prediction(event_id: str, record: object) -> Prediction:
+def _prediction(event_id: str, record: object, world: World) -> Prediction:
     fields = of_kind("it", record, dict)
     given = {name: value for name, value in fields.items() if value is not None}
     own = any(name in given for name in ("probabilities", "answers"))
-    allowed = _OWN_FIELDS if own else _FIELDS
+    allowed = _OWN_FIELDS if own or world != PHASE else _FIELDS
     for name in given:
         if name not in allowed:
             raise unknown_name("field", name, allowed)
@@ -295,7 +346,7 @@ def _prediction(event_id: str, record: object) -> Prediction:
         if given.get("event", event_id) != event_id:
             raise InvalidEventError(f"is of the event {shown(given['event'])}")
         return Prediction.from_dict(
-            {"answers": {}, "probabilities": {}, **given, "event": event_id}
+            {"answers": {}, "probabilities": {}, **given, "event": event_id}, world
         )
     answers = _per_agent("goals", given.get("goals"))
     shares = _per_agent("goal_probs", given.get("goal_probs"))

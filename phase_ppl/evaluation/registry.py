@@ -26,7 +26,7 @@ from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.identity import qualified_name, source_hash, stable
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.registry import Registry
-from phase_ppl.world.scene import Scene
+from phase_ppl.world.scene import PHASE, Scene, World
 
 if TYPE_CHECKING:
     from phase_ppl.analysis.hypotheses import Hypotheses
@@ -34,8 +34,9 @@ if TYPE_CHECKING:
 
 Given: TypeAlias = Prediction | Mapping[str, Any]
 """An answer: a prediction, whose event id does not matter; or a mapping from questions
-("goal_red", "goal_green", "relation") to a label, to label -> probability, or to probabilities in
-label order. What the model does not answer is absent, or None."""
+("goal_red", "goal_green", "relation"; in other worlds than PHASE those of
+:func:`~phase_ppl.evaluation.prediction.questions_of`) to a label, to label -> probability, or to
+probabilities in label order. What the model does not answer is absent, or None."""
 
 
 class Answer(NamedTuple):
@@ -78,6 +79,7 @@ class ModelInfo:
         extra: the extra of this package that brings them, if one does.
         more_options: of a factory that takes ``**options``: their names, given the options;
             None where it can be any.
+        any_world: whether it may be asked about events of other worlds than PHASE.
     """
 
     name: str
@@ -87,6 +89,7 @@ class ModelInfo:
     needs: tuple[str, ...] = ()
     extra: str | None = None
     more_options: MoreOptions | None = None
+    any_world: bool = False
 
     def takes(self, name: str, options: Mapping[str, Any]) -> bool:
         """Return whether the model has an option of that name."""
@@ -120,6 +123,7 @@ def register_model(
     needs: Sequence[str] = (),
     extra: str | None = None,
     more_options: MoreOptions | None = None,
+    any_world: bool = False,
 ) -> Callable[[Factory], Factory]:
     """Return a decorator that makes a factory of models known under ``name``.
 
@@ -131,7 +135,7 @@ def register_model(
     return MODELS.register(
         name,
         lambda factory, summary: ModelInfo(
-            name, factory, summary, parallel, tuple(needs), extra, more_options
+            name, factory, summary, parallel, tuple(needs), extra, more_options, any_world
         ),
     )
 
@@ -156,6 +160,12 @@ def check_installed(what: str, needs: Sequence[str], extra: str | None) -> None:
     if missing:
         how = f": pip install 'phase_ppl[{extra}]'" if extra else ""
         raise InvalidSettingError(f"{what} needs {', '.join(missing)}, which is not installed{how}")
+
+
+def check_world(model: object, world: World) -> None:
+    """Raise InvalidSettingError where a model given by name knows PHASE only, not ``world``."""
+    if isinstance(model, str) and world != PHASE and not model_info(model).any_world:
+        raise InvalidSettingError(f"model {model!r} knows the world PHASE only, not {world.name!r}")
 
 
 def is_installed(module: str) -> bool:

@@ -8,20 +8,47 @@ from typing import Final
 
 import numpy as np
 
-from phase_ppl.evaluation.prediction import GOAL_QUESTIONS, QUESTIONS, Prediction
+from phase_ppl.evaluation.prediction import (
+    GOAL_QUESTIONS,
+    Prediction,
+    pairs_of,
+    questions_of,
+)
 from phase_ppl.evaluation.ratings import Judgments, event_judgments
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
 from phase_ppl.world.event import Event
-from phase_ppl.world.hypothesis import SCENARIOS
+from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS, Roles
+from phase_ppl.world.scene import PHASE, World
 
 KINDS: Final[Mapping[str, tuple[str, ...]]] = {
     "goal": tuple(GOAL_QUESTIONS.values()),
     "relation": ("relation",),
 }
-"""What is measured together -> its questions."""
+"""What is measured together -> its questions, in PHASE."""
 
 TOP: Final = 3
+
+
+def kinds_of(world: World) -> Mapping[str, tuple[str, ...]]:
+    """Return what is measured together -> its questions."""
+    if world == PHASE:
+        return KINDS
+    return {"goal": tuple(f"goal_{key}" for key in world.keys), "relation": tuple(pairs_of(world))}
+
+
+def world_of(events: Sequence[Event]) -> World:
+    """Return the world that all events are of; PHASE where there are none.
+
+    InvalidSettingError: they are of several.
+    """
+    worlds = list(dict.fromkeys(event.scene.world for event in events)) or [PHASE]
+    if len(worlds) > 1:
+        raise InvalidSettingError(
+            f"the events are of the worlds {', '.join(repr(one.name) for one in worlds)}, expected "
+            "those of one world"
+        )
+    return worlds[0]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -34,6 +61,7 @@ class Facts:
     judgments: Sequence[Judgments | None]  # of each event
     # kind -> (event, question, answer) share of people, NaN where nobody answered
     people: Mapping[str, FloatArray]
+    world: World = PHASE  # of all events
 
     @property
     def by_participant(self) -> bool:
@@ -93,40 +121,43 @@ def predicted(events: Sequence[Event], predictions: Mapping[str, Prediction]) ->
 def facts(events: Sequence[Event]) -> Facts:
     """Collect what is known about the events."""
     judgments = [event_judgments(event) for event in events]
+    world = world_of(events)
     return Facts(
         truth={
             kind: _array(
                 [[_true_index(event, question) for question in questions] for event in events],
                 (len(events), len(questions)),
             ).astype(np.int64)
-            for kind, questions in KINDS.items()
+            for kind, questions in kinds_of(world).items()
         },
-        scenario=np.array(
-            [-1 if e.truth is None else SCENARIOS.index(e.truth.scenario) for e in events], np.int64
-        ),
+        scenario=np.array([_true_scenario(event) for event in events], np.int64),
         judgments=judgments,
         people=_distributions(
             [
-                None if one is None else {q: one.distribution(q) for q in QUESTIONS}
+                None if one is None else {q: one.distribution(q) for q in questions_of(world)}
                 for one in judgments
-            ]
+            ],
+            world,
         ),
+        world=world,
     )
 
 
 def said(events: Sequence[Event], predictions: Mapping[str, Prediction]) -> Said:
     """Collect what the predictions say about the events, each of which has one."""
     made = [predictions[event.id] for event in events]
+    world = world_of(events)
+    kinds = kinds_of(world)
 
     def asked(kind: str, check: Callable[[Event, Prediction, str], float]) -> FloatArray:
         pairs = zip(events, made, strict=True)
-        rows = [[check(*pair, question) for question in KINDS[kind]] for pair in pairs]
-        return _array(rows, (len(events), len(KINDS[kind])))
+        rows = [[check(*pair, question) for question in kinds[kind]] for pair in pairs]
+        return _array(rows, (len(events), len(kinds[kind])))
 
     return Said(
         right={kind: asked(kind, _is_right) for kind in KINDS},
         in_top=asked("goal", _is_in_top),
-        probabilities=_distributions([one.probabilities for one in made]),
+        probabilities=_distributions([one.probabilities for one in made], world),
         scenario=np.array(
             [-1 if one.scenario is None else SCENARIOS.index(one.scenario) for one in made],
             np.int64,
@@ -136,12 +167,26 @@ def said(events: Sequence[Event], predictions: Mapping[str, Prediction]) -> Said
 
 def true_answer(event: Event, question: str) -> str | None:
     """Return the true answer; None where the event has no truth."""
-    return None if event.truth is None else str(getattr(event.truth, question))
+    truth = event.truth
+    if isinstance(truth, Roles):
+        pair = pairs_of(truth.world).get(question)
+        if pair is not None:
+            return truth.relation_between(*pair)
+        agents = zip(kinds_of(truth.world)["goal"], truth.goals.values(), strict=True)
+        return dict(agents)[question]
+    return None if truth is None else str(getattr(truth, question))
 
 
 def _true_index(event: Event, question: str) -> int:
     answer = true_answer(event, question)
-    return -1 if answer is None else QUESTIONS[question].index(answer)
+    labels = questions_of(event.scene.world)[question]
+    return -1 if answer is None else labels.index(answer)
+
+
+def _true_scenario(event: Event) -> int:
+    """Return the index of the true scenario; -1 where it is unknown, as in other worlds."""
+    known = event.truth is not None and not isinstance(event.truth, Roles)
+    return SCENARIOS.index(event.truth.scenario) if known else -1
 
 
 def _is_right(event: Event, prediction: Prediction, question: str) -> float:
@@ -156,17 +201,19 @@ def _is_in_top(event: Event, prediction: Prediction, question: str) -> float:
     if true is None or top is None:
         return np.nan
     # of the answers that a sampler never met, the first in label order are no better than others
-    probability = prediction.probabilities[question][QUESTIONS[question].index(true)]
+    probability = prediction.probabilities[question][prediction.questions[question].index(true)]
     return float(true in top and probability > 0)
 
 
 def _distributions(
     given: Sequence[Mapping[str, FloatArray | None] | Mapping[str, FloatArray] | None],
+    world: World,
 ) -> dict[str, FloatArray]:
     """Return kind -> (event, question, answer) from question -> distribution per event."""
     arrays = {}
-    for kind, questions in KINDS.items():
-        values = np.full((len(given), len(questions), len(QUESTIONS[questions[0]])), np.nan)
+    n_answers = {"goal": len(world.goals), "relation": len(RELATIONS)}
+    for kind, questions in kinds_of(world).items():
+        values = np.full((len(given), len(questions), n_answers[kind]), np.nan)
         for event, of_event in enumerate(given):
             for place, question in enumerate(questions):
                 shares = None if of_event is None else of_event.get(question)

@@ -29,7 +29,6 @@ from phase_ppl.dataset.documents import read_json
 from phase_ppl.dataset.generated import MANIFEST, GeneratedEvents
 from phase_ppl.evaluation.metrics import evaluate_predictions
 from phase_ppl.evaluation.prediction import Prediction
-from phase_ppl.inference.progress import Bar, counted
 from phase_ppl.models.neural import needs_torch
 from phase_ppl.models.socialgnn import store
 from phase_ppl.models.socialgnn.examples import Examples
@@ -41,6 +40,7 @@ from phase_ppl.world.errors import InvalidEventError, OutputError, PhasePPLError
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import writable_folder, write_json
 from phase_ppl.world.identity import differences, versions
+from phase_ppl.world.progress import Bar, counted
 
 TRAINING, VALIDATION, TEST = "train", "validation", "test"
 """Splits of the set: networks learn from the first, the second says when to stop; where there is

@@ -27,7 +27,6 @@ from phase_ppl.analysis.summary import plain
 from phase_ppl.analysis.weights import WEIGHTINGS
 from phase_ppl.inference.entries import Entry, Spec, entries
 from phase_ppl.inference.infer import CHAINS
-from phase_ppl.inference.progress import is_shown
 from phase_ppl.inference.reference import Reference, reference_of
 from phase_ppl.inference.runs.run import check_event
 from phase_ppl.inference.settings import BUDGETS, Budget, SimpleSettings, simulations
@@ -38,6 +37,7 @@ from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import locked
 from phase_ppl.world.identity import versions, versions_so_far
+from phase_ppl.world.progress import is_shown
 from phase_ppl.world.scene import check_phase
 
 BUDGET: Final = simulations(500)

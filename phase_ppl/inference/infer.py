@@ -19,7 +19,7 @@ from phase_ppl.models.likelihood import RadialLikelihood, is_stepwise
 from phase_ppl.models.model import Model
 from phase_ppl.models.stepwise import StepwiseLikelihood
 from phase_ppl.world.checks import instance_of
-from phase_ppl.world.errors import InvalidSettingError, OutputError
+from phase_ppl.world.errors import InvalidSettingError, OutputError, shown
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import as_path, check_output, locked
 from phase_ppl.world.identity import differences, event_digest, versions_so_far
@@ -27,7 +27,6 @@ from phase_ppl.world.scene import PHASE
 
 if TYPE_CHECKING:
     from phase_ppl.agents.config import PlannerConfig
-    from phase_ppl.models.stepwise import StepwiseLikelihood
 
 CHAINS: Final = 15  # M, the paper's number of particles
 
@@ -131,7 +130,7 @@ def infer(
         InvalidEventError: ``event`` is no event.
         OutputError: the checkpoint exists, or cannot be written.
         SimulationError: all initial simulations failed; or one failed, with "raise".
-        Interrupted: Ctrl-C.
+        Interrupted, StepwiseInterrupted: Ctrl-C.
 
     The last two carry what was done until then as ``posterior``, as any error does that ends a
     run; None where the initial particles were not complete.
@@ -149,6 +148,11 @@ def infer(
         burn_in=burn_in,
         weights=weights,
     )
+    if "preset" in kernel_options:
+        raise InvalidSettingError(
+            f"preset={shown(kernel_options['preset'])} stands for several arguments: write "
+            "infer(event, **phase_ppl.preset(...))"
+        )
     given = {**vars(options), "chains": chains, "settings": settings, **kernel_options}
     check_event(event)
     settings = SimpleSettings.of(event.scene.world) if settings is None else settings
@@ -158,7 +162,8 @@ def infer(
     if kernel is None and is_stepwise(model.likelihood):
         usual = {**vars(RunOptions()), "chains": CHAINS}
         for name, value in given.items():
-            if name not in _NOT_REFUSED and value != usual.get(name):
+            of_run = name in _NOT_REFUSED and name not in kernel_options
+            if not of_run and value != usual.get(name):
                 raise InvalidSettingError(
                     f"{name}={value!r} is for sampling: a stepwise likelihood is summed over all "
                     "hypotheses, unless a kernel is named"

@@ -185,6 +185,10 @@ def described(kernel: str | Factory | MCMCKernel) -> KernelInfo:
     for _, info in KERNELS.items():
         if info.factory is kernel:
             return info
+        if info.factory is type(kernel) and hasattr(kernel, "bound_to"):
+            return dataclasses.replace(
+                info, factory=kernel.bound_to, needs=_needs_of(kernel.bound_to)
+            )
     if isinstance(kernel, MCMCKernel):
         factory = getattr(kernel, "bound_to", None)
         name = type(kernel).__name__
@@ -202,16 +206,20 @@ def described(kernel: str | Factory | MCMCKernel) -> KernelInfo:
         name = getattr(kernel, "__name__", type(kernel).__name__)
     else:
         raise InvalidSettingError(f"kernel={shown(kernel)} is neither a name nor a kernel")
-    parameters = inspect.signature(factory).parameters
     return KernelInfo(
         name,
         factory,
         validity="unknown",
         sims_per_step=getattr(kernel, "sims_per_step", 1),
-        needs=tuple(need for need in NEEDS if need in parameters),
+        needs=_needs_of(factory),
         summary=(inspect.getdoc(kernel) or "").split("\n")[0],
         even_chains=getattr(kernel, "even_chains", False),
         keeps=getattr(kernel, "keeps", "all"),
         weighted=getattr(kernel, "weighted", False),
         weights=getattr(kernel, "weights", None),
     )
+
+
+def _needs_of(factory: Factory) -> tuple[str, ...]:
+    parameters = inspect.signature(factory).parameters
+    return tuple(need for need in NEEDS if need in parameters)

@@ -29,8 +29,7 @@ from phase_ppl.analysis.stepwise_table import (
 )
 from phase_ppl.analysis.tree import scene_dataset
 from phase_ppl.closed_loop.goal_filter import Reading
-from phase_ppl.closed_loop.world_filter import WorldFilter, WorldReading
-from phase_ppl.inference.progress import counted, is_shown
+from phase_ppl.closed_loop.world_filter import WorldReading
 from phase_ppl.models.model import Model, checked_sites
 from phase_ppl.models.own_sites import further_sites
 from phase_ppl.models.roles import factors
@@ -45,6 +44,7 @@ from phase_ppl.world.goals import GOALS, N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
 from phase_ppl.world.names import AGENTS, NOTHING
 from phase_ppl.world.observation import FRAMES_PER_SECOND, SHOWN_SECONDS_PER_FRAME
+from phase_ppl.world.progress import counted, is_shown
 from phase_ppl.world.scene import PHASE, Scene, check_inside, check_phase, finite_array
 
 _NUMBERS: Final = ("unexplained", "log_peak")
@@ -81,7 +81,7 @@ class Watch:
         likelihood, planner = _parts(self.model)
         instance_of("scene", scene, Scene, "a phase_ppl.Scene")
         if type(self) is Watch:
-            check_phase(scene, "Watch")
+            check_phase(scene, "Watch (phase_ppl.watch knows others)")
         self._scene, self._event_id = scene, event_id
         self._likelihood = likelihood
         self._seed = whole_number("seed", seed, minimum=0)
@@ -225,9 +225,8 @@ class RolesWatch(Watch):
         likelihood, scene = self._likelihood, self._scene
         levels, world = likelihood.tracking.strengths, scene.world
         self._prior = factors(self.model.prior, world, levels)
-        self._filter = WorldFilter(
-            *(scene, planner, likelihood.tracking, likelihood.conduct, self._seed, self.threads),
-            *(likelihood.planner_seeds, likelihood.weight, self._prior.goals),
+        self._filter = likelihood.filter(
+            scene, planner, self._seed, self.threads, self._prior.goals
         )
         n, n_actions = len(world.agents), len(ACTION_NAMES)
         combinations = self._filter.combinations
@@ -237,22 +236,17 @@ class RolesWatch(Watch):
                 np.zeros(n_actions**n),
                 [any_action[None]] * n,
                 [np.zeros(standpoints(agent, world).n, np.int64) for agent in range(n)],
+                self._prior.goals,
                 np.full(len(combinations), 1 / len(combinations)),
                 np.full((n, n_actions), 1 / n_actions),
                 np.full(n, NOTHING, np.int64),
                 *(0.0, 0.0, 0),
             )
         ]
-        self._marginals = [self._filter.marginals.copy()]
-
-    def take(self, frame: ArrayLike) -> None:
-        super().take(frame)
-        if len(self._frames) > 1:
-            self._marginals.append(self._filter.marginals.copy())
 
     def _read(self) -> xr.Dataset:
         readings = self._readings[: len(self._frames)]
-        names = ("density", "strengths", "actions", "held", *_NUMBERS)
+        names = ("density", "marginals", "strengths", "actions", "held", *_NUMBERS)
         columns = {name: np.stack([getattr(one, name) for one in readings]) for name in names}
         n_agents = len(readings[0].policies)
         most = max(len(own) for one in readings for own in one.policies)
@@ -266,7 +260,6 @@ class RolesWatch(Watch):
                 own, numbers = one.policies[agent], one.policy_of[agent]
                 columns["policies"][t, agent, : len(own)] = own
                 columns["policy_of"][t, agent, : len(numbers)] = numbers
-        columns["marginals"] = np.stack(self._marginals)
         columns["combinations"] = self._filter.combinations
         columns |= {f"log_prior_{name}": values for name, values in self._prior._asdict().items()}
         return xr.Dataset(

@@ -140,26 +140,26 @@ class SimulatorBridge:
             if known is None:
                 rows.append(row)
             else:
-                record = self.records[known]
-                errors[row] = record.result.errors
-                if not math.isnan(log_proposal[row]):
-                    log_again = float(np.logaddexp(record.log_again, -log_proposal[row]))
-                    self.records[known] = dataclasses.replace(record, log_again=log_again)
+                errors[row] = self.records[known].result.errors
+                self._ask_again(known, float(log_proposal[row]))
         results = self._runner.run(
             [self._space.hypothesis({k: v[row] for k, v in flat.items()}) for row in rows],
             [int(seed[row]) for row in rows],
             [float(ceiling[row]) for row in rows],
         )
-        paid: set[int] = set()
+        places: dict[tuple[Any, ...], int] = {}  # of the requests of this batch
         for row, result in zip(rows, results, strict=True):
             errors[row] = result.errors
-            if id(result) in paid:  # identical requests are simulated once
+            sites = {name: values[row] for name, values in flat.items()}
+            key = request_key(sites, int(seed[row]))
+            if key in places:  # the same once more
+                self._ask_again(places[key], float(log_proposal[row]))
                 continue
-            paid.add(id(result))
+            places[key] = len(self.records)
             self.remember(
                 Record(
                     result,
-                    {name: values[row] for name, values in flat.items()},
+                    sites,
                     float(log_prior[row]),
                     chain=row // rows_per_chain,
                     iteration=self.iteration,
@@ -168,6 +168,13 @@ class SimulatorBridge:
                 )
             )
         return errors.reshape(*batch, self._n_frames)
+
+    def _ask_again(self, place: int, log_proposal: float) -> None:
+        """Count one more request that a record answers."""
+        if not math.isnan(log_proposal):
+            record = self.records[place]
+            log_again = float(np.logaddexp(record.log_again, -log_proposal))
+            self.records[place] = dataclasses.replace(record, log_again=log_again)
 
 
 _handles: Final = itertools.count()

@@ -22,7 +22,7 @@ from phase_ppl.models.density import (
 )
 from phase_ppl.models.effective import strengths_apart
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, HYPOTHESIS_SITES, STRENGTH_SITES
-from phase_ppl.models.stepwise import cells, prior_table
+from phase_ppl.models.stepwise import cells, place_of_level, prior_table
 from phase_ppl.world.arrays import FloatArray
 
 _PRIORS_KEPT: Final = 8
@@ -158,7 +158,7 @@ def _within(
         low, high = edges[place], edges[place + 1]
         return np.asarray(rng.uniform(low, high), np.float32), np.log(high - low)
     values = np.array(site.values)
-    cell = np.searchsorted(edges[1:-1], values)
+    cell = place_of_level(values, levels)
     drawn, sizes = np.empty(len(place), np.float32), np.ones(len(place))
     for level in range(len(levels)):
         rows, options = place == level, values[cell == level]

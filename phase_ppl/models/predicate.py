@@ -6,7 +6,8 @@ physics in it.
 
 The predicates are those of the paper's table as SIMPLE's planner uses them: CLOSE(entity,
 landmark) is being in that landmark's room (in an arena without inner walls, its quarter), ATTACH
-is read off the tracks, TOUCH is being near enough to stop or to grab, ON to count as arrived.
+is read off the tracks, TOUCH is being near enough to stop or to grab, ON to count as arrived. In
+another world CLOSE is being in a room, with a landmark or without.
 """
 
 from __future__ import annotations
@@ -29,11 +30,10 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import nonnegative_number, positive_number, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.geometry import GRAB_POINTS, GRAB_REACH
-from phase_ppl.world.goals import N_GOALS, goal_literal, is_self_referring
+from phase_ppl.world.goals import N_GOALS, goal_literal, is_self_referring, possible_goals
 from phase_ppl.world.hypothesis import RELATION_TABLE, RELATIONS
-from phase_ppl.world.names import AGENTS, ENTITIES, ITEMS, NOTHING, STOP, Literal, Predicate
+from phase_ppl.world.names import AGENTS, NOTHING, STOP, Literal, Predicate
 from phase_ppl.world.observation import Observation
-from phase_ppl.world.rooms import N_ROOMS
 from phase_ppl.world.scene import Scene
 
 Flags = NDArray[np.bool_]
@@ -74,10 +74,10 @@ class Thresholds:
 class SymbolicState(NamedTuple):
     """The predicates that hold at one moment."""
 
-    rooms: tuple[int, ...]  # CLOSE: id of the landmark whose room each entity is in
+    rooms: tuple[int, ...]  # CLOSE: the room each entity is in; in PHASE that of its landmark
     held: tuple[int, ...]  # ATTACH: item that each agent holds, or ``NOTHING``
     near: tuple[tuple[bool, ...], ...]  # TOUCH: per agent, whether it touches each entity
-    placed: tuple[bool, ...]  # ON: whether each entity is on the landmark of its room
+    on: tuple[int, ...]  # ON: the landmark of its room that each entity is on, or ``NOTHING``
 
 
 def symbolic_trajectory(
@@ -88,46 +88,48 @@ def symbolic_trajectory(
     trajectory = observation.trajectory
     found = (
         scene.rooms.room_of(trajectory[..., :2]),
-        items_held(trajectory, scene.radius, given.attach),
+        items_held(trajectory, scene.radius, given.attach, len(scene.world.agents)),
         _near(trajectory, scene, given),
-        _placed(trajectory, scene, given),
+        _on(trajectory, scene, given),
     )
     frames = (_lasting(values, given.lasting).tolist() for values in found)
     return [
-        SymbolicState(tuple(rooms), tuple(held), tuple(map(tuple, near)), tuple(placed))  # type: ignore[arg-type]
-        for rooms, held, near, placed in zip(*frames, strict=True)
+        SymbolicState(tuple(rooms), tuple(held), tuple(map(tuple, near)), tuple(on))  # type: ignore[arg-type]
+        for rooms, held, near, on in zip(*frames, strict=True)
     ]
 
 
 def _near(trajectory: FloatArray, scene: Scene, given: Thresholds) -> Flags:
     """Return (time, agent, entity)."""
-    near = np.zeros((len(trajectory), len(AGENTS), len(ENTITIES)), bool)
+    n_agents, n_entities = len(scene.world.agents), len(scene.world.entities)
+    near = np.zeros((len(trajectory), n_agents, n_entities), bool)
     place = trajectory[..., :2]
-    apart = np.linalg.norm(place[:, 0] - place[:, 1], axis=1)
-    near[:, 0, 1] = near[:, 1, 0] = apart < given.touch_agent
-    for agent in range(len(AGENTS)):
+    for one, other in itertools.combinations(range(n_agents), 2):
+        apart = np.linalg.norm(place[:, one] - place[:, other], axis=1)
+        near[:, one, other] = near[:, other, one] = apart < given.touch_agent
+    for agent in range(n_agents):
         cos, sin = np.cos(trajectory[:, agent, 2]), np.sin(trajectory[:, agent, 2])
         for local in GRAB_POINTS * scene.radius[agent]:
             offset = np.column_stack(
                 [cos * local[0] - sin * local[1], sin * local[0] + cos * local[1]]
             )
-            for item in range(len(AGENTS), len(ENTITIES)):
+            for item in range(n_agents, n_entities):
                 distance = np.linalg.norm(place[:, agent] + offset - place[:, item], axis=1)
                 near[:, agent, item] |= distance < scene.radius[item] + given.touch_item
     rooms = scene.rooms.room_of(place)
-    near &= rooms[:, : len(AGENTS), None] == rooms[:, None]
+    near &= rooms[:, :n_agents, None] == rooms[:, None]
     return near
 
 
-def _placed(trajectory: FloatArray, scene: Scene, given: Thresholds) -> Flags:
+def _on(trajectory: FloatArray, scene: Scene, given: Thresholds) -> NDArray[np.int64]:
     """Return (time, entity)."""
-    placed = np.zeros(trajectory.shape[:2], bool)
-    for entity in range(len(ENTITIES)):
-        place = trajectory[:, entity, :2]
-        centre = scene.landmark_centres[scene.rooms.room_of(place)]
-        limit = given.on_agent if entity < len(AGENTS) else given.on_item
-        placed[:, entity] = np.linalg.norm(place - centre, axis=1) < limit
-    return placed
+    place, centres = trajectory[..., :2], scene.landmark_centres
+    apart = np.linalg.norm(place[:, :, None] - centres, axis=-1)
+    limit = np.full(place.shape[1], given.on_item)
+    limit[: len(scene.world.agents)] = given.on_agent
+    inside = scene.rooms.room_of(place)[..., None] == scene.rooms.room_of(centres)
+    apart = np.where(inside & (apart < limit[:, None]), apart, np.inf)
+    return np.where(np.isfinite(apart.min(axis=-1)), apart.argmin(axis=-1), NOTHING)
 
 
 def _lasting(values: NDArray[Any], frames: int) -> NDArray[Any]:
@@ -146,20 +148,18 @@ def _lasting(values: NDArray[Any], frames: int) -> NDArray[Any]:
 # can do everything: they pass every door, close none, and carry any item alone. Costs are its
 # too: lengths of ways from room to room, and constants for touching, gripping and placing.
 
-_ALL: Final = frozenset(range(len(ENTITIES)))
-_CLEAR: Final = (NOTHING, NOTHING)
-"""No item closes a door."""
 _TIE: Final = 1e-6
 
 
 def without_physics(scene: Scene) -> Abilities:
     """Return abilities that know the layout of a scene and no sizes, strengths or masses."""
-    able = Abilities.of(scene, (math.inf, math.inf))
+    world = scene.world
+    able = Abilities.of(scene, (math.inf,) * len(world.agents))
     doors = range(len(scene.rooms.door_width))
     return dataclasses.replace(
         able,
-        passes=tuple(tuple(True for _ in doors) for _ in ENTITIES),
-        fills=tuple(tuple(False for _ in doors) for _ in ITEMS),
+        passes=tuple(tuple(True for _ in doors) for _ in world.entities),
+        fills=tuple(tuple(False for _ in doors) for _ in world.items),
     )
 
 
@@ -168,10 +168,10 @@ def operators(node: Node, agent: int, touched: Sequence[int], abilities: Abiliti
 
     Of all entities that it touches, none is touched anew, and any item can be gripped.
     """
-    found = dict[Literal, Step]()
+    found, everybody = dict[Literal, Step](), frozenset(range(len(node.rooms)))
     for near in dict.fromkeys([node.near[agent], *touched]):
         at = tuple(near if a == agent else other for a, other in enumerate(node.near))
-        for step in moves(node._replace(near=at), agent, (agent,), _ALL, abilities):  # type: ignore[arg-type]
+        for step in moves(node._replace(near=at), agent, (agent,), everybody, abilities):  # type: ignore[arg-type]
             predicate, _, target, positive = step.literal
             if predicate is Predicate.TOUCH and target in touched:
                 continue
@@ -195,24 +195,43 @@ class CostToGo:
     not ON(item, l)        it holds the item in the room farthest from the landmark
     not ON(other, l)       it touches the other: without physics there is no other way to
                            hinder anyone
+    TOUCH(other, item)     the item is in the other's room
+    TOUCH(other, third)    always: they go by themselves
+    not TOUCH(self, item)  it is in the room farthest from the item's
+    not TOUCH(other, item) it holds the item in the room farthest from the other's
+    not TOUCH(other, ...)  of a third agent: it touches the other
     =====================  =================================================================
 
-    Farthest of the rooms in reach; none is farther than one without a way.
+    Farthest of the rooms in reach; none is farther than one without a way. Of several landmarks in
+    a room only that of the goal is one to be on.
 
     Args:
         abilities: of the bodies, :func:`without_physics`.
-        agent: who plans, 0 red or 1 green.
+        agent: who plans, its number.
         goal: literal of its effective goal.
     """
 
     def __init__(self, abilities: Abilities, agent: int, goal: Literal) -> None:
-        self.abilities, self.agent, self.goal = abilities, agent, goal
-        item = goal.subject if goal.subject >= len(AGENTS) else NOTHING
-        chased = goal.predicate is Predicate.TOUCH and goal.positive
-        hindered = goal.subject == 1 - agent and not goal.positive
-        self.focus = item if item != NOTHING else (1 - agent if chased or hindered else NOTHING)
+        self.agent, self.goal = agent, goal
+        self._n_agents = len(abilities.passes) - len(abilities.fills)
+        if goal.predicate is Predicate.ON:
+            of_goal = list(abilities.landmark_in)
+            of_goal[abilities.landmark_rooms[goal.target]] = goal.target
+            abilities = dataclasses.replace(abilities, landmark_in=tuple(of_goal))
+        self.abilities = abilities
+        self.focus = self._focus()
         """The entity that the agent has to be at for the goal, or ``NOTHING``."""
         self._known: dict[Node, float] = {}
+
+    def _focus(self) -> int:
+        predicate, subject, target, positive = self.goal
+        if subject >= self._n_agents:
+            return subject
+        if predicate is Predicate.TOUCH and (
+            target >= self._n_agents if subject != self.agent else positive
+        ):
+            return target
+        return subject if subject != self.agent and not positive else NOTHING
 
     def __call__(self, node: Node) -> float:
         """Return the cost, units of way; inf where there is no plan."""
@@ -228,7 +247,17 @@ class CostToGo:
             at = [entity for entity, yes in enumerate(touched) if yes]
             first = self.focus if agent == self.agent and self.focus in at else NOTHING
             near.append(first if first != NOTHING else next(iter(at), NOTHING))
-        return Node(state.rooms, state.held, tuple(near), state.placed, _CLEAR)  # type: ignore[arg-type]
+        there = self.abilities.landmark_in
+        placed = tuple(
+            on != NOTHING and on == there[room]
+            for on, room in zip(state.on, state.rooms, strict=True)
+        )
+        return Node(state.rooms, state.held, tuple(near), placed, self._clear)
+
+    @property
+    def _clear(self) -> tuple[int, ...]:
+        """No item closes a door."""
+        return (NOTHING,) * len(self.abilities.fills)
 
     def _relevant(self, node: Node) -> Node:
         """Return the node without what makes no difference to the goal."""
@@ -236,37 +265,47 @@ class CostToGo:
         entities = {agent, literal.subject}
         if literal.predicate is Predicate.TOUCH:
             entities.add(literal.target)
-        near = [NOTHING, NOTHING]
+        near = [NOTHING] * self._n_agents
         if self.focus != NOTHING and node.near[agent] == self.focus:
             near[agent] = self.focus
-        held = [NOTHING, NOTHING]
+        held = [NOTHING] * self._n_agents
         held[agent] = node.held[agent]
         return Node(
-            tuple(room if e in entities else 0 for e, room in enumerate(node.rooms)),  # type: ignore[arg-type]
-            tuple(held),  # type: ignore[arg-type]
-            tuple(near),  # type: ignore[arg-type]
-            tuple(yes and e == literal.subject for e, yes in enumerate(node.placed)),  # type: ignore[arg-type]
-            _CLEAR,
+            tuple(room if e in entities else 0 for e, room in enumerate(node.rooms)),
+            tuple(held),
+            tuple(near),
+            tuple(yes and e == literal.subject for e, yes in enumerate(node.placed)),
+            self._clear,
         )
 
     def _cost(self, node: Node) -> float:
         agent, (predicate, subject, target, positive) = self.agent, self.goal
-        if predicate is Predicate.ON and positive:
-            if subject == 1 - agent:
-                return 0.0
+        touch = predicate is Predicate.TOUCH
+        by_others = agent != subject < self._n_agents
+        # the item that the agent is to move, and the room that the goal is about
+        item = target if touch and by_others else subject
+        room = node.rooms[subject if by_others else target] if touch else self._room_of(target)
+        if item >= self._n_agents:
+            if touch and positive:
+                return self._plan(node, {item}, lambda n: n.rooms[item] == room)
+            if positive:
+                return self._plan(node, {item}, lambda n: n.placed[item] and n.rooms[item] == room)
+            away = self._farthest(room, node.rooms[item])
             return self._plan(
-                node, {subject}, lambda n: n.placed[subject] and n.rooms[subject] == target
+                node, {item}, lambda n: n.held[agent] == item and n.rooms[item] in away
             )
-        if predicate is Predicate.ON and subject >= len(AGENTS):
-            away = self._farthest(target, node.rooms[subject])
-            return self._plan(
-                node, {subject}, lambda n: n.held[agent] == subject and n.rooms[subject] in away
-            )
-        if positive or subject == 1 - agent:
-            return self._plan(node, {1 - agent}, lambda n: n.near[agent] == 1 - agent)
-        fled = node.rooms[target] if predicate is Predicate.TOUCH else target
-        away = self._farthest(fled, node.rooms[agent])
+        if by_others and positive:
+            return 0.0
+        if by_others or (touch and positive):
+            focus = self.focus
+            return self._plan(node, {focus}, lambda n: n.near[agent] == focus)
+        if positive:
+            return self._plan(node, {agent}, lambda n: n.placed[agent] and n.rooms[agent] == room)
+        away = self._farthest(room, node.rooms[agent])
         return self._plan(node, set(), lambda n: n.rooms[agent] in away)
+
+    def _room_of(self, landmark: int) -> int:
+        return self.abilities.landmark_rooms[landmark]
 
     def _plan(self, node: Node, targets: set[int], is_goal: Callable[[Node], bool]) -> float:
         steps = plan(
@@ -280,7 +319,7 @@ class CostToGo:
         None is farther than one without a way to it.
         """
         distance = self.abilities.room_distance
-        there = [r for r in range(N_ROOMS) if math.isfinite(distance[start][r])]
+        there = [r for r in range(len(distance)) if math.isfinite(distance[start][r])]
         most = max(distance[room][r] for r in there)
         return frozenset(r for r in there if distance[room][r] >= most - _TIE)
 
@@ -346,12 +385,12 @@ def own_changes(
     mover = agent if state.held[agent] == NOTHING else state.held[agent]
     if after.rooms[mover] != before.rooms[mover]:
         yield state, Literal(Predicate.CLOSE, mover, after.rooms[mover])
-        state = state._replace(placed=_put(state.placed, mover, False))
+        state = state._replace(on=_put(state.on, mover, NOTHING))
         still = [was and yes for was, yes in zip(state.near[agent], after.near[agent], strict=True)]
         state = state._replace(near=_put(state.near, agent, tuple(still)))
     state = state._replace(rooms=after.rooms)
     if state.held[agent] == NOTHING:
-        for entity in range(len(ENTITIES)):
+        for entity in range(len(state.rooms)):
             touches = after.near[agent][entity] or entity == has
             if touches and not state.near[agent][entity]:
                 yield state, Literal(Predicate.TOUCH, agent, entity)
@@ -360,8 +399,8 @@ def own_changes(
         yield state, Literal(Predicate.ATTACH, agent, has)
         state = state._replace(held=after.held)
     mover = agent if has == NOTHING else has
-    if after.placed[mover] and not state.placed[mover]:
-        yield state, Literal(Predicate.ON, mover, after.rooms[mover])
+    if after.on[mover] not in (NOTHING, state.on[mover]):
+        yield state, Literal(Predicate.ON, mover, after.on[mover])
 
 
 class ForwardModel:
@@ -369,14 +408,13 @@ class ForwardModel:
 
     def __init__(self, scene: Scene, rationality: Rationality | None = None) -> None:
         self.rationality = Rationality() if rationality is None else rationality
-        self._abilities = without_physics(scene)
+        abilities, self._world = without_physics(scene), scene.world
         self._cost_to_go = {
-            (agent, goal): _cost_to_go(self._abilities, agent, goal_literal(goal, agent))
-            for agent in range(len(AGENTS))
-            for goal in range(N_GOALS)
-            if not is_self_referring(goal, agent)
+            (agent, goal): _cost_to_go(abilities, agent, goal_literal(goal, agent, self._world))
+            for agent in range(len(self._world.agents))
+            for goal in possible_goals(agent, self._world)
         }
-        self._steps: dict[tuple[Node, int, tuple[int, ...]], list[Step]] = {}
+        self._steps: dict[tuple[Any, ...], list[Step]] = {}
         self._known: dict[tuple[SymbolicState, int, int], dict[Literal, float]] = {}
 
     def policy(self, state: SymbolicState, agent: int, goal: int) -> dict[Literal, float]:
@@ -395,7 +433,7 @@ class ForwardModel:
         left = left_after(node)
         costs = {STOP: left + (given.wait_cost if left > 0 else 0.0)}
         touched = tuple(entity for entity, yes in enumerate(state.near[agent]) if yes)
-        for step in self._operators(node, agent, touched):
+        for step in self._operators(node, agent, touched, left_after.abilities):
             costs[step.literal] = step.cost + left_after(step.result)
         # where there is no way to the goal, nothing is better than anything else
         least = min(costs.values())
@@ -408,10 +446,12 @@ class ForwardModel:
             for literal, weight in weights.items()
         }
 
-    def _operators(self, node: Node, agent: int, touched: tuple[int, ...]) -> list[Step]:
-        key = node, agent, touched
+    def _operators(
+        self, node: Node, agent: int, touched: tuple[int, ...], abilities: Abilities
+    ) -> list[Step]:
+        key = node, agent, touched, abilities.landmark_in
         if key not in self._steps:
-            self._steps[key] = operators(*key, self._abilities)
+            self._steps[key] = operators(node, agent, touched, abilities)
         return self._steps[key]
 
     def log_likelihood(self, trajectory: Sequence[SymbolicState]) -> FloatArray:
@@ -420,7 +460,7 @@ class ForwardModel:
         Given what is seen of both before, each agent's doings depend on its own goal only: the
         log probability given a pair of goals is the sum of the two.
         """
-        found = np.zeros((len(AGENTS), N_GOALS))
+        found = np.zeros((len(self._world.agents), len(self._world.goals)))
         for agent, goal in self._cost_to_go:
             found[agent, goal] = sum(
                 self._log_step(before, after, agent, goal)

@@ -29,20 +29,19 @@ from numpyro import handlers
 from numpyro.infer.inspect import get_dependencies
 
 from phase_ppl.models import priors
-from phase_ppl.models.sites import ALPHA_PROBABILITIES, IMPOSSIBLE
+from phase_ppl.models.sites import IMPOSSIBLE
 from phase_ppl.models.stepwise import nodes_of, place_of_level
 from phase_ppl.world import hypothesis
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.goals import possible_goals
-from phase_ppl.world.hypothesis import STRENGTH_RANGE, Roles
+from phase_ppl.world.hypothesis import SOCIAL, STRENGTH_RANGE, Roles
 from phase_ppl.world.identity import qualified_name
 from phase_ppl.world.scene import World
 from phase_ppl.world.space import COMPANY_SITE, space_of
 
-SOCIAL: Final = 1 - ALPHA_PROBABILITIES[0]
-"""Probability that some agent helps or hinders another (paper, Appendix 4B)."""
+_DRAWS: Final = 1000  # of roles, until all can act on their goals
 
 RolePrior = Callable[[World], object]
 
@@ -104,17 +103,29 @@ def draw(world: World, seed: int, prior: Callable[..., object] = uniform) -> Rol
     Args:
         world: whose agents and goals.
         seed: the same seed gives the same roles.
-        prior: NumPyro program of a world, or a ready-made one.
+        prior: NumPyro program of a world, or a ready-made one. Drawn is from what it says of roles
+            in which whoever helps or hinders has something to do.
+
+    Raises:
+        InvalidSettingError: it gives (nearly) all mass to others.
     """
     program = functools.partial(in_world(prior, world), world)
     key = jax.random.key(whole_number("seed", seed, 0))
-    trace = handlers.trace(handlers.seed(program, key)).get_trace()
-    values = {name: site["value"] for name, site in trace.items() if site["type"] == "sample"}
-    towards = hypothesis.company(len(world.agents))[int(values[COMPANY_SITE])]
-    own = [int(values[name]) for name in goal_sites(world)]
-    stated = tuple(None if one else goal for goal, one in zip(own, towards, strict=True))
-    strengths = tuple(float(values[name]) for name in strength_sites(world))
-    return Roles(world, stated, towards, strengths)
+    for _ in range(_DRAWS):
+        trace = handlers.trace(handlers.seed(program, key)).get_trace()
+        values = {name: site["value"] for name, site in trace.items() if site["type"] == "sample"}
+        towards = hypothesis.company(len(world.agents))[int(values[COMPANY_SITE])]
+        own = [int(values[name]) for name in goal_sites(world)]
+        stated = tuple(None if one else goal for goal, one in zip(own, towards, strict=True))
+        strengths = tuple(float(values[name]) for name in strength_sites(world))
+        roles = Roles(world, stated, towards, strengths)
+        if roles.is_possible:
+            return roles
+        key = jax.random.fold_in(key, 1)
+    raise InvalidSettingError(
+        f"the prior {qualified_name(prior)} draws none but agents that help or hinder with goals "
+        f"that {world.name!r} does not have"
+    )
 
 
 _READY_MADE: Final[dict[Any, RolePrior]] = {
@@ -255,7 +266,9 @@ def masses(prior: Callable[..., object], world: World) -> Masses:
 def _of_levels(found: Any, levels: FloatArray) -> FloatArray:
     """Return (level,) log masses of the strengths that are nearest to each level."""
     values, weights = nodes_of(found, levels)
-    density = np.asarray(found.log_prob(jnp.asarray(values)), np.float64) + np.log(weights)
+    inside = np.asarray(found.support(jnp.asarray(values)), bool)
+    density = np.full(len(values), -np.inf)
+    density[inside] = found.log_prob(jnp.asarray(values[inside])) + np.log(weights[inside])
     place = place_of_level(values, levels)
-    found = [np.logaddexp.reduce(density[place == level]) for level in range(len(levels))]
-    return np.array(found)
+    by_level = [np.logaddexp.reduce(density[place == level]) for level in range(len(levels))]
+    return np.array(by_level)

@@ -20,7 +20,8 @@ from numpyro import handlers
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.closed_loop.goal_filter import GoalFilter
 from phase_ppl.closed_loop.hidden_state import Tracking
-from phase_ppl.closed_loop.search_sets import Conduct
+from phase_ppl.closed_loop.search_sets import Conduct, SearchSets
+from phase_ppl.closed_loop.world_filter import WorldFilter
 from phase_ppl.models.density import NO_DENSITY, remembered
 from phase_ppl.models.effective import log_prior_of_hypotheses, strengths_apart
 from phase_ppl.models.sites import ALPHA_SITE, GOAL_SITES, STRENGTH_SITES
@@ -29,7 +30,7 @@ from phase_ppl.world.checks import nonnegative_number, positive_number, whole_nu
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_RANGE
-from phase_ppl.world.scene import Scene
+from phase_ppl.world.scene import PHASE, Scene
 
 _NODES: Final = 4  # at which a continuous prior is evaluated in the cell of each level of strength
 _PRIORS_KEPT: Final = 8
@@ -88,15 +89,15 @@ class StepwiseLikelihood:
 
     def filter(
         self, scene: Scene, planner: PlannerConfig, seed: int, threads: int, log_prior: FloatArray
-    ) -> GoalFilter:
-        """Return what takes in frames one by one, and gives a table over hypotheses for each.
+    ) -> GoalFilter | WorldFilter:
+        """Return what takes in frames one by one, and says for each what hypotheses make of it.
 
-        ``log_prior`` is (goal_red, goal_green); the result does not depend on ``threads``.
+        ``log_prior`` is (goal_red, goal_green) in PHASE, in other worlds (agent, goal); the result
+        does not depend on ``threads``.
         """
-        return GoalFilter(
-            *(scene, planner, self.tracking, self.conduct, seed, threads),
-            *(self.planner_seeds, self.weight, log_prior),
-        )
+        sets = SearchSets(scene, planner, self.tracking, seed, threads, self.planner_seeds)
+        kind = GoalFilter if scene.world == PHASE else WorldFilter
+        return kind(sets, self.conduct, self.weight, log_prior)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the settings as plain data."""

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw, ImageFont, ImageOps
 
 from phase_ppl.render.frames import (
     BACKGROUND,
@@ -28,6 +28,7 @@ from phase_ppl.world.event import Event, Truth
 from phase_ppl.world.files import atomic_output
 from phase_ppl.world.hypothesis import SCENARIOS
 from phase_ppl.world.observation import FRAMES_PER_SECOND
+from phase_ppl.world.progress import Bar
 from phase_ppl.world.scene import Scene
 
 _STRIP_PANEL: Final = 300
@@ -163,10 +164,7 @@ def contact_sheet(
         target if len(pages) == 1 else target.with_name(f"{target.stem}-{n}{target.suffix}")
         for n in range(1, len(pages) + 1)
     ]
-    from tqdm.auto import tqdm
-
-    disable = None if progress is None else not progress
-    with tqdm(total=len(events), disable=disable, unit="event", desc="contact sheet") as bar:
+    with Bar(len(events), 0, progress, "event", "contact sheet") as bar:
         for page, file in zip(pages, paths, strict=True):
             with atomic_output(file, (".png",)) as part:
                 _page(page, columns, captions, bar.update).save(part, "PNG")
@@ -203,15 +201,8 @@ def thumbnail(event: Event, side: int = THUMBNAIL) -> Image.Image:
     track = event.observation.trajectory
     painter = Painter(event.scene, fine=_FINE, pale=_PALE)
     drawn = panel(painter.draw(track[-1], trail=track, faint=track[0]))
-    box = (_TRIM, _TRIM, drawn.width - _TRIM, drawn.height - _TRIM)
-    longer = max(box[2] - box[0], box[3] - box[1])
-    size = (round(side * (box[2] - box[0]) / longer), round(side * (box[3] - box[1]) / longer))
-    small = drawn.resize(size, Image.Resampling.LANCZOS, box)
-    if size == (side, side):
-        return small
-    picture = Image.new("RGB", (side, side), BACKGROUND)
-    picture.paste(small, ((side - size[0]) // 2, (side - size[1]) // 2))
-    return picture
+    arena = ImageOps.crop(drawn, _TRIM)
+    return ImageOps.pad(arena, (side, side), Image.Resampling.LANCZOS, BACKGROUND)
 
 
 def scenario_colour(event: Event) -> Colour:

@@ -31,6 +31,7 @@ from phase_ppl.world.checks import number_of_workers, positive_number, whole_num
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import as_path, atomic_output, writable_folder
+from phase_ppl.world.progress import Bar, counted
 from phase_ppl.world.scene import Scene
 
 GIF_COLOURS: Final = 256
@@ -208,11 +209,7 @@ def video(
         return drawn[0] if compare is None else _beside(drawn, captions)
 
     with atomic_output(path, SUFFIXES) as part:
-        frames: Iterable[Image.Image] = map(draw, range(n_frames))
-        if progress:
-            from tqdm.auto import tqdm
-
-            frames = tqdm(frames, total=n_frames, unit="frame")
+        frames = map(draw, counted(range(n_frames), progress, "frame", "drawing"))
         if as_gif:
             chosen = np.linspace(0, n_frames - 1, min(_SAMPLES, n_frames)).round().astype(int)
             encode_gif(frames, part, fps, samples=map(draw, chosen))
@@ -262,15 +259,13 @@ def videos(
         The files, in the order of the events.
     """
     import loky
-    from tqdm.auto import tqdm
 
     n_workers = number_of_workers(workers)
     target = writable_folder(folder)
     paths = [target / name for name in _names(events)]
     waiting = [pair for pair in zip(events, paths, strict=True) if not pair[1].is_file()]
-    disable = None if progress is None else not progress
     done = len(events) - len(waiting)
-    with tqdm(total=len(events), initial=done, disable=disable, unit="video") as bar:
+    with Bar(len(events), done, progress, "video", "filming") as bar:
         if min(n_workers, len(waiting)) < 2:
             for event, path in waiting:
                 video(event, path)

@@ -20,7 +20,6 @@ from phase_ppl.world.checks import check_memory, instance_of, nonnegative_number
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.event import Event, Truth
 from phase_ppl.world.geometry import CENTRE_OF_MASS_Y, deepest_overlap
-from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import STRENGTH, Hypothesis, Roles
 from phase_ppl.world.observation import MIN_FRAMES, Observation, State
 from phase_ppl.world.scene import PHASE, Scene
@@ -191,14 +190,6 @@ class _Thinking:
         return Thoughts(subgoals, *map(np.array, others))
 
 
-def _truth(hypothesis: Hypothesis) -> Truth:
-    """Return what generated an event of PHASE."""
-    red, green = (GOALS[goal] for goal in hypothesis.effective_goals)
-    return Truth(
-        red, green, strength_red=hypothesis.strength_red, strength_green=hypothesis.strength_green
-    )
-
-
 def simulate(
     scene: Scene,
     hypothesis: Hypothesis | Roles | None = None,
@@ -273,6 +264,6 @@ def simulate(
     run = JointSimulator(planner) if simulator is None else simulator
     thinking = _Thinking(run) if type(run) is JointSimulator else None
     trajectory = simulate_trajectory(thinking or run, scene, hypothesis, seed, frames)
-    truth: Truth | Roles = hypothesis if isinstance(hypothesis, Roles) else _truth(hypothesis)
+    truth = hypothesis if isinstance(hypothesis, Roles) else Truth.of(hypothesis)
     thoughts = None if thinking is None else thinking.thoughts()
     return Event(scene, Observation(trajectory), id=id, truth=truth, thoughts=thoughts)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import statistics
 import time
 from collections import Counter
@@ -139,11 +140,7 @@ def status(store: Store, settings: Settings) -> Status:
     counts["excluded"] = sum(person.excluded for person in people)
     counts["flagged"] = sum(person.checks_missed > 0 for person in people)
     if settings.kind == "play":
-        viewings = dict.fromkeys((s.event for s in store.stimuli().values()), 0)
-        found = store.rows(
-            "SELECT event FROM session WHERE kind='session' AND outcome IN ('goals','time')"
-        )
-        return Status(counts, viewings | Counter(row["event"] for row in found))
+        return Status(counts, store.played(since=math.inf))
     whole = {p.participant for p in people if p.outcome == "finished" and not p.excluded}
     seen = Counter(
         v["event"] for v in _viewings(store) if v["role"] == "main" and v["participant"] in whole

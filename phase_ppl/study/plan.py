@@ -150,15 +150,7 @@ def _trial(settings: Settings, who: str) -> list[Page]:
     if settings.kind == "tagging":
         labels = list(LABELS)
         random.Random(who).shuffle(labels)  # the same order on all pages of a person
-        legend = "What happens? Choose all that fit."
-        return [
-            {
-                "name": "labels",
-                "kind": "many",
-                "legend": legend,
-                "options": [[x, x] for x in labels],
-            }
-        ]
+        return [_one("labels", "What happens? Choose all that fit.", labels, kind="many")]
     found = [
         {"name": f"goal_{agent.split()[0]}", "kind": "goals", "agent": agent,
          "legend": f"What does the {agent} want?", "self_goals": settings.self_goals}

@@ -36,6 +36,7 @@ from phase_ppl.study.study import CLIPS_FOLDER, VIDEOS, Study
 from phase_ppl.world.checks import nonnegative_number, whole_number
 from phase_ppl.world.errors import InvalidSettingError, SimulationError, shown, unknown_name
 from phase_ppl.world.hypothesis import scenario
+from phase_ppl.world.progress import Bar
 
 if TYPE_CHECKING:
     from phase_ppl.evaluation.judgments import Study as Judged
@@ -109,13 +110,10 @@ def simulate(
     study.check()
     beliefs = _beliefs(study, model, predictions, dict(options or {}), progress)
     with copied(study) as copy, serving(copy) as address:
-        from tqdm.auto import tqdm
-
         events = copy.events_by_digest()
-        disable = None if progress is None else not progress
         with (
             ThreadPoolExecutor(AT_ONCE) as pool,
-            tqdm(total=people, unit="person", disable=disable) as bar,
+            Bar(people, 0, progress, "person", "asking") as bar,
         ):
             seeds = np.random.SeedSequence(seed).spawn(people)
 
@@ -349,13 +347,8 @@ class Person:
         return self._judged(self.beliefs[self.events[film]], page)
 
     def _judged(self, belief: Prediction, page: Mapping[str, Any]) -> dict[str, Any]:
-        agents = {"goal_red": 0, "goal_green": 1}
-        allowed = {
-            question: plan.allowed_goals(self.settings, agents[question])
-            if question in agents
-            else list(labels)
-            for question, labels in QUESTIONS.items()
-        }
+        goals = (plan.allowed_goals(self.settings, agent) for agent in range(2))
+        allowed = {**QUESTIONS, **dict(zip(("goal_red", "goal_green"), goals, strict=True))}
         drawn = {q: self._drawn(belief, q, options) for q, options in allowed.items()}
         asked = {question["name"] for question in page["questions"]}
         if "labels" in asked:

@@ -245,7 +245,7 @@ class Store:
     def _places(self, since: float, trials: int, raters: int, checks: Sequence[str]) -> float:
         """Return how many people can come in, beside those who are at it since ``since``."""
         if self.fact("kind") == "play":
-            wanted = 2 * sum(max(0, raters - n) for n in self._played(since).values())
+            wanted = 2 * sum(max(0, raters - n) for n in self.played(since).values())
         else:
             wanted = sum(max(0, raters - n) for n in self._viewings(since, checks).values())
         coming = self._db.execute(
@@ -442,10 +442,11 @@ class Store:
         Sessions that have not ended count if they began after ``since``; what the players know
         already (``avoid``) is taken only where there is no other.
         """
-        load, chance = self._played(since), secrets.SystemRandom()
+        load, chance = self.played(since), secrets.SystemRandom()
         return min(load, key=lambda event: (event in avoid, load[event], chance.random()))
 
-    def _played(self, since: float) -> dict[str, int]:
+    def played(self, since: float) -> dict[str, int]:
+        """Return event -> sessions that went to their end, or began after ``since`` and go on."""
         marks = ",".join("?" * len(COMPLETE))
         found = self._db.execute(
             f"""SELECT s.event, count(g.id) FROM stimulus s LEFT JOIN session g ON g.event=s.event

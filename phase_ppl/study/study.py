@@ -19,7 +19,7 @@ from urllib.parse import urlsplit
 import numpy as np
 
 from phase_ppl import render
-from phase_ppl.dataset.generated import GeneratedEvents
+from phase_ppl.dataset.generated import MANIFEST, GeneratedEvents
 from phase_ppl.dataset.load import load_events, save_events
 from phase_ppl.evaluation.judgments import all_events
 from phase_ppl.evaluation.registry import check_installed
@@ -355,9 +355,8 @@ def _digest(path: Path) -> str:
 
 def _stimuli(kind: str, events: Any, generated: Any) -> tuple[list[Event], list[Stimulus]]:
     """Return the events of a study in its order, and what is to be kept of each."""
-    source = (
-        load_events(events) if isinstance(events, str | os.PathLike) and _is_set(events) else events
-    )
+    is_path = isinstance(events, str | os.PathLike)
+    source = load_events(events) if is_path and (as_path(events) / MANIFEST).is_file() else events
     found = all_events(source)
     for event in found:
         check_phase(event.scene, "a study")
@@ -380,10 +379,6 @@ def _stimuli(kind: str, events: Any, generated: Any) -> tuple[list[Event], list[
     stimuli = [Stimulus(event.id, "played", pair) for pair, event in enumerate(found)]
     stimuli += [Stimulus(event.id, "generated", pair) for pair, event in enumerate(partners)]
     return both, stimuli
-
-
-def _is_set(path: PathLike) -> bool:
-    return (as_path(path) / "manifest.json").is_file()
 
 
 def _check_truth(event: Event, kind: str) -> None:
@@ -425,14 +420,12 @@ def _counterpart(event: Event, left: list[Event]) -> Event:
 
 
 def _same_scene(one: Scene, other: Scene) -> bool:
+    arrays = (
+        (scene.start, scene.radius, scene.walls, scene.landmark_centres) for scene in (one, other)
+    )
     return one.arena == other.arena and all(
         first.shape == second.shape and np.allclose(first, second)
-        for first, second in (
-            (one.start, other.start),
-            (one.radius, other.radius),
-            (one.walls, other.walls),
-            (one.landmark_centres, other.landmark_centres),
-        )
+        for first, second in zip(*arrays, strict=True)
     )
 
 

@@ -12,6 +12,7 @@ from phase_ppl.world.goals import GOALS, goal_index
 from phase_ppl.world.hypothesis import (
     RELATIONS,
     SCENARIOS,
+    Hypothesis,
     Roles,
     checked_strength,
     relation,
@@ -59,6 +60,13 @@ class Truth:
             value = getattr(self, name)
             if value is not None:
                 object.__setattr__(self, name, checked_strength(f"truth.{name}", value))
+
+    @classmethod
+    def of(cls, hypothesis: Hypothesis | Roles) -> Truth:
+        """Return the truth of an event that was generated under a hypothesis."""
+        red, green = (GOALS[goal] for goal in hypothesis.effective_goals)
+        one, other = hypothesis.strengths
+        return cls(red, green, strength_red=one, strength_green=other)
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.world.checks import instance_of
-from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
+from phase_ppl.world.errors import InvalidSettingError, UnknownNameError, shown, unknown_name
 from phase_ppl.world.goals import (
     GOALS,
     N_GOALS,
@@ -259,6 +259,10 @@ STANCES: Final = {"help": 1, "hinder": -1}
 """What an agent may do with another's goal, and the sign of alpha."""
 
 
+SOCIAL: Final = 1 - 1 / 3
+"""Probability that some agent helps or hinders another (paper, Appendix 4B)."""
+
+
 @functools.cache
 def company(n_agents: int) -> tuple[tuple[tuple[int, int] | None, ...], ...]:
     """Return all ways in which agents can stand to each other, as :attr:`Roles.towards`.
@@ -313,7 +317,8 @@ class Roles:
         Raises:
             UnknownNameError: there is no such agent, goal or relation.
             InvalidSettingError: an agent has no goal, more than one relation, or one to itself or
-                to an agent without a goal of its own; or a strength is no positive force.
+                to an agent without a goal of its own, or can do nothing for or against that goal
+                that is a goal of the world; or a strength is no positive force.
         """
         agents = world.agents
         instance_of("goals", goals, Mapping, "a mapping of agents to goals")
@@ -355,7 +360,15 @@ class Roles:
             checked_strength(f"strength of the {name}", forces.get(name, STRENGTH))
             for name in agents
         )
-        return cls(world, tuple(stated), tuple(towards), strengths)
+        roles = cls(world, tuple(stated), tuple(towards), strengths)
+        for (helper, owner), word in roles.relation.items():
+            if roles._acts_on(world.agent(helper)) is None:
+                own = world.goals[stated[world.agent(owner)] or 0]
+                raise InvalidSettingError(
+                    f"the {helper} cannot {word} the {owner} with {own!r}: what it would "
+                    f"then want is no goal of {world.name!r}"
+                )
+        return roles
 
     @property
     def effective_goals(self) -> tuple[int, ...]:
@@ -365,6 +378,18 @@ class Roles:
             effective_goal(stated, agent, towards, self.world)
             for agent, towards in enumerate(self.towards)
         )
+
+    @property
+    def is_possible(self) -> bool:
+        """Whether what each would act on is a goal of the world."""
+        return all(self._acts_on(agent) is not None for agent in range(len(self.towards)))
+
+    def _acts_on(self, agent: int) -> int | None:
+        stated = [0 if goal is None else goal for goal in self.stated]
+        try:
+            return effective_goal(stated, agent, self.towards[agent], self.world)
+        except UnknownNameError:
+            return None
 
     def effective(self) -> Roles:
         """Return the same with effective goals as stated ones, and nobody who helps or hinders."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -164,6 +165,13 @@ class World:
         twice = next((name for name in everybody if everybody.count(name) > 1), None)
         if twice is not None:
             raise InvalidSettingError(f"two of agents, items and landmarks are called {twice!r}")
+        keys = [*self.keys, *("_".join(pair) for pair in itertools.permutations(self.keys, 2))]
+        alike = next((key for key in keys if keys.count(key) > 1), None)
+        if alike is not None:
+            raise InvalidSettingError(
+                f"agents={list(self.agents)}: {alike!r} could mean two of them in questions; "
+                "expected names without that"
+            )
         colours = self._colours(given, names)
         set_field("colours", tuple((name, colours[name]) for name in self.entities))
         found = ((name, places[name]) for name in names)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import UnknownNameError
 from phase_ppl.world.goals import effective_goal, is_self_referring
-from phase_ppl.world.hypothesis import ALPHAS, Hypothesis, Roles, company
+from phase_ppl.world.hypothesis import ALPHAS, MOST_STRENGTH, Hypothesis, Roles, company
 from phase_ppl.world.scene import PHASE, World
 
 Towards = tuple[tuple[int, int] | None, ...]
@@ -155,7 +155,7 @@ class HypothesisSpace:
         readable = {name: np.where(inside, sites[name], 0) for name in self.limits}
         inside &= (self.effective(readable) >= 0).all(axis=-1)
         for name in self.strength_sites:
-            inside &= (sites[name] > 0) & np.isfinite(sites[name])
+            inside &= (sites[name] > 0) & (sites[name] <= MOST_STRENGTH)
         return inside
 
     def hypothesis(self, sites: Mapping[str, Any]) -> Any:

@@ -12,7 +12,8 @@ from typing import Any
 
 import pytest
 
-from phase_ppl.agents.subgoals import SubgoalPlanner, stance, subgoal_planners
+from phase_ppl.agents.standpoints import stance
+from phase_ppl.agents.subgoals import SubgoalPlanner, subgoal_planners
 from phase_ppl.agents.symbols import SymbolicState
 from phase_ppl.agents.world_model import Abilities
 from phase_ppl.world.goals import N_GOALS, goal_index, goal_literal, is_self_referring

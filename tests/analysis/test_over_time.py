@@ -97,7 +97,7 @@ def test_where_proposals_have_a_density_it_ends_as_their_weights(seed: int, weig
         constant = tree["constant_data"].to_dataset()
         prior = ("pair_red", "pair_green"), rng.random((36, 36))
         tree["constant_data"] = xr.DataTree(constant.assign(prior_of_pairs=prior))
-        tree.attrs["weights"] = weights
+        tree.attrs["only_weights"] = weights
     found, post = Posterior(tree).over_time(), Posterior(tree, weights)
     assert found.attrs["weights"] == weights
     for name in FOLLOWED:

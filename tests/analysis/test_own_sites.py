@@ -111,6 +111,8 @@ def test_definitions_and_what_is_missing(tmp_path: Path, post: StepwisePosterior
         post.at(2).query("P(hostile=1, alpha != (0, 0))")
     )
     assert post.quantities["hostile"] == ("0", "1")
+    post.define("once", "goal_red = goal_green").define("once", "hostile=1")
+    assert post.query("P(once=True)") == post.query("P(hostile=1)")
     with pytest.raises(InvalidSettingError, match="the prior has a site 'hostile'"):
         post.define("hostile", "goal_red = goal_green")
     with pytest.raises(InvalidSettingError, match="frames speak of hypotheses"):

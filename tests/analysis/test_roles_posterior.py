@@ -16,7 +16,8 @@ from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.analysis import roles_table
 from phase_ppl.analysis.roles_posterior import RolesPosterior
 from phase_ppl.models.roles import factors
-from phase_ppl.world.errors import InvalidEventError, PhasePPLError
+from phase_ppl.world.errors import InvalidEventError, PhasePPLError, QueryError
+from phase_ppl.world.goals import possible_goals
 from phase_ppl.world.hypothesis import Roles, company
 
 TRIO = ppl.worlds.TRIO
@@ -98,11 +99,82 @@ def test_hypotheses_that_are_drawn_stand_for_all(monkeypatch: pytest.MonkeyPatch
     for name in ("goal_red", "goal_purple", "relation_red_purple", "alpha_purple_red"):
         exact = posterior().marginal(name).values
         np.testing.assert_allclose(drawn.marginal(name).values, exact, atol=0.02)
+    assert drawn.map().effective_goals == posterior().map().effective_goals  # whatever q was
+
+
+def test_who_helps_with_what_two_agents_do_is_friendly() -> None:
+    """Somebody who helps one of them to get to the other wants what both do."""
+    roles = Roles.of(
+        TRIO,
+        {"red agent": "get to green agent", "green agent": "get to red agent"},
+        {("purple agent", "red agent"): "help"},
+    )
+    assert roles.goals["purple agent"] == "Get green agent to red agent"
+    agents = TRIO.agents
+    assert all(roles.relation_between(a, b) == "friendly" for a in agents for b in agents if a < b)
+    roles = Roles.of(
+        TRIO,
+        {"red agent": "get to pink ball", "green agent": "get to blue ball"},
+        {("purple agent", "red agent"): "hinder"},
+    )
+    assert roles.relation_between("red agent", "purple agent") == "adversarial"
+    assert roles.relation_between("green agent", "purple agent") == "neutral"
+
+
+SMALL = {"landmarks": {"home": (4, 4), "field": (30, 12)}, "arena": (0, 36, 0, 24)}
+
+
+@pytest.mark.parametrize(
+    ("agents", "more"),
+    [
+        (["big red agent", "green agent"], {"items": ["ball"]}),
+        (["red agent", "green agent", "purple agent"], {"touchable": ["green agent"]}),
+        (["a", "b", "c", "d"], {"touchable": []}),
+    ],
+)
+def test_casts_of_all_kinds_are_read(agents: list[str], more: dict[str, list[str]]) -> None:
+    world = ppl.World(agents=agents, name="small", **{**SMALL, "items": [], **more})
+    roles = ppl.roles.draw(world, 3)
+    likelihood = ppl.StepwiseLikelihood(planner_seeds=1)
+    model = ppl.Model(likelihood=likelihood, planner=MODEL.planner)
+    scene = world.random_scene(2)
+    event = ppl.simulate(scene, roles, frames=4, planner=MODEL.planner, seed=1)
+    post = ppl.infer(event, model, workers=1, progress=False)
+    n = len(agents)
+    assert len(post.relations_of) == n * (n - 1) / 2
+    for name in (*post.goals_of.values(), *post.relations_of.values()):
+        assert post.marginal(name).sum() == pytest.approx(1)
+    assert post.map().is_possible
+    assert str(post.map().world) == str(world)
+
+
+def test_why_speaks_of_goals_and_relations() -> None:
+    post = RolesPosterior(posterior().dataset).define("weak", "strength_red < 300")
+    post.define("at_odds", "relation_red_purple = adversarial")
+    found = post.why("at_odds=True")["log_odds"].values
+    share = post.query("P(relation_red_purple=adversarial)")
+    assert found[-1] == pytest.approx(np.log(share / (1 - share)), abs=1e-4)
+    with pytest.raises(QueryError, match="strength_red"):
+        post.why("strength_red > 300")
+
+
+def test_nobody_helps_with_what_is_no_goal() -> None:
+    """Where only green is a goal of touching, nobody has green's part of it."""
+    world = ppl.World(
+        agents=["red agent", "green agent"], items=[], touchable=["green agent"], **SMALL
+    )
+    with pytest.raises(PhasePPLError, match="the green agent cannot help the red agent with 'get"):
+        Roles.of(world, {"red agent": "get to green agent"}, {("green agent", "red agent"): "help"})
+    assert all(ppl.roles.draw(world, seed).is_possible for seed in range(20))
+    scene = world.random_scene(0)
+    with ppl.watch(scene, MODEL, threads=1) as watching:
+        before = watching.update(scene.start)
+    assert before.log_evidence == pytest.approx(0, abs=1e-9)  # what cannot be has no mass
 
 
 def test_strengths_have_the_priors_margins() -> None:
     table = posterior()._table
-    mass = np.exp(table._log_prior_of_combinations())
+    mass = np.exp(table.log_prior_of_combinations)
     combinations = posterior().dataset["combinations"].values
     for agent in range(3):
         found = [mass[combinations[:, agent] == level].sum() for level in (150, 300, 450, 600)]
@@ -111,7 +183,8 @@ def test_strengths_have_the_priors_margins() -> None:
 
 def test_ways_to_help_or_hinder_are_counted() -> None:
     assert [len(company(n)) for n in (1, 2, 3, 4)] == [1, 5, 25, 153]
-    assert roles_table.count(ppl.worlds.PHASE) == 34**2 + 4 * 34
+    n = len(possible_goals(0, TRIO))
+    assert posterior()._table.n_hypotheses == n**3 + 12 * n**2 + 12 * n
 
 
 def wide_goal(world: ppl.World) -> None:

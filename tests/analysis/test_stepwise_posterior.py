@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import itertools
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -69,6 +70,8 @@ def test_errors_are_the_jackknife_over_sets_of_searches() -> None:
     assert post.query("P(relation=friendly)").error == found.error
     assert np.isnan(post.hdi("strength_red")["error"]).all()  # one filter follows strengths
     assert np.isnan(post.mean("strength_red").error)
+    assert np.isnan(post.query("P(strength_red > 300)").error)
+    assert np.isnan(post.query("P(relation=friendly and strength_red > strength_green)").error)
     one = StepwisePosterior(reading(planner_seeds=1, columns={"log_likelihood": likelihood}))
     assert np.isnan(one.probability(relation="friendly").error)
     assert "With one set of searches nothing tells" in str(one)
@@ -268,7 +271,7 @@ def test_comparisons_and_definitions_hold_at_every_frame_in_why_and_in_files(
     last, before = post.query("P(red_leads=True)"), post.at(0).query("P(red_leads=True)")
     assert last == pytest.approx(0.3, abs=1e-3)  # the filter's, as the prior of both is flat
     assert before == pytest.approx(0.25)
-    assert 0 <= last.error < 0.01
+    assert np.isnan(last.error)  # one filter follows strengths
     odds = post.why("same=True", over="not goal_red = goal_green")["log_odds"].values
     assert odds[-1] == pytest.approx(post.why("same=True")["log_odds"].values[-1])
     share = post.query("P(goal_red = goal_green)")
@@ -278,3 +281,22 @@ def test_comparisons_and_definitions_hold_at_every_frame_in_why_and_in_files(
     assert again.query("P(red_leads=True)") == last
     with pytest.raises(InvalidSettingError, match="no draws to be weighted"):
         post.query("P(relation)", weights="count")
+
+
+def test_a_video_of_one_frame_says_what_was_believed_before_it() -> None:
+    one = FOUND.isel(time=slice(0, 1))
+    post = StepwisePosterior(one)
+    assert post.surprise().tolist() == [0.0]
+    assert "Nothing was seen but the start" in post.diagnostics()["verdict"]
+
+
+@pytest.mark.parametrize("frame", [1.5, "2", True, -1, 4])
+def test_frames_that_there_are_not_are_refused(frame: Any) -> None:
+    with pytest.raises(InvalidSettingError, match="frame="):
+        StepwisePosterior(FOUND).at(frame)
+
+
+def test_there_are_no_odds_of_what_is_certain() -> None:
+    post = StepwisePosterior(FOUND)
+    with pytest.raises(InvalidSettingError, match=r"^not strength_red > 0 is impossible"):
+        post.why("strength_red > 0")

@@ -160,7 +160,7 @@ def test_a_script_without_a_guard_works_and_leaves_nothing_behind(tmp_path: Path
     script.write_text(
         textwrap.dedent("""
         import phase_ppl as ppl
-        from phase_ppl.inference.progress import Progress
+        from phase_ppl.world.progress import Progress
         from tests.evaluation.toys import several
 
         def has_a_bar(scene, observation, seed):

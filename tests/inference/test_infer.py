@@ -304,6 +304,8 @@ WRONG: dict[str, tuple[dict[str, Any], type[Exception], str]] = {
     "rule": ({"rule": "papr"}, UnknownNameError, "paper"),
     "planner": ({"planner": "fast"}, InvalidSettingError, "joint simulator"),
     "budget": ({"budget": ppl.simulations(29)}, InvalidSettingError, "too small.*30"),
+    "burn-in": ({"burn_in": 6}, InvalidSettingError, "burn_in=6, but there are 6 iterations"),
+    "preset": ({"preset": "raced"}, InvalidSettingError, "stands for several arguments"),
     "both": ({"budget": ppl.simulations(90), "iterations": 3}, InvalidSettingError, "not both"),
 }
 

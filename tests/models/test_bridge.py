@@ -95,6 +95,7 @@ def test_any_leading_shape_is_answered() -> None:
         ("strength_red", 0.0),
         ("strength_green", np.nan),
         ("strength_green", np.inf),
+        ("strength_red", 2e6),  # no simulator takes it
     ],
 )
 def test_what_is_no_hypothesis_is_answered_without_a_simulation(site: str, value: float) -> None:
@@ -158,3 +159,24 @@ def test_sites_of_the_users_own_are_recorded() -> None:
     bridge = SimulatorBridge(Counting(), N_FRAMES)
     ask(bridge, sites_of(2) | {"mood": jnp.array([[1.0, 2.0], [3.0, 4.0]])}, jnp.arange(2))
     np.testing.assert_array_equal(bridge.records[1].sites["mood"], [3.0, 4.0])
+
+
+def test_one_simulation_answers_what_differs_in_a_site_of_the_users_own() -> None:
+    bridge = SimulatorBridge(Counting(), N_FRAMES)
+    errors = ask(bridge, sites_of(3, mood=jnp.array([0, 1, 0])), jnp.array([5, 5, 5]))
+    np.testing.assert_array_equal(errors, np.full((3, N_FRAMES), 5))
+    assert [int(record.sites["mood"]) for record in bridge.records] == [0, 1]
+
+
+def test_what_is_asked_twice_counts_alike_in_one_batch_or_in_two() -> None:
+    def asked(*batches: int) -> float:
+        bridge = SimulatorBridge(Counting(), N_FRAMES)
+        for n in batches:
+            z = {name: np.asarray(values) for name, values in sites_of(n).items()}
+            limits = (np.full(n, limit, np.float32) for limit in (np.inf, -2.0, np.inf))
+            bridge.answer(z, np.zeros(n, np.float32), np.full(n, 3, np.int32), *limits)
+        (record,) = bridge.records
+        return record.log_again
+
+    assert asked(1) == -np.inf
+    assert asked(3) == asked(1, 1, 1) == pytest.approx(np.log(2) + 2)

@@ -291,7 +291,7 @@ def test_what_knows_no_other_world_says_so(trio: ppl.Event, tmp_path: Path) -> N
     for ask, what in (
         (lambda: ppl.infer(trio, kernel="racing"), "kernel 'racing'"),
         (lambda: ppl.compare(trio), "a comparison of kernels"),
-        (lambda: ppl.evaluate([trio], "last_frame"), "evaluation"),
+        (lambda: ppl.evaluate([trio], "socialgnn"), "model 'socialgnn'"),
         (lambda: ppl.statistics([trio]), "a data card"),
     ):
         with pytest.raises(PhasePPLError, match=f"{what} knows the world PHASE only, not 'trio'"):

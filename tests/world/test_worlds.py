@@ -228,6 +228,10 @@ WRONG: dict[str, tuple[Any, str]] = {
     "seven items": (lambda: house(items=list("abcdefg")), "7 items, expected 0 to 6"),
     "no landmark": (lambda: house(landmarks={}), "0 landmarks, expected 1 to 8"),
     "a text of names": (lambda: house(agents="red agent"), "expected a list of names"),
+    "two pairs of names alike": (
+        lambda: house(agents=["a", "a b", "b a"]),
+        "'a_b_a' could mean two of them in questions",
+    ),
     "two names alike": (lambda: house(items=["Red agent"]), "are called 'red agent'"),
     "an empty name": (lambda: house(items=[" "]), "items has the name ' '"),
     "a name of two": (lambda: house(items=["way to go"]), "without 'to' and 'away from'"),

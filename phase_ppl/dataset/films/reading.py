@@ -26,6 +26,7 @@ from phase_ppl.world.files import atomic_output
 from phase_ppl.world.geometry import agent_outline, is_agent
 from phase_ppl.world.observation import MIN_FRAMES, SHOWN_SECONDS_PER_FRAME, Observation
 from phase_ppl.world.picture import trail_colour
+from phase_ppl.world.progress import counted
 from phase_ppl.world.scene import PHASE, Scene, World
 
 _PANELS: Final = 6
@@ -272,8 +273,6 @@ def _follow(
     progress: bool | None,
 ) -> tuple[FloatArray, dict[int, Image.Image]]:
     """Return (time, entity, 4) poses and confidence, and pictures of some frames."""
-    from tqdm.auto import tqdm
-
     first, weight = np.floor(moments + 1e-6).astype(int), moments % 1
     weight[(weight < 1e-3) | (weight > 1 - 1e-3)] = 0.0
     wanted = {*first.tolist(), *(first[weight > 0] + 1).tolist()}
@@ -282,10 +281,8 @@ def _follow(
     poses: dict[int, FloatArray] = {}
     pictures: dict[int, Image.Image] = {}
     before: FloatArray | None = None
-    disable = None if progress is None else not progress
-    for number, frame in tqdm(
-        film.frames(wanted), total=len(wanted), disable=disable, unit="frame", desc=film.path.name
-    ):
+    frames = counted(film.frames(wanted), progress, "frame", film.path.name, len(wanted))
+    for number, frame in frames:
         picture = mapping(frame)
         if number in kept:
             pictures[kept[number]] = Image.fromarray(picture)

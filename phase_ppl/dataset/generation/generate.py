@@ -25,12 +25,14 @@ from phase_ppl.dataset.generated import (
     REJECTED,
     GeneratedEvents,
 )
-from phase_ppl.dataset.generation.making import Made, event_of, make
-from phase_ppl.dataset.generation.plan import PHASE500, Plan, Slot, scaled
+from phase_ppl.dataset.generation.any_world import make_in_any_world
+from phase_ppl.dataset.generation.making import Made, make
+from phase_ppl.dataset.generation.plan import PHASE500, DrawRoles, Plan, Slot, cell_of, scaled
 from phase_ppl.simulator.processes import Failure, results
-from phase_ppl.world.checks import number_of_workers
+from phase_ppl.world.checks import instance_of, number_of_workers
 from phase_ppl.world.errors import (
     InvalidEventError,
+    InvalidSettingError,
     OutputError,
     PhasePPLError,
     SimulationError,
@@ -39,6 +41,8 @@ from phase_ppl.world.errors import (
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import locked, writable_folder, write_bytes, write_json
 from phase_ppl.world.identity import differences, versions_so_far
+from phase_ppl.world.scene import PHASE, World
+from phase_ppl.world.worlds import named
 
 PLAN_SCHEMA: Final = "phase-ppl-plan-1"
 PARTS: Final = "parts"
@@ -124,8 +128,8 @@ class DatasetBuilder:
         for draw in made.rejected:
             record = {"id": draw.id, "reason": draw.reason, "replanned": draw.replanned}
             rejected.append({**record, "measures": draw.found})
-            if self._keep_rejected:
-                rejected[-1]["event"] = event_record(event_of(draw.recording, draw.id))
+            if self._keep_rejected and draw.event is not None:
+                rejected[-1]["event"] = event_record(draw.event)
         content = {
             "name": made.slot.name,
             "cell": made.slot.cell,
@@ -249,7 +253,9 @@ def generate(
     out: str | os.PathLike[str],
     n: int | None = None,
     *,
-    cells: Mapping[str, int] = PHASE500,
+    world: str | World = PHASE,
+    roles: DrawRoles | None = None,
+    cells: Mapping[str, int] | None = None,
     splits: Mapping[str, float] | None = None,
     copies: int = 0,
     replans: int = 0,
@@ -258,8 +264,8 @@ def generate(
     turning: Any = "both",
     frames: int | None = None,
     max_tries: int | None = None,
-    reflect: bool = True,
-    recolour: bool = True,
+    reflect: bool | None = None,
+    recolour: bool | None = None,
     keep_rejected: bool = False,
     resume: bool = False,
     other_versions: bool = False,
@@ -271,9 +277,20 @@ def generate(
     Each event follows from ``seed`` and its number in the plan: the set is the same for any number
     of workers, and after any interruption.
 
+    In another world than PHASE a situation is a random scene with roles; kept are events in which
+    an agent with a goal of its own reaches it. All are made of one number, the ``seed`` of their
+    entry: ``world.random_scene(seed)``, ``roles(world, seed)`` and ``phase_ppl.simulate(...,
+    seed=seed)``.
+
     Args:
         out: folder of the data set (:mod:`phase_ppl.dataset.generated`).
-        n: number of events in the proportions of ``cells``; None: the numbers of ``cells``.
+        n: number of events in the proportions of ``cells``; None: the numbers of ``cells``. Needed
+            in another world than PHASE.
+        world: the world, or the name of a ready-made one.
+        roles: of another world than PHASE: function ``(world, seed)`` that draws who wants what,
+            such as :func:`phase_ppl.roles.draw`, or that of a prior of one's own,
+            ``functools.partial(phase_ppl.roles.draw, prior=...)``; where it returns None, scene and
+            roles are drawn anew. By default all goals are alike, and all ways to help or hinder.
         cells: FAMILY or FAMILY:VARIANT -> number; by default the paper's 500
             (``available_families`` lists the families).
         splits: name -> share; by default the paper's 320 / 80 / 100.
@@ -284,9 +301,11 @@ def generate(
         planner: "fast", "paper" or a ``PlannerConfig``.
         seed: of everything random.
         turning: which way agents can turn before any reflection: "both", "ccw" or "cw".
-        frames: length before the cut after the last motion; default 101, as in PHASE.
+        frames: length before the cut after the last motion; default 101, as in PHASE. In another
+            world nothing is cut.
         max_tries: draws after which an event is given up; default 200.
-        reflect, recolour: whether events are reflected, and colours exchanged, at random.
+        reflect, recolour: whether events are reflected, and colours exchanged, at random; by
+            default those of PHASE. Like families, copies and replans they are of PHASE only.
         keep_rejected: whether rejected draws are kept, with the reason.
         resume: go on with what ``out`` holds.
         other_versions: also where that was made by other versions of this package, or of what it
@@ -304,15 +323,26 @@ def generate(
         GenerationInterrupted: Ctrl-C; what was finished is kept.
     """
     given = {"splits": splits, "frames": frames, "max_tries": max_tries}
+    world = named(world) if isinstance(world, str) else world
+    instance_of("world", world, World, "a phase_ppl.World, or the name of one")
+    of_phase = world == PHASE
+    if cells is None:
+        if n is None and not of_phase:
+            raise InvalidSettingError(
+                f"n, the number of events, is needed in the world {world.name!r}"
+            )
+        cells = PHASE500 if of_phase else {cell_of(world): 1}
     plan = Plan(
+        world=world,
+        roles=roles,
         cells=cells if n is None else scaled(cells, n),
         copies=copies,
         replans=replans,
         planner=planner,
         seed=seed,
         turning=turning,
-        reflect=reflect,
-        recolour=recolour,
+        reflect=of_phase if reflect is None else reflect,
+        recolour=of_phase if recolour is None else recolour,
         **{name: value for name, value in given.items() if value is not None},  # type: ignore[arg-type]
     )
     n_workers = number_of_workers(workers)
@@ -338,7 +368,8 @@ def _run(builder: DatasetBuilder, n_workers: int, progress: bool | None) -> Gene
         disable=None if progress is None else not progress,
         dynamic_ncols=True,
     )
-    made = results(make, builder.plan, missing, n_workers, "the plan")
+    how = make if builder.plan.world == PHASE else make_in_any_world
+    made = results(how, builder.plan, missing, n_workers, "the plan")
     try:
         with contextlib.closing(made), bar:
             for slot, result in made:

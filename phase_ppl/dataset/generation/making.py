@@ -17,7 +17,7 @@ from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event, Truth
 from phase_ppl.world.geometry import touches
-from phase_ppl.world.goals import GOALS, goal_literal, is_true
+from phase_ppl.world.goals import goal_literal, is_true
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.names import AGENTS, BLUE_ITEM, ENTITIES, ITEMS
 from phase_ppl.world.observation import Observation
@@ -125,7 +125,7 @@ class Rejected(NamedTuple):
 
     id: str  # of it as an event
     reason: str  # why it was not kept
-    recording: Recording  # of it
+    event: Event | None  # it; None: there was nothing to simulate
     found: dict[str, Any]  # its measures
     replanned: bool  # whether it was to be a re-planned copy
 
@@ -155,7 +155,7 @@ def make(plan: Plan, slot: Slot) -> Made:
         reason = reason_against(family.scenario, recording.hypothesis, found)
         if reason is None:
             return recording
-        made.rejected.append(Rejected(id, reason, recording, found, replanned))
+        made.rejected.append(Rejected(id, reason, event_of(recording, id), found, replanned))
         return None
 
     for attempt in range(plan.max_tries):
@@ -239,7 +239,5 @@ def _with_look(recording: Recording, look: Look) -> Recording:
 
 def event_of(recording: Recording, id: str) -> Event:
     """Return a recording as an event with its truth."""
-    red, green = recording.hypothesis.effective_goals
-    strengths = recording.hypothesis.strengths
-    truth = Truth(GOALS[red], GOALS[green], strength_red=strengths[0], strength_green=strengths[1])
+    truth = Truth.of(recording.hypothesis)
     return Event(recording.scene, Observation(recording.trajectory), id=id, truth=truth)

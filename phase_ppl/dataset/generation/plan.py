@@ -7,10 +7,12 @@ comes out the same whatever else is made, in whatever order.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import itertools
 import json
 import math
-from collections.abc import Mapping
+import re
+from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -20,7 +22,9 @@ from phase_ppl.dataset.generation.families import MOST_CHANGES, family_and_varia
 from phase_ppl.simulator.joint import JointSimulator
 from phase_ppl.world.checks import check_memory, instance_of, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
-from phase_ppl.world.scene import TURNINGS, Turning
+from phase_ppl.world.hypothesis import Roles
+from phase_ppl.world.identity import qualified_name, source_hash, stable
+from phase_ppl.world.scene import PHASE, TURNINGS, Turning, World
 
 PHASE500: Final[Mapping[str, int]] = {
     "collab": 55,
@@ -56,6 +60,10 @@ _EVENT_BYTES: Final = 20_000
 _FRAME_BYTES: Final = 600
 """Of memory that an event takes, and each of its frames, when all are put together."""
 MAX_TRIES: Final = 200
+MOST_TRIES: Final = 1000  # in another world than PHASE, where each has a number of its own
+
+DrawRoles = Callable[[World, int], Roles | None]
+"""``(world, seed)`` -> who wants what, such as :func:`phase_ppl.roles.draw`; None: draw anew."""
 
 
 class Look(NamedTuple):
@@ -70,7 +78,7 @@ class Slot(NamedTuple):
     """An event to be made, with its copies."""
 
     number: int  # of the slot, from 0
-    cell: str  # FAMILY or FAMILY:VARIANT
+    cell: str  # FAMILY or FAMILY:VARIANT, or of another world than PHASE ``cell_of`` it
     split: str  # name of the split that it and its copies belong to
 
     @property
@@ -88,7 +96,7 @@ class Plan:
         InvalidSettingError: a number that is not allowed.
     """
 
-    # FAMILY or FAMILY:VARIANT -> number of events
+    # FAMILY or FAMILY:VARIANT -> number of events; in another world ``cell_of`` it -> number
     cells: Mapping[str, int] = dataclasses.field(default_factory=lambda: dict(PHASE500))
     # name -> share, in any unit
     splits: Mapping[str, float] = dataclasses.field(default_factory=lambda: dict(SPLITS))
@@ -105,12 +113,22 @@ class Plan:
     planner: str | PlannerConfig = "fast"  # "fast", "paper" or a ``PlannerConfig``
     seed: int = 0  # of everything random
     max_tries: int = MAX_TRIES  # draws after which a slot is given up
+    world: World = PHASE  # another than PHASE has no families, reflections and other colours
+    roles: DrawRoles | None = None  # of such a world; None: all that can be wanted is alike
 
     def __post_init__(self) -> None:
         for given in ("cells", "splits"):
             instance_of(given, getattr(self, given), Mapping, "a mapping from names to numbers")
+        if self.world == PHASE:
+            if self.roles is not None:
+                raise InvalidSettingError(
+                    "roles are for other worlds: families draw those of PHASE"
+                )
+        else:
+            self._check_elsewhere()
         for cell, n in self.cells.items():
-            family_and_variant(cell)
+            if self.world == PHASE:
+                family_and_variant(cell)
             whole_number(cell, n, 0)
         if not sum(self.cells.values()):
             raise InvalidSettingError("the plan holds no events")
@@ -140,6 +158,27 @@ class Plan:
             raise InvalidSettingError(
                 f"copies={self.copies}, but with reflect={self.reflect} and "
                 f"recolour={self.recolour} an event has only {most} other looks"
+            )
+
+    def _check_elsewhere(self) -> None:
+        """Refuse what knows PHASE only."""
+        families = [cell for cell in self.cells if cell != cell_of(self.world)]
+        for what, given in (
+            (f"the family {next(iter(families), '')!r}", families),
+            (f"copies={self.copies}", self.copies),
+            (f"replans={self.replans}", self.replans),
+            ("reflect=True", self.reflect),
+            ("recolour=True", self.recolour),
+        ):
+            if given:
+                raise InvalidSettingError(
+                    f"{what} is for the world PHASE only, not {self.world.name!r}"
+                )
+        whole_number("max_tries", self.max_tries, 1, MOST_TRIES)
+        if self.roles is not None and not callable(self.roles):
+            raise InvalidSettingError(
+                f"roles={shown(self.roles)}, expected a function (world, seed) such as "
+                "phase_ppl.roles.draw"
             )
 
     @property
@@ -173,7 +212,26 @@ class Plan:
         """Return it as plain data, fit for JSON."""
         record = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         record["planner"] = self.planner.to_dict()  # type: ignore[union-attr]
+        del record["world"], record["roles"]
+        if self.world != PHASE:
+            record["world"] = self.world.to_dict()
+            if self.roles is not None:
+                record["roles"] = _function_record(self.roles)
         return dict(json.loads(json.dumps(record, default=dict)))
+
+
+def _function_record(function: Callable[..., Any]) -> dict[str, Any]:
+    """Return what tells a function, and the functions that a partial holds, from others."""
+    held = [function]
+    if isinstance(function, functools.partial):
+        held += [one for one in (*function.args, *function.keywords.values()) if callable(one)]
+    found = {"function": qualified_name(function), "sources": [source_hash(one) for one in held]}
+    return dict(stable(found))
+
+
+def cell_of(world: World) -> str:
+    """Return what stands for a world of one's own where PHASE has the name of a family."""
+    return re.sub(r"[^A-Za-z0-9_]+", "-", world.name).strip("-") or "world"
 
 
 def apportioned(total: int, shares: Mapping[str, float]) -> dict[str, int]:

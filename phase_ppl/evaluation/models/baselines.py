@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from phase_ppl.dataset.statistics import PHASE, goal_type
-from phase_ppl.evaluation.prediction import Prediction
+from phase_ppl.evaluation.prediction import Prediction, pairs_of
 from phase_ppl.evaluation.registry import Predict, register_model
-from phase_ppl.world.goals import N_GOALS, is_self_referring
+from phase_ppl.world.goals import (
+    N_GOALS,
+    goal_literal,
+    is_self_referring,
+    is_true,
+    possible_goals,
+)
 from phase_ppl.world.hypothesis import RELATIONS, relation
 from phase_ppl.world.names import AGENTS, ENTITIES, ITEMS, LANDMARKS
 from phase_ppl.world.observation import Observation
+from phase_ppl.world.scene import PHASE as PHASE_WORLD
 from phase_ppl.world.scene import Scene
 
 
 # a prediction takes less than a process does to start
-@register_model("last_frame", parallel=False)
+@register_model("last_frame", parallel=False, any_world=True)
 def last_frame() -> Predict:
     """Each agent wants what is nearest to a landmark at the end: itself or an item that moved.
 
@@ -24,11 +33,46 @@ def last_frame() -> Predict:
     frame is to be there; ties go to the own body, then to the blue item, and to landmarks in
     their order. An item moved if it ends farther than its own radius from where it began. The
     relation follows from the two goals. There are no probabilities: it only names its answers.
+
+    In another world than PHASE: to get somewhere are all goals of an agent alike that are true at
+    the end and were not at the start, or, where there is none, all that it can have. Relations
+    follow from the goals, which are independent of each other.
     """
     return _predict
 
 
+def _predict_elsewhere(scene: Scene, observation: Observation) -> Prediction:
+    from phase_ppl.analysis.roles_table import relation_tables
+
+    world, frames = scene.world, observation.trajectory
+    shares = np.zeros((len(world.agents), len(world.goals)))
+    for agent, share in enumerate(shares):
+        possible = possible_goals(agent, world)
+        literals = {goal: goal_literal(goal, agent, world) for goal in possible}
+        came_true = [
+            goal
+            for goal, literal in literals.items()
+            if literal.positive
+            and is_true(literal, frames[-1], scene)
+            and not is_true(literal, frames[0], scene)
+        ]
+        alike = came_true or possible
+        share[alike] = 1 / len(alike)
+    probabilities: dict[str, Any] = {
+        f"goal_{key}": own for key, own in zip(world.keys, shares, strict=True)
+    }
+    tables = relation_tables(world)
+    for question, pair in pairs_of(world).items():
+        one, other = (world.agent(name) for name in pair)
+        joint = np.outer(shares[one], shares[other])
+        codes = tables[one, other].ravel()
+        probabilities[question] = np.bincount(codes, joint.ravel(), len(RELATIONS))
+    return Prediction("", probabilities, world=world)
+
+
 def _predict(scene: Scene, observation: Observation, seed: int) -> Prediction:
+    if scene.world != PHASE_WORLD:
+        return _predict_elsewhere(scene, observation)
     start, end = observation.positions[0], observation.positions[-1]
     moved = np.linalg.norm(end - start, axis=1) > scene.radius
     distance = np.linalg.norm(end[:, None] - scene.landmark_centres, axis=2)

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
+from phase_ppl.evaluation.prediction import QUESTIONS, Prediction, pairs_of
 from phase_ppl.evaluation.registry import register_model
 from phase_ppl.world.errors import InvalidSettingError
+from phase_ppl.world.hypothesis import RELATIONS, STRENGTH
 from phase_ppl.world.observation import Observation
-from phase_ppl.world.scene import Scene
+from phase_ppl.world.scene import PHASE, Scene, World
+from phase_ppl.world.space import space_of
 
 if TYPE_CHECKING:
     from phase_ppl.models.predicate import Rationality, Thresholds
+    from phase_ppl.models.roles import Factors
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -29,11 +33,14 @@ class PredicateInversePlanning:
     rationality: Rationality
 
     def __call__(self, scene: Scene, observation: Observation, seed: int) -> Prediction:
-        """Return the marginals of both effective goals and of the relation; nothing is random."""
+        """Return the marginals of the effective goals and of the relations; nothing is random."""
         from phase_ppl.models.predicate import ForwardModel, posterior, symbolic_trajectory
 
         trajectory = symbolic_trajectory(scene, observation, self.thresholds)
         likelihood = ForwardModel(scene, self.rationality).log_likelihood(trajectory)
+        if scene.world != PHASE:
+            prior = prior_in(scene.world, self.prior)
+            return Prediction("", marginals(likelihood, prior, scene.world), world=scene.world)
         found = posterior(likelihood, self.log_prior)
         return Prediction("", {question: getattr(found, question) for question in QUESTIONS})
 
@@ -46,6 +53,85 @@ class PredicateInversePlanning:
         }
 
 
+@functools.lru_cache(16)
+def prior_in(world: World, name: str) -> Factors:
+    """Return what the prior of that name is in another world than PHASE.
+
+    InvalidSettingError: it is of PHASE only.
+    """
+    from phase_ppl.models import priors, roles
+    from phase_ppl.models.predicate import INDEPENDENT
+
+    alone = functools.partial(roles.uniform, social=0.0)
+    return roles.factors(alone if name == INDEPENDENT else priors.named(name), world, (STRENGTH,))
+
+
+def marginals(
+    log_likelihood: NDArray[np.float64], prior: Factors, world: World
+) -> dict[str, NDArray[np.float64]]:
+    """Return the probabilities of all effective goals and relations in any world.
+
+    Args:
+        log_likelihood: (agent, goal) log P(trajectory | goal).
+        prior: over own goals, and over the ways to help or hinder.
+        world: whose agents and goals.
+    """
+    ways = range(len(space_of(world).ways))
+    found = [_given_way(way, log_likelihood, prior.goals, world) for way in ways]
+    log_mass = prior.company + np.array([log_evidence for log_evidence, _ in found])
+    mass = np.exp(log_mass - log_mass.max())
+    mass /= mass.sum()
+    return {
+        question: np.sum(
+            [m * shares[question] for m, (_, shares) in zip(mass, found, strict=True)], 0
+        )
+        for question in found[0][1]
+    }
+
+
+def _given_way(
+    way: int,
+    log_likelihood: NDArray[np.float64],
+    log_prior: NDArray[np.float64],
+    world: World,
+) -> tuple[float, dict[str, NDArray[Any]]]:
+    """Return log evidence and marginals, given who helps or hinders whom.
+
+    An agent that pursues its own goal, and those who act on it, depend on nobody else.
+    """
+    from phase_ppl.analysis.roles_table import relation_tables
+    from phase_ppl.analysis.weights import log_sum_exp
+
+    n_goals, space = len(world.goals), space_of(world)
+    # agent -> own goal of its owner -> what the agent acts on
+    owner, effective = space.owner[way].tolist(), space.becomes[way]
+    log_evidence, of_owner = 0.0, {}
+    for head in set(owner):
+        group = [agent for agent, one in enumerate(owner) if one == head]
+        log_p = log_prior[head] + sum(log_likelihood[agent, effective[agent]] for agent in group)
+        # -1 stands for what its owner cannot have, or its helper cannot act on
+        log_p[(effective[group] < 0).any(axis=0)] = -np.inf
+        total = log_sum_exp(log_p)
+        log_evidence += total
+        of_owner[head] = np.exp(log_p - total) if np.isfinite(total) else np.zeros(n_goals)
+    goals = [
+        np.bincount(np.maximum(effective[agent], 0), of_owner[one], n_goals)
+        for agent, one in enumerate(owner)
+    ]
+    found: dict[str, NDArray[Any]] = {
+        f"goal_{key}": shares for key, shares in zip(world.keys, goals, strict=True)
+    }
+    for question, pair in pairs_of(world).items():
+        one, other = map(world.agent, pair)
+        table = relation_tables(world)[one, other]
+        if owner[one] == owner[other]:
+            codes, shares = table[effective[one], effective[other]], of_owner[owner[one]]
+        else:
+            codes, shares = table.ravel(), np.outer(goals[one], goals[other]).ravel()
+        found[question] = np.bincount(codes, shares, len(RELATIONS))
+    return log_evidence, found
+
+
 def more_options(given: Mapping[str, Any]) -> list[str]:
     """Return the options beside the prior: thresholds and rationality, whatever is given."""
     from phase_ppl.models.predicate import Rationality, Thresholds
@@ -53,7 +139,7 @@ def more_options(given: Mapping[str, Any]) -> list[str]:
     return [field.name for kind in (Thresholds, Rationality) for field in dataclasses.fields(kind)]
 
 
-@register_model("predicate", more_options=more_options)
+@register_model("predicate", more_options=more_options, any_world=True)
 def predicate(
     *, prior: str | None = None, preset: str = "default", **options: Any
 ) -> PredicateInversePlanning:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from phase_ppl.evaluation.folder import POSTERIOR
-from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
+from phase_ppl.evaluation.prediction import Prediction, questions_of
 from phase_ppl.evaluation.registry import Answer, MoreOptions, Predict, register_model
 from phase_ppl.world.errors import InvalidSettingError, unknown_name
 from phase_ppl.world.event import Event
@@ -36,7 +36,7 @@ class Simple:
     options: dict[str, Any] = dataclasses.field(default_factory=dict)
 
     def __call__(self, scene: Scene, observation: Observation, seed: int) -> Answer:
-        """Return the marginals of both effective goals and of the relation."""
+        """Return the marginals of the effective goals and of the relations."""
         from phase_ppl.analysis.posterior import Posterior
         from phase_ppl.inference.infer import infer
 
@@ -49,12 +49,13 @@ class Simple:
             counted = _COUNTED
             if self.weights is not None:
                 post = Posterior(post.tree, self.weights)
-        marginals = {question: post.marginal(question) for question in QUESTIONS}
+        marginals = {question: post.marginal(question) for question in questions_of(scene.world)}
         prediction = Prediction(
             "",
             probabilities={question: found.values for question, found in marginals.items()},
             cost={name: post.cost[name] for name in counted},
             errors={question: found["error"].values for question, found in marginals.items()},
+            world=scene.world,
         )
         return Answer(prediction, {POSTERIOR: post.save}, post)
 
@@ -95,7 +96,7 @@ def _options_of(function: Callable[..., Any]) -> list[str]:
     return [p.name for p in parameters if p.kind is p.KEYWORD_ONLY]
 
 
-@register_model("simple", more_options=_of_simple)
+@register_model("simple", more_options=_of_simple, any_world=True)
 def simple(
     *,
     prior: Any = "uniform",
@@ -150,7 +151,7 @@ def simple(
 # --- the closed-loop model: every frame explained from what was observed before it ----------------
 
 
-@register_model("stepwise")
+@register_model("stepwise", any_world=True)
 def stepwise(
     *,
     prior: Any = "uniform",
@@ -162,7 +163,7 @@ def stepwise(
     strengths: Any = None,
     noise: float | None = None,
 ) -> Simple:
-    """Closed loop: each frame given what was seen before, summed over all pairs of goals.
+    """Closed loop: each frame given what was seen before, summed over all goals, in any world.
 
     Args:
         prior, planner: of the :class:`phase_ppl.Model`.

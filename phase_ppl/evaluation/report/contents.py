@@ -33,7 +33,6 @@ from phase_ppl.evaluation.metrics import at
 from phase_ppl.evaluation.paper import LOOSE, NO_REPRODUCTION, NOT_DRAWN, VERDICTS, Reproduction
 from phase_ppl.evaluation.prediction import QUESTIONS, Prediction
 from phase_ppl.evaluation.tables import true_answer
-from phase_ppl.inference.progress import counted
 from phase_ppl.render.stills import draw_strip
 from phase_ppl.render.video import video
 from phase_ppl.world.arrays import FloatArray
@@ -41,6 +40,7 @@ from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, unkno
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import ALPHA_WORDS, ALPHAS, RELATIONS, SCENARIOS
 from phase_ppl.world.names import AGENTS
+from phase_ppl.world.progress import counted
 from phase_ppl.world.scene import Scene, check_phase
 
 if TYPE_CHECKING:

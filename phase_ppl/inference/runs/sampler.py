@@ -27,7 +27,6 @@ from jax import random
 
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.weights import WEIGHTINGS
-from phase_ppl.inference.progress import Progress
 from phase_ppl.inference.proposals.strength import estimator_name
 from phase_ppl.inference.runs import length
 from phase_ppl.inference.runs.checkpoint import Checkpoint, write_checkpoint
@@ -36,15 +35,22 @@ from phase_ppl.inference.runs.length import Length, Pace, Tally
 from phase_ppl.inference.runs.run import Run, compiled, fields_of, make_kernel
 from phase_ppl.inference.settings import Budget
 from phase_ppl.inference.stepwise import TableRunner, filter_event
-from phase_ppl.models.bridge import SimulatorBridge
+from phase_ppl.models.bridge import SimulatorBridge, request_key
 from phase_ppl.models.density import on_cpu
 from phase_ppl.models.hosted import Hosted
 from phase_ppl.models.likelihood import is_stepwise
 from phase_ppl.simulator.contract import Cancelled, OutOfTime, SimulationResult, Statistics
 from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.checks import check_memory, whole_number
-from phase_ppl.world.errors import InvalidSettingError, OutputError, SimulationError, unknown_name
+from phase_ppl.world.errors import (
+    InvalidSettingError,
+    OutputError,
+    SimulationError,
+    shown,
+    unknown_name,
+)
 from phase_ppl.world.identity import versions
+from phase_ppl.world.progress import Progress
 from phase_ppl.world.space import space_of
 
 POLL_SECONDS: Final = 0.1  # how long Ctrl-C may go unnoticed
@@ -111,11 +117,14 @@ class RunOptions:
         if self.burn_in is None:
             return
         whole_number("burn_in", self.burn_in, minimum=0)
-        if self.iterations is not None and self.burn_in >= self.iterations:
-            raise InvalidSettingError(
-                f"burn_in={self.burn_in}, but there are {self.iterations} iterations: "
-                "expected fewer"
-            )
+        _check_burn_in(self.burn_in, self.iterations)
+
+
+def _check_burn_in(burn_in: int | None, iterations: int | None) -> None:
+    if burn_in is not None and iterations is not None and burn_in >= iterations:
+        raise InvalidSettingError(
+            f"burn_in={burn_in}, but there are {iterations} iterations: expected fewer"
+        )
 
 
 def sample(run: Run, options: RunOptions, saved: Checkpoint | None = None) -> Posterior:
@@ -138,10 +147,12 @@ def sample(run: Run, options: RunOptions, saved: Checkpoint | None = None) -> Po
 
 def _open_runner(run: Run, options: RunOptions) -> Runner | TableRunner:
     if is_stepwise(run.model.likelihood):
-        if options.executor is not None:
-            raise InvalidSettingError(
-                "a stepwise likelihood simulates nothing: it takes no executor"
-            )
+        for name in ("executor", "on_failure", "retries", "simulation_seconds"):
+            given = getattr(options, name)
+            if given != getattr(RunOptions(), name):
+                raise InvalidSettingError(
+                    f"{name}={shown(given)}: a stepwise likelihood simulates nothing"
+                )
         post = filter_event(
             *(run.event, run.model),
             seed=run.seed,
@@ -186,6 +197,7 @@ class Sampler:
             *(self._kernel, run.info, run.chains, options.iterations, options.budget),
             self._n_frames,
         )
+        _check_burn_in(options.burn_in, self._length.iterations)
         self._check_memory()
         self._init, self._step = compiled(run.recipe)
         self._state: Any = None
@@ -311,7 +323,16 @@ class Sampler:
         Any start leaves the stationary law as it is.
         """
         records, chain = self._bridge.records, np.arange(self._run.chains)
-        completed = np.isin(chain, [r.chain for r in records if r.result.completed])
+        done = [record for record in records if record.result.completed]
+        keys = {request_key(record.sites, record.result.seed) for record in done}
+        sites = {name: np.asarray(values) for name, values in state.z.items()}
+        # a request that two chains share is recorded for one of them
+        completed = np.array(
+            [
+                request_key({name: values[c] for name, values in sites.items()}, int(seed)) in keys
+                for c, seed in enumerate(np.asarray(state.sim_seed))
+            ]
+        ) | np.isin(chain, [record.chain for record in done])
         if not records:
             raise SimulationError("no initial hypothesis has prior mass: nothing was simulated")
         if not completed.any():

@@ -250,3 +250,17 @@ def test_the_terminal_watches(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert "no chains to draw" in capsys.readouterr().err
     assert main(["infer", str(event), "--watch"]) != 0
     assert "--watch needs --model stepwise" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"chains": 3}, "chains=3 is for sampling"),
+        ({"began": 5}, "began=5 is for sampling"),
+        ({"kernel": "prior_mh", "retries": 3}, "retries=3: a stepwise likelihood simulates"),
+        ({"kernel": "prior_mh", "on_failure": "banana"}, "on_failure='banana': a stepwise"),
+    ],
+)
+def test_what_is_of_no_use_step_by_step_is_refused(given: dict[str, Any], message: str) -> None:
+    with pytest.raises(InvalidSettingError, match=message):
+        ppl.infer(short(4), MODEL, progress=False, **given)

@@ -43,7 +43,7 @@ def state(
         rooms,
         held,
         tuple(tuple((agent, e) in near for e in range(4)) for agent in range(2)),
-        tuple(e in placed for e in range(4)),
+        tuple(rooms[e] if e in placed else NOTHING for e in range(4)),
     )
 
 
@@ -196,7 +196,7 @@ def test_an_agent_that_carries_goes_and_arrives_with_its_item() -> None:
     before = state(rooms=(BLUE, RED, BLUE, RED), near=((0, 2),))
     gripped = before._replace(held=(2, NOTHING))
     carried = gripped._replace(rooms=(GREEN, RED, GREEN, RED))
-    arrived = carried._replace(placed=(False, False, True, False))
+    arrived = carried._replace(on=(NOTHING, NOTHING, GREEN, NOTHING))
     done = state(rooms=(GREEN, RED, GREEN, RED), near=((0, 2),), placed=(2,))
     found = [
         [literal for _, literal in own_changes(one, two, 0)]
@@ -218,7 +218,7 @@ def test_a_delivered_item_tells_its_goal_and_that_both_share_it() -> None:
     at_item = state(rooms=rooms, near=near)
     gripped = at_item._replace(held=(2, 2))
     carried = gripped._replace(rooms=(GREEN, GREEN, GREEN, RED))
-    arrived = carried._replace(placed=(False, False, True, False))
+    arrived = carried._replace(on=(NOTHING, NOTHING, GREEN, NOTHING))
     trajectory = [start, at_item, gripped, carried, *[arrived] * 30]
     likelihood = ForwardModel(scene()).log_likelihood(trajectory)
     found = posterior(likelihood, log_prior_of_pairs("uniform"))

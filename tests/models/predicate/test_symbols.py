@@ -38,8 +38,8 @@ def test_close_is_being_in_a_landmarks_room_also_without_walls() -> None:
 def test_an_entity_is_on_a_landmark_within_the_threshold() -> None:
     poses = still()
     poses[:, 0, :2] = LANDMARK_CENTRES[0] + [1.0, 0.0]
-    assert states(poses, on_agent=1.1)[0].placed[0]
-    assert not states(poses, on_agent=0.9)[0].placed[0]
+    assert states(poses, on_agent=1.1)[0].on[0] == 0
+    assert states(poses, on_agent=0.9)[0].on[0] == NOTHING
 
 
 def test_bodies_on_two_sides_of_a_wall_do_not_touch() -> None:
@@ -66,8 +66,8 @@ def test_an_item_that_stays_in_front_of_its_holder_is_attached() -> None:
 def test_what_does_not_last_does_not_count() -> None:
     poses = still(9)
     poses[4:6, 0, :2] = LANDMARK_CENTRES[0]
-    assert sum(state.placed[0] for state in states(poses, on_agent=0.5, lasting=2)) == 2
-    assert not any(state.placed[0] for state in states(poses, on_agent=0.5, lasting=3))
+    assert sum(state.on[0] == 0 for state in states(poses, on_agent=0.5, lasting=2)) == 2
+    assert not any(state.on[0] == 0 for state in states(poses, on_agent=0.5, lasting=3))
 
 
 def test_items_are_in_reach_and_rooms_are_as_for_the_planner() -> None:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from phase_ppl.inference import progress
-from phase_ppl.inference.progress import WARMING_UP, Progress
+from phase_ppl.world import progress
+from phase_ppl.world.progress import WARMING_UP, Progress
 
 
 def test_the_bar_says_that_it_warms_up_until_the_first_simulation(

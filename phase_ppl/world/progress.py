@@ -1,4 +1,4 @@
-"""The progress bar of a run: simulations done, and the time that is left."""
+"""Progress bars: what was done, and of simulations the time that is left."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from typing import Any, ClassVar, Final, Self, TypeVar
 
 from tqdm.auto import tqdm
@@ -60,11 +60,17 @@ class Bar:
     def __exit__(self, *_: object) -> None:
         self._bar.close()
 
+    def update(self) -> None:
+        """Count one more."""
+        self._bar.update()
 
-def counted(items: Sequence[Item], shown: bool | None, unit: str, what: str) -> Iterator[Item]:
+
+def counted(
+    items: Iterable[Item], shown: bool | None, unit: str, what: str, total: int | None = None
+) -> Iterator[Item]:
     """Yield the items, and count them with a bar on stderr; arguments as of :class:`Bar`."""
-    bar = SteadyBar(items, disable=not is_shown(shown), file=sys.stderr, unit=unit, desc=what)
-    yield from bar
+    hidden = not is_shown(shown)
+    yield from SteadyBar(items, disable=hidden, file=sys.stderr, unit=unit, desc=what, total=total)
 
 
 class Progress(Bar):

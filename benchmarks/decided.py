@@ -1,0 +1,114 @@
+"""Are answers that are called decided right, and how many of the right ones are called so?
+
+    python benchmarks/decided.py FOLDER [FOLDER ...] [--events FILE] [--json FILE]
+
+Each folder holds posteriors (.nc), as ``phase-ppl infer EVENTS --out FOLDER`` and ``phase-ppl
+evaluate EVENTS --out FOLDER`` write them, of the real videos or of ``--events`` with their truth.
+Asked is for each agent's goal and for relations. Intervals are bootstrapped over events.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from common import dev_events, interval, write
+
+import phase_ppl as ppl
+from phase_ppl.world.event import Event
+from phase_ppl.world.hypothesis import Roles
+
+KINDS = ("goals", "relation", "all")
+
+
+def answers(folder: Path, events: Sequence[Event]) -> list[dict[str, list[tuple[bool, bool]]]]:
+    """Return whether each answer is right, and called decided: by kind, of each posterior."""
+    truths = {event.id: event.truth for event in events}
+    found = []
+    for path in sorted(folder.rglob("*.nc")):
+        post = ppl.load_posterior(path)
+        truth = truths.get(post.event_id)
+        if truth is None:
+            print(f"{path}: of {post.event_id!r}, which is none of the events")
+            continue
+        pairs = {
+            kind: [
+                (leader["label"] == true_label(name, post, truth), leader["sure"])
+                for name, leader in post.leaders().items()
+                if kind in ("all", "goals" if name.startswith("goal_") else "relation")
+            ]
+            for kind in KINDS
+        }
+        found.append(pairs)
+    return found
+
+
+def true_label(name: str, post: Any, truth: Any) -> str:
+    """Return the true label of a quantity."""
+    if not isinstance(truth, Roles):
+        return str(getattr(truth, name))
+    for agent, goal in post.goals_of.items():
+        if goal == name:
+            return truth.goals[agent]
+    keys = dict(zip(truth.world.keys, truth.world.agents, strict=True))
+    words = next(words for words, relation in post.relations_of.items() if relation == name)
+    one, other = words.split(" & ")
+    return truth.relation_between(keys[one], keys[other])
+
+
+def report(found: Sequence[dict[str, list[tuple[bool, bool]]]], kind: str) -> dict[str, Any]:
+    """Return shares, each with its interval."""
+    rows = [np.array(pairs[kind], bool).reshape(-1, 2) for pairs in found]
+    decided = [own[own[:, 1], 0] for own in rows]
+    of_right = [own[own[:, 0], 1] for own in rows]
+    return {
+        "answers": sum(map(len, rows)),
+        "right": shared([own[:, 0] for own in rows]),
+        "decided": sum(map(len, decided)),
+        "decided_right": shared(decided),
+        "decided_wrong": int(sum((~own).sum() for own in decided)),
+        "right_decided": shared(of_right),
+    }
+
+
+def shared(of_events: Sequence[Any]) -> dict[str, float] | None:
+    """Return the mean over events of a share, with its interval; None where there is none."""
+    shares = [float(own.mean()) for own in of_events if len(own)]
+    return interval(shares) if shares else None
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("folders", nargs="+", metavar="FOLDER", type=Path)
+    parser.add_argument("--events", metavar="FILE", help="with their truth, not the real videos")
+    parser.add_argument("--json", metavar="FILE")
+    options = parser.parse_args()
+    events = ppl.load_events(options.events) if options.events else dev_events()
+    figures = {}
+    for folder in options.folders:
+        found = answers(folder, events)
+        if not found:
+            parser.error(f"{folder} has no posteriors of these events")
+        figures[str(folder)] = {kind: report(found, kind) for kind in KINDS}
+        print(f"{folder}: {len(found)} events")
+        for kind, row in figures[str(folder)].items():
+            shares = "  ".join(
+                f"{name} {row[name]['value']:.2f} [{row[name]['ci_low']:.2f}, "
+                f"{row[name]['ci_high']:.2f}]"
+                for name in ("right", "decided_right", "right_decided")
+                if row[name]
+            )
+            print(
+                f"  {kind:9}{row['answers']:4} answers, {row['decided']:3} decided, of these "
+                f"{row['decided_wrong']} wrong  {shares}"
+            )
+    write(figures, options.json)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,184 @@
+"""Evaluations of events of worlds of other casts than PHASE's, worked out by hand."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import phase_ppl as ppl
+from phase_ppl.agents.config import PlannerConfig
+from phase_ppl.cli import main
+from phase_ppl.evaluation.prediction import Prediction, questions_of
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
+from phase_ppl.world.hypothesis import Roles
+from phase_ppl.world.observation import Observation
+
+TRIO, SOLO = ppl.worlds.TRIO, ppl.worlds.SOLO
+HOME, FIELD = "Get blue ball to home", "Get blue ball to field"
+ONE_PROCESS: dict[str, Any] = {"workers": 1, "progress": False}
+
+
+def moved(world: ppl.World, number: int, roles: Roles | None, **ends: tuple[float, float]) -> Any:
+    """Return an event of two frames, in which some (by name, "_" for spaces) go somewhere."""
+    scene = world.random_scene(number)
+    end = scene.start.copy()
+    for name, place in ends.items():
+        end[world.entity(name.replace("_", " ")), :2] = place
+    frames = np.stack([scene.start, end])
+    return ppl.Event(scene, Observation(frames), id=f"{world.name}-{number}", truth=roles)
+
+
+@pytest.fixture(scope="module")
+def events() -> list[ppl.Event]:
+    """Two events of the trio: red helps green, and all for themselves."""
+    helps = {("red agent", "green agent"): "help"}
+    goals = {"green agent": HOME, "purple agent": FIELD}
+    alone = {"red agent": HOME, "green agent": "get to red agent", "purple agent": FIELD}
+    return [
+        moved(TRIO, 1, Roles.of(TRIO, goals, helps), blue_ball=(4, 4)),
+        moved(TRIO, 2, Roles.of(TRIO, alone), blue_ball=(4, 4)),
+    ]
+
+
+def always_home(scene: ppl.Scene, observation: Observation, seed: int) -> dict[str, Any]:
+    """Red and green want the ball home, purple rather to the field; all are friends."""
+    return {
+        "goal_red": {HOME: 1.0},
+        "goal_green": {HOME: 0.9, FIELD: 0.1},
+        "goal_purple": {HOME: 0.4, FIELD: 0.6},
+        **{f"relation_{pair}": "friendly" for pair in ("red_green", "red_purple", "green_purple")},
+    }
+
+
+def test_goals_and_relations_are_scored_by_agent_and_pair_and_together(
+    events: list[ppl.Event],
+) -> None:
+    found = ppl.evaluate(events, always_home, **ONE_PROCESS)
+    metrics = found.metrics
+    by_agent = {name: part["goal_accuracy"]["value"] for name, part in metrics["by_agent"].items()}
+    assert by_agent == {"red agent": 1.0, "green agent": 0.5, "purple agent": 1.0}
+    assert metrics["goal_accuracy"]["value"] == pytest.approx(5 / 6)
+    by_pair = {
+        name: part["relation_accuracy"]["value"] for name, part in metrics["by_pair"].items()
+    }
+    assert by_pair == {"red & green": 0.5, "red & purple": 0.0, "green & purple": 0.0}
+    assert metrics["n"]["truth"] == 2
+    with_lapse = 0.99 * np.array([1.0, 1.0, 0.9, 0.0, 0.6, 0.6]) + 0.01 / len(TRIO.goals)
+    assert metrics["goal_log_score_truth"]["value"] == pytest.approx(np.log(with_lapse).mean())
+    assert metrics["relation_log_score_truth"] is None
+    assert "human" not in metrics
+    assert "by_scenario" not in metrics
+    text = str(found)
+    for word in ("purple agent", "red & purple", "of p >= 0.8 (4)"):
+        assert word in text
+
+
+def test_sure_answers_are_counted_with_the_share_of_them_that_is_true(
+    events: list[ppl.Event],
+) -> None:
+    sure = ppl.evaluate(events, always_home, **ONE_PROCESS).metrics["calibration"]["goal"]
+    assert [one["n"] for one in sure.values()] == [6, 6, 4, 2]
+    assert [one["accuracy"]["value"] for one in sure.values()] == [5 / 6, 5 / 6, 0.75, 1.0]
+    assert sure["0.8"]["probability"] == pytest.approx(0.95)
+
+
+def test_an_evaluation_is_kept_read_again_and_gone_on_with(
+    tmp_path: Path, events: list[ppl.Event]
+) -> None:
+    calls = []
+
+    def counted(scene: ppl.Scene, observation: Observation, seed: int) -> dict[str, Any]:
+        calls.append(scene)
+        return always_home(scene, observation, seed)
+
+    given = {**ONE_PROCESS, "out": tmp_path / "out"}
+    ppl.evaluate(events[:1], counted, **given)
+    whole = ppl.evaluate(events, counted, **given, resume=True)
+    assert len(calls) == 2
+    again = ppl.Evaluation.load(tmp_path / "out")
+    assert again.metrics["by_pair"] == whole.metrics["by_pair"]
+    assert again.predictions["trio-2"].answers == whole.predictions["trio-2"].answers
+    assert again.events[0].truth == events[0].truth
+    for ask in (lambda: ppl.report(tmp_path / "out"), lambda: whole.measured):
+        with pytest.raises(InvalidSettingError, match="knows the world PHASE only, not 'trio'"):
+            ask()
+
+
+def test_what_came_true_is_what_the_last_frame_says(events: list[ppl.Event]) -> None:
+    found = ppl.evaluate(events, "last_frame", **ONE_PROCESS)
+    first = found.predictions["trio-1"]
+    came_true = dict(zip(TRIO.goals, first.probabilities["goal_red"], strict=True))
+    assert came_true[HOME] == 1.0
+    assert first.answers["relation_red_green"] == "friendly"
+    against = found.against(ppl.evaluate(events, always_home, **ONE_PROCESS))
+    assert against["by_agent"]["green agent"]["goal_accuracy"]["value"] == 0.0
+    assert against["by_agent"]["purple agent"]["goal_accuracy"]["value"] == -1.0
+
+
+def test_where_nothing_came_true_all_goals_that_can_be_had_are_alike() -> None:
+    still = moved(TRIO, 3, None)
+    found = ppl.evaluate([still], "last_frame", **ONE_PROCESS).predictions["trio-3"]
+    shares = dict(zip(TRIO.goals, found.probabilities["goal_red"], strict=True))
+    assert shares["get to red agent"] == 0
+    assert shares["get to green agent"] == shares[HOME] > 0
+
+
+def test_what_the_closed_loop_answers_is_its_posterior() -> None:
+    scene = TRIO.random_scene(5)
+    goals = dict.fromkeys(TRIO.agents, "blue ball to home")
+    quick = PlannerConfig(particles=4, simulations=2, rollout_length=1)
+    event = ppl.simulate(scene, goals=goals, frames=4, planner=quick, id="short")
+    found = ppl.evaluate([event], "stepwise", planner=quick, planner_seeds=1, **ONE_PROCESS)
+    assert found.failures == {}
+    prediction = found.predictions["short"]
+    assert set(prediction.probabilities) == set(questions_of(TRIO))
+    assert prediction.cost["searches"] > 0
+    post = ppl.infer(
+        dataclasses.replace(event, truth=None),
+        ppl.Model(planner=quick, likelihood=ppl.StepwiseLikelihood(planner_seeds=1)),
+        seed=ppl.evaluation.evaluate.event_seed(0, found.settings["events"]["short"]),
+        progress=False,
+    )
+    for question, shares in prediction.probabilities.items():
+        np.testing.assert_allclose(post.marginal(question).values, shares, atol=1e-9)
+
+
+@pytest.mark.parametrize("model", ["majority", "vlm", "socialgnn", "no_physics"])
+def test_models_of_phase_are_refused_with_their_names_and_the_worlds(
+    events: list[ppl.Event], model: str
+) -> None:
+    with pytest.raises(InvalidSettingError, match=f"'{model}' knows the world PHASE only, not 'tr"):
+        ppl.evaluate(events, model, **ONE_PROCESS)
+
+
+def test_what_else_is_of_phase_or_of_several_worlds_is_refused(
+    events: list[ppl.Event], tmp_path: Path
+) -> None:
+    both = [*events, moved(SOLO, 1, None)]
+    with pytest.raises(InvalidSettingError, match="of the worlds 'trio', 'solo', expected those"):
+        ppl.evaluate(both, "stepwise", **ONE_PROCESS)
+    with pytest.raises(InvalidSettingError, match="an observer of people knows the world PHASE"):
+        ppl.evaluate(events, "last_frame", observer="people", **ONE_PROCESS)
+    with pytest.raises(InvalidSettingError, match="a file of people's judgments knows the world"):
+        ppl.evaluate(events, "last_frame", judgments=tmp_path / "none.csv", **ONE_PROCESS)
+    one = ppl.evaluate(events, "last_frame", **ONE_PROCESS)
+    with pytest.raises(InvalidSettingError, match="a comparison of models knows the world PHASE"):
+        ppl.compare_models({"one": one, "other": one})
+    with pytest.raises(InvalidEventError, match="of the world 'PHASE', not 'trio'"):
+        ppl.evaluation.prediction.as_prediction(Prediction("", answers={}), "", TRIO)
+
+
+def test_the_terminal_evaluates_events_of_another_world(
+    events: list[ppl.Event], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ppl.save_events(events, tmp_path / "events.json")
+    command = ["evaluate", str(tmp_path / "events.json"), "--model", "last_frame"]
+    assert main([*command, "--out", str(tmp_path / "out")]) == 0
+    assert "red & green" in capsys.readouterr().out
+    assert not (tmp_path / "out" / "figures").exists()
+    assert main([*command, "--model", "stepwise", "--out", str(tmp_path / "two")]) == 2
+    assert "a comparison of models knows the world PHASE only" in capsys.readouterr().err
