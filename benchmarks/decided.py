@@ -18,25 +18,25 @@ import numpy as np
 from common import dev_events, interval, write
 
 import phase_ppl as ppl
+from phase_ppl.evaluation.tables import true_answer
 from phase_ppl.world.event import Event
-from phase_ppl.world.hypothesis import Roles
 
 KINDS = ("goals", "relation", "all")
 
 
 def answers(folder: Path, events: Sequence[Event]) -> list[dict[str, list[tuple[bool, bool]]]]:
     """Return whether each answer is right, and called decided: by kind, of each posterior."""
-    truths = {event.id: event.truth for event in events}
+    known = {event.id: event for event in events if event.truth is not None}
     found = []
     for path in sorted(folder.rglob("*.nc")):
         post = ppl.load_posterior(path)
-        truth = truths.get(post.event_id)
-        if truth is None:
-            print(f"{path}: of {post.event_id!r}, which is none of the events")
+        if post.event_id not in known:
+            print(f"{path}: of {post.event_id!r}, which is none of the events with truth")
             continue
+        event = known[post.event_id]
         pairs = {
             kind: [
-                (leader["label"] == true_label(name, post, truth), leader["sure"])
+                (leader["label"] == true_answer(event, name), leader["sure"])
                 for name, leader in post.leaders().items()
                 if kind in ("all", "goals" if name.startswith("goal_") else "relation")
             ]
@@ -44,19 +44,6 @@ def answers(folder: Path, events: Sequence[Event]) -> list[dict[str, list[tuple[
         }
         found.append(pairs)
     return found
-
-
-def true_label(name: str, post: Any, truth: Any) -> str:
-    """Return the true label of a quantity."""
-    if not isinstance(truth, Roles):
-        return str(getattr(truth, name))
-    for agent, goal in post.goals_of.items():
-        if goal == name:
-            return truth.goals[agent]
-    keys = dict(zip(truth.world.keys, truth.world.agents, strict=True))
-    words = next(words for words, relation in post.relations_of.items() if relation == name)
-    one, other = words.split(" & ")
-    return truth.relation_between(keys[one], keys[other])
 
 
 def report(found: Sequence[dict[str, list[tuple[bool, bool]]]], kind: str) -> dict[str, Any]:

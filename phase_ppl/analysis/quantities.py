@@ -41,7 +41,7 @@ from phase_ppl.world.hypothesis import (
     SCENARIOS,
 )
 from phase_ppl.world.names import AGENTS, ENTITIES, LANDMARKS, Predicate
-from phase_ppl.world.scene import World
+from phase_ppl.world.scene import PHASE, World
 
 ScenarioFunction = Callable[[str, str], str]
 """(effective goal of red, of green) -> one of ``SCENARIOS``."""
@@ -148,7 +148,7 @@ def quantities() -> dict[str, Quantity]:
         "alpha": ALPHA_LABELS,
         **dict.fromkeys(("strength_red", "strength_green"), None),
         **dict.fromkeys(("stated_goal_red", "stated_goal_green"), GOALS),
-        **{f"{part}_{agent}": GOAL_PARTS[part] for agent in _AGENTS for part in GOAL_PARTS},
+        **{f"{part}_{agent}": GOAL_PARTS[part] for agent in PHASE.keys for part in GOAL_PARTS},
     }
     found = {name: Quantity(name, values) for name, values in labels.items()}
     found["alpha"] = dataclasses.replace(found["alpha"], values=ALPHAS)
@@ -213,11 +213,9 @@ def _part_codes(goal: int, holder: int) -> tuple[int, ...]:
     return kind, literal.subject, literal.target, sign
 
 
-_AGENTS: Final = tuple(name.split()[0] for name in AGENTS)
-
 _PART_TABLES: Final = {
     agent: np.array([_part_codes(goal, holder) for goal in range(N_GOALS)], np.int64)
-    for holder, agent in enumerate(_AGENTS)
+    for holder, agent in enumerate(PHASE.keys)
 }
 """Agent -> (goal, part) codes."""
 
@@ -226,7 +224,7 @@ def part_codes(goal_red: NDArray[Any], goal_green: NDArray[Any]) -> dict[str, ND
     """Return the codes of ``goal_kind_red`` to ``sign_green`` of effective goals, arrays (row,)."""
     return {
         f"{part}_{agent}": _PART_TABLES[agent][goals, column]
-        for agent, goals in zip(_AGENTS, (goal_red, goal_green), strict=True)
+        for agent, goals in zip(PHASE.keys, (goal_red, goal_green), strict=True)
         for column, part in enumerate(GOAL_PARTS)
     }
 

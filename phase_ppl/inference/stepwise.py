@@ -33,7 +33,7 @@ from phase_ppl.closed_loop.world_filter import WorldReading
 from phase_ppl.models.model import Model, checked_sites
 from phase_ppl.models.own_sites import further_sites
 from phase_ppl.models.roles import factors
-from phase_ppl.models.stepwise import StepwiseLikelihood, level_of, prior_table
+from phase_ppl.models.stepwise import StepwiseLikelihood, place_of_level, prior_table
 from phase_ppl.physics.actions import ACTION_NAMES
 from phase_ppl.simulator.contract import Cancelled, SimulationResult, Statistics
 from phase_ppl.world.arrays import FloatArray
@@ -438,8 +438,8 @@ class TableRunner:
     def _look_up(self, hypothesis: Hypothesis, seed: int) -> SimulationResult:
         red, green = hypothesis.effective_goals
         errors = self._errors[:, red, green].copy()
-        place = [level_of(newtons, self._levels) for newtons in hypothesis.strengths]
-        errors[0] += self._strength_errors[place[0], place[1]]
+        red, green = place_of_level(hypothesis.strengths, self._levels)
+        errors[0] += self._strength_errors[red, green]
         n = len(errors)
         if not np.isfinite(errors).all():
             reason = "impossible given what was seen"

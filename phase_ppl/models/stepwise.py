@@ -110,11 +110,6 @@ def cells(levels: FloatArray) -> FloatArray:
     return np.concatenate([STRENGTH_RANGE[:1], between, STRENGTH_RANGE[1:]])
 
 
-def level_of(strength: float, levels: FloatArray) -> int:
-    """Return the place of the level that stands for a strength: that of its cell."""
-    return int(place_of_level(strength, levels))
-
-
 def place_of_level(strengths: Any, levels: FloatArray) -> Any:
     """Return the places of the levels that stand for strengths, an array or a number."""
     return np.searchsorted(cells(levels)[1:-1], strengths)

@@ -231,7 +231,7 @@ class Runner:
             try:
                 self._attempts_left = self.retries
                 done = self._run_distinct(distinct)
-                while self._attempts_left and (failed := _failed(done)):
+                while self._attempts_left and (failed := _to_retry(done)):
                     self._attempts_left -= 1
                     done |= self._run_again(failed)
             finally:
@@ -369,5 +369,5 @@ class Runner:
         return result
 
 
-def _failed(done: Mapping[Request, SimulationResult]) -> list[Request]:
+def _to_retry(done: Mapping[Request, SimulationResult]) -> list[Request]:
     return [request for request, result in done.items() if result.failure is not None]

@@ -204,7 +204,7 @@ def test_a_kernel_of_ones_own_must_be_given_again(tmp_path: Path) -> None:
 
     path = tmp_path / "run.ckpt"
     infer(kernel=PriorMH(), iterations=1, checkpoint=path)
-    with pytest.raises(InvalidSettingError, match=r"PriorMH was given as an object"):
+    with pytest.raises(InvalidSettingError, match=r"kernel prior_mh was given as an object"):
         resume(path)
     with pytest.raises(InvalidSettingError, match=r"_early_reject is False, was True"):
         resume(path, kernel=PriorMH(early_reject=False))

@@ -74,7 +74,9 @@ class Fading(RadialLikelihood):
 def test_likelihoods_and_kernels_of_ones_own_get_arrays_as_long_as_the_observation() -> None:
     own = made(20, kernel="prior_mh", model=Model(simulator=walkers, likelihood=Fading()))
     own.check(1, None)
-    assert own.recipe[-1] == made(20, kernel=PriorMH()).recipe[-1] == 20
+    unknown = made(20, kernel=lambda program: PriorMH(program))
+    assert own.recipe[-1] == unknown.recipe[-1] == 20
+    assert made(20, kernel=PriorMH()).recipe[-1] == made(20, kernel="prior_mh").recipe[-1] > 20
 
 
 def test_windows_that_there_are_not_are_never_chosen() -> None:

@@ -172,10 +172,10 @@ def _open_runner(run: Run, options: RunOptions) -> Runner | TableRunner:
     )
 
 
-_keys: Final = Hosted(
-    lambda number, chain: random.split(random.key(number), len(chain)), "keys of chains"
+_split: Final = Hosted(
+    lambda number, chains: random.split(random.key(number), len(chains)), "keys of chains"
 )
-"""The keys of so many chains."""
+"""The keys of chains, whose number is the length of an array: code is compiled for shapes."""
 
 
 class Sampler:
@@ -227,7 +227,7 @@ class Sampler:
 
     def _keys(self) -> jax.Array:
         number = int(np.random.SeedSequence(self._run.seed).generate_state(1)[0])
-        return _keys(np.uint32(number), np.zeros(self._run.chains, np.bool_))
+        return _split(np.uint32(number), np.zeros(self._run.chains, np.bool_))
 
     def _go_on(self, saved: Checkpoint) -> None:
         wanted = self._length.iterations

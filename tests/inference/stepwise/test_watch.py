@@ -15,7 +15,7 @@ from phase_ppl.cli import main
 from phase_ppl.closed_loop.goal_filter import GoalFilter
 from phase_ppl.inference import stepwise as enumerate_
 from phase_ppl.models import priors
-from phase_ppl.models.stepwise import level_of, prior_table
+from phase_ppl.models.stepwise import place_of_level, prior_table
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import STRENGTH_LEVELS
@@ -189,7 +189,7 @@ def test_a_level_has_the_prior_mass_of_the_strengths_nearest_to_it() -> None:
         np.testing.assert_allclose(table.sum(axis=(0, 1, 2, 3)), masses, atol=1e-6)
         np.testing.assert_allclose(table.sum(axis=(0, 1, 2, 4)), masses, atol=1e-6)
     levels = np.array(STRENGTH_LEVELS)
-    assert [level_of(f, levels) for f in (150, 224, 226, 374, 526, 600)] == [0, 0, 1, 1, 3, 3]
+    assert place_of_level((150, 224, 226, 374, 526, 600), levels).tolist() == [0, 0, 1, 1, 3, 3]
 
 
 def test_sets_of_searches_give_errors_and_one_gives_none(whole: ppl.StepwisePosterior) -> None:
