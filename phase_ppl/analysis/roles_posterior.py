@@ -27,7 +27,6 @@ from phase_ppl.analysis.summary import wrapped
 from phase_ppl.dataset.hdf5 import root_attribute
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.hypothesis import Roles, company
-from phase_ppl.world.scene import World
 
 
 class RolesPosterior(StepwisePosterior):
@@ -73,11 +72,6 @@ class RolesPosterior(StepwisePosterior):
 
     def _weights_without(self) -> FloatArray:
         return self._without
-
-    @property
-    def world(self) -> World:
-        """Whose agents and goals."""
-        return self._table.world  # type: ignore[no-any-return]
 
     def at(self, frame: int) -> RolesPosterior:
         at = RolesPosterior(self._found, frame, table=self._table)

@@ -9,7 +9,6 @@ weighted by what they were drawn with: then sums are Monte-Carlo means.
 from __future__ import annotations
 
 import functools
-import itertools
 import math
 from typing import Any, Final, NamedTuple
 
@@ -24,9 +23,7 @@ from phase_ppl.analysis.weights import Rows, log_sum_exp
 from phase_ppl.physics.actions import N_ACTIONS
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.errors import InvalidEventError
-from phase_ppl.world.goals import possible_goals
-from phase_ppl.world.hypothesis import RELATION_OF_SCENARIO, RELATIONS, company, scenario
-from phase_ppl.world.scene import World
+from phase_ppl.world.hypothesis import company
 from phase_ppl.world.space import space_of
 
 SCHEMA: Final = "phase_ppl/stepwise-roles/1"
@@ -288,29 +285,15 @@ class RolesTable:
 
     def codes(self, goals: IntArray) -> dict[str, IntArray]:
         """Return the codes of goals and relations of (row, agent) effective goals."""
-        keys = self.world.keys
-        found = {f"goal_{key}": goals[:, agent] for agent, key in enumerate(keys)}
-        for (one, other), table in relation_tables(self.world).items():
-            found[f"relation_{keys[one]}_{keys[other]}"] = table[goals[:, one], goals[:, other]]
-        return found
+        own = {name: goals[:, agent] for agent, name in enumerate(self._space.goal_sites)}
+        return {**own, **self._space.relation_codes(goals)}
 
     def columns(self, rows: IntArray | None = None) -> dict[str, NDArray[Any]]:
         """Return the codes of goals, relations and alphas of some hypotheses, or of all."""
         way, goals = self.hypotheses.way, self.hypotheses.goals
         if rows is not None:
             way, goals = way[rows], goals[rows]
-        return {**self.codes(goals), **self._alphas(way)}
-
-    def _alphas(self, way: IntArray) -> dict[str, IntArray]:
-        ways, keys = company(len(self.world.agents)), self.world.keys
-        found = {}
-        for one, key in enumerate(keys):
-            for other, other_key in enumerate(keys):
-                if one != other:
-                    towards = [way[one] or (one, 0) for way in ways]
-                    signs = [sign if whom == other else 0 for whom, sign in towards]
-                    found[f"alpha_{key}_{other_key}"] = np.array(signs)[way] + 1
-        return found
+        return {**self.codes(goals), **self._space.alpha_codes(way)}
 
     @functools.cached_property
     def log_predictive(self) -> FloatArray:
@@ -320,16 +303,3 @@ class RolesTable:
             before = self.log_masses(t - 1)[0]
             found[t] = log_sum_exp(before - log_sum_exp(before) + self._frame(t)[0])
         return found
-
-
-@functools.lru_cache(16)
-def relation_tables(world: World) -> dict[tuple[int, int], IntArray]:
-    """Return two agents -> (goal, goal) codes of the relation between them."""
-    found = {}
-    for pair in itertools.combinations(range(len(world.agents)), 2):
-        table = np.full((len(world.goals), len(world.goals)), RELATIONS.index("neutral"))
-        for one, other in itertools.product(*(possible_goals(agent, world) for agent in pair)):
-            name = RELATION_OF_SCENARIO[scenario(one, other, world, pair)]
-            table[one, other] = RELATIONS.index(name)
-        found[pair] = table
-    return found

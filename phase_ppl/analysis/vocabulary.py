@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import itertools
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -20,7 +19,6 @@ from phase_ppl.analysis.quantities import (
     relation_codes,
     relations_of,
 )
-from phase_ppl.analysis.roles_table import relation_tables
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.space import HypothesisSpace
 
@@ -49,12 +47,7 @@ class Vocabulary(NamedTuple):
         goals = [np.asarray(columns[name]) for name in self.space.goal_sites]
         if self.space.is_phase:
             return relation_codes(goals[0], goals[1], self.scenario)
-        tables = relation_tables(self.space.world)
-        keys = self.space.world.keys
-        return {
-            f"relation_{keys[one]}_{keys[other]}": tables[one, other][goals[one], goals[other]]
-            for one, other in itertools.combinations(range(len(keys)), 2)
-        }
+        return self.space.relation_codes(np.stack(goals, axis=-1))
 
     def completed(self, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
         """Return columns of a file, (row,), with all that follows from them.
@@ -66,17 +59,8 @@ class Vocabulary(NamedTuple):
             return {**columns, **derived}
         own = {k: v for k, v in columns.items() if k not in self.space.columns}
         kept = {k: columns[k] for k in (*self.space.goal_sites, *self.space.strength_sites)}
-        return {**kept, **self.relation_codes(columns), **self._alphas(columns), **own}
-
-    def _alphas(self, columns: Mapping[str, NDArray[Any]]) -> Codes:
-        """Return ``alpha_<who>_<whom>``: 2 who helps, 0 who hinders, 1 else."""
-        way, keys = columns[self.space.company_site], self.space.world.keys
-        found = {}
-        for one, other in itertools.permutations(range(len(keys)), 2):
-            towards = [ways[one] or (one, 0) for ways in self.space.ways]
-            signs = np.array([sign if whom == other else 0 for whom, sign in towards])
-            found[f"alpha_{keys[one]}_{keys[other]}"] = signs[way] + 1
-        return found
+        alphas = self.space.alpha_codes(columns[self.space.company_site])
+        return {**kept, **self.relation_codes(columns), **alphas, **own}
 
 
 def vocabulary(space: HypothesisSpace, scenario: ScenarioFunction | None = None) -> Vocabulary:

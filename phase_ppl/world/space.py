@@ -20,8 +20,17 @@ from numpy.typing import NDArray
 
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import UnknownNameError
-from phase_ppl.world.goals import effective_goal, is_self_referring
-from phase_ppl.world.hypothesis import ALPHAS, MOST_STRENGTH, Hypothesis, Roles, company
+from phase_ppl.world.goals import effective_goal, is_self_referring, possible_goals
+from phase_ppl.world.hypothesis import (
+    ALPHAS,
+    MOST_STRENGTH,
+    RELATION_OF_SCENARIO,
+    RELATIONS,
+    Hypothesis,
+    Roles,
+    company,
+    scenario,
+)
 from phase_ppl.world.scene import PHASE, World
 
 Towards = tuple[tuple[int, int] | None, ...]
@@ -172,6 +181,35 @@ class HypothesisSpace:
         towards = self.ways[way]
         stated = tuple(None if one else goal for goal, one in zip(goals, towards, strict=True))
         return Roles(self.world, stated, towards, tuple(strengths))
+
+    @functools.cached_property
+    def relations(self) -> dict[tuple[int, int], NDArray[np.int64]]:
+        """Two agents -> (goal, goal) codes, of ``RELATIONS``, of the relation between them."""
+        found = {}
+        for pair in itertools.combinations(range(self.n_agents), 2):
+            table = np.full((self.n_goals, self.n_goals), RELATIONS.index("neutral"))
+            for one, other in itertools.product(*(possible_goals(a, self.world) for a in pair)):
+                name = RELATION_OF_SCENARIO[scenario(one, other, self.world, pair)]
+                table[one, other] = RELATIONS.index(name)
+            found[pair] = table
+        return found
+
+    def relation_codes(self, goals: NDArray[Any]) -> dict[str, NDArray[np.int64]]:
+        """Return ``relation_<one>_<other>`` of (..., agent) effective goals, beside PHASE."""
+        keys = self.world.keys
+        return {
+            f"relation_{keys[one]}_{keys[other]}": table[goals[..., one], goals[..., other]]
+            for (one, other), table in self.relations.items()
+        }
+
+    def alpha_codes(self, way: NDArray[Any]) -> dict[str, NDArray[np.int64]]:
+        """Return ``alpha_<who>_<whom>`` of ways, beside PHASE: 2 helps, 0 hinders, 1 neither."""
+        found = {}
+        for who, whom in itertools.permutations(range(self.n_agents), 2):
+            towards = [one[who] or (who, 0) for one in self.ways]
+            signs = np.array([sign if other == whom else 0 for other, sign in towards])
+            found[f"alpha_{self.world.keys[who]}_{self.world.keys[whom]}"] = signs[way] + 1
+        return found
 
     @property
     def is_phase(self) -> bool:

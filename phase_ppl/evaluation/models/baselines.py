@@ -22,6 +22,7 @@ from phase_ppl.world.names import AGENTS, ENTITIES, ITEMS, LANDMARKS
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import PHASE as PHASE_WORLD
 from phase_ppl.world.scene import Scene
+from phase_ppl.world.space import space_of
 
 
 # a prediction takes less than a process does to start
@@ -42,8 +43,6 @@ def last_frame() -> Predict:
 
 
 def _predict_elsewhere(scene: Scene, observation: Observation) -> Prediction:
-    from phase_ppl.analysis.roles_table import relation_tables
-
     world, frames = scene.world, observation.trajectory
     shares = np.zeros((len(world.agents), len(world.goals)))
     for agent, share in enumerate(shares):
@@ -61,11 +60,11 @@ def _predict_elsewhere(scene: Scene, observation: Observation) -> Prediction:
     probabilities: dict[str, Any] = {
         f"goal_{key}": own for key, own in zip(world.keys, shares, strict=True)
     }
-    tables = relation_tables(world)
+    relations = space_of(world).relations
     for question, pair in pairs_of(world).items():
         one, other = (world.agent(name) for name in pair)
         joint = np.outer(shares[one], shares[other])
-        codes = tables[one, other].ravel()
+        codes = relations[one, other].ravel()
         probabilities[question] = np.bincount(codes, joint.ravel(), len(RELATIONS))
     return Prediction("", probabilities, world=world)
 

@@ -99,7 +99,6 @@ def _given_way(
 
     An agent that pursues its own goal, and those who act on it, depend on nobody else.
     """
-    from phase_ppl.analysis.roles_table import relation_tables
     from phase_ppl.analysis.weights import log_sum_exp
 
     n_goals, space = len(world.goals), space_of(world)
@@ -123,7 +122,7 @@ def _given_way(
     }
     for question, pair in pairs_of(world).items():
         one, other = map(world.agent, pair)
-        table = relation_tables(world)[one, other]
+        table = space.relations[one, other]
         if owner[one] == owner[other]:
             codes, shares = table[effective[one], effective[other]], of_owner[owner[one]]
         else:
