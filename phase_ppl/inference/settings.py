@@ -27,8 +27,9 @@ class SimpleSettings:
 
     Attributes:
         eta: weight of the errors in the choice of a window, 1 / units.
-        proposal: of goals: "learned", features of what the agents did, with learned weights; or
-            "paper", distances alone, to which ``gamma`` and ``sign`` apply.
+        proposal: of goals: "learned", features of what the agents did, with learned weights;
+            "paper", distances alone, to which ``gamma`` and ``sign`` apply; or "closed_loop", what
+            the closed loop makes of the video, which is read once before the first simulation.
         gamma: weight of the distances in the paper's proposal of goals.
         window: Delta T, steps; shorter where the observation is.
         beta: replaces that of the model's radial likelihood, 1 / units; None: keep the model's,
@@ -91,8 +92,13 @@ class SimpleSettings:
                     f"{world.name!r}: expected SimpleSettings({name}={usual!r})"
                 )
 
-    def tables(self, scene: Scene, observation: Observation) -> BottomUpTables:
-        """Return what the windows of an observation suggest under these settings."""
+    def tables(
+        self, scene: Scene, observation: Observation, progress: bool | None = None
+    ) -> BottomUpTables:
+        """Return what the windows of an observation suggest under these settings.
+
+        ``progress`` says whether to show a bar where that takes long.
+        """
         return bottom_up_tables(
             scene,
             observation,
@@ -101,6 +107,7 @@ class SimpleSettings:
             gamma=self.gamma,
             sign=self.sign,
             strength=self.strength,
+            progress=progress,
         )
 
 

@@ -28,10 +28,10 @@ from numpyro.primitives import Messenger
 from phase_ppl.inference.proposals.tables import BottomUpTables
 from phase_ppl.models.density import Program, draw, log_density, remembered
 from phase_ppl.models.hosted import Hosted
-from phase_ppl.models.sites import ALPHA_SITE, IMPOSSIBLE, OneOf
+from phase_ppl.models.sites import IMPOSSIBLE, OneOf
 from phase_ppl.models.world_prior import space_of_prior
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.hypothesis import ALPHAS, STRENGTH_RANGE
+from phase_ppl.world.hypothesis import STRENGTH_RANGE
 
 Replace = Callable[[dist.Distribution, Mapping[str, jax.Array]], dist.Distribution]
 
@@ -65,8 +65,9 @@ def _local_program(
     prior: Program, sites: Mapping[str, tuple[int, ...]], tables: BottomUpTables
 ) -> Program:
     order, space, prior_of_alpha = list(sites), space_of_prior(prior), None
+    way_site = space.company_site
     if tables.alpha_logits is not None and any(
-        order.index(goal) < order.index(ALPHA_SITE) for goal in space.goal_sites
+        order.index(goal) < order.index(way_site) for goal in space.goal_sites
     ):
         prior_of_alpha = _prior_of_alpha(prior)
 
@@ -84,11 +85,12 @@ def _local_program(
         given: dict[str, jax.Array] = {}
         if prior_of_alpha is not None and social is not None:
             both = dist.Categorical(logits=prior_of_alpha + social)
-            given[ALPHA_SITE] = numpyro.sample(ALPHA_SITE, both)
+            given[way_site] = numpyro.sample(way_site, both)
         elif social is not None:
-            replace[ALPHA_SITE] = functools.partial(_alpha_distribution, social)
+            replace[way_site] = functools.partial(_alpha_distribution, social)
         for agent, name in enumerate(space.goal_sites):
-            replace[name] = functools.partial(_goal_distribution, logits[..., agent, :])
+            of_agent = logits[..., agent, :]
+            replace[name] = functools.partial(_goal_distribution, way_site, of_agent)
         for agent, name in enumerate(space.strength_sites):
             normal = dist.TruncatedNormal(
                 estimate[agent], sd[agent], low=STRENGTH_RANGE[0], high=STRENGTH_RANGE[1]
@@ -107,10 +109,11 @@ def _local_program(
 @remembered(_PRIORS_KEPT)
 def _prior_of_alpha(prior: Program) -> FloatArray:
     """Return (alpha,) the log prior, with whatever it depends on averaged out."""
+    space = space_of_prior(prior)
 
     def probabilities(key: jax.Array) -> jax.Array:
         trace = handlers.trace(handlers.seed(prior, key)).get_trace()
-        return jnp.exp(trace[ALPHA_SITE]["fn"].log_prob(jnp.arange(len(ALPHAS))))
+        return jnp.exp(trace[space.company_site]["fn"].log_prob(jnp.arange(len(space.ways))))
 
     def averaged() -> jax.Array:
         keys = random.split(random.key(0), _PRIOR_DRAWS)
@@ -124,19 +127,19 @@ def _alpha_distribution(
     logits: jax.Array, prior: dist.Distribution, values: Mapping[str, jax.Array]
 ) -> dist.Distribution:
     """Return the window's distribution of alpha, times the prior given the sites before it."""
-    return dist.Categorical(logits=prior.log_prob(jnp.arange(len(ALPHAS))) + logits)
+    return dist.Categorical(logits=prior.log_prob(jnp.arange(len(logits))) + logits)
 
 
 def _goal_distribution(
-    logits: jax.Array, prior: dist.Distribution, values: Mapping[str, jax.Array]
+    way_site: str, logits: jax.Array, prior: dist.Distribution, values: Mapping[str, jax.Array]
 ) -> dist.Distribution:
     """Return the window's distribution of a goal, on goals that have prior mass.
 
-    Logits are (goal,), or (alpha, goal) where it depends on alpha; ``values`` are of the sites
-    before.
+    Logits are (goal,), or (alpha, goal) where it depends on alpha, which is at ``way_site`` of the
+    ``values`` of the sites before.
     """
     if logits.ndim == 2:
-        logits = logits[values[ALPHA_SITE]]
+        logits = logits[values[way_site]]
     codes = jnp.arange(logits.shape[-1])
     possible = (prior.log_prob(codes) > NEVER) & prior.support(codes)
     return dist.Categorical(logits=jnp.where(possible, logits, IMPOSSIBLE))

@@ -1,6 +1,7 @@
 """What a window of the observation says about goals and strengths (paper, Appendix 4B).
 
-Computed once per event, in NumPy, in one of two forms.
+Computed once per event, in NumPy, in one of two forms; the third, "closed_loop", is in
+``closed_loop.py``.
 
 "learned". Goals are scored by :func:`goal_features`, which also see what the agent itself did, and
 proposed together with alpha (:func:`joint_logits`). The weights of the features were learned from
@@ -39,7 +40,7 @@ from phase_ppl.world.scene import Scene
 from phase_ppl.world.space import space_of
 
 Sign = Literal["intended", "printed"]
-Form = Literal["learned", "paper"]
+Form = Literal["learned", "paper", "closed_loop"]
 
 SIGNS: Final = get_args(Sign)
 FORMS: Final = get_args(Form)
@@ -62,13 +63,13 @@ class BottomUpTables(NamedTuple):
     """What each window says; the last entry is about the whole observation."""
 
     # (window + 1, agent, goal) unnormalised log probabilities of stated goals; or (window + 1,
-    # alpha, agent, goal), given alpha
+    # way, agent, goal), given in which way agents stand to each other (in PHASE: alpha)
     goal_logits: FloatArray | jax.Array
     # (window + 1, agent) estimate, newtons; NaN where there is none
     strength: FloatArray | jax.Array
     # (window + 1, agent) its standard deviation, newtons; NaN likewise
     strength_sd: FloatArray | jax.Array
-    # (window + 1, alpha) beside the prior's; None: alpha as in the prior
+    # (window + 1, way) beside the prior's; None: as in the prior
     alpha_logits: FloatArray | jax.Array | None = None
 
 
@@ -93,11 +94,13 @@ def bottom_up_tables(
     gamma: float = 10.0,
     sign: Sign = "intended",
     strength: str | Estimator = DEFAULT_ESTIMATOR,
+    progress: bool | None = None,
 ) -> BottomUpTables:
     """Return the tables of an event.
 
     ``window`` is Delta T [steps], shorter where the observation is; ``gamma``, the weight of the
-    distances, and ``sign`` are of the paper's form.
+    distances, and ``sign`` are of the paper's form; ``progress`` says whether to show a bar where
+    it takes long, as the closed loop does.
     """
     n_frames = observation.n_frames
     length = window_length(n_frames, window)
@@ -105,8 +108,13 @@ def bottom_up_tables(
     first, last = np.append(starts, 0), np.append(starts + length, n_frames - 1)
     windows = np.column_stack([first, last])
     estimates = estimated_strengths(strength, scene, observation, windows)
-    if form == "learned":
-        goal, alpha = joint_logits(_scores(scene, observation, first, last))
+    if form != "paper":
+        if form == "closed_loop":
+            from phase_ppl.inference.proposals.closed_loop import closed_loop_logits
+
+            goal, alpha = closed_loop_logits(scene, observation, last, progress)
+        else:
+            goal, alpha = joint_logits(_scores(scene, observation, first, last))
         # an agent is as strong in one window as in another: the whole observation says it best
         strength_of_all, sd_of_all = (np.broadcast_to(part[-1], part.shape) for part in estimates)
         return BottomUpTables(goal, strength_of_all, sd_of_all, alpha)

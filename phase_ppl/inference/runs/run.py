@@ -163,10 +163,11 @@ class Run:
             length *= 2
         return length
 
-    def data(self, bridge: int) -> Data:
+    def data(self, bridge: int, progress: bool | None = None) -> Data:
         """Return what compiled code is told of the event and the bridge with that handle."""
         scene, observation = self.event.scene, self.event.observation
-        tables, salt = self.settings.tables(scene, observation), event_salt(scene, observation)
+        tables = self.settings.tables(scene, observation, progress)
+        salt = event_salt(scene, observation)
         tables = padded(tables, window_count(self._length, self.settings.window))
         observed = observation.n_frames if self._is_padded else None
         return Data(tables, salt, bridge, observed)
