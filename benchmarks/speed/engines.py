@@ -114,7 +114,7 @@ def decisions() -> dict[str, Any]:
     intent = made["compiled"].intent
     seconds = interleaved(
         {
-            name: lambda agent=agent: agent.root_statistics(intent)  # type: ignore[misc]
+            name: lambda agent=agent: agent.root_statistics([intent])  # type: ignore[misc]
             for name, agent in made.items()
         },
         repeats=5,
@@ -137,7 +137,7 @@ def choose(draw: Draw) -> dict[str, Any]:
     """Return the action that an engine's agent chooses first."""
     config = PlannerConfig(swivel=False, full_observation=True, simulations=draw.simulations)
     agent = agents(config, draw.seed, undecided()[draw.scene])[draw.engine]
-    return {"action": int(agent.root_statistics(agent.intent).best)}
+    return {"action": int(agent.root_statistics([agent.intent])[0].best)}
 
 
 def histograms(seeds: int, kept: Path | None = None, simulations: int = 1000) -> dict[str, Any]:

@@ -291,40 +291,65 @@ class Policies:
             ]
         return self._groups[key]
 
-    def root_statistics(self, intent: Intent) -> RootStatistics:
-        """Return what the planner makes of one intent; only this much depends on chance."""
+    def searches(self) -> list[list[int]]:
+        """Return the intents, as indices, in groups that differ in the subgoal alone.
+
+        The searches of a group share what they imagine; see :mod:`phase_ppl.agents.pomcp`.
+        """
+        groups: dict[tuple[tuple[int, ...], bytes], list[int]] = defaultdict(list)
+        for place, intent in enumerate(self.intents):
+            groups[intent.agreeing, self._considered(intent).tobytes()].append(place)
+        return list(groups.values())
+
+    def root_statistics(self, intents: Sequence[Intent]) -> list[RootStatistics]:
+        """Return what the planner makes of intents; only this much depends on chance.
+
+        Args:
+            intents: one, or a group of :meth:`searches`. Each finds the same as alone.
+        """
+        actions = self._considered(intents[0])
+        if len(actions) > 1:
+            return self._search_actions(intents, actions)
+        once = np.ones(1, np.int64)
+        reflex = RootStatistics(actions, once, np.full(1, np.nan), Action(int(actions[0])))
+        return [reflex for _ in intents]
+
+    def _considered(self, intent: Intent) -> IntArray:
+        """Return the actions to search among, or the one that needs no search."""
         first, held = intent.agreeing[0], self.beliefs.held
         action = reflex(intent.subgoal, first, self.agent, self.beliefs, self.model)
         if action is not None:
-            once = np.ones(1, np.int64)
-            return RootStatistics(np.array([action]), once, np.full(1, np.nan), action)
+            return np.array([action], np.int64)
         own_held = int(held[first, self.agent])
-        actions = pomcp.actions_for(
+        return pomcp.actions_for(
             intent.subgoal, self.agent, own_held, intent.contested, self._counts[1]
         )
-        return self._search_actions(intent, actions)
 
-    def _search_actions(self, intent: Intent, actions: IntArray) -> RootStatistics:
-        """Search for the best of some actions over the particles that agree with the subgoal."""
-        beliefs, model = self.beliefs, self.model
-        tree = pomcp.make_tree(self.config.simulations, *self._counts)
-        agreeing, code = np.array(intent.agreeing), pomcp.subgoal_code(intent.subgoal)
-        best = pomcp.run(
-            *(tree, beliefs.bodies, beliefs.held, beliefs.weld, agreeing, self.agent, code),
-            *(actions, self._search, model.params, model.layout),
-            compiled.make_scratch(*self._counts),
-            self._rng(intent),
-        )
-        children = tree.child[0, : len(actions)]
-        visited = children >= 0
-        visits = np.where(visited, tree.visits[children], 0).astype(np.int64)
-        values = np.where(visited, tree.total[children] / np.maximum(visits, 1), np.nan)
-        return RootStatistics(actions, visits, values, Action(int(actions[best])))
+    def _search_actions(self, intents: Sequence[Intent], actions: IntArray) -> list[RootStatistics]:
+        """Search for the best of some actions over the particles that agree with the subgoals."""
+        beliefs, model, found = self.beliefs, self.model, []
+        playouts = pomcp.make_playouts(self._search, len(intents), *self._counts)
+        scratch = compiled.make_scratch(*self._counts)
+        agreeing = np.array(intents[0].agreeing)
+        for intent in intents:
+            tree = pomcp.make_tree(self.config.simulations, *self._counts)
+            best = pomcp.run(
+                *(tree, playouts, beliefs.bodies, beliefs.held, beliefs.weld, agreeing),
+                *(self.agent, pomcp.subgoal_code(intent.subgoal), actions, self._search),
+                *(model.params, model.layout, scratch, self._rng(intent)),
+            )
+            children = tree.child[0, : len(actions)]
+            visited = children >= 0
+            visits = np.where(visited, tree.visits[children], 0).astype(np.int64)
+            values = np.where(visited, tree.total[children] / np.maximum(visits, 1), np.nan)
+            found.append(RootStatistics(actions, visits, values, Action(int(actions[best]))))
+        return found
 
     def _rng(self, intent: Intent) -> NDArray[np.uint64]:
         if self._seed is None:
             return self._perception.rng
-        text = repr((self._seed, self.agent, self._step, intent.subgoal, intent.agreeing))
+        # subgoals have random numbers in common, which compares them like with like too
+        text = repr((self._seed, self.agent, self._step, intent.agreeing))
         digest = hashlib.blake2b(text.encode(), digest_size=8).digest()
         return np.frombuffer(digest, np.uint64).copy()
 
@@ -375,7 +400,7 @@ class Agent(Policies):
             bodies, held, weld: the true state as ``physics.compiled.from_state`` gives it.
         """
         self.observe(bodies, held, weld)
-        root = self.root_statistics(self.intent)
+        (root,) = self.root_statistics(self.intents)
         self.done(root.best)
         return Decision(self.intent, root, int(held[self.agent]), self.beliefs)
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import heapq
 import itertools
+import typing
 from collections.abc import Callable, Iterator
 from typing import Final, NamedTuple
 
@@ -37,6 +38,20 @@ class Node(NamedTuple):
     """Whether each entity has been brought to the landmark of its room."""
     clear: tuple[int, ...]
     """Door filled by each item, or -1."""
+
+
+class Target(NamedTuple):
+    """What a plan is to attain: something of an entity has one of some values."""
+
+    field: typing.Literal["rooms", "held", "clear"]
+    entity: int  # as ``field`` of a node counts: all entities, the agents, or the items
+    values: frozenset[int]
+    placed: bool = False  # and it has been brought to the landmark of its room
+
+    def reached(self, node: Node) -> bool:
+        """Whether a state has it."""
+        value = getattr(node, self.field)[self.entity]
+        return value in self.values and (not self.placed or node.placed[self.entity])
 
 
 class Step(NamedTuple):
@@ -218,3 +233,36 @@ def plan(
                     estimate = total + heuristic(step.result)
                     heapq.heappush(frontier, (estimate, next(order), total, step.result))
     return None
+
+
+class Plans:
+    """The cheapest plans for bodies with some abilities; each is looked for once."""
+
+    def __init__(self, abilities: Abilities) -> None:
+        self._abilities = abilities
+        self._found: dict[tuple[object, ...], list[Step] | None] = {}
+
+    def find(
+        self,
+        start: Node,
+        willing: tuple[int, ...],
+        targets: frozenset[int],
+        goal: Target,
+        heading: tuple[int, int] | None,
+    ) -> list[Step] | None:
+        """Return the cheapest plan, or None; arguments as of :func:`plan`.
+
+        Args:
+            heading: an entity, and a room that it has to get to: a lower bound of the cost left.
+        """
+        key = start, willing, targets, goal, heading
+        if key not in self._found:
+            distance = self._abilities.room_distance
+
+            def heuristic(node: Node) -> float:
+                return 0.0 if heading is None else distance[node.rooms[heading[0]]][heading[1]]
+
+            self._found[key] = plan(
+                start, willing, targets, goal.reached, heuristic, self._abilities
+            )
+        return self._found[key]

@@ -6,6 +6,8 @@ actions (the others coast), adds one node, and rolls out with random actions of 
 
 Ours is the pairing of simulations: the n-th one through each root action meets the same particle
 and random numbers, which compares the actions like with like and needs far fewer simulations.
+Searches for several subgoals from the same particles and random numbers then imagine the same
+until the paths through their trees part: such playouts are imagined once, and valued by each.
 """
 
 from __future__ import annotations
@@ -147,14 +149,17 @@ def make_rng(generator: np.random.Generator) -> NDArray[np.uint64]:
 
 
 @bare_kernel
+def _mixed(z: np.uint64) -> np.uint64:
+    z = (z ^ (z >> _S30)) * _MIX_1
+    z = (z ^ (z >> _S27)) * _MIX_2
+    return z ^ (z >> _S31)
+
+
+@bare_kernel
 def uniform(rng: NDArray[np.uint64]) -> float:
     """Return the next float in [0, 1) and advance ``rng``."""
     rng[0] += _INCREMENT
-    z = rng[0]
-    z = (z ^ (z >> _S30)) * _MIX_1
-    z = (z ^ (z >> _S27)) * _MIX_2
-    z = z ^ (z >> _S31)
-    return np.float64(z >> _S11) * _TO_UNIT
+    return np.float64(_mixed(rng[0]) >> _S11) * _TO_UNIT
 
 
 @bare_kernel
@@ -203,7 +208,8 @@ class Tree(NamedTuple):
     visits: NDArray[np.int32]  # (nodes,)
     total: FloatArray  # (nodes,) sum of returns
     used: IntArray  # (1,) number of nodes in use
-    path: IntArray  # (nodes,) scratch of one simulation
+    path: IntArray  # (nodes,) scratch of one simulation: nodes,
+    columns: IntArray  # the actions that led to them
     rewards: FloatArray
     particle: FloatArray  # scratch state of one simulation
     particle_held: IntArray
@@ -211,6 +217,47 @@ class Tree(NamedTuple):
     actions: IntArray  # (agent,) scratch, what they do in a step
     stream: NDArray[np.uint64]  # (1,) state of the random numbers of one simulation
     statistics: IntArray  # (3,) simulations run, physics steps, sum of depths
+
+
+class Playouts(NamedTuple):
+    """What simulations went through: of every step all that a reward depends on.
+
+    Those that may serve a later search are found by ``key``, a digest of all that they follow
+    from: the random numbers left and the actions in the tree.
+    """
+
+    key: NDArray[np.uint64]  # (slots,) a hash table; no slots: nothing is kept
+    start: IntArray  # (slots,) first step of the playout, or ``NO_NODE``
+    used: IntArray  # (1,) steps that are kept
+    bodies: FloatArray  # (step, body, 3) x, y, angle after each step
+    held: IntArray  # (step, agent)
+    action: IntArray  # (step,) the agent's own
+
+
+_MOST_KEPT: Final = 200_000  # steps; beyond, playouts are imagined for each search
+
+
+def make_playouts(
+    search: Search,
+    n_searches: int = 1,
+    n_bodies: int = len(ENTITIES),
+    n_agents: int = len(AGENTS),
+) -> Playouts:
+    """Return room for the playouts of some searches, which share them if they are paired."""
+    longest = search.n_simulations + 2 + search.rollout_length
+    slots = kept = 0
+    if search.paired and n_searches > 1:
+        playouts = n_searches * search.n_simulations
+        slots = 2 ** (2 * playouts - 1).bit_length()
+        kept = min(playouts * (search.rollout_length + 4), _MOST_KEPT)
+    return Playouts(
+        np.zeros(slots, np.uint64),
+        np.full(slots, NO_NODE, np.int64),
+        np.zeros(1, np.int64),
+        np.empty((kept + longest, n_bodies, 3)),
+        np.empty((kept + longest, n_agents), np.int64),
+        np.empty(kept + longest, np.int64),
+    )
 
 
 def make_tree(
@@ -223,6 +270,7 @@ def make_tree(
         np.zeros(nodes, np.int32),
         np.zeros(nodes),
         np.ones(1, np.int64),
+        np.zeros(nodes + 1, np.int64),
         np.zeros(nodes + 1, np.int64),
         np.zeros(nodes + 1),
         np.zeros((n_bodies, 9)),
@@ -261,38 +309,6 @@ def _select(tree: Tree, node: int, n_actions: int, search: Search, rng: NDArray[
             if below(rng, ties) == 0:
                 best = column
     return best
-
-
-@bare_kernel
-def _rollout(
-    tree: Tree,
-    agent: int,
-    subgoal: IntArray,
-    actions: IntArray,
-    search: Search,
-    params: Params,
-    layout: Layout,
-    scratch: Scratch,
-    rng: NDArray[np.uint64],
-) -> float:
-    """Return the discounted rewards of random actions of all agents."""
-    n_actions = actions.shape[0]
-    value, weight = 0.0, 1.0
-    for _ in range(search.rollout_length):
-        own = actions[below(rng, n_actions)]
-        for other in range(tree.actions.shape[0]):
-            tree.actions[other] = own if other == agent else actions[below(rng, n_actions)]
-        compiled.step(
-            tree.particle,
-            tree.particle_held,
-            tree.particle_weld,
-            tree.actions,
-            params,
-            scratch,
-        )
-        value += weight * reward(tree.particle, tree.particle_held, subgoal, own, params, layout)
-        weight *= search.discount
-    return value
 
 
 @bare_kernel
@@ -338,8 +354,104 @@ def _load_particle(
 
 
 @bare_kernel
+def _descend(
+    tree: Tree, first: int, n_actions: int, search: Search, stream: NDArray[np.uint64]
+) -> int:
+    """Walk down the tree to a new node; return its depth. No state is needed for that."""
+    node, depth, column = 0, 0, first
+    while True:
+        tree.columns[depth] = column
+        child = tree.child[node, column]
+        new = child < 0
+        if new:
+            child = tree.used[0]
+            tree.used[0] += 1
+            tree.child[node, column] = child
+        tree.path[depth] = child
+        depth += 1
+        if new:
+            return depth
+        node = child
+        column = _select(tree, node, n_actions, search, stream)
+
+
+@bare_kernel
+def _slot(tree: Tree, playouts: Playouts, depth: int) -> int:
+    """Return where in the table a playout is, or would have to be."""
+    key = tree.stream[0]
+    for level in range(depth):
+        key = _mixed((key ^ np.uint64(tree.columns[level] + 1)) + _INCREMENT)
+    last = playouts.key.shape[0] - 1
+    slot = np.int64(key & np.uint64(last))
+    while playouts.start[slot] >= 0 and playouts.key[slot] != key:
+        slot = (slot + 1) & last
+    playouts.key[slot] = key
+    return slot
+
+
+@bare_kernel
+def _play(
+    tree: Tree,
+    playouts: Playouts,
+    start: int,
+    depth: int,
+    agent: int,
+    actions: IntArray,
+    search: Search,
+    params: Params,
+    scratch: Scratch,
+    rng: NDArray[np.uint64],
+) -> None:
+    """Imagine from the loaded particle on: the path in the tree, then random actions of all."""
+    state, held, n_actions = tree.particle, tree.particle_held, actions.shape[0]
+    for step in range(depth + search.rollout_length):
+        if step < depth:
+            own = actions[tree.columns[step]]
+            for other in range(tree.actions.shape[0]):
+                tree.actions[other] = own if other == agent else NO_ACTION
+        else:
+            own = actions[below(rng, n_actions)]
+            for other in range(tree.actions.shape[0]):
+                tree.actions[other] = own if other == agent else actions[below(rng, n_actions)]
+        compiled.step(state, held, tree.particle_weld, tree.actions, params, scratch)
+        for body in range(state.shape[0]):
+            for column in range(3):
+                playouts.bodies[start + step, body, column] = state[body, column]
+        for other in range(held.shape[0]):
+            playouts.held[start + step, other] = held[other]
+        playouts.action[start + step] = own
+
+
+@bare_kernel
+def _value(
+    tree: Tree,
+    playouts: Playouts,
+    start: int,
+    depth: int,
+    subgoal: IntArray,
+    search: Search,
+    params: Params,
+    layout: Layout,
+) -> float:
+    """Return the discounted rewards of a rollout; those in the tree go into ``rewards``."""
+    value, weight = 0.0, 1.0
+    for step in range(depth + search.rollout_length):
+        at = start + step
+        found = reward(
+            playouts.bodies[at], playouts.held[at], subgoal, playouts.action[at], params, layout
+        )
+        if step < depth:
+            tree.rewards[step] = found
+        else:
+            value += weight * found
+            weight *= search.discount
+    return value
+
+
+@bare_kernel
 def run(
     tree: Tree,
+    playouts: Playouts,
     bodies: FloatArray,
     held: IntArray,
     weld: FloatArray,
@@ -357,13 +469,15 @@ def run(
 
     Args:
         tree: from ``make_tree``, empty.
+        playouts: from ``make_playouts``; of earlier searches too, that differed in the subgoal
+            alone and began with the same ``rng``.
         bodies, held, weld: (K, ...) the agent's belief particles.
         agreeing: indices of the particles that agree with the subgoal.
         subgoal: (4,) from ``subgoal_code``.
         actions: (A,) actions to consider; columns of the tree stand for them in this order.
     """
-    n_actions = actions.shape[0]
-    state, state_held, state_weld = tree.particle, tree.particle_held, tree.particle_weld
+    n_actions, sharing = actions.shape[0], playouts.key.shape[0] > 0
+    longest = search.n_simulations + 2 + search.rollout_length
     base = below(rng, _STREAMS) if search.paired else 0
     stream = tree.stream if search.paired else rng
     for visit in range(search.n_simulations):
@@ -373,41 +487,25 @@ def run(
             turn = tree.visits[child] if child >= 0 else 0
             stream[0] = np.uint64(base) + np.uint64(turn) * _STREAM_STEP
         k = agreeing[below(stream, agreeing.shape[0])]
-        _load_particle(tree, bodies, held, weld, k)
-        node, depth = 0, 0
-        while True:
-            column = first if node == 0 else _select(tree, node, n_actions, search, stream)
-            action = actions[column]
-            for other in range(tree.actions.shape[0]):
-                tree.actions[other] = action if other == agent else NO_ACTION
-            compiled.step(
-                state,
-                state_held,
-                state_weld,
-                tree.actions,
-                params,
-                scratch,
-            )
-            tree.rewards[depth] = reward(state, state_held, subgoal, action, params, layout)
-            child = tree.child[node, column]
-            if child < 0:
-                child = tree.used[0]
-                tree.used[0] += 1
-                tree.child[node, column] = child
-                tree.path[depth] = child
-                depth += 1
-                break
-            tree.path[depth] = child
-            depth += 1
-            node = child
-        value = _rollout(tree, agent, subgoal, actions, search, params, layout, scratch, stream)
+        depth = _descend(tree, first, n_actions, search, stream)
+        slot = _slot(tree, playouts, depth) if sharing else 0
+        start = playouts.start[slot] if sharing else NO_NODE
+        if start < 0:
+            start = playouts.used[0]
+            _load_particle(tree, bodies, held, weld, k)
+            _play(tree, playouts, start, depth, agent, actions, search, params, scratch, stream)
+            length = depth + search.rollout_length
+            tree.statistics[1] += length
+            if sharing and start + length + longest <= playouts.action.shape[0]:
+                playouts.start[slot] = start
+                playouts.used[0] += length
+        value = _value(tree, playouts, start, depth, subgoal, search, params, layout)
         for level in range(depth - 1, -1, -1):
             value = tree.rewards[level] + search.discount * value
             tree.visits[tree.path[level]] += 1
             tree.total[tree.path[level]] += value
         tree.visits[0] += 1
         tree.statistics[0] += 1
-        tree.statistics[1] += depth + search.rollout_length
         tree.statistics[2] += depth
         left = search.n_simulations - 1 - visit
         if search.early_stop and left <= visit and _leader_is_safe(tree, n_actions, left):

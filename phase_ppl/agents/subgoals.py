@@ -12,7 +12,7 @@ import dataclasses
 import functools
 from collections.abc import Callable
 
-from phase_ppl.agents.operators import Node, Step, plan, start_node
+from phase_ppl.agents.operators import Plans, Step, Target, start_node
 from phase_ppl.agents.standpoints import Stance
 from phase_ppl.agents.symbols import SymbolicState
 from phase_ppl.agents.world_model import Abilities
@@ -27,9 +27,17 @@ class SubgoalPlanner:
         own: literal of its effective goal.
         towards: how it stands to those of others.
         abilities: what the bodies can do.
+        plans: those of given abilities.
     """
 
-    def __init__(self, agent: int, own: Literal, towards: Stance, abilities: Abilities) -> None:
+    def __init__(
+        self,
+        agent: int,
+        own: Literal,
+        towards: Stance,
+        abilities: Abilities,
+        plans: Callable[[Abilities], Plans] = Plans,
+    ) -> None:
         self.agent = agent
         self.opponent = towards.other
         self.own = own
@@ -37,7 +45,7 @@ class SubgoalPlanner:
             landmarks = list(abilities.landmark_in)
             landmarks[abilities.landmark_rooms[own.target]] = own.target
             abilities = dataclasses.replace(abilities, landmark_in=tuple(landmarks))
-        self.abilities = abilities
+        self.abilities, self._plans = abilities, plans(abilities)
         self._n_agents = len(abilities.passes) - len(abilities.fills)
         self.stance = towards
         self._memory: dict[tuple[SymbolicState, tuple[bool, ...]], Literal] = {}
@@ -104,9 +112,7 @@ class SubgoalPlanner:
         if self.abilities.is_open and holding:
             return self.own
 
-        def delivered(node: Node) -> bool:
-            return node.rooms[item] == room and node.placed[item]
-
+        delivered = Target("rooms", item, frozenset({room}), placed=True)
         steps = self._plan(state, (self.agent,), frozenset({item}), delivered)
         alone = steps is not None
         if steps is None and self.stance.cooperative:
@@ -192,9 +198,8 @@ class SubgoalPlanner:
         if item == NOTHING or (held != NOTHING and item not in closing):
             return self._free_hands(state) or STOP
 
-        def cleared(node: Node) -> bool:
-            return node.clear[item - self._n_agents] not in on_way
-
+        elsewhere = frozenset({NOTHING, *range(len(self.abilities.walled))}) - set(on_way)
+        cleared = Target("clear", item - self._n_agents, elsewhere)
         steps = self._plan(state, (self.agent,), frozenset({item}), cleared)
         if not steps:
             return STOP
@@ -356,9 +361,8 @@ class SubgoalPlanner:
 
     def _walk(self, state: SymbolicState, rooms: set[int], towards: int) -> Literal:
         """Go to one of some rooms; where that is impossible, as near to a room as can be."""
-        steps = self._plan(
-            state, (self.agent,), frozenset(), lambda node: node.rooms[self.agent] in rooms
-        )
+        there = Target("rooms", self.agent, frozenset(rooms))
+        steps = self._plan(state, (self.agent,), frozenset(), there)
         return steps[0].literal if steps else self._press_on(state, towards)
 
     def _press_on(self, state: SymbolicState, room: int) -> Literal:
@@ -370,9 +374,8 @@ class SubgoalPlanner:
         self, state: SymbolicState, item: int, observed: tuple[bool, ...] | None = None
     ) -> Literal:
         """Get hold of an item."""
-        steps = self._plan(
-            state, (self.agent,), frozenset({item}), lambda node: node.held[self.agent] == item
-        )
+        taken = Target("held", self.agent, frozenset({item}))
+        steps = self._plan(state, (self.agent,), frozenset({item}), taken)
         if not steps:
             return self._press_on(state, state.rooms[item])
         return self._in_sight(steps[0].literal, item, observed)
@@ -405,32 +408,30 @@ class SubgoalPlanner:
         state: SymbolicState,
         willing: tuple[int, ...],
         targets: frozenset[int],
-        is_goal: Callable[[Node], bool],
+        goal: Target,
     ) -> list[Step] | None:
         done = [False] * len(state.rooms)
         if self.own.predicate is Predicate.ON:
             done[self.own.subject] = state.own_done
         start = start_node(state, tuple(done), targets)
-        distance = self.abilities.room_distance
-        moving = self.own.subject if self.own.predicate is Predicate.ON else None
-        goal_room = self._landmark_room(self.own.target) if moving in targets else None
-
-        def heuristic(node: Node) -> float:
-            if moving is None or goal_room is None or not self.own.positive:
-                return 0.0
-            return distance[node.rooms[moving]][goal_room]
-
-        return plan(start, willing, targets, is_goal, heuristic, self.abilities)
+        heading = None
+        if self.own.predicate is Predicate.ON and self.own.positive and self.own.subject in targets:
+            heading = self.own.subject, self._landmark_room(self.own.target)
+        return self._plans.find(start, willing, targets, goal, heading)
 
 
 @functools.lru_cache(maxsize=64)
 def subgoal_planners(
     agent: int, abilities: Abilities
 ) -> Callable[[Literal, Stance], SubgoalPlanner]:
-    """Return (own goal, stance) -> planner; simulations that agree on both share its memory."""
+    """Return (own goal, stance) -> planner; simulations that agree on both share its memory.
+
+    Many goals call for the same plans: planners share these too.
+    """
+    plans = functools.cache(Plans)
 
     @functools.cache
     def planner(own: Literal, towards: Stance) -> SubgoalPlanner:
-        return SubgoalPlanner(agent, own, towards, abilities)
+        return SubgoalPlanner(agent, own, towards, abilities, plans)
 
     return planner

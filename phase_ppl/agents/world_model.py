@@ -144,6 +144,10 @@ class Abilities:
     landmark_rooms: tuple[int, ...]  # (landmark,) the room that each is in
     landmark_in: tuple[int, ...]  # (room,) a landmark that is in each, or ``NOTHING``
     is_open: bool  # no inner walls
+    # the routes that were asked for, by (entities, start, end)
+    _routes: dict[tuple[tuple[int, ...], int, int], tuple[int, ...] | None] = dataclasses.field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     @classmethod
     def of(cls, scene: Scene, strengths: Sequence[float]) -> Abilities:
@@ -196,8 +200,14 @@ class Abilities:
 
     def route(self, entities: tuple[int, ...], start: int, end: int) -> tuple[int, ...] | None:
         """Return the rooms from start to end through doors that all ``entities`` pass."""
-        if start == end:
-            return (start,)
+        asked = entities, start, end
+        if asked not in self._routes:
+            self._routes[asked] = self._found_route(*asked)
+        return self._routes[asked]
+
+    def _found_route(
+        self, entities: tuple[int, ...], start: int, end: int
+    ) -> tuple[int, ...] | None:
         frontier, came = [start], {start: start}
         for room in frontier:
             for door, following in self.neighbours[room]:

@@ -109,10 +109,17 @@ class SearchSets:
                 asked = None if wanted is None or place == 0 else wanted[agent]
                 observing.append((policies, expected, asked))
         list(self.map(observe, observing))
-        searches = [(one, intent) for one, _, _ in observing for intent in one.intents]
-        roots = iter(list(self.map(lambda task: task[0].root_statistics(task[1]), searches)))
+        searches = [(one, group) for one, _, _ in observing for group in one.searches()]
+        found = {
+            (one, place): root
+            for (one, group), roots in zip(searches, self.map(_search, searches), strict=True)
+            for place, root in zip(group, roots, strict=True)
+        }
         return [
-            [Looked([next(roots) for _ in one.intents], one.intent_of.copy()) for one in each]
+            [
+                Looked([found[one, k] for k in range(len(one.intents))], one.intent_of.copy())
+                for one in each
+            ]
             for each in self._policies
         ]
 
@@ -126,6 +133,11 @@ class SearchSets:
         if strengths not in self._models:
             self._models[strengths] = WorldModel.of(self.scene, strengths, self._planner)
         return self._models[strengths]
+
+
+def _search(task: tuple[Policies, list[int]]) -> list[RootStatistics]:
+    policies, group = task
+    return policies.root_statistics([policies.intents[place] for place in group])
 
 
 def _seed(seed: int, place: int) -> int:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -139,8 +140,8 @@ class OracleAgent(Agent):
             model, strengths, Search.of(config), config.inner_steps, generator.spawn(1)[0]
         )
 
-    def _search_actions(self, intent: Intent, actions: IntArray) -> RootStatistics:
-        beliefs = self.beliefs
+    def _search_actions(self, intents: Sequence[Intent], actions: IntArray) -> list[RootStatistics]:
+        beliefs, (intent,) = self.beliefs, intents
         particles = [
             compiled.to_state(
                 beliefs.bodies[k], beliefs.held[k], beliefs.weld[k], self.model.scene.radius
@@ -151,4 +152,4 @@ class OracleAgent(Agent):
         visits = np.array([child.visits if child else 0 for child in root.children], np.int64)
         values = np.array([child.value if child else math.nan for child in root.children])
         best = self.slow_search.generator.choice(np.flatnonzero(visits == visits.max()))
-        return RootStatistics(actions, visits, values, Action(int(actions[best])))
+        return [RootStatistics(actions, visits, values, Action(int(actions[best])))]

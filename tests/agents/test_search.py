@@ -35,7 +35,8 @@ def agent_in(where: Scene, config: PlannerConfig = CONFIG, seed: int = 0) -> Age
 
 def search(agent: Agent, subgoal: Literal) -> RootStatistics:
     """Return what an agent finds for a subgoal that all its particles agree with."""
-    return agent.root_statistics(Intent(subgoal, tuple(range(50)), contested=False))
+    (found,) = agent.root_statistics([Intent(subgoal, tuple(range(50)), contested=False)])
+    return found
 
 
 def test_an_agent_that_faces_its_goal_drives_straight_at_it() -> None:
