@@ -31,6 +31,7 @@ DEMANDS = {
     "fast_speedup": (">=", 8.0),
     "cpu_ms_per_step_paper": ("<=", 90.0),
     "first_decision_seconds_warm": ("<=", 1.5),
+    "new_length_seconds": ("<=", 0.6),
     "rss_growth_mb_per_1000_steps": ("<=", 2.0),
     "oracle_tv_beyond_seeds": ("<=", 0.0),
 }
@@ -53,6 +54,8 @@ PARTS: dict[str, Callable[[], dict[str, Any]]] = {
     "presets": whole.presets,
     "two_workers": whole.two_workers,
     "first_decision": whole.first_decision,
+    "closed_loop": whole.closed_loop,
+    "new_length": whole.new_length,
     "memory": whole.memory,
 }
 

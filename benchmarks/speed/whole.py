@@ -3,15 +3,26 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import itertools
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 
+from phase_ppl import (
+    Hypothesis,
+    Model,
+    Observation,
+    Scene,
+    StepwiseLikelihood,
+    infer,
+    load_event,
+    watch,
+)
 from phase_ppl.agents import beliefs, pomcp, vision
 from phase_ppl.agents.agent import Policies
 from phase_ppl.agents.config import PlannerConfig
@@ -147,6 +158,54 @@ def two_workers(repeats: int = 3) -> dict[str, Any]:
                 seconds[workers].append(time.perf_counter() - clock)
     ratios = np.array(seconds[1]) / np.array(seconds[2])
     return {"two_worker_speedup": float(np.median(ratios))}
+
+
+def closed_loop(n_frames: int = 16) -> dict[str, Any]:
+    """CPU time a frame, one set of searches that share what they imagine or not, in turn."""
+    searches = Policies.searches
+
+    def alone(policies: Policies) -> list[list[int]]:
+        return [[place] for group in searches(policies) for place in group]
+
+    times: dict[str, list[float]] = {"shared": [], "alone": []}
+    model = Model(likelihood=StepwiseLikelihood(planner_seeds=1))
+    try:
+        for _ in range(3):
+            for name, grouped in (("shared", searches), ("alone", alone)):
+                Policies.searches = grouped  # type: ignore[method-assign,assignment]
+                begin = time.process_time()
+                for event in ("collaborate", "compete"):
+                    scene, seen = load_event(event).scene, load_event(event).observation
+                    with watch(scene, model, threads=1) as reading:
+                        for frame in seen.trajectory[1 : n_frames + 1]:
+                            reading.take(frame)
+                times[name].append((time.process_time() - begin) / (2 * n_frames))
+    finally:
+        Policies.searches = searches  # type: ignore[method-assign]
+    shared, apart = (float(np.median(times[name])) for name in ("shared", "alone"))
+    return {
+        "closed_loop_ms_per_frame": 1e3 * shared,
+        "closed_loop_sharing_speedup": apart / shared,
+    }
+
+
+def new_length() -> dict[str, Any]:
+    """CPU time of an inference by an instant simulator: of one length again, and of another."""
+
+    def still(scene: Scene, hypothesis: Hypothesis, rng: np.random.Generator) -> Iterator[Any]:
+        while True:
+            yield scene.start
+
+    whole_event = load_event("collaborate")
+    seconds = []
+    for n_frames in (20, 20, 21):
+        event = dataclasses.replace(
+            whole_event, observation=Observation(whole_event.observation.trajectory[:n_frames])
+        )
+        begin = time.process_time()
+        infer(event, Model(simulator=still), progress=False)
+        seconds.append(time.process_time() - begin)
+    return {"infer_seconds_again": seconds[1], "new_length_seconds": seconds[2] - seconds[1]}
 
 
 FIRST = """

@@ -386,7 +386,7 @@ def _slot(tree: Tree, playouts: Playouts, depth: int) -> int:
     while playouts.start[slot] >= 0 and playouts.key[slot] != key:
         slot = (slot + 1) & last
     playouts.key[slot] = key
-    return slot
+    return int(slot)
 
 
 @bare_kernel
