@@ -24,7 +24,8 @@ from phase_ppl.physics.flat import ANGLE, SPIN, VX, VY, X, Y
 from phase_ppl.physics.jit import bare_kernel
 from phase_ppl.world.arrays import FloatArray, IntArray
 
-_UP, _STOP = int(Action.UP), int(Action.STOP)
+_STOP = int(Action.STOP)
+_SUBSTEPS_ADD = 0.6  # of a push over duration squared: one half, and steps add their ends
 
 FRAME_LAG: Final = 3
 """A frame, the mean over the substeps of a planner step, shows the third of five."""
@@ -42,6 +43,7 @@ class Trial(NamedTuple):
     frame: FloatArray  # (entity, 3) mean pose of the last step tried
     actions: IntArray  # (agent,) the joint action tried
     group: IntArray  # (entity,) the least agent that each can meet, or ``_ALONE``
+    way: FloatArray  # (entity,) how far each can get, units
     best: IntArray  # (agent,) the best action so far
     parts: FloatArray  # (agent, joint action of its group) log densities
     alone: FloatArray  # (agent, N_ACTIONS) work space
@@ -57,6 +59,7 @@ def make_trial(n_bodies: int = 4, n_agents: int = 2) -> Trial:
         np.zeros((n_bodies, 3)),
         np.zeros(n_agents, np.int64),
         np.zeros(n_bodies, np.int64),
+        np.zeros(n_bodies),
         np.zeros(n_agents, np.int64),
         np.zeros((n_agents, N_ACTIONS**n_agents)),
         np.zeros((n_agents, N_ACTIONS)),
@@ -125,71 +128,47 @@ def _entity_log_density(
 
 
 @bare_kernel
-def _is_apart(
-    bodies: FloatArray, held: IntArray, params: Params, scratch: Scratch, trial: Trial
-) -> bool:
-    """Whether the agents cannot meet anything, nor grab, whatever they do."""
-    n_agents = held.shape[0]
-    for agent in range(n_agents):
-        trial.actions[agent] = _UP
-    if not compiled.stay_apart(
-        bodies, held, trial.actions, bodies.shape[0], n_agents, params, scratch
-    ):
-        return False
-    for agent in range(n_agents):
-        item, _ = compiled.find_grab(bodies, held, agent, params)
-        if item >= 0:
-            return False
-    return True
-
-
-@bare_kernel
 def _join(one: int, other: int, trial: Trial) -> None:
-    """Put the groups of two bodies together."""
+    """Put the groups of two bodies together; each may go as far as any of them."""
+    way = max(trial.way[one], trial.way[other])
     low = min(trial.group[one], trial.group[other])
     high = max(trial.group[one], trial.group[other])
     for body in range(trial.group.shape[0]):
         if trial.group[body] == high:
             trial.group[body] = low
+        if trial.group[body] == low:
+            trial.way[body] = way
 
 
 @bare_kernel
-def _find_groups(
-    bodies: FloatArray, held: IntArray, params: Params, scratch: Scratch, trial: Trial
-) -> None:
+def _find_groups(bodies: FloatArray, held: IntArray, params: Params, trial: Trial) -> None:
     """Write into ``trial.group`` who can meet whom during this planner step."""
     n_bodies, n_agents = bodies.shape[0], held.shape[0]
+    duration = params.dt * params.substeps
     for body in range(n_bodies):
         trial.group[body] = body
-    if _is_apart(bodies, held, params, scratch, trial):
-        for item in range(n_agents, n_bodies):
-            trial.group[item] = _ALONE
-        return
-    if n_agents <= 2:
-        for body in range(n_bodies):
-            trial.group[body] = 0
-        return
-    duration = params.dt * params.substeps
-    fastest = 0.0  # what is hit may become as fast as what hits it
-    for body in range(n_bodies):
-        speed = math.hypot(bodies[body, VX], bodies[body, VY])
+        trial.way[body] = duration * math.hypot(bodies[body, VX], bodies[body, VY])
         if body < n_agents:
-            speed += params.force[body] * params.inverse_mass[body] * duration
-        fastest = max(fastest, speed)
-    for body in range(n_bodies):
-        for other in range(body):
-            reach = params.extent[body] + params.extent[other] + 2.0 * fastest * duration
-            dx = bodies[body, X] - bodies[other, X]
-            dy = bodies[body, Y] - bodies[other, Y]
-            if dx * dx + dy * dy < reach * reach:
-                _join(body, other, trial)
+            pushed = params.force[body] * params.inverse_mass[body]
+            trial.way[body] += _SUBSTEPS_ADD * pushed * duration**2
     for agent in range(n_agents):
-        if held[agent] >= 0:
-            _join(agent, held[agent], trial)
-        else:
+        item = held[agent]
+        if item < 0:
             item, _ = compiled.find_grab(bodies, held, agent, params)
-            if item >= 0:
-                _join(agent, item, trial)
+        if item >= 0:
+            _join(agent, item, trial)
+    joined = True
+    while joined:  # what is hit may go as far as what hits it, and hit others
+        joined = False
+        for body in range(n_bodies):
+            for other in range(body):
+                reach = params.extent[body] + params.extent[other]
+                reach += trial.way[body] + trial.way[other]
+                dx = bodies[body, X] - bodies[other, X]
+                dy = bodies[body, Y] - bodies[other, Y]
+                if trial.group[body] != trial.group[other] and dx * dx + dy * dy < reach * reach:
+                    _join(body, other, trial)
+                    joined = True
     for item in range(n_agents, n_bodies):
         if trial.group[item] >= n_agents:
             trial.group[item] = _ALONE
@@ -342,7 +321,7 @@ def try_all(
         for agent in range(n_agents):
             params.force[agent] = strengths[b, agent]
         state, holds, welds = bodies[b], held[b], weld[b]
-        _find_groups(state, holds, params, scratch, trial)
+        _find_groups(state, holds, params, trial)
         largest = 1
         for group in range(n_agents):
             size = _size(group, trial)
