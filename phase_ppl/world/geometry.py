@@ -135,6 +135,9 @@ def penetration(first: FloatArray, second: FloatArray, rounding: float = 0.0) ->
         first, second: (n, 2) corners in order; two are a segment, one is a disc's centre.
         rounding: radii of the discs in all.
     """
+    gaps = first.min(axis=0) - second.max(axis=0), second.min(axis=0) - first.max(axis=0)
+    if np.max(gaps) > rounding:  # most are far apart
+        return 0.0
     axes = [first[i] - second[j] for i in range(len(first)) for j in range(len(second))]
     for shape in (first, second):
         edges = np.roll(shape, -1, axis=0) - shape
