@@ -27,9 +27,17 @@ class SubgoalPlanner:
         own: literal of its effective goal.
         towards: how it stands to those of others.
         abilities: what the bodies can do.
+        settles: whether it stops where its goal is reached, whatever the goal.
     """
 
-    def __init__(self, agent: int, own: Literal, towards: Stance, abilities: Abilities) -> None:
+    def __init__(
+        self,
+        agent: int,
+        own: Literal,
+        towards: Stance,
+        abilities: Abilities,
+        settles: bool = False,
+    ) -> None:
         self.agent = agent
         self.opponent = towards.other
         self.own = own
@@ -40,6 +48,10 @@ class SubgoalPlanner:
         self.abilities = abilities
         self._n_agents = len(abilities.passes) - len(abilities.fills)
         self.stance = towards
+        self._settles = settles and own.positive
+        ends = (own.subject, own.target) if own.predicate is Predicate.TOUCH else (own.subject,)
+        # these may have gone since they were last seen
+        self._others = tuple(end for end in ends if end < self._n_agents and end != agent)
         self._memory: dict[tuple[SymbolicState, tuple[bool, ...]], Literal] = {}
 
     def subgoal(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
@@ -57,6 +69,8 @@ class SubgoalPlanner:
 
     def _choose(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
         subject = self.own.subject
+        if self._settles and state.own_done and all(observed[other] for other in self._others):
+            return self._free_hands(state) or STOP
         touches = self.own.predicate is Predicate.TOUCH
         if touches and subject != self.agent:
             return self._bring_together(state, observed)
@@ -87,14 +101,14 @@ class SubgoalPlanner:
             goal_room = state.rooms[self.own.target]
             in_view = observed[self.own.target]
         else:
-            goal_room, in_view = self._landmark_room(self.own.target), False
+            goal_room, in_view = self._goal_room(), False
         if state.rooms[self.agent] == goal_room or in_view:
             return self.own
         return self._walk(state, {goal_room}, goal_room)
 
     def _deliver(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
         """ON(item, landmark)."""
-        item, room = self.own.subject, self._landmark_room(self.own.target)
+        item, room = self.own.subject, self._goal_room()
         holding = state.held[self.agent] == item
         if state.own_done:
             return self._free_hands(state) or STOP
@@ -104,8 +118,10 @@ class SubgoalPlanner:
         if self.abilities.is_open and holding:
             return self.own
 
+        room_is_all = self.own.predicate is Predicate.CLOSE
+
         def delivered(node: Node) -> bool:
-            return node.rooms[item] == room and node.placed[item]
+            return node.rooms[item] == room and (room_is_all or node.placed[item])
 
         steps = self._plan(state, (self.agent,), frozenset({item}), delivered)
         alone = steps is not None
@@ -181,7 +197,7 @@ class SubgoalPlanner:
         """ON(other, landmark): clear a door that an item closes on the other's way."""
         if self.abilities.is_open or state.other_done or state.own_done:
             return self._free_hands(state) or STOP
-        goal_room = self._landmark_room(self.own.target)
+        goal_room = self._goal_room()
         way = self.abilities.route((), state.rooms[self.opponent], goal_room)
         on_way = self._doors(way)
         held = state.held[self.agent]
@@ -219,7 +235,7 @@ class SubgoalPlanner:
 
     def _keep_away(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
         """Not ON(other, landmark): fill a door on its way, or meet it there and push it back."""
-        goal_room = self._landmark_room(self.own.target)
+        goal_room = self._goal_room()
         rival_room = state.rooms[self.opponent]
         way = self.abilities.route((self.opponent,), rival_room, goal_room)
         if way is None:
@@ -253,7 +269,7 @@ class SubgoalPlanner:
         """Not ON(item, landmark): take it away, hold it back, or stand in the way."""
         item = self.own.subject
         me, rival = state.rooms[self.agent], state.rooms[self.opponent]
-        item_room, goal_room = state.rooms[item], self._landmark_room(self.own.target)
+        item_room, goal_room = state.rooms[item], self._goal_room()
         ability = self.abilities
         letting_go = self._free_hands(state, keep=item)
         if letting_go is not None:
@@ -289,7 +305,7 @@ class SubgoalPlanner:
 
     def _hold_back(self, item: int, room: int) -> Literal:
         """Pull an item into the corner of its room; where that is the goal, off the goal."""
-        if room == self._landmark_room(self.own.target):
+        if room == self._goal_room():
             return self.own
         return self._aside(item, room)
 
@@ -306,7 +322,7 @@ class SubgoalPlanner:
 
     def _rooms_to_take_to(self, item: int, item_room: int) -> list[int]:
         """Return the rooms, but for that of the goal, to which this agent can take an item."""
-        goal_room = self._landmark_room(self.own.target)
+        goal_room = self._goal_room()
         return [
             room
             for room in range(len(self.abilities.neighbours))
@@ -396,9 +412,11 @@ class SubgoalPlanner:
             doors += [door for door, following in joining if following == end][:1]
         return doors
 
-    def _landmark_room(self, landmark: int) -> int:
-        """Return the room of a landmark; an arena without inner walls is one room."""
-        return 0 if self.abilities.is_open else self.abilities.landmark_rooms[landmark]
+    def _goal_room(self) -> int:
+        """Return the room of the goal; an arena without inner walls is one room."""
+        if self.own.predicate is Predicate.CLOSE:
+            return self.own.target
+        return 0 if self.abilities.is_open else self.abilities.landmark_rooms[self.own.target]
 
     def _plan(
         self,
@@ -412,8 +430,8 @@ class SubgoalPlanner:
             done[self.own.subject] = state.own_done
         start = start_node(state, tuple(done), targets)
         distance = self.abilities.room_distance
-        moving = self.own.subject if self.own.predicate is Predicate.ON else None
-        goal_room = self._landmark_room(self.own.target) if moving in targets else None
+        moving = None if self.own.predicate is Predicate.TOUCH else self.own.subject
+        goal_room = self._goal_room() if moving in targets else None
 
         def heuristic(node: Node) -> float:
             if moving is None or goal_room is None or not self.own.positive:
@@ -426,11 +444,11 @@ class SubgoalPlanner:
 @functools.lru_cache(maxsize=64)
 def subgoal_planners(
     agent: int, abilities: Abilities
-) -> Callable[[Literal, Stance], SubgoalPlanner]:
-    """Return (own goal, stance) -> planner; simulations that agree on both share its memory."""
+) -> Callable[[Literal, Stance, bool], SubgoalPlanner]:
+    """Return (own goal, stance, settles) -> planner; simulations that agree on both share its memory."""
 
     @functools.cache
-    def planner(own: Literal, towards: Stance) -> SubgoalPlanner:
-        return SubgoalPlanner(agent, own, towards, abilities)
+    def planner(own: Literal, towards: Stance, settles: bool) -> SubgoalPlanner:
+        return SubgoalPlanner(agent, own, towards, abilities, settles)
 
     return planner
