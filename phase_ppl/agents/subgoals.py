@@ -445,7 +445,7 @@ class SubgoalPlanner:
 def subgoal_planners(
     agent: int, abilities: Abilities
 ) -> Callable[[Literal, Stance, bool], SubgoalPlanner]:
-    """Return (own goal, stance, settles) -> planner; simulations that agree on both share its memory."""
+    """Return (own goal, stance, settles) -> planner; simulations that agree share its memory."""
 
     @functools.cache
     def planner(own: Literal, towards: Stance, settles: bool) -> SubgoalPlanner:

@@ -202,6 +202,8 @@ def doing(subgoal: Literal, agent: int, scene: Scene) -> str:
         name = world.landmark_names[target]
         place = f"the {name.replace('lm', 'landmark') if world == PHASE else name}"
     elif predicate is Predicate.TOUCH:
+        if subject >= len(world.agents):  # of two items the target is the one that is moved
+            subject, target = target, subject
         place = f"the {world.entities[target]}"
     else:
         place = f"the {_place(scene, target)}"

@@ -1,9 +1,9 @@
 """Predicates of a user's own: goals of a world beside those about landmarks and touching.
 
-A predicate is a relation of a body to another body, to a landmark or to a room, as data, so that the
-compiled planner attains it by what it knows (to touch, to be on, to be in a room) and files hold no
-code. Only when it is true, and so when an agent is content, is the predicate's own: it is computed
-from the positions of bodies once per step, and never inside the compiled search.
+A predicate is a relation of a body to another body, to a landmark or to a room, as data, so that
+the compiled planner attains it by what it knows (to touch, to be on, to be in a room) and files
+hold no code. Only when it is true, and so when an agent is content, is the predicate's own: it is
+computed from the positions of bodies once per step, and never inside the compiled search.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ _CLEAR_OF_DOORS: Final = 1.5  # in units of a body's size R
 class Predicate:
     """A goal of one's own: where a body is to be, and what that is called.
 
-    A world that has it has two more goals, ``name`` and "not ``name``". Distances are lengths of the
-    way through doors, units, between the bodies' origins or to a landmark's centre.
+    A world that has it has two more goals, ``name`` and "not ``name``". Distances are lengths of
+    the way through doors, units, between the bodies' origins or to a landmark's centre.
 
     Example:
         ``ppl.Predicate("toys together", "ball", "doll", within=4)``,
@@ -97,7 +97,7 @@ class Predicate:
 
     @property
     def content(self) -> float:
-        """The distance at which an agent that comes near stops, a little within the limit, units."""
+        """The distance at which an agent that comes near stops, a little less than the limit."""
         return self.limit - min(_MARGIN, _MARGIN_SHARE * self.limit)
 
     def check(self, world: Any) -> None:
@@ -164,7 +164,7 @@ class Predicate:
         return apart <= self.limit if self.brings_near else apart >= self.limit
 
     def distance(self, poses: FloatArray, scene: Any) -> FloatArray:
-        """Return (...) how far it is from being true, units, 0 where it is. Arguments as of apart."""
+        """Return (...) how far it is from being true, units. Arguments as of :meth:`apart`."""
         apart = self.apart(poses, scene)
         left = apart - self.limit if self.brings_near else self.limit - apart
         return np.maximum(0.0, left)
