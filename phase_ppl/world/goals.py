@@ -35,8 +35,8 @@ def goal_literal(goal: str | int, holder: int, world: World = PHASE) -> Literal:
     index = world.goal_index(goal)
     words, own = world.goals[index], index - (len(world.goals) - 2 * len(world.predicates))
     if own >= 0:  # each with its negation, at the end
-        subject = world.entity(world.predicates[own // 2].subject)
-        return Literal(Predicate.OWN, subject, own // 2, own % 2 == 0)
+        moved = world.entity(world.predicates[own // 2].subject)
+        return Literal(Predicate.OWN, moved, own // 2, own % 2 == 0)
     positive = " away from " not in words
     # "Get ball to home", or "get to red agent" without a subject
     subject, target = words[len("get") :].split(" to " if positive else " away from ")

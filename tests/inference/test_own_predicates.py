@@ -84,12 +84,19 @@ def test_the_closed_loop_finds_it_and_its_posterior_is_kept(tmp_path: Path) -> N
     assert back.top("goal_red", 1)[0][0] == "toys together"
 
 
-def test_goals_of_ones_own_are_proposed_by_simple() -> None:
+def test_simple_proposes_and_finds_it() -> None:
     event = simulate("ball in the playroom", frames=30)
-    post = ppl.infer(event, kernel="local_mh", budget=ppl.simulations(30), seed=0)
-    assert "toys together" in post.quantities["goal_red"].labels if hasattr(
-        post, "quantities"
-    ) else post.top("goal_red", 1)
+    post = ppl.infer(event, kernel="local_mh", budget=ppl.simulations(105), seed=0)
+    assert post.top("goal_red", 1)[0][0] == "ball in the playroom"
+
+
+def test_random_goals_and_rewards_know_it() -> None:
+    drawn = {ppl.roles.draw(NURSERY, seed).effective_goals[0] for seed in range(120)}
+    assert drawn >= {NURSERY.goal_index(own.name) for own in NURSERY.predicates}
+    game = ppl.env(NURSERY, SCENE, goals={"red agent": "not toys together"}, steps=3)
+    game.reset(seed=0)
+    *_, infos = game.step({"red agent": 0})
+    assert infos["red agent"] == {"goal": "not toys together", "reached": True}
 
 
 def test_what_knows_no_predicates_of_ones_own_says_so() -> None:
