@@ -107,6 +107,7 @@ from phase_ppl.world.hypothesis import Hypothesis as Hypothesis
 from phase_ppl.world.hypothesis import Roles as Roles
 from phase_ppl.world.names import AGENTS as AGENTS
 from phase_ppl.world.observation import Observation as Observation
+from phase_ppl.world.predicates import Predicate as Predicate
 from phase_ppl.world.scene import Scene as Scene
 from phase_ppl.world.scene import World as World
 

@@ -28,7 +28,7 @@ from phase_ppl.agents.world_model import WorldModel
 from phase_ppl.physics import compiled
 from phase_ppl.physics.actions import Action
 from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
-from phase_ppl.world.goals import goal_literal
+from phase_ppl.world.goals import goal_literal, planned_as
 from phase_ppl.world.names import AGENTS, NOTHING, STOP, Literal, Predicate
 
 NO_INTENT = -1  # of goals that cannot be, or were not asked for
@@ -166,9 +166,28 @@ class Policies:
             if one.towards.helps_along
         }
         self._rows = {goal: row for row, goal in enumerate(sorted(asked))}
+        own = {
+            row: goal_literal(goal, holder, world) for row, (holder, goal) in enumerate(self._rows)
+        }
+        plans = [
+            planned_as(own[row], holder, model.scene) for row, (holder, _) in enumerate(self._rows)
+        ]
+        # facts know no goal to be in a room; what is there of it does not depend on the place
         self._codes = np.array(
-            [pomcp.subgoal_code(goal_literal(goal, holder, world)) for holder, goal in self._rows]
+            [
+                pomcp.subgoal_code(
+                    Literal(Predicate.ON, one.subject, 0, one.positive)
+                    if one.predicate is Predicate.CLOSE
+                    else one
+                )
+                for one in plans
+            ]
         )
+        self._own = [
+            (row, plans[row], world.predicates[one.target])
+            for row, one in own.items()
+            if one.predicate is Predicate.OWN
+        ]
         particles = config.particles
         self._row = symbols.Facts(*self._counts)
         self._facts = np.zeros((particles, self._row.size), np.int8)
@@ -232,12 +251,27 @@ class Policies:
             *(beliefs.bodies, beliefs.held, self.agent, self._codes, model.params, model.layout),
             *(self._facts, self._done, self._costs),
         )
+        self._describe_own()
         rows = self._facts.view(f"V{self._row.size}").ravel().tolist()
         places: dict[bytes, int] = {}
         self._kind = np.array([places.setdefault(row, len(places)) for row in rows])
         self._facts_of_kind = list(places)
         self._observed = tuple(beliefs.observed.tolist())
         self._groups = {}
+
+    def _describe_own(self) -> None:
+        """Say where the predicates of the world's own are reached, and the way into rooms."""
+        if not self._own:
+            return
+        (bodies, held), scene = (self.beliefs.bodies, self.beliefs.held), self.model.scene
+        angle, cog = bodies[..., 2], self.model.params.cog
+        origin = bodies[..., :2] + np.stack([np.sin(angle), -np.cos(angle)], -1) * cog[:, None]
+        for row, planned, predicate in self._own:
+            self._done[row] = predicate.is_content(origin, scene)
+            if planned.predicate is Predicate.CLOSE and planned.positive:
+                near = planned.subject == self.agent or held[:, self.agent] == planned.subject
+                way = predicate.apart(origin, scene)
+                self._costs[row] = np.where(near, way, self._costs[row])
 
     def _by_done(
         self, others: Iterable[tuple[int, int]], towards: Stance
@@ -257,7 +291,8 @@ class Policies:
         if towards.helps_along:
             # it matters whether the other is where it wants to be
             kinds += self._done[self._rows[towards.other, other]]
-        planner = self._planner(one.literal, towards)
+        planned = planned_as(one.literal, self.agent, self.model.scene)
+        planner = self._planner(planned, towards, one.literal.predicate is Predicate.OWN)
         agreeing: dict[Literal, list[int]] = defaultdict(list)
         for state, members in self._grouped(kinds):
             agreeing[planner.subgoal(state, self._observed)] += members

@@ -27,6 +27,7 @@ class SubgoalPlanner:
         own: literal of its effective goal.
         towards: how it stands to those of others.
         abilities: what the bodies can do.
+        settles: whether it stops where its goal is reached, whatever the goal.
         plans: those of given abilities.
     """
 
@@ -36,6 +37,7 @@ class SubgoalPlanner:
         own: Literal,
         towards: Stance,
         abilities: Abilities,
+        settles: bool = False,
         plans: Callable[[Abilities], Plans] = Plans,
     ) -> None:
         self.agent = agent
@@ -48,6 +50,10 @@ class SubgoalPlanner:
         self.abilities, self._plans = abilities, plans(abilities)
         self._n_agents = len(abilities.passes) - len(abilities.fills)
         self.stance = towards
+        self._settles = settles and own.positive
+        ends = (own.subject, own.target) if own.predicate is Predicate.TOUCH else (own.subject,)
+        # these may have gone since they were last seen
+        self._others = tuple(end for end in ends if end < self._n_agents and end != agent)
         self._memory: dict[tuple[SymbolicState, tuple[bool, ...]], Literal] = {}
 
     def subgoal(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
@@ -65,6 +71,8 @@ class SubgoalPlanner:
 
     def _choose(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
         subject = self.own.subject
+        if self._settles and state.own_done and all(observed[other] for other in self._others):
+            return self._free_hands(state) or STOP
         touches = self.own.predicate is Predicate.TOUCH
         if touches and subject != self.agent:
             return self._bring_together(state, observed)
@@ -95,14 +103,14 @@ class SubgoalPlanner:
             goal_room = state.rooms[self.own.target]
             in_view = observed[self.own.target]
         else:
-            goal_room, in_view = self._landmark_room(self.own.target), False
+            goal_room, in_view = self._goal_room(), False
         if state.rooms[self.agent] == goal_room or in_view:
             return self.own
         return self._walk(state, {goal_room}, goal_room)
 
     def _deliver(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
         """ON(item, landmark)."""
-        item, room = self.own.subject, self._landmark_room(self.own.target)
+        item, room = self.own.subject, self._goal_room()
         holding = state.held[self.agent] == item
         if state.own_done:
             return self._free_hands(state) or STOP
@@ -112,7 +120,8 @@ class SubgoalPlanner:
         if self.abilities.is_open and holding:
             return self.own
 
-        delivered = Target("rooms", item, frozenset({room}), placed=True)
+        placed = self.own.predicate is not Predicate.CLOSE
+        delivered = Target("rooms", item, frozenset({room}), placed)
         steps = self._plan(state, (self.agent,), frozenset({item}), delivered)
         alone = steps is not None
         if steps is None and self.stance.cooperative:
@@ -187,7 +196,7 @@ class SubgoalPlanner:
         """ON(other, landmark): clear a door that an item closes on the other's way."""
         if self.abilities.is_open or state.other_done or state.own_done:
             return self._free_hands(state) or STOP
-        goal_room = self._landmark_room(self.own.target)
+        goal_room = self._goal_room()
         way = self.abilities.route((), state.rooms[self.opponent], goal_room)
         on_way = self._doors(way)
         held = state.held[self.agent]
@@ -224,7 +233,7 @@ class SubgoalPlanner:
 
     def _keep_away(self, state: SymbolicState, observed: tuple[bool, ...]) -> Literal:
         """Not ON(other, landmark): fill a door on its way, or meet it there and push it back."""
-        goal_room = self._landmark_room(self.own.target)
+        goal_room = self._goal_room()
         rival_room = state.rooms[self.opponent]
         way = self.abilities.route((self.opponent,), rival_room, goal_room)
         if way is None:
@@ -258,7 +267,7 @@ class SubgoalPlanner:
         """Not ON(item, landmark): take it away, hold it back, or stand in the way."""
         item = self.own.subject
         me, rival = state.rooms[self.agent], state.rooms[self.opponent]
-        item_room, goal_room = state.rooms[item], self._landmark_room(self.own.target)
+        item_room, goal_room = state.rooms[item], self._goal_room()
         ability = self.abilities
         letting_go = self._free_hands(state, keep=item)
         if letting_go is not None:
@@ -294,7 +303,7 @@ class SubgoalPlanner:
 
     def _hold_back(self, item: int, room: int) -> Literal:
         """Pull an item into the corner of its room; where that is the goal, off the goal."""
-        if room == self._landmark_room(self.own.target):
+        if room == self._goal_room():
             return self.own
         return self._aside(item, room)
 
@@ -311,7 +320,7 @@ class SubgoalPlanner:
 
     def _rooms_to_take_to(self, item: int, item_room: int) -> list[int]:
         """Return the rooms, but for that of the goal, to which this agent can take an item."""
-        goal_room = self._landmark_room(self.own.target)
+        goal_room = self._goal_room()
         return [
             room
             for room in range(len(self.abilities.neighbours))
@@ -399,9 +408,11 @@ class SubgoalPlanner:
             doors += [door for door, following in joining if following == end][:1]
         return doors
 
-    def _landmark_room(self, landmark: int) -> int:
-        """Return the room of a landmark; an arena without inner walls is one room."""
-        return 0 if self.abilities.is_open else self.abilities.landmark_rooms[landmark]
+    def _goal_room(self) -> int:
+        """Return the room of the goal; an arena without inner walls is one room."""
+        if self.own.predicate is Predicate.CLOSE:
+            return self.own.target
+        return 0 if self.abilities.is_open else self.abilities.landmark_rooms[self.own.target]
 
     def _plan(
         self,
@@ -415,23 +426,24 @@ class SubgoalPlanner:
             done[self.own.subject] = state.own_done
         start = start_node(state, tuple(done), targets)
         heading = None
-        if self.own.predicate is Predicate.ON and self.own.positive and self.own.subject in targets:
-            heading = self.own.subject, self._landmark_room(self.own.target)
+        moves = self.own.predicate is not Predicate.TOUCH and self.own.positive
+        if moves and self.own.subject in targets:
+            heading = self.own.subject, self._goal_room()
         return self._plans.find(start, willing, targets, goal, heading)
 
 
 @functools.lru_cache(maxsize=64)
 def subgoal_planners(
     agent: int, abilities: Abilities
-) -> Callable[[Literal, Stance], SubgoalPlanner]:
-    """Return (own goal, stance) -> planner; simulations that agree on both share its memory.
+) -> Callable[[Literal, Stance, bool], SubgoalPlanner]:
+    """Return (own goal, stance, settles) -> planner; simulations that agree share its memory.
 
     Many goals call for the same plans: planners share these too.
     """
     plans = functools.cache(Plans)
 
     @functools.cache
-    def planner(own: Literal, towards: Stance) -> SubgoalPlanner:
-        return SubgoalPlanner(agent, own, towards, abilities, plans)
+    def planner(own: Literal, towards: Stance, settles: bool) -> SubgoalPlanner:
+        return SubgoalPlanner(agent, own, towards, abilities, settles, plans)
 
     return planner

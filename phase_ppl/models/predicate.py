@@ -408,6 +408,10 @@ class ForwardModel:
 
     def __init__(self, scene: Scene, rationality: Rationality | None = None) -> None:
         self.rationality = Rationality() if rationality is None else rationality
+        for own in scene.world.predicates:
+            raise InvalidSettingError(
+                f"predicate inverse planning knows no predicates of one's own, such as {own.name!r}"
+            )
         abilities, self._world = without_physics(scene), scene.world
         self._cost_to_go = {
             (agent, goal): _cost_to_go(abilities, agent, goal_literal(goal, agent, self._world))

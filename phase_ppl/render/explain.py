@@ -20,7 +20,7 @@ from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import atomic_output
-from phase_ppl.world.goals import goal_literal, is_true
+from phase_ppl.world.goals import goal_literal, is_true, planned_as
 from phase_ppl.world.hypothesis import Roles
 from phase_ppl.world.names import DOORS, STOP, Literal, Predicate
 from phase_ppl.world.observation import FRAMES_PER_SECOND as SIMULATED_PER_SECOND
@@ -151,7 +151,7 @@ def _goal(event: Event, agent: int) -> Literal:
 
 def _about(event: Event, agent: int) -> int:
     """Return the entity that an agent's goal is about: what it has to get hold of, or get to."""
-    goal = _goal(event, agent)
+    goal = planned_as(_goal(event, agent), agent, event.scene)
     return goal.target if goal.predicate is Predicate.TOUCH else goal.subject
 
 
@@ -202,6 +202,8 @@ def doing(subgoal: Literal, agent: int, scene: Scene) -> str:
         name = world.landmark_names[target]
         place = f"the {name.replace('lm', 'landmark') if world == PHASE else name}"
     elif predicate is Predicate.TOUCH:
+        if subject >= len(world.agents):  # of two items the target is the one that is moved
+            subject, target = target, subject
         place = f"the {world.entities[target]}"
     else:
         place = f"the {_place(scene, target)}"

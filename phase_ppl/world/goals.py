@@ -32,7 +32,11 @@ def goal_literal(goal: str | int, holder: int, world: World = PHASE) -> Literal:
 
     A goal that names its own holder ("get to red agent" held by red) has subject = target.
     """
-    words = world.goals[world.goal_index(goal)]
+    index = world.goal_index(goal)
+    words, own = world.goals[index], index - (len(world.goals) - 2 * len(world.predicates))
+    if own >= 0:  # each with its negation, at the end
+        moved = world.entity(world.predicates[own // 2].subject)
+        return Literal(Predicate.OWN, moved, own // 2, own % 2 == 0)
     positive = " away from " not in words
     # "Get ball to home", or "get to red agent" without a subject
     subject, target = words[len("get") :].split(" to " if positive else " away from ")
@@ -49,14 +53,16 @@ def literal_goal(literal: Literal, holder: int | None = None, world: World = PHA
     """Return the goal index whose literal is ``literal`` (inverse of :func:`goal_literal`).
 
     Args:
-        literal: ON an entity and a landmark, or TOUCH.
+        literal: ON an entity and a landmark, TOUCH, or a predicate of the world's own.
         holder: whose goal it is; None: the subject's.
         world: whose goals.
     """
     predicate, subject, target, positive = literal
     way = "to" if positive else "away from"
     words = ""
-    if predicate is Predicate.ON:
+    if predicate is Predicate.OWN:
+        words = world.words(literal)
+    elif predicate is Predicate.ON:
         words = f"Get {world.entities[subject]} {way} {world.landmark_names[target]}"
     elif predicate is Predicate.TOUCH and holder in (None, subject):
         words = f"get {way} {world.entities[target]}"
@@ -79,12 +85,35 @@ def is_true(literal: Literal, poses: FloatArray, scene: Scene) -> bool:
         scene: sizes and landmarks.
     """
     subject, target = literal.subject, literal.target
-    if literal.predicate is Predicate.TOUCH:
+    if literal.predicate is Predicate.OWN:
+        found = bool(scene.world.predicates[target].holds(poses, scene))
+    elif literal.predicate is Predicate.TOUCH:
         found = touches(subject, target, poses, scene.radius, len(scene.world.agents))
     else:
         centre, half_width = scene.landmark_centres[target], scene.half_widths[target]
         found = is_on(poses[subject, :2], centre, float(half_width))
     return bool(found) is literal.positive
+
+
+def planned_as(literal: Literal, holder: int, scene: Scene) -> Literal:
+    """Return what an agent plans for a goal: a predicate of the world's own by those of all worlds.
+
+    Of two bodies the holder is the subject; else an item is the target, and is brought.
+    """
+    if literal.predicate is not Predicate.OWN:
+        return literal
+    world, subject = scene.world, literal.subject
+    own = world.predicates[literal.target]
+    positive = literal.positive is own.brings_near
+    if own.target is None:
+        return Literal(Predicate.CLOSE, subject, own.room_in(scene), positive)
+    if own.target in world.landmark_names:
+        place = world.landmark_names.index(own.target)
+        return Literal(Predicate.ON, subject, place, positive)
+    other = world.entity(own.target)
+    if holder == other or (holder != subject and subject >= len(world.agents)):
+        subject, other = other, subject
+    return Literal(Predicate.TOUCH, subject, other, positive)
 
 
 def is_self_referring(goal: str | int, holder: int, world: World = PHASE) -> bool:

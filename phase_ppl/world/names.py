@@ -39,6 +39,8 @@ class Predicate(enum.IntEnum):
     CLOSE = 3
     """CLOSE(agent | item, place): in a room, or in a door: the number of rooms and its own."""
     STOP = 4
+    OWN = 5
+    """A goal's literal only, OWN(entity, number): a predicate of the world's own."""
 
 
 class Literal(NamedTuple):

@@ -33,6 +33,7 @@ from phase_ppl.world.picture import (
     first_colour,
     floor_colour,
 )
+from phase_ppl.world.predicates import Predicate as OwnPredicate
 from phase_ppl.world.rooms import Rooms
 
 Turning = Literal["both", "ccw", "cw"]
@@ -52,6 +53,7 @@ OUTSIDE_TOLERANCE: Final = 0.25
 MOST_AGENTS: Final = 4
 MOST_ITEMS: Final = 6
 MOST_LANDMARKS: Final = 8
+MOST_PREDICATES: Final = 8
 SIDES: Final = (4.0, 60.0)
 """Shortest and longest side of an arena, units."""
 
@@ -119,6 +121,7 @@ class World:
         touchable: names of what goals of touching can be about; None: all agents and items.
         quadrants: rooms are the arena's quadrants, and walls run from its centre, as in PHASE;
             else rooms are found from the walls.
+        predicates: up to 8 goals of one's own.
 
     Attributes:
         entities: names of agents, then items: the order of every array.
@@ -139,6 +142,7 @@ class World:
     name: str = "a world of one's own"
     touchable: Sequence[str] | None = None
     quadrants: bool = False
+    predicates: Sequence[OwnPredicate] = ()
 
     def __post_init__(self) -> None:
         set_field = functools.partial(object.__setattr__, self)
@@ -186,6 +190,25 @@ class World:
         walls = finite_array("walls", self.walls, (None, 2, 2))
         set_field("walls", tuple(tuple(map(tuple, wall)) for wall in walls.tolist()))
         Rooms.from_walls(walls, arena, self.quadrants)
+        set_field("predicates", self._own_predicates())
+
+    def _own_predicates(self) -> tuple[OwnPredicate, ...]:
+        """Return the predicates, checked."""
+        instance_of("predicates", self.predicates, (list, tuple), "a list of ppl.Predicate")
+        for one in self.predicates:
+            instance_of("predicates", one, OwnPredicate, "a list of ppl.Predicate")
+        _names("predicates", [one.name for one in self.predicates], 0, MOST_PREDICATES)
+        taken = {_plain(goal) for goal in self._goals_of_cast()}
+        for one in self.predicates:
+            if one.name.lower().startswith("not "):
+                raise InvalidSettingError(
+                    f"predicate {one.name!r} begins with 'not', which its negation does"
+                )
+            if _plain(one.name) in taken:
+                raise InvalidSettingError(f"two goals are called {one.name!r}")
+            taken.add(_plain(one.name))
+            one.check(self)
+        return tuple(self.predicates)
 
     def _place(self, name: str, place: object) -> tuple[float, float, float]:
         """Return x, y and half-width of a landmark."""
@@ -276,8 +299,13 @@ class World:
 
         Each entity to and away from each landmark; the agent itself to and away from what can be
         touched; one agent to and away from an item where there are two agents or more, from
-        another agent where there are three.
+        another agent where there are three; at last each predicate and its negation.
         """
+        own = ((one.name, f"not {one.name}") for one in self.predicates)
+        return (*self._goals_of_cast(), *itertools.chain(*own))
+
+    def _goals_of_cast(self) -> tuple[str, ...]:
+        """Return the goals that follow from the cast."""
         ways, touchable = ("to", "away from"), sorted(self.touchable or ())
         to_landmarks = [
             f"Get {entity} {way} {landmark}"
@@ -328,6 +356,8 @@ class World:
         predicate, subject, target, positive = literal
         if predicate is Predicate.STOP:
             return "STOP"
+        if predicate is Predicate.OWN:
+            return f"{'' if positive else 'not '}{self.predicates[target].name}"
         if predicate is Predicate.ON:
             name = self.landmark_names[target]
         elif predicate is Predicate.CLOSE:
@@ -409,6 +439,7 @@ class World:
         """Return the plain form, which :meth:`from_dict` reads."""
         x0, x1, y0, y1 = self.arena
         colours = [*self.colours, *((one.name, one.colour) for one in self.landmarks)]
+        own = self.predicates
         return {
             "name": self.name,
             "agents": list(self.agents),
@@ -419,6 +450,7 @@ class World:
             "colours": {name: list(colour) for name, colour in colours},
             "touchable": list(self.touchable or ()),
             "quadrants": self.quadrants,
+            **({"predicates": [one.to_dict() for one in own]} if own else {}),
         }
 
     @classmethod
@@ -436,7 +468,9 @@ class World:
         for name in ("agents", "items", "landmarks"):
             if name not in record:
                 raise InvalidSettingError(f"a world needs {name}")
-        return cls(**record)
+        own = record.get("predicates", [])
+        instance_of("predicates", own, list, "a list")
+        return cls(**{**record, "predicates": [OwnPredicate.from_dict(one) for one in own]})
 
     def __repr__(self) -> str:
         return (
@@ -599,6 +633,8 @@ class Scene:
         for name, room in zip(world.items, starts[n_agents:], strict=True):
             if all(rooms.route(start, room) is None for start in starts[:n_agents]):
                 raise InvalidEventError(f"the {name} is in a room that walls close to every agent")
+        for predicate in world.predicates:
+            predicate.check_scene(self)
 
     def _repr_html_(self) -> str:
         return drawn(self)

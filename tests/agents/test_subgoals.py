@@ -633,7 +633,7 @@ def test_equal_abilities_share_one_planner_memory(walls: list[list[list[float]]]
     towards = stance(RED, [goal_literal(0, RED), goal_literal(1, GREEN)])
     first, second, weak = (
         subgoal_planners(RED, Abilities.of(scene(walls=walls), strengths))(
-            goal_literal(0, RED), towards
+            goal_literal(0, RED), towards, False
         )
         for strengths in ((450.0, 600.0), (449.0, 590.0), (150.0, 600.0))
     )

@@ -179,6 +179,11 @@ def goal_distances(scene: Scene, observation: Observation) -> FloatArray:
     for holder in range(len(world.agents)):
         for goal in range(len(world.goals)):
             literal = goal_literal(goal, holder, world)
+            if literal.predicate is Predicate.OWN:
+                own = world.predicates[literal.target]
+                apart, near = own.apart(position, scene), own.brings_near is literal.positive
+                distance[:, holder, goal] = apart if near else np.maximum(0.0, farthest - apart)
+                continue
             if literal.predicate is Predicate.ON:
                 target = scene.landmark_centres[literal.target]
             else:

@@ -1,0 +1,248 @@
+"""Predicates of a user's own: goals of a world beside those about landmarks and touching.
+
+A predicate is a relation of a body to another body, to a landmark or to a room, as data, so that
+the compiled planner attains it by what it knows (to touch, to be on, to be in a room) and files
+hold no code. Only when it is true, and so when an agent is content, is the predicate's own: it is
+computed from the positions of bodies once per step, and never inside the compiled search.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from phase_ppl.world.arrays import BoolArray, FloatArray
+from phase_ppl.world.checks import instance_of, number_or_nan, positive_number
+from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
+from phase_ppl.world.rooms import UNREACHABLE, Rooms
+
+_MARGIN: Final = 0.5
+_MARGIN_SHARE: Final = 0.2
+_CLEAR_OF_DOORS: Final = 1.5  # in units of a body's size R
+
+
+@dataclasses.dataclass(frozen=True)
+class Predicate:
+    """A goal of one's own: where a body is to be, and what that is called.
+
+    A world that has it has two more goals, ``name`` and "not ``name``". Distances are lengths of
+    the way through doors, units, between the bodies' origins or to a landmark's centre.
+
+    Example:
+        ``ppl.Predicate("toys together", "ball", "doll", within=4)``,
+        ``ppl.Predicate("agents apart", "red agent", "green agent", beyond=12)``,
+        ``ppl.Predicate("ball in the attic", "ball", room=(30, 20))``
+
+    Args:
+        name: what it is called, in words without "to" and "away from".
+        subject: name of an agent or item. Of two items it is the one that is moved.
+        target: name of another agent or item, or of a landmark.
+        within: true where the two are at most so far apart, units.
+        beyond: true where they are at least so far apart, units.
+        room: true where the subject is in the room of this point (x, y), or of this landmark.
+
+    Raises:
+        InvalidSettingError: not one of within, beyond and room, or a value that cannot be.
+    """
+
+    name: str
+    subject: str
+    target: str | None = None
+    within: float | None = None
+    beyond: float | None = None
+    room: Any = None
+
+    def __post_init__(self) -> None:
+        instance_of("name", self.name, str, "a text")
+        what = f"predicate {self.name!r}"
+        instance_of(f"{what}: subject", self.subject, str, "the name of an agent or item")
+        given = [way for way in ("within", "beyond", "room") if getattr(self, way) is not None]
+        if len(given) != 1:
+            raise InvalidSettingError(
+                f"{what} has {' and '.join(given) or 'no limit'}, expected one of within, beyond "
+                "and room"
+            )
+        set_field = functools.partial(object.__setattr__, self)
+        if self.room is None:
+            instance_of(f"{what}: target", self.target, str, "the name of a body or landmark")
+            set_field(given[0], positive_number(f"{what}: {given[0]}", getattr(self, given[0])))
+            return
+        if self.target is not None:
+            raise InvalidSettingError(
+                f"{what} has a room and the target {shown(self.target)}, expected one of them"
+            )
+        if isinstance(self.room, str):
+            return
+        point = self.room if isinstance(self.room, Sequence) else ()
+        x, y = (number_or_nan(v) for v in point) if len(point) == 2 else (np.nan, np.nan)
+        if not np.isfinite([x, y]).all():
+            raise InvalidSettingError(
+                f"{what}: room={shown(self.room)}, expected a point (x, y) or a landmark's name"
+            )
+        set_field("room", (x, y))
+
+    @property
+    def brings_near(self) -> bool:
+        """Whether it is attained by coming near, and its negation by getting away."""
+        return self.beyond is None
+
+    @property
+    def limit(self) -> float:
+        """The distance at which its truth changes, units; 0 of a room."""
+        return self.within or self.beyond or 0.0
+
+    @property
+    def content(self) -> float:
+        """The distance at which an agent that comes near stops, a little less than the limit."""
+        return self.limit - min(_MARGIN, _MARGIN_SHARE * self.limit)
+
+    def check(self, world: Any) -> None:
+        """Raise a PhasePPLError unless a world has what it is about."""
+        what, (x0, x1, y0, y1) = f"predicate {self.name!r}", world.arena
+        if self.subject not in world.entities:
+            raise unknown_name(f"subject of {what}", self.subject, world.entities)
+        if self.target == self.subject:
+            raise InvalidSettingError(f"{what} has {self.subject!r} as subject and target")
+        targets = (*world.entities, *world.landmark_names)
+        if self.room is None and self.target not in targets:
+            raise unknown_name(f"target of {what}", self.target, targets)
+        farthest = float(np.hypot(x1 - x0, y1 - y0))
+        if self.room is None and not self.limit < farthest:
+            way = "within" if self.beyond is None else "beyond"
+            raise InvalidSettingError(
+                f"{what}: {way}={self.limit:g}, expected less than the arena's diagonal, "
+                f"{farthest:.4g}"
+            )
+        if isinstance(self.room, str) and self.room not in world.landmark_names:
+            raise unknown_name(f"room of {what}", self.room, world.landmark_names)
+        if isinstance(self.room, tuple):
+            x, y = self.room
+            if not (x0 <= x <= x1 and y0 <= y <= y1):
+                raise InvalidSettingError(
+                    f"{what}: room=({x:g}, {y:g}) lies outside the arena x {x0:g}..{x1:g}, "
+                    f"y {y0:g}..{y1:g}"
+                )
+
+    def check_scene(self, scene: Any) -> None:
+        """Raise InvalidSettingError if it is true, or false, wherever bodies are in a scene."""
+        what, world = f"predicate {self.name!r}", scene.world
+        if self.room is not None and len(scene.rooms) == 1:
+            raise InvalidSettingError(f"{what} is about a room, and the scene has one only")
+        if self.target in world.entities:
+            one, other = (world.entity(name) for name in (self.subject, self.target))
+            touching = float(scene.radius[one] + scene.radius[other])
+            if self.content < touching:
+                raise InvalidSettingError(
+                    f"{what}: {self.limit:g} units are too few for bodies that touch at "
+                    f"{touching:g}; expected {touching / (1 - _MARGIN_SHARE):.3g} or more"
+                )
+
+    def apart(self, poses: FloatArray, scene: Any) -> FloatArray:
+        """Return (...) the way from subject to target or into the room, units.
+
+        Args:
+            poses: (..., entity, coord) x, y [units] and whatever else.
+            scene: a scene of a world that has this predicate.
+        """
+        world, rooms = scene.world, scene.rooms
+        start = np.asarray(poses, float)[..., world.entity(self.subject), :2]
+        if self.room is not None:
+            return _ways(start, None, np.asarray(self.room_in(scene)), rooms)
+        if self.target in world.landmark_names:
+            end = scene.landmark_centres[world.landmark_names.index(self.target)]
+        else:
+            end = np.asarray(poses, float)[..., world.entity(self.target), :2]
+        return _ways(start, end, rooms.room_of(end), rooms)
+
+    def holds(self, poses: FloatArray, scene: Any) -> BoolArray:
+        """Return (...) whether it is true. Arguments as of :meth:`apart`."""
+        apart = self.apart(poses, scene)
+        return apart <= self.limit if self.brings_near else apart >= self.limit
+
+    def distance(self, poses: FloatArray, scene: Any) -> FloatArray:
+        """Return (...) how far it is from being true, units. Arguments as of :meth:`apart`."""
+        apart = self.apart(poses, scene)
+        left = apart - self.limit if self.brings_near else self.limit - apart
+        return np.maximum(0.0, left)
+
+    def is_content(self, poses: FloatArray, scene: Any) -> BoolArray:
+        """Return (...) whether an agent that comes near may stop. Arguments as of :meth:`apart`.
+
+        It is a little earlier than the limit, and in a room where the body is clear of its doors.
+        """
+        near = self.apart(poses, scene) <= self.content
+        if self.room is None:
+            return near
+        subject, room = scene.world.entity(self.subject), self.room_in(scene)
+        doors = scene.rooms.door_position[[door for door, _ in scene.rooms.exits(room)]]
+        place = np.asarray(poses, float)[..., subject, :2]
+        gaps = np.linalg.norm(place[..., None, :] - doors, axis=-1)
+        clear = (gaps > _CLEAR_OF_DOORS * scene.radius[subject]).all(axis=-1)
+        return np.asarray(near & clear)
+
+    def room_in(self, scene: Any) -> int:
+        """Return the number of its room in a scene."""
+        if isinstance(self.room, str):
+            where = scene.landmark_centres[scene.world.landmark_names.index(self.room)]
+        else:
+            where = np.array(self.room)
+        return int(scene.rooms.room_of(where))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the plain form, which :meth:`from_dict` reads: the fields that are given."""
+        fields = ((one.name, getattr(self, one.name)) for one in dataclasses.fields(self))
+        found = {name: value for name, value in fields if value is not None}
+        if isinstance(self.room, tuple):
+            found["room"] = list(self.room)
+        return found
+
+    @classmethod
+    def from_dict(cls, record: object) -> Predicate:
+        """Return the predicate written by :meth:`to_dict`.
+
+        Raises:
+            UnknownNameError: a field that a predicate does not have.
+            InvalidSettingError: one is missing, or a predicate that cannot be.
+        """
+        if not isinstance(record, Mapping):
+            raise InvalidSettingError(f"a predicate is {shown(record)}, expected a mapping")
+        names = [field.name for field in dataclasses.fields(cls)]
+        for name in record:
+            if name not in names:
+                raise unknown_name("field of a predicate", name, names)
+        for name in ("name", "subject"):
+            if name not in record:
+                raise InvalidSettingError(f"a predicate needs a {name}")
+        return cls(**record)
+
+
+def _ways(start: FloatArray, end: FloatArray | None, ends: Any, rooms: Rooms) -> FloatArray:
+    """Return (...) lengths of ways through doors, units.
+
+    Args:
+        start: (..., 2) points.
+        end: (..., 2) points; None: the ways end in the last door.
+        ends: (...) the rooms of the ends.
+        rooms: of the floor plan.
+    """
+    starts, ends = np.broadcast_arrays(rooms.room_of(start), ends)
+    if rooms.is_open and end is not None:
+        return np.asarray(np.linalg.norm(end - start, axis=-1))
+    place = np.broadcast_to(start, (*starts.shape, 2))
+    goal = None if end is None else np.broadcast_to(end, (*starts.shape, 2))
+    found = np.full(starts.shape, float(UNREACHABLE))
+    for one, other in {*zip(starts.ravel().tolist(), ends.ravel().tolist(), strict=True)}:
+        doors = rooms.route(one, other)
+        if doors is None:
+            continue
+        there = (starts == one) & (ends == other)
+        length, at = np.zeros(int(there.sum())), place[there]
+        stops = [*rooms.door_position[list(doors)], *([] if goal is None else [goal[there]])]
+        for stop in stops:
+            length, at = length + np.linalg.norm(stop - at, axis=-1), stop
+        found[there] = length
+    return found
