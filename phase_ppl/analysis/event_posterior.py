@@ -19,7 +19,7 @@ from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import Hypothesis
 from phase_ppl.world.identity import qualified_name
-from phase_ppl.world.scene import Scene, World, check_phase
+from phase_ppl.world.scene import Scene, World
 
 if TYPE_CHECKING:
     from phase_ppl.analysis.what_if import Source, WhatIf
@@ -169,19 +169,13 @@ class EventPosterior(Hypotheses):
     def _source(self) -> Source:
         from phase_ppl.analysis.what_if import Source
 
-        check_phase(self.scene, "what if")
         return Source(self.event_id, self.settings, self.scene, self.observed(), self.table)
 
     def do(
         self,
         *,
-        goal_red: str | None = None,
-        goal_green: str | None = None,
-        stated_goal_red: str | None = None,
-        stated_goal_green: str | None = None,
         alpha: tuple[int, int] | None = None,
-        strength_red: float | None = None,
-        strength_green: float | None = None,
+        relation: Mapping[tuple[str, str], str] | None = None,
         remove: str | Sequence[str] = (),
         walls: Any = None,
         at: int | None = None,
@@ -190,6 +184,7 @@ class EventPosterior(Hypotheses):
         seed: int = 0,
         workers: int | None = None,
         simulator: Simulator | None = None,
+        **changed: Any,
     ) -> WhatIf:
         """Return what would have happened with something changed, beside what does happen.
 
@@ -199,12 +194,9 @@ class EventPosterior(Hypotheses):
         ``film(path)`` shows both side by side. See :class:`phase_ppl.analysis.what_if.WhatIf`.
 
         Args:
-            goal_red, goal_green: what an agent acts for; the other one knows it, and goes on with
-                its own goal.
-            stated_goal_red, stated_goal_green: likewise, but who helps or hinders the agent
-                follows.
-            alpha: who helps or hinders whom, one of ``ppl.ALPHAS``.
-            strength_red, strength_green: newtons.
+            alpha: who helps or hinders whom in PHASE, one of ``ppl.ALPHAS``.
+            relation: the same in any world, (who, whom) -> "help" or "hinder"; of all others,
+                neither.
             remove: an entity or several, such as ``"green agent"``.
             walls: (n, 2, 2) ends of the inner walls, units; an empty list: there are none.
             at: frame from which on it is changed; what was seen until then has happened, and
@@ -214,20 +206,21 @@ class EventPosterior(Hypotheses):
             seed: the same seed gives the same result.
             workers: processes; by default one per usable core.
             simulator: of a run that had one of its own.
+            **changed: ``goal_<agent>``, such as ``goal_red="get to green agent"``: what that agent
+                acts for; the others know it, and go on with their own goals.
+                ``stated_goal_<agent>``: likewise, but who helps or hinders the agent follows.
+                ``strength_<agent>``: newtons.
 
         Example:
             ``print(post.do(remove="green agent"))``
 
         Raises:
             InvalidSettingError: a value that cannot be used, or a run with a simulator of its own.
-            UnknownNameError: there is no such entity or goal.
+            UnknownNameError: there is no such entity, goal or quantity.
         """
         from phase_ppl.analysis.what_if import Change, length, simulated
 
-        change = Change(
-            goal_red, goal_green, stated_goal_red, stated_goal_green,
-            alpha, strength_red, strength_green, remove, walls,
-        )  # fmt: skip
+        change = Change.of(self.scene.world, changed, alpha, relation, remove, walls)
         begin, frames = length(self._source(), at, seconds)
         return simulated(
             self._source(), change, at=begin, frames=frames, n=n, seed=seed, workers=workers,

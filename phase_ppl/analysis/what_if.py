@@ -25,12 +25,12 @@ from phase_ppl.simulator.processes import mapped
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.checks import number_of_workers, positive_number, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
-from phase_ppl.world.goals import GOALS, goal_index, goal_literal, is_true
-from phase_ppl.world.hypothesis import ALPHAS, Hypothesis
-from phase_ppl.world.names import AGENTS, ENTITIES
+from phase_ppl.world.goals import goal_index, goal_literal, is_true
+from phase_ppl.world.hypothesis import STANCES, Hypothesis, Roles, checked_strength
 from phase_ppl.world.observation import FRAMES_PER_SECOND
 from phase_ppl.world.picture import preformatted
-from phase_ppl.world.scene import Scene
+from phase_ppl.world.scene import Scene, World
+from phase_ppl.world.space import HypothesisSpace, space_of
 
 WORLDS: Final = ("as it is", "changed")
 _SURE: Final = 1.96
@@ -59,9 +59,14 @@ class WhatIf:
     change: str
     begin: int
     scenes: tuple[Scene, ...]
-    goals: Sequence[tuple[int, int]]
+    goals: Sequence[tuple[int, ...]]
     poses: FloatArray
     removed: tuple[int, ...] = ()
+
+    @property
+    def world(self) -> World:
+        """Whose agents and goals these are."""
+        return self.scenes[0].world
 
     @functools.cached_property
     def tracks(self) -> xr.DataArray:
@@ -78,7 +83,7 @@ class WhatIf:
             {
                 "world": list(WORLDS[: len(poses)]),
                 "time": ("time", time, {"units": "s"}),
-                "entity": list(ENTITIES),
+                "entity": list(self.world.entities),
                 "coord": ["x", "y", "angle"],
             },
             ("world", "simulation", "time", "entity", "coord"),
@@ -92,7 +97,7 @@ class WhatIf:
         get or keep it away, if it is away at the end.
 
         Args:
-            agent: "red agent" or "green agent", or "red", "green".
+            agent: its name, such as "red agent", or the first word of that.
             goal: a goal of the agent; by default that of each hypothesis as it is.
 
         Returns:
@@ -101,12 +106,12 @@ class WhatIf:
         Raises:
             UnknownNameError: there is no such agent or goal.
         """
-        holder = _entity(agent, AGENTS)
+        holder = _entity(agent, self.world.agents)
         found = np.full(self.poses.shape[:2], np.inf)
         for world, scene in enumerate(self.scenes):
             for row, frames in enumerate(self.poses[world]):
-                wanted = self.goals[row][holder] if goal is None else goal_index(goal)
-                literal = goal_literal(wanted, holder)
+                wanted = self.goals[row][holder] if goal is None else goal_index(goal, self.world)
+                literal = goal_literal(wanted, holder, self.world)
                 when = [t for t, one in enumerate(frames) if is_true(literal, one, scene)]
                 if literal.positive and when:
                     found[world, row] = (self.begin + when[0]) / FRAMES_PER_SECOND
@@ -157,7 +162,7 @@ class WhatIf:
             f"{(frames - 1) / FRAMES_PER_SECOND:.1f} s from "
             f"{self.begin / FRAMES_PER_SECOND:.1f} s on (simulated time)"
         ]
-        for holder, agent in enumerate(AGENTS):
+        for holder, agent in enumerate(self.world.agents):
             if holder not in self.removed:
                 lines.append(f"the {agent} reaches its goal: {self._told(agent)}")
         return "\n".join(textwrap.fill(line, 88, subsequent_indent="  ") for line in lines)
@@ -173,7 +178,7 @@ class WhatIf:
             return f"{words}; no difference that so few simulations would show ({change})"
         if not self.removed:
             return f"{words}: {'more' if change > 0 else 'less'} often ({change})"
-        names = " and ".join(f"the {ENTITIES[entity]}" for entity in self.removed)
+        names = " and ".join(f"the {self.world.entities[entity]}" for entity in self.removed)
         role = "in its way" if change > 0 else "of help"
         return f"{words}: {names} was {role} ({change})"
 
@@ -195,8 +200,8 @@ def _median(seconds: FloatArray) -> str:
     return f" (after {np.median(reached):.1f} s)" if reached.size else ""
 
 
-def _entity(name: object, among: Sequence[str] = ENTITIES) -> int:
-    """Return the number of an entity by its name, or by its colour alone."""
+def _entity(name: object, among: Sequence[str]) -> int:
+    """Return the number of an entity by its name, or by the first word of it."""
     if isinstance(name, str):
         for number, known in enumerate(among):
             if name.strip().lower() in (known, known.split()[0]):
@@ -206,55 +211,118 @@ def _entity(name: object, among: Sequence[str] = ENTITIES) -> int:
 
 @dataclasses.dataclass(frozen=True)
 class Change:
-    """What is done to the world; None: left as it is. See ``do`` of a posterior."""
+    """What is done to a world; see ``do`` of a posterior.
 
-    goal_red: str | int | None = None
-    goal_green: str | int | None = None
-    stated_goal_red: str | int | None = None
-    stated_goal_green: str | int | None = None
-    alpha: tuple[int, int] | None = None
-    strength_red: float | None = None
-    strength_green: float | None = None
-    remove: str | Sequence[str] = ()
-    walls: Any = None
+    Attributes:
+        sites: site -> value, of stated goals, strengths and the way in which agents stand to each
+            other; helpers follow.
+        goals: site of a goal -> effective goal, of that agent alone.
+        removed: entities that are there no more.
+        walls: others; None: as they are.
+        words: all of this.
+    """
 
-    @property
-    def removed(self) -> tuple[int, ...]:
-        names = [self.remove] if isinstance(self.remove, str) else self.remove
-        return tuple(_entity(name) for name in names)
+    world: World
+    sites: Mapping[str, Any]
+    goals: Mapping[str, int]
+    removed: tuple[int, ...]
+    walls: Any
+    words: str
 
-    def hypothesis(self, h: Hypothesis) -> Hypothesis:
-        """Return a hypothesis with the change: stated goals and alpha first, then effective."""
-        stated = {
-            "goal_red": self.stated_goal_red,
-            "goal_green": self.stated_goal_green,
-            "alpha": self.alpha,
-            "strength_red": self.strength_red,
-            "strength_green": self.strength_green,
-        }
-        h = dataclasses.replace(h, **_given(stated)).effective()
-        return dataclasses.replace(
-            h, **_given({"goal_red": self.goal_red, "goal_green": self.goal_green})
+    @classmethod
+    def of(
+        cls,
+        world: World,
+        given: Mapping[str, Any],
+        alpha: tuple[int, int] | None = None,
+        relation: Mapping[tuple[str, str], str] | None = None,
+        remove: str | Sequence[str] = (),
+        walls: Any = None,
+    ) -> Change:
+        """Return the change that is said in names; arguments and errors as of ``do``."""
+        space, given = space_of(world), {k: v for k, v in given.items() if v is not None}
+        sites: dict[str, Any] = {}
+        goals: dict[str, int] = {}
+        words = []
+        for name, value in given.items():
+            if name in space.strength_sites:
+                sites[name] = checked_strength(name, value)
+                words.append(f"{name} = {value}")
+            elif (stated := name.removeprefix("stated_")) in space.goal_sites:
+                goal = goal_index(value, world)
+                if space.impossible[space.goal_sites.index(stated), goal]:
+                    raise InvalidSettingError(
+                        f"{name}={world.goals[goal]!r} names the agent itself"
+                    )
+                (goals if name == stated else sites)[stated] = goal
+                words.append(f"{name} = {world.goals[goal]}")
+            else:
+                known = (*space.goal_sites, *space.stated_sites, *space.strength_sites)
+                raise unknown_name("quantity to change", name, known)
+        if relation is not None:
+            sites[space.company_site] = _way(space, relation)
+            said = [f"the {who} {word}s the {whom}" for (who, whom), word in relation.items()]
+            words.append(" and ".join(said) or "nobody helping or hindering")
+        if alpha is not None:
+            ways = [tuple(0 if one is None else one[1] for one in way) for way in space.ways]
+            if not space.is_phase or tuple(alpha) not in ways:
+                where = ways if space.is_phase else f"relation= in the world {world.name}"
+                raise InvalidSettingError(f"alpha={shown(alpha)}, expected {where}")
+            sites[space.company_site] = ways.index(tuple(alpha))
+            words.append(f"alpha = {alpha}")
+        names = [remove] if isinstance(remove, str) else remove
+        removed = tuple(_entity(name, world.entities) for name in names)
+        words += [f"the {world.entities[entity]} removed" for entity in removed]
+        words += [] if walls is None else ["other walls"]
+        return cls(world, sites, goals, removed, walls, ", ".join(words))
+
+    def hypothesis(self, sites: Mapping[str, Any]) -> Hypothesis | Roles:
+        """Return a hypothesis, given by its sites, with the change: stated first, then effective.
+
+        Raises:
+            InvalidSettingError: somebody could do nothing for or against what another then wants.
+        """
+        space, sites = space_of(self.world), {**sites, **self.sites}
+        own = dict(zip(space.goal_sites, _effective(space, sites), strict=True))
+        nobody = space.ways.index((None,) * space.n_agents)
+        found: Hypothesis | Roles = space.hypothesis(
+            {**sites, **own, **self.goals, space.company_site: nobody}
         )
+        return found
 
     def scene(self, scene: Scene) -> Scene:
+        """Return a scene with the other walls."""
         return scene if self.walls is None else dataclasses.replace(scene, walls=self.walls)
 
-    def __str__(self) -> str:
-        words = []
-        for name, value in _given(dataclasses.asdict(self)).items():
-            if name == "remove":
-                words += [f"the {ENTITIES[entity]} removed" for entity in self.removed]
-            elif name == "walls":
-                words.append("other walls")
-            else:
-                goal = "goal" in name
-                words.append(f"{name} = {GOALS[goal_index(value)] if goal else value}")
-        return ", ".join(words)
+
+def _way(space: HypothesisSpace, relation: Mapping[tuple[str, str], str]) -> int:
+    """Return the code of who helps or hinders whom."""
+    world = space.world
+    towards: list[tuple[int, int] | None] = [None] * space.n_agents
+    for (who, whom), word in relation.items():
+        if word not in STANCES:
+            raise unknown_name("relation", word, STANCES)
+        towards[world.agent(who)] = world.agent(whom), STANCES[word]
+    if tuple(towards) not in space.ways:
+        raise InvalidSettingError(
+            f"relation={shown(dict(relation))}: whom one helps or hinders must be another agent "
+            "that pursues a goal of its own"
+        )
+    return space.ways.index(tuple(towards))
 
 
-def _given(values: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in values.items() if value is not None}
+def _effective(space: HypothesisSpace, sites: Mapping[str, Any]) -> list[int]:
+    """Return (agent,) what each acts on."""
+    found = space.effective({name: np.array([sites[name]]) for name in space.limits})[0].tolist()
+    for agent, goal in enumerate(found):
+        if goal < 0:
+            owner = int(space.owner[int(sites[space.company_site]), agent])
+            raise InvalidSettingError(
+                f"the {space.world.agents[agent]} can do nothing for or against what the "
+                f"{space.world.agents[owner]} would want: "
+                f"{space.world.goals[int(sites[space.goal_sites[owner]])]!r}"
+            )
+    return found  # type: ignore[no-any-return]
 
 
 class Source(NamedTuple):
@@ -300,10 +368,11 @@ def simulated(
     scene = post.scene
     worlds: list[tuple[Scene, tuple[int, ...]]] = [(scene, ())]
     drawn = _drawn(post, n, seed)
-    hypotheses = [drawn]
+    space = space_of(scene.world)
+    hypotheses = [[space.hypothesis(sites) for sites in drawn]]
     if change is not None:
         worlds.append((change.scene(scene), removed))
-        hypotheses.append([change.hypothesis(h) for h in drawn])
+        hypotheses.append([change.hypothesis(sites) for sites in drawn])
     past = reconstructed(scene, post.observed[: at + 1]) if at else None
     seeds = np.random.SeedSequence([seed, n]).generate_state(n).tolist()
     tasks = [
@@ -317,10 +386,10 @@ def simulated(
         poses[:, 0][there] = np.broadcast_to(post.observed[at], poses[:, 0].shape)[there]
     return WhatIf(
         post.event_id,
-        "" if change is None else str(change),
+        "" if change is None else change.words,
         at,
         tuple(where for where, _ in worlds),
-        [h.effective_goals for h in drawn],
+        [h.effective_goals for h in hypotheses[0]],
         poses.reshape(len(worlds), n, *poses.shape[1:]),
         removed,
     )
@@ -338,28 +407,38 @@ def _simulator(post: Source, simulator: Simulator | None) -> Simulator:
     return JointSimulator("fast" if stored is None else PlannerConfig.from_dict(stored))
 
 
-def _drawn(post: Source, n: int, seed: int) -> list[Hypothesis]:
-    """Return hypotheses by their weights, each as often as that to within one (systematic)."""
+def _drawn(post: Source, n: int, seed: int) -> list[dict[str, Any]]:
+    """Return the sites of hypotheses, each by its weight to within one (systematic)."""
     weights = np.cumsum(post.table.weights)
     places = (np.random.default_rng(seed).random() + np.arange(n)) / n
     rows = np.minimum(np.searchsorted(weights, places * weights[-1], "right"), len(weights) - 1)
-    values = post.table.values
+    space, values = space_of(post.scene.world), post.table.values
+    if space.company_site in values:
+        ways = values[space.company_site][rows]
+    else:  # a closed loop of another world keeps it agent by agent
+        codes = space.alpha_codes(np.arange(len(space.ways)))
+        way_of = {
+            tuple(int(code[way]) for code in codes.values()): way for way in range(len(space.ways))
+        }
+        ways = [way_of[tuple(int(values[name][row]) for name in codes)] for row in rows]
+    stated = [  # whoever pursues a goal of its own acts on it
+        values[name if name in values else name.removeprefix("stated_")]
+        for name in space.stated_sites
+    ]
     return [
-        Hypothesis(
-            int(values["stated_goal_red"][row]),
-            int(values["stated_goal_green"][row]),
-            ALPHAS[int(values["alpha"][row])],
-            float(values["strength_red"][row]),
-            float(values["strength_green"][row]),
-        )
-        for row in rows
+        {
+            **{name: int(codes[row]) for name, codes in zip(space.goal_sites, stated, strict=True)},
+            space.company_site: int(way),
+            **{name: float(values[name][row]) for name in space.strength_sites},
+        }
+        for row, way in zip(rows, ways, strict=True)
     ]
 
 
 def _simulate(
     run: Simulator,
     scene: Scene,
-    hypothesis: Hypothesis,
+    hypothesis: Hypothesis | Roles,
     seed: int,
     frames: int,
     past: Past | None,

@@ -24,6 +24,7 @@ from phase_ppl.models.stepwise import prior_table
 from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
 from phase_ppl.world.geometry import is_on
 from phase_ppl.world.names import NOTHING
+from phase_ppl.world.scene import PHASE
 from tests.agents.scenes import scene
 from tests.analysis.factory import Simulation, make_tree
 from tests.analysis.readings import LEVELS, reading
@@ -111,11 +112,21 @@ def test_a_film_shows_both_worlds(alone: Any, tmp_path: Path) -> None:
 def test_helpers_follow_a_stated_goal_and_not_an_effective_one() -> None:
     helped = ppl.Hypothesis("Get pink item to red lm", "Get blue item to red lm", (1, 0))
     goals = ppl.GOALS.index("Get blue item to red lm"), ppl.GOALS.index("Get pink item to blue lm")
-    effective = Change(goal_green="Get pink item to blue lm").hypothesis(helped)
-    stated = Change(stated_goal_green="Get pink item to blue lm").hypothesis(helped)
+    sites = {
+        "goal_red": helped.goal_red, "goal_green": helped.goal_green,
+        "alpha": ppl.ALPHAS.index(helped.alpha), "strength_red": 450.0, "strength_green": 450.0,
+    }  # fmt: skip
+
+    def changed(alpha: tuple[int, int] | None = None, **given: str) -> ppl.Hypothesis:
+        found = Change.of(PHASE, given, alpha).hypothesis(sites)
+        assert isinstance(found, ppl.Hypothesis)
+        return found
+
+    effective = changed(goal_green="Get pink item to blue lm")
+    stated = changed(stated_goal_green="Get pink item to blue lm")
     assert effective.effective_goals == goals
     assert stated.effective_goals == (goals[1], goals[1])
-    left = Change(alpha=(0, 0)).hypothesis(helped)
+    left = changed(alpha=(0, 0))
     assert left.effective_goals[0] == ppl.GOALS.index("Get pink item to red lm")
 
 
