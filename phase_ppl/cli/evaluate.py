@@ -71,6 +71,7 @@ def add_to(commands: Any) -> None:
     cli.add(parser, "--split NAME", "of a generated set, such as test")
     cli.add(parser, "--limit N", "the first N events only", cli.whole(1))
     cli.add_workers(parser)
+    cli.add_dask(parser)
     cli.add(parser, "--seed N", "default 0", cli.whole(0))
     cli.add(parser, "--judgments FILE", "people's judgments, a .csv file", Path)
     says = (
@@ -229,6 +230,7 @@ def _evaluation(
             model,
             out=out,
             workers=options.workers,
+            executor=options.executor,
             resume=options.resume,
             limit=options.limit,
             seed=options.seed or 0,
@@ -243,7 +245,8 @@ def _evaluation(
             print("Go on with the same command and --resume", file=sys.stderr)
         return None
     except phase_ppl.PhasePPLError as error:
-        raise type(error)(f"{named}{error}") from None
+        hint = "; --resume goes on" if out is not None and hasattr(error, "evaluation") else ""
+        raise type(error)(f"{named}{error}{hint}") from None
 
 
 def _check_one(

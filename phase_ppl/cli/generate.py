@@ -25,7 +25,7 @@ REJECTED_VIDEOS: Final = "videos_rejected"
 
 
 _PASSED_ON: Final = (
-    *("planner", "seed", "copies", "replans", "turning", "workers"),
+    *("planner", "seed", "copies", "replans", "turning", "workers", "executor"),
     *("keep_rejected", "resume", "other_versions"),
 )
 
@@ -63,6 +63,7 @@ def add_to(commands: Any) -> None:
     says = "which way agents can turn, before any reflection; default both"
     cli.add(parser, "--turning", says, choices=TURNINGS, default="both")
     cli.add_workers(parser)
+    cli.add_dask(parser)
     cli.add(parser, "--keep-rejected", "keep the draws that were not good enough")
     says = "film every event, rejected draws too if they are kept, and draw all on one picture"
     cli.add(parser, "--videos", says)

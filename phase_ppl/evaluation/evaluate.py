@@ -11,6 +11,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -23,9 +24,9 @@ from phase_ppl.evaluation.prediction import Prediction, as_prediction
 from phase_ppl.evaluation.registry import Answer, Predict, ReadyModel, check_world, ready
 from phase_ppl.evaluation.tables import world_of
 from phase_ppl.simulator.contract import described
-from phase_ppl.simulator.processes import Failure, in_worker, results
-from phase_ppl.world.checks import number_of_workers, whole_number
-from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
+from phase_ppl.simulator.processes import Failure, in_worker, results, slots_of
+from phase_ppl.world.checks import whole_number
+from phase_ppl.world.errors import InvalidSettingError, SimulationError, UnknownNameError
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import locked, writable_folder, write_json
 from phase_ppl.world.identity import event_digest, stable, versions
@@ -70,6 +71,7 @@ def evaluate(
     *,
     out: str | os.PathLike[str] | None = None,
     workers: int | None = None,
+    executor: Executor | None = None,
     resume: bool = False,
     split: str | None = None,
     limit: int | None = None,
@@ -102,7 +104,10 @@ def evaluate(
         out: folder to keep everything in (:mod:`phase_ppl.evaluation.folder`), event by event;
             by default nothing is kept.
         workers: processes, at most; by default one per usable core. 1 runs the model in this
-            process, as do models that are not to run side by side.
+            process, as do models that are not to run side by side. With an ``executor``, how many
+            events to give it at a time; by default all.
+        executor: any PEP 3148 executor to ask the model in, such as that of a ``dask.distributed``
+            client; it is not shut down.
         resume: go on with the evaluation in ``out``, if there is one. Finished events are not
             predicted again, failed ones are. Settings and events must be the same, but there may
             be more events after those; truth and judgments may have changed.
@@ -123,11 +128,14 @@ def evaluate(
             PHASE only, or events of several worlds; or ``out`` holds an
             evaluation with others, the message says which.
         OutputError: ``out`` cannot be written, or holds an evaluation and ``resume`` is not set.
-        EvaluationInterrupted: Ctrl-C; it carries what was finished.
+        SimulationError: the executor takes no more work.
+        EvaluationInterrupted: Ctrl-C.
+
+    The last two carry what was finished as ``evaluation``.
     """
     clock = time.monotonic()
     whole_number("seed", seed, minimum=0)
-    slots = number_of_workers(workers)
+    slots = slots_of(workers, executor)
     given = all_events(events, split)
     world = world_of(given)
     if judgments is not None:
@@ -142,6 +150,12 @@ def evaluate(
         from phase_ppl.evaluation.observers.fit import observed  # needs JAX
 
         asked = observed(asked, observer)
+    if not asked.parallel:
+        if executor is not None:
+            raise InvalidSettingError(
+                f"the model {asked.name!r} runs in this process: it takes no executor"
+            )
+        slots = 1
     settings = settings_of(asked, seed, chosen)
     with locked(None if out is None else writable_folder(out)):
         folder: ResultsFolder | None = None
@@ -150,8 +164,7 @@ def evaluate(
         if out is not None:
             folder, done, notes = ResultsFolder.begin(out, settings, chosen, resume)
             settings = folder.settings
-        slots = slots if asked.parallel else 1
-        session = _Session(asked, folder, done, slots)
+        session = _Session(asked, folder, done, slots, executor)
 
         def evaluation() -> Evaluation:
             kept = {event.id: done[event.id] for event in chosen if event.id in done}
@@ -166,6 +179,9 @@ def evaluate(
             session.work(left, settings, Progress(left, len(done), slots, progress), notes)
         except KeyboardInterrupt as stop:
             raise EvaluationInterrupted(evaluation()) from stop
+        except SimulationError as error:
+            error.evaluation = evaluation()  # type: ignore[attr-defined]
+            raise
         found = evaluation()
         if folder is not None:
             write_json(folder.path / METRICS, found.metrics)
@@ -196,10 +212,12 @@ class _Session:
         model: ReadyModel,
         folder: ResultsFolder | None,
         done: dict[str, Prediction],
-        workers: int,
+        workers: int | None,
+        executor: Executor | None,
     ) -> None:
         self.failures: dict[str, str] = {}
-        self._model, self._folder, self._done, self._workers = model, folder, done, workers
+        self._model, self._folder, self._done = model, folder, done
+        self._workers, self._executor = workers, executor
 
     def work(
         self, events: Sequence[Event], settings: Mapping[str, Any], bar: Progress, notes: list[str]
@@ -211,7 +229,9 @@ class _Session:
             _Job(i, e.scene, e.observation, event_seed(seed, digests[e.id]), keeps)
             for i, e in enumerate(events)
         ]
-        answers = results(_ask, self._model.predict, jobs, self._workers, "the model")
+        answers = results(
+            _ask, self._model.predict, jobs, self._workers, "the model", self._executor
+        )
         with bar, contextlib.closing(answers):
             for note in notes:
                 bar.say(note)
@@ -318,7 +338,7 @@ class Progress(Bar):
     """
 
     def __init__(
-        self, events: Sequence[Event], done: int, workers: int, shown: bool | None = None
+        self, events: Sequence[Event], done: int, workers: int | None, shown: bool | None = None
     ) -> None:
         self._left = {event.id: event.observation.n_frames for event in events}
         self._workers = workers
@@ -341,7 +361,8 @@ class Progress(Bar):
         if not self._frames:
             return None
         each = self._seconds / self._frames
-        together = min(self._workers, max(len(self._left), 1))
+        left = max(len(self._left), 1)
+        together = left if self._workers is None else min(self._workers, left)
         return each * sum(self._left.values()) / together
 
     def say(self, text: str) -> None:

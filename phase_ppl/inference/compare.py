@@ -6,6 +6,7 @@ import json
 import os
 import re
 from collections.abc import Iterable, Mapping
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any, Final
 
@@ -32,7 +33,8 @@ from phase_ppl.inference.runs.run import check_event
 from phase_ppl.inference.settings import BUDGETS, Budget, SimpleSettings, simulations
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import event_salt
-from phase_ppl.world.checks import instance_of, number_of_workers, whole_number
+from phase_ppl.simulator.processes import slots_of
+from phase_ppl.world.checks import instance_of, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import locked
@@ -75,6 +77,7 @@ def compare(
     weights: str = "count",
     settings: SimpleSettings | None = None,
     workers: int | None = None,
+    executor: Executor | None = None,
     progress: bool | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
 ) -> Comparison:
@@ -107,7 +110,9 @@ def compare(
             measured and printed; kernels are not ranked within it.
         weights: of the draws; "count" is the only valid one for judging kernels.
         settings: of SIMPLE; by default the paper's numbers, with learned proposals.
-        workers: processes; by default one per usable core.
+        workers: processes; by default one per usable core. With an ``executor``, how many
+            simulations to give it at a time; by default all.
+        executor: any PEP 3148 executor to simulate in, as for :func:`phase_ppl.infer`.
         progress: whether to show a bar on stderr; by default where that is a terminal.
         checkpoint: a .json file that is rewritten after every run. If it exists, the runs in it
             are not repeated; more kernels and more repeats may be asked for. It is a comparison
@@ -117,7 +122,8 @@ def compare(
         InvalidSettingError, UnknownNameError: a setting or kernel that cannot be used, or a
             checkpoint of other settings.
         InvalidEventError: ``event`` is no event, or the checkpoint is damaged.
-        SimulationError: all initial simulations of a run failed.
+        SimulationError: all initial simulations of a run failed, or the executor takes no more
+            work.
         ComparisonInterrupted: Ctrl-C; it carries what was finished.
     """
     check_event(event)
@@ -126,7 +132,7 @@ def compare(
     settings = SimpleSettings() if settings is None else settings
     repeats = whole_number("repeats", repeats, maximum=_MOST_REPEATS)
     seed = whole_number("seed", seed, minimum=0)
-    number_of_workers(workers)
+    slots_of(workers, executor)
     if weights not in WEIGHTINGS:
         raise unknown_name("weights", weights, WEIGHTINGS)
     instance_of("budget", budget, Budget, BUDGETS)
@@ -159,7 +165,7 @@ def compare(
             with tqdm(total=len(waiting) + 1, disable=not shown_bar, unit="run") as bar:
                 bar.set_description("reference")
                 if record.reference is None:
-                    found = reference_of(wanted, event, model, seed, workers)
+                    found = reference_of(wanted, event, model, seed, workers, executor)
                     found["truth"] = of_truth(found["marginals"], event.truth)
                     record.keep_reference(found)
                 bar.update()
@@ -167,7 +173,7 @@ def compare(
                 for repeat, entry in waiting:
                     bar.set_description(f"{entry.label}, repeat {repeat + 1}")
                     run_seed = int(np.random.SeedSequence([seed, repeat]).generate_state(1)[0])
-                    post = entry.run(event, model, budget, run_seed, workers)
+                    post = entry.run(event, model, budget, run_seed, workers, executor)
                     post = Posterior(post.tree, weights)
                     columns = {
                         "kernel": entry.label,

@@ -10,6 +10,7 @@ import os
 import time
 from collections import Counter
 from collections.abc import Mapping
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -28,8 +29,8 @@ from phase_ppl.dataset.generated import (
 from phase_ppl.dataset.generation.any_world import make_in_any_world
 from phase_ppl.dataset.generation.making import Made, make
 from phase_ppl.dataset.generation.plan import PHASE500, DrawRoles, Plan, Slot, cell_of, scaled
-from phase_ppl.simulator.processes import Failure, results
-from phase_ppl.world.checks import instance_of, number_of_workers
+from phase_ppl.simulator.processes import Failure, results, slots_of
+from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
@@ -270,6 +271,7 @@ def generate(
     resume: bool = False,
     other_versions: bool = False,
     workers: int | None = None,
+    executor: Executor | None = None,
     progress: bool | None = None,
 ) -> GeneratedEvents:
     """Make a data set like PHASE: draw situations, simulate them, keep those that show something.
@@ -310,7 +312,10 @@ def generate(
         resume: go on with what ``out`` holds.
         other_versions: also where that was made by other versions of this package, or of what it
             builds on; the manifest keeps both.
-        workers: processes; by default one per usable core.
+        workers: processes; by default one per usable core. With an ``executor``, how many events
+            to give it at a time; by default all.
+        executor: any PEP 3148 executor to make events in, such as that of a ``dask.distributed``
+            client; it is not shut down.
         progress: True or False for a bar on stderr; None: where stderr is a terminal.
 
     Returns:
@@ -319,7 +324,8 @@ def generate(
     Raises:
         UnknownNameError, InvalidSettingError: a setting that is not allowed.
         OutputError: the folder cannot be used.
-        SimulationError: an event could not be made; the others are kept.
+        SimulationError: an event could not be made, or the executor takes no more work; what was
+            made is kept.
         GenerationInterrupted: Ctrl-C; what was finished is kept.
     """
     given = {"splits": splits, "frames": frames, "max_tries": max_tries}
@@ -345,15 +351,20 @@ def generate(
         recolour=of_phase if recolour is None else recolour,
         **{name: value for name, value in given.items() if value is not None},  # type: ignore[arg-type]
     )
-    n_workers = number_of_workers(workers)
+    slots = slots_of(workers, executor)
     with locked(writable_folder(out)):
         builder = DatasetBuilder(
             out, plan, keep_rejected=keep_rejected, resume=resume, other_versions=other_versions
         )
-        return _run(builder, n_workers, progress)
+        return _run(builder, slots, executor, progress)
 
 
-def _run(builder: DatasetBuilder, n_workers: int, progress: bool | None) -> GeneratedEvents:
+def _run(
+    builder: DatasetBuilder,
+    n_workers: int | None,
+    executor: Executor | None,
+    progress: bool | None,
+) -> GeneratedEvents:
     """Make what is missing, and put everything together."""
     from tqdm.auto import tqdm
 
@@ -369,7 +380,7 @@ def _run(builder: DatasetBuilder, n_workers: int, progress: bool | None) -> Gene
         dynamic_ncols=True,
     )
     how = make if builder.plan.world == PHASE else make_in_any_world
-    made = results(how, builder.plan, missing, n_workers, "the plan")
+    made = results(how, builder.plan, missing, n_workers, "the plan", executor)
     try:
         with contextlib.closing(made), bar:
             for slot, result in made:
@@ -382,6 +393,12 @@ def _run(builder: DatasetBuilder, n_workers: int, progress: bool | None) -> Gene
         left = len(builder.missing())
         raise GenerationInterrupted(
             f"interrupted with {left} of {total} events to be made; resume goes on"
+        ) from None
+    except SimulationError as error:
+        left = len(builder.missing())
+        raise SimulationError(
+            f"{error}: {left} of {total} events are still to be made; the others are kept in "
+            f"{builder.path}, and resume goes on"
         ) from None
     if failures:
         raise SimulationError(

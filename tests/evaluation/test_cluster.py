@@ -1,0 +1,97 @@
+"""Evaluations on a dask cluster: the same answers, also where a worker is killed."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import phase_ppl as ppl
+from phase_ppl.cli import main
+from phase_ppl.evaluation import registry
+from phase_ppl.world.errors import InvalidSettingError, SimulationError
+from tests.evaluation.toys import guesses, several
+from tests.simulator.clusters import local_cluster, note, processes, the_third_killed
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="kills a process")
+
+EVENTS = several(8)
+
+
+class Slow:
+    """Guesses, some time after having said in which process; warming up leaves a note too."""
+
+    def __init__(self, folder: Path) -> None:
+        self.begun, self.warmed = folder / "begun", folder / "warmed"
+        for one in (self.begun, self.warmed):
+            one.mkdir(exist_ok=True)
+        self.seconds = 0.2
+
+    def warm_up(self) -> None:
+        note(self.warmed)
+        time.sleep(self.seconds)
+        note(self.warmed)
+
+    def __call__(self, scene: Any, observation: Any, seed: int) -> Any:
+        note(self.begun)
+        time.sleep(self.seconds)
+        return guesses(scene, observation, seed)
+
+
+def test_a_killed_worker_changes_no_answer(tmp_path: Path) -> None:
+    model = Slow(tmp_path)
+    with local_cluster() as (_, client), the_third_killed(model.begun):
+        found = ppl.evaluate(EVENTS, model, executor=client.get_executor(), progress=False)
+    used = processes(model.begun)
+    notes = sorted(model.warmed.iterdir(), key=lambda file: int(file.name.split("-")[1]))
+    alone = ppl.evaluate(EVENTS, guesses, workers=1, progress=False)
+    assert len(used) == 3
+    assert found.cost["workers"] is None
+    assert "workers" not in str(found)
+    for event in EVENTS:
+        one, other = found.predictions[event.id], alone.predictions[event.id]
+        assert {**one.to_dict(), "cost": None} == {**other.to_dict(), "cost": None}
+    # one process of a machine warms up after the other, so that only the first compiles
+    pids = [file.name.split("-")[0] for file in notes]
+    assert len(pids) >= 4
+    assert pids[::2] == pids[1::2]
+
+
+def test_a_cluster_that_is_closed_leaves_what_can_be_resumed(tmp_path: Path) -> None:
+    model, out = Slow(tmp_path), tmp_path / "out"
+    with local_cluster() as (cluster, client):
+        executor = client.get_executor()
+        ppl.evaluate(EVENTS[:3], model, executor=executor, out=out, progress=False)
+        cluster.close()
+        with pytest.raises(SimulationError, match="the executor takes no more work") as caught:
+            ppl.evaluate(EVENTS, model, executor=executor, out=out, resume=True, progress=False)
+    assert set(caught.value.evaluation.predictions) == {"a", "b", "c"}
+    resumed = ppl.evaluate(EVENTS, model, workers=1, out=out, resume=True, progress=False)
+    alone = ppl.evaluate(EVENTS, model, workers=1, progress=False)
+    for name, value in alone.metrics.items():
+        if name not in ("cost", "settings"):
+            assert resumed.metrics[name] == value, name
+
+
+def test_a_model_that_runs_in_this_process_takes_no_executor(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(registry.MODELS, "entries", dict(registry.MODELS.entries))
+    ppl.register_model("one_by_one", parallel=False)(lambda: guesses)
+    with local_cluster(1) as (_, client), pytest.raises(InvalidSettingError, match="no executor"):
+        ppl.evaluate(EVENTS, "one_by_one", executor=client.get_executor())
+
+
+def test_the_command_works_on_a_cluster(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    ppl.save_events(EVENTS, tmp_path / "events.json")
+    given = ["evaluate", str(tmp_path / "events.json"), "--model", "last_frame", "--no-figures"]
+    with local_cluster() as (cluster, _):
+        out = ["--out", str(tmp_path / "out"), "--quiet"]
+        assert main([*given, *out, "--dask", cluster.scheduler_address]) == 0
+    assert ppl.Evaluation.load(tmp_path / "out").finished
+    capsys.readouterr()
+    assert main([*given, "--dask", "nonsense://1"]) == 2
+    assert "--dask nonsense://1: no scheduler answers" in capsys.readouterr().err
