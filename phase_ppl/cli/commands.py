@@ -60,6 +60,7 @@ COMMANDS: Final = {
     ),
     "diagnose": ("results", "say whether the chains of a posterior can be trusted"),
     "generate": ("generate", "make a data set of simulated social events"),
+    "merge": ("merge", "put the shards of a data set, an evaluation or a comparison together"),
     "verify": ("generate", "compare a generated data set with its checksums"),
     "describe": (
         "events",
@@ -247,6 +248,15 @@ def _executor(address: str | None) -> Iterator[Executor | None]:
         ) from None
     with client:
         yield client.get_executor()
+
+
+MERGES: Final = "phase-ppl merge FOLDERS... --out OUT"
+
+
+def add_shard(parser: argparse.ArgumentParser) -> None:
+    """Add the option of a share of the work."""
+    says = f"do only share I of N, in a folder of its own; then {MERGES}"
+    add(parser, "--shard I/N", says)
 
 
 def add_options(parser: argparse._ActionsContainer, says: str, type: Any = None) -> None:

@@ -31,7 +31,18 @@ _SHORT_FOR: Final = ("preset", "planner", *_OWN, "budget", "weights")
 """Options of models that have options of the command of their own."""
 
 _OF_WORK: Final = (
-    *("model", "observer", "resume", "split", "limit", "seed", "judgments", "option", "stored"),
+    *(
+        "model",
+        "observer",
+        "resume",
+        "shard",
+        "split",
+        "limit",
+        "seed",
+        "judgments",
+        "option",
+        "stored",
+    ),
     *_SHORT_FOR,
 )
 """Options that say nothing where an evaluation is only shown again."""
@@ -72,6 +83,7 @@ def add_to(commands: Any) -> None:
     cli.add(parser, "--limit N", "the first N events only", cli.whole(1))
     cli.add_workers(parser)
     cli.add_dask(parser)
+    cli.add_shard(parser)
     cli.add(parser, "--seed N", "default 0", cli.whole(0))
     cli.add(parser, "--judgments FILE", "people's judgments, a .csv file", Path)
     says = (
@@ -194,7 +206,8 @@ def _evaluate(options: argparse.Namespace) -> int:
         else:
             print(evaluation)
         problems = []
-        if evaluation.folder is not None and not options.no_figures and _of_phase(evaluation):
+        drawable = not options.no_figures and options.shard is None
+        if evaluation.folder is not None and drawable and _of_phase(evaluation):
             problems = _draw(evaluation, evaluation.folder, options)
         for problem in problems:
             print(f"phase-ppl: error: {named}{problem}", file=sys.stderr)
@@ -231,6 +244,7 @@ def _evaluation(
             out=out,
             workers=options.workers,
             executor=options.executor,
+            shard=options.shard,
             resume=options.resume,
             limit=options.limit,
             seed=options.seed or 0,

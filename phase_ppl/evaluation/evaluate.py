@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import hashlib
 import itertools
+import json
 import os
 import sys
 import tempfile
@@ -33,6 +34,7 @@ from phase_ppl.world.identity import event_digest, stable, versions
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.progress import Bar
 from phase_ppl.world.scene import Scene, check_phase
+from phase_ppl.world.shards import Shard
 
 if TYPE_CHECKING:
     from phase_ppl.evaluation.observers.fit import FittedObserver
@@ -44,6 +46,8 @@ COMPILED_OF: Final = 8
 Programs of events of other lengths would pile up, some 80 MB for each of SIMPLE's; those of events
 of the same length are worth keeping, as they take 10 s to compile.
 """
+
+SHARD: Final = "shard"  # the setting that says which share of the events was asked about
 
 _asked = itertools.count(1)
 
@@ -73,6 +77,7 @@ def evaluate(
     workers: int | None = None,
     executor: Executor | None = None,
     resume: bool = False,
+    shard: str | None = None,
     split: str | None = None,
     limit: int | None = None,
     seed: int = 0,
@@ -107,10 +112,12 @@ def evaluate(
             process, as do models that are not to run side by side. With an ``executor``, how many
             events to give it at a time; by default all.
         executor: any PEP 3148 executor to ask the model in, such as that of a ``dask.distributed``
-            client; it is not shut down.
+            client; it is not shut down. Models that are not to run side by side stay here.
         resume: go on with the evaluation in ``out``, if there is one. Finished events are not
             predicted again, failed ones are. Settings and events must be the same, but there may
             be more events after those; truth and judgments may have changed.
+        shard: "2/8" asks about the second of eight shares of the events, each with an ``out`` of its
+            own, of which :func:`phase_ppl.merge` makes the whole.
         split: only the events of that split of a generated data set, such as "test".
         limit: only the first so many events.
         seed: a whole number >= 0.
@@ -151,12 +158,14 @@ def evaluate(
 
         asked = observed(asked, observer)
     if not asked.parallel:
-        if executor is not None:
-            raise InvalidSettingError(
-                f"the model {asked.name!r} runs in this process: it takes no executor"
-            )
-        slots = 1
+        executor, slots = None, 1
     settings = settings_of(asked, seed, chosen)
+    if shard is not None:
+        share = Shard.named(shard)
+        chosen = share.of_all(chosen)
+        seen = settings["events"]
+        settings |= {SHARD: str(share), "whole": whole_digest(seen)}
+        settings["events"] = {event.id: seen[event.id] for event in chosen}
     with locked(None if out is None else writable_folder(out)):
         folder: ResultsFolder | None = None
         done: dict[str, Prediction] = {}
@@ -196,6 +205,11 @@ def settings_of(model: ReadyModel, seed: int, events: Sequence[Event]) -> dict[s
         "versions": stable(versions()),
         "events": {event.id: event_digest(event) for event in events},
     }
+
+
+def whole_digest(events: Mapping[str, str]) -> str:
+    """Return a hash of the events that shards are of: ids and digests, in their order."""
+    return hashlib.sha256(json.dumps(list(events.items())).encode()).hexdigest()
 
 
 def event_seed(seed: int, digest: str) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import time
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,8 @@ import pytest
 import phase_ppl as ppl
 from phase_ppl.cli import main
 from phase_ppl.evaluation import registry
-from phase_ppl.world.errors import InvalidSettingError, SimulationError
-from tests.evaluation.toys import guesses, several
+from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, SimulationError
+from tests.evaluation.toys import FailsAt, guesses, raises, several
 from tests.simulator.clusters import local_cluster, note, processes, the_third_killed
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="kills a process")
@@ -76,18 +77,11 @@ def test_a_cluster_that_is_closed_leaves_what_can_be_resumed(tmp_path: Path) -> 
             assert resumed.metrics[name] == value, name
 
 
-def test_a_model_that_runs_in_this_process_takes_no_executor(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(registry.MODELS, "entries", dict(registry.MODELS.entries))
-    ppl.register_model("one_by_one", parallel=False)(lambda: guesses)
-    with local_cluster(1) as (_, client), pytest.raises(InvalidSettingError, match="no executor"):
-        ppl.evaluate(EVENTS, "one_by_one", executor=client.get_executor())
-
-
 def test_the_command_works_on_a_cluster(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(registry.MODELS, "entries", dict(registry.MODELS.entries))
+    ppl.register_model("guessing")(lambda: guesses)
     ppl.save_events(EVENTS, tmp_path / "events.json")
-    given = ["evaluate", str(tmp_path / "events.json"), "--model", "last_frame", "--no-figures"]
+    given = ["evaluate", str(tmp_path / "events.json"), "--model", "guessing", "--no-figures"]
     with local_cluster() as (cluster, _):
         out = ["--out", str(tmp_path / "out"), "--quiet"]
         assert main([*given, *out, "--dask", cluster.scheduler_address]) == 0
@@ -95,3 +89,56 @@ def test_the_command_works_on_a_cluster(tmp_path: Path, capsys: pytest.CaptureFi
     capsys.readouterr()
     assert main([*given, "--dask", "nonsense://1"]) == 2
     assert "--dask nonsense://1: no scheduler answers" in capsys.readouterr().err
+
+
+def test_shards_make_the_evaluation_of_one_process(tmp_path: Path) -> None:
+    def evaluate(**more: Any) -> ppl.Evaluation:
+        model = FailsAt(5, raises) if more.pop("fails", False) else guesses
+        return ppl.evaluate(EVENTS, model, workers=1, progress=False, **more)
+
+    for fails in (False, True):
+        folders = [tmp_path / f"{fails}{i}" for i in (1, 2, 3)]
+        for i, folder in enumerate(folders, 1):
+            evaluate(out=folder, shard=f"{i}/3", fails=fails)
+        merged = ppl.merge(folders[::-1], tmp_path / f"{fails}")
+        whole = evaluate(out=tmp_path / f"whole{fails}", fails=fails)
+        assert isinstance(merged, ppl.Evaluation)
+        assert bool(merged.failures) == fails
+        again = ppl.Evaluation.load(tmp_path / f"{fails}")
+        for found in (merged, again):
+            assert [event.id for event in found.events] == [event.id for event in EVENTS]
+            assert found.settings == whole.settings
+            for name, value in whole.metrics.items():
+                if name != "cost":
+                    assert found.metrics[name] == value, name
+            for name, prediction in whole.predictions.items():
+                one, other = prediction.to_dict(), found.predictions[name].to_dict()
+                assert {**one, "cost": None} == {**other, "cost": None}
+    names = [
+        sorted(p.name for p in (tmp_path / n / "events").iterdir()) for n in ("True", "wholeTrue")
+    ]
+    assert names[0] == names[1]
+
+
+def test_shards_that_do_not_fit_together_are_refused(tmp_path: Path) -> None:
+    def shard(
+        name: str, share: str, events: Any = EVENTS, model: Any = guesses, **more: Any
+    ) -> Path:
+        given = {"workers": 1, "progress": False, "out": tmp_path / name, **more}
+        ppl.evaluate(events, model, shard=share, **given)
+        return tmp_path / name
+
+    def refused(folders: Any, match: str, kind: type[Exception] = InvalidSettingError) -> None:
+        with pytest.raises(kind, match=match) as caught:
+            ppl.merge(folders, tmp_path / "out")
+        assert "\n" not in str(caught.value)
+
+    one, two = shard("one", "1/2"), shard("two", "2/2")
+    refused([one], "the shard 2/2 is missing")
+    refused([one, two, one], "the shard 1/2 is there twice")
+    refused([one, shard("other", "2/2", seed=1)], "different requests: seed is 1, was 0")
+    refused([one, shard("fewer", "2/2", EVENTS[:6])], "different requests: whole is")
+    shutil.rmtree(next((two / "events").iterdir()))
+    refused([one, two], "two is not finished: 3 of 4 events", InvalidEventError)
+    with pytest.raises(InvalidSettingError, match="shard is '1/2', was '2/2'"):
+        shard("two", "1/2", resume=True)

@@ -190,19 +190,7 @@ class Plan:
 
     def slots(self) -> list[Slot]:
         """Return the events to be made; in each split about the same shares of every cell."""
-        rng = np.random.default_rng([self.seed, 1])
-        cells = [cell for cell, n in self.cells.items() for _ in range(n)]
-        # neighbours are of a kind: dealing the splits out along the row stratifies them
-        names = list(self.splits)
-        counts = apportioned(len(cells), self.splits)
-        place = np.concatenate(
-            [(np.arange(counts[name]) + rng.random()) / max(counts[name], 1) for name in names]
-        )
-        split_of_row = np.repeat(names, [counts[name] for name in names])[np.argsort(place)]
-        order = rng.permutation(len(cells))  # numbers say nothing about kinds
-        return [
-            Slot(number, cells[row], str(split_of_row[row])) for number, row in enumerate(order)
-        ]
+        return slots(self.cells, self.splits, self.seed)
 
     def warm_up(self) -> None:
         """Compile what its events are simulated with."""
@@ -218,6 +206,21 @@ class Plan:
             if self.roles is not None:
                 record["roles"] = _function_record(self.roles)
         return dict(json.loads(json.dumps(record, default=dict)))
+
+
+def slots(cells: Mapping[str, int], splits: Mapping[str, float], seed: int) -> list[Slot]:
+    """Return the slots of a plan with these settings (:meth:`Plan.slots`)."""
+    rng = np.random.default_rng([seed, 1])
+    row = [cell for cell, n in cells.items() for _ in range(n)]
+    # neighbours are of a kind: dealing the splits out along the row stratifies them
+    names = list(splits)
+    counts = apportioned(len(row), splits)
+    place = np.concatenate(
+        [(np.arange(counts[name]) + rng.random()) / max(counts[name], 1) for name in names]
+    )
+    split_of_row = np.repeat(names, [counts[name] for name in names])[np.argsort(place)]
+    order = rng.permutation(len(row))  # numbers say nothing about kinds
+    return [Slot(number, row[one], str(split_of_row[one])) for number, one in enumerate(order)]
 
 
 def _function_record(function: Callable[..., Any]) -> dict[str, Any]:

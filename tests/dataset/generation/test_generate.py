@@ -248,8 +248,8 @@ def test_a_damaged_part_is_made_anew(
     (tmp_path / "part" / "parts" / "notes.txt").write_text("of a user")
     resumed = generate(tmp_path / "part", cells=CELLS, resume=True, **QUICK)
     assert make.calls == 4 + 3
-    assert resumed.manifest["made_anew"] == [whole.entries[0]["id"]]
-    assert whole.manifest["made_anew"] == []
+    assert resumed.cost["made_anew"] == [whole.entries[0]["id"]]
+    assert whole.cost["made_anew"] == []
     left = [file.name for file in (tmp_path / "part" / "parts").iterdir()]
     assert left == ["notes.txt"]
     assert resumed.entries == whole.entries
