@@ -22,15 +22,12 @@ from phase_ppl.dataset.generated import (
     REJECTED,
 )
 from phase_ppl.dataset.generation.making import Made
-from phase_ppl.dataset.generation.plan import Slot
+from phase_ppl.dataset.generation.plan import BLOCK, Slot
 from phase_ppl.world.errors import InvalidEventError, OutputError, PhasePPLError, shown
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import writable_folder, write_bytes, write_json
 
 PARTS: Final = "parts"
-
-BLOCK: Final = 1000
-"""Slots whose events are put together at a time, in memory and in a file."""
 
 
 class Part(NamedTuple):

@@ -56,9 +56,14 @@ REFLECTION_SHARES: Final[Mapping[str, float]] = {
 """How often the original test videos are reflected, and how."""
 
 FRAMES: Final = 101
+
+BLOCK: Final = 1000
+"""Slots whose events are put together at a time, in memory and in a file."""
+
+_SLOT_BYTES: Final = 400
 _EVENT_BYTES: Final = 20_000
 _FRAME_BYTES: Final = 600
-"""Of memory that an event takes, and each of its frames, when all are put together."""
+"""Of memory that a slot takes; an event that is put together with others, and each frame of it."""
 MAX_TRIES: Final = 200
 MOST_TRIES: Final = 1000  # in another world than PHASE, where each has a number of its own
 
@@ -148,9 +153,10 @@ class Plan:
             )
         whole_number("frames", self.frames, 2)
         whole_number("seed", self.seed, 0)
-        n = sum(self.cells.values()) * (1 + self.copies + self.replans)
-        what = f"a plan of {n} events of {self.frames} frames"
-        check_memory(what, n * (_EVENT_BYTES + _FRAME_BYTES * self.frames))
+        n, each = sum(self.cells.values()), 1 + self.copies + self.replans
+        together = min(n, BLOCK) * each * (_EVENT_BYTES + _FRAME_BYTES * self.frames)
+        what = f"a plan of {n * each} events of {self.frames} frames"
+        check_memory(what, n * _SLOT_BYTES + together)
         whole_number("max_tries", self.max_tries, 1)
         object.__setattr__(self, "planner", PlannerConfig.named(self.planner))
         most = len(self.looks) - 1
