@@ -31,18 +31,8 @@ _SHORT_FOR: Final = ("preset", "planner", *_OWN, "budget", "weights")
 """Options of models that have options of the command of their own."""
 
 _OF_WORK: Final = (
-    *(
-        "model",
-        "observer",
-        "resume",
-        "shard",
-        "split",
-        "limit",
-        "seed",
-        "judgments",
-        "option",
-        "stored",
-    ),
+    *("model", "observer", "resume", "shard", "split", "limit", "seed"),
+    *("judgments", "option", "stored"),
     *_SHORT_FOR,
 )
 """Options that say nothing where an evaluation is only shown again."""

@@ -72,19 +72,22 @@ class GeneratedEvents(StoredEvents):
     def __init__(self, path: str | os.PathLike[str], turning: Turning | None = None) -> None:
         self.path = Path(path)
         self.manifest = read_manifest(self.path)
-        sizes = self.manifest.get("blocks")
-        self._blocks = [self.path / BLOCKS / f"{i:05d}" for i in range(len(sizes or ()))]
-        filled = [block for block, n in zip(self._blocks, sizes or (), strict=True) if n]
+        sizes: list[int] = self.manifest.get("blocks", [])
+        self._blocks = [self.path / BLOCKS / f"{i:05d}" for i in range(len(sizes))]
+        # a block without events has no file of them
+        filled = [block for block, n in zip(self._blocks, sizes, strict=True) if n]
         super().__init__([folder / EVENTS for folder in filled or [self.path]], turning)
-        entries = self.manifest.get("entries")
-        listed = [entry["id"] for entry in entries] if sizes is None else self._ids
-        if self._ids != listed or (sizes is not None and len(listed) != sum(sizes)):
+        self._entries: Sequence[dict[str, Any]]
+        if sizes:
+            self._entries = _Entries(filled, self._starts, self._ids)
+            same = len(self._ids) == sum(sizes)
+        else:
+            self._entries = self.manifest["entries"]
+            same = self._ids == [entry["id"] for entry in self._entries]
+        if not same:
             raise InvalidEventError(
                 f"{self.path}: {EVENTS} and {MANIFEST} are not of the same events"
             )
-        self._entries: Sequence[dict[str, Any]] = (
-            _Entries(filled, self._starts, self._ids) if sizes is not None else entries
-        )
 
     def __repr__(self) -> str:
         splits = Counter(entry["split"] for entry in self._entries)

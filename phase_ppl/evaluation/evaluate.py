@@ -116,8 +116,8 @@ def evaluate(
         resume: go on with the evaluation in ``out``, if there is one. Finished events are not
             predicted again, failed ones are. Settings and events must be the same, but there may
             be more events after those; truth and judgments may have changed.
-        shard: "2/8" asks about the second of eight shares of the events, each with an ``out`` of its
-            own, of which :func:`phase_ppl.merge` makes the whole.
+        shard: "2/8" asks about the second of eight shares of the events, each with an ``out`` of
+            its own, of which :func:`phase_ppl.merge` makes the whole.
         split: only the events of that split of a generated data set, such as "test".
         limit: only the first so many events.
         seed: a whole number >= 0.

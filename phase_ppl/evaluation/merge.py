@@ -52,9 +52,9 @@ def merge(
     kind = next((name for name in _KINDS if (paths[0] / name).is_file()), PLAN)
     found = _complete([_found(path, kind) for path in paths])
     with locked(writable_folder(out)):
-        for name in _KINDS:
+        for name, there in _KINDS.items():
             if (Path(out) / name).exists():
-                raise OutputError(f"{out} holds {_KINDS[name].what} already: name another folder")
+                raise OutputError(f"{out} holds {there.what} already: name another folder")
         return _KINDS[kind].put_together(found, Path(out))
 
 
@@ -130,7 +130,7 @@ def _merged_evaluation(found: Sequence[_Found], out: Path) -> Evaluation:
     settings = {**found[0].request, "events": {event.id: digests[event.id] for event in events}}
     if whole_digest(settings["events"]) != settings.pop("whole"):
         raise InvalidEventError(
-            f"{found[0].folder} and the other shards are not of the same events"
+            f"{found[0].folder} and the others hold other events than asked for"
         )
     folder = ResultsFolder.create(out, settings, events)
     failures = {}

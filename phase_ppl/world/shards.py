@@ -25,7 +25,7 @@ class Shard:
     @classmethod
     def named(cls, text: object) -> Self:
         """Return the shard of "2/8" (InvalidSettingError: there can be none of that name)."""
-        found = re.fullmatch(r"0*([0-9]{1,9})/0*([0-9]{1,9})", text) if isinstance(text, str) else 0
+        found = re.fullmatch(r"([0-9]{1,9})/([0-9]{1,9})", text if isinstance(text, str) else "")
         if not found or not 1 <= int(found[1]) <= int(found[2]):
             raise InvalidSettingError(
                 f"shard={shown(text)}, expected one such as 1/8, the first of eight, to 8/8"

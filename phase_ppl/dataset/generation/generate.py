@@ -145,7 +145,7 @@ def generate(
 def generate(
     out: str | os.PathLike[str], n: int | None = None, *, shard: str, **options: Any
 ) -> Path: ...
-def generate(
+def generate(  # type: ignore[misc]
     out: str | os.PathLike[str],
     n: int | None = None,
     *,
