@@ -1,87 +1,112 @@
-"""How much memory do generated sets take, by how many events they have?
+"""What memory do generated sets take, by how many events they have?
 
-Each size in a process of its own: a set is made, opened, and all its events are gone through.
-Nothing is simulated: every slot gets a bundled event, under its own name.
+    python benchmarks/large_sets.py [--events 100 500 2000] [--frames 101]
 
-    python benchmarks/large_sets.py --sizes 100,500,2000 --json large_sets.json
+Each set is made in a process of its own by a simulator that takes no time, opened in another, and
+gone through in a third. What is measured is the most memory that the process ever had, beyond what
+it has after the imports.
 """
 
 from __future__ import annotations
 
 import argparse
-import dataclasses
-import json
+import resource
+import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
-from typing import Any
+from typing import Final
 
-import loky
+import numpy as np
+from common import write
 
 import phase_ppl as ppl
-from phase_ppl.dataset.generation import generate as module
-from phase_ppl.dataset.generation.making import Made
-from phase_ppl.dataset.generation.plan import Plan, Slot
+from phase_ppl.dataset.generation import making
+from phase_ppl.dataset.generation.copies import Recording
+from phase_ppl.dataset.generation.situation import Situation
+from phase_ppl.simulator.joint import JointSimulator
+from phase_ppl.world.names import AGENTS, NOTHING
 
-EVENT = "collaborate"
-
-
-def stand_in(plan: Plan, slot: Slot) -> Made:
-    """Return a bundled event as what became of a slot."""
-    event = dataclasses.replace(ppl.load_event(EVENT), id=slot.name)
-    facts = {"frames": event.observation.n_frames, "moved": [0.0] * 4}
-    entry = {"id": slot.name, "group": slot.name, "split": slot.split, "measures": facts}
-    return Made(slot, [event], [entry], [])
-
-
-def megabytes() -> float:
-    """Return the most memory that this process had until now, by Linux."""
-    status = Path("/proc/self/status").read_text()
-    (line,) = (line for line in status.splitlines() if line.startswith("VmHWM"))
-    return int(line.split()[1]) * 1024 / 1e6
-
-
-def made(n: int, folder: Path) -> dict[str, Any]:
-    """Make a set; return what that took."""
-    module.make = stand_in
-    stand_in(Plan(cells={"chasing": 1}), Slot(0, "chasing", "train"))
-    before, clock = megabytes(), time.perf_counter()
-    ppl.generate(folder, cells={"chasing": n}, workers=1, progress=False)
-    return {"made_mb": megabytes() - before, "made_s": time.perf_counter() - clock}
-
-
-def opened(n: int, folder: Path) -> dict[str, Any]:
-    """Open a set and go through it; return what that took."""
-    ppl.load_event(EVENT)
-    before, clock = megabytes(), time.perf_counter()
-    events = ppl.GeneratedEvents(folder)
-    found = {"opened_mb": megabytes() - before, "opened_s": time.perf_counter() - clock}
-    assert sum(1 for _ in events) == sum(1 for _ in events.entries) == n
-    return {**found, "read_mb": megabytes() - before}
+STEPS: Final = ("made", "opened", "gone through")
 
 
 def main() -> None:
-    """Run it."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--sizes", default="100,500,2000", help="numbers of events")
-    parser.add_argument("--json", type=Path, metavar="FILE")
+    parser.add_argument("--events", type=int, nargs="+", default=[100, 500, 2000])
+    parser.add_argument("--frames", type=int, default=101)
+    parser.add_argument("--step", choices=STEPS, help="only this one, in --set")
+    parser.add_argument("--set", metavar="DIR", type=Path)
+    parser.add_argument("--json", metavar="FILE")
     options = parser.parse_args()
-    rows = []
-    print(f"{'events':>7}{'made':>10}{'':>9}{'opened':>10}{'':>9}{'read':>10}")
-    for n in map(int, options.sizes.split(",")):
-        row: dict[str, Any] = {"events": n}
-        with tempfile.TemporaryDirectory() as scratch:
-            for step in (made, opened):
-                with loky.ProcessPoolExecutor(1) as alone:
-                    row |= alone.submit(step, n, Path(scratch) / "set").result()
-        rows.append(row)
-        print(
-            f"{n:>7}{row['made_mb']:>7.0f} MB{row['made_s']:>7.1f} s{row['opened_mb']:>7.0f} MB"
-            f"{row['opened_s']:>7.2f} s{row['read_mb']:>7.0f} MB",
-            flush=True,
-        )
-    if options.json is not None:
-        options.json.write_text(json.dumps(rows, indent=1))
+    if options.step is not None:
+        print(megabytes(options.step, options.set, options.events[0], options.frames))
+        return
+    rows = [measured(n, options.frames) for n in options.events]
+    print(f"{'events':>7}{''.join(f'{step:>14}' for step in STEPS)}{'seconds':>10}{'on disk':>10}")
+    for row in rows:
+        peaks = "".join(f"{row[step]:11.0f} MB" for step in STEPS)
+        print(f"{row['events']:7.0f}{peaks}{row['seconds']:10.0f}{row['disk']:7.0f} MB")
+    write({"sets": rows}, options.json)
+
+
+def measured(n: int, frames: int) -> dict[str, float]:
+    """Return the memory that each step with ``n`` events takes, MB, and what making them takes."""
+    found: dict[str, float] = {"events": n}
+    with tempfile.TemporaryDirectory() as folder:
+        for step in STEPS:
+            clock = time.perf_counter()
+            done = subprocess.run(
+                [
+                    *(sys.executable, __file__, "--step", step, "--set", f"{folder}/set"),
+                    *("--events", str(n), "--frames", str(frames)),
+                ],
+                stdout=subprocess.PIPE,
+                text=True,
+                check=True,
+            )
+            found[step] = float(done.stdout)
+            found.setdefault("seconds", time.perf_counter() - clock)
+        files = [file for file in Path(folder).rglob("*") if file.is_file()]
+        found["disk"] = sum(file.stat().st_size for file in files) / 1e6
+    return found
+
+
+def megabytes(step: str, folder: Path, n: int, frames: int) -> float:
+    """Return the memory that a step takes in this process, MB."""
+    for name in ("generate", "load_events"):  # with all that they import
+        getattr(ppl, name)
+    before = most()
+    if step == "made":
+        making.record = instant
+        making.reason_against = lambda *_: None
+        ppl.generate(folder, n, frames=frames, workers=1)
+    else:
+        events = ppl.load_events(folder)
+        assert len(events) == n
+        for event in events if step == "gone through" else [events[n // 2]]:
+            assert event.observation.n_frames
+    return most() - before
+
+
+def most() -> float:
+    """Return the most memory that this process ever had, MB."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if MACOS else 1024) / 1e6
+
+
+MACOS: Final = sys.platform == "darwin"
+
+
+def instant(situation: Situation, simulator: JointSimulator, frames: int, seed: int) -> Recording:
+    """Return a recording in which everything makes for one place."""
+    start = situation.scene.start
+    there = np.append(np.reshape(situation.scene.arena, (2, 2)).mean(axis=1), seed % np.pi)
+    gone = np.linspace(0, 0.5, frames)[:, None, None]
+    nothing = np.full((frames, len(AGENTS)), NOTHING)
+    track = start + gone * (there - start)
+    return Recording(
+        situation.scene, situation.hypothesis, situation.layout, track, nothing, nothing
+    )
 
 
 if __name__ == "__main__":

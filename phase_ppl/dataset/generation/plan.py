@@ -61,9 +61,6 @@ BLOCK: Final = 1000
 """Slots whose events are put together at a time, in memory and in a file."""
 
 _SLOT_BYTES: Final = 400
-BLOCK: Final = 1000
-"""Slots whose events are put together at a time, in memory and in a file."""
-
 _EVENT_BYTES: Final = 20_000
 _FRAME_BYTES: Final = 600
 """Of memory that a slot takes; an event that is put together with others, and each frame of it."""
