@@ -46,6 +46,7 @@ def add_to(commands: Any) -> None:
     cli.add(parser, "--weights NAME", "default count", default="count")
     cli.add_workers(parser)
     cli.add_dask(parser)
+    cli.add_shard(parser)
     cli.add(parser, "--checkpoint FILE", ".json; keeps and takes up finished runs", Path)
     cli.add(parser, "--out DIR", "for the runs and a figure", Path)
     cli.add_overwrite(parser)
@@ -77,6 +78,7 @@ def _compared(event: Event, out: Path | None, options: argparse.Namespace) -> in
             weights=options.weights,
             workers=options.workers,
             executor=options.executor,
+            shard=options.shard,
             progress=cli.shows_progress(options),
             checkpoint=options.checkpoint,
         )

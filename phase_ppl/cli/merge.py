@@ -17,8 +17,8 @@ def add_to(commands: Any) -> None:
         "merge",
         _merge,
         "phase-ppl merge shards/* --out events",
-        "Put the shards of a data set or an evaluation together, to what one call without "
-        "--shard makes.",
+        "Put the shards of a data set, an evaluation or a comparison together, to what one call "
+        "without --shard makes.",
     )
     cli.add(parser, "folders DIR", "of each shard, in any order", Path, nargs="+")
     cli.add(parser, "--out DIR", "for the whole", Path, required=True)

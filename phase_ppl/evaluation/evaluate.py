@@ -34,7 +34,7 @@ from phase_ppl.world.identity import event_digest, stable, versions
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.progress import Bar
 from phase_ppl.world.scene import Scene, check_phase
-from phase_ppl.world.shards import Shard
+from phase_ppl.world.shards import SHARD, Shard
 
 if TYPE_CHECKING:
     from phase_ppl.evaluation.observers.fit import FittedObserver
@@ -46,8 +46,6 @@ COMPILED_OF: Final = 8
 Programs of events of other lengths would pile up, some 80 MB for each of SIMPLE's; those of events
 of the same length are worth keeping, as they take 10 s to compile.
 """
-
-SHARD: Final = "shard"  # the setting that says which share of the events was asked about
 
 _asked = itertools.count(1)
 

@@ -8,17 +8,19 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+from phase_ppl.analysis.comparison import Comparison
 from phase_ppl.dataset.documents import read_json
 from phase_ppl.dataset.generated import PLAN, GeneratedEvents
 from phase_ppl.dataset.generation.parts import assemble, part_file
 from phase_ppl.dataset.generation.plan import slots
-from phase_ppl.evaluation.evaluate import SHARD, whole_digest
+from phase_ppl.evaluation.evaluate import whole_digest
 from phase_ppl.evaluation.evaluation import Evaluation, cost_of
-from phase_ppl.evaluation.folder import METRICS, SETTINGS, ResultsFolder
+from phase_ppl.evaluation.folder import COMPARISON, METRICS, SETTINGS, ResultsFolder
+from phase_ppl.inference.compare import runs_left, together
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, OutputError
 from phase_ppl.world.files import as_path, locked, writable_folder, write_json
 from phase_ppl.world.identity import differences
-from phase_ppl.world.shards import Shard
+from phase_ppl.world.shards import SHARD, Shard
 
 
 class _Found(NamedTuple):
@@ -31,14 +33,15 @@ class _Found(NamedTuple):
 
 def merge(
     folders: Sequence[str | os.PathLike[str]], out: str | os.PathLike[str]
-) -> GeneratedEvents | Evaluation:
-    """Put shards together, of :func:`phase_ppl.generate` or :func:`phase_ppl.evaluate`.
+) -> GeneratedEvents | Evaluation | Comparison:
+    """Put shards together, of ``generate``, ``evaluate`` or ``compare``.
 
-    The result is that of one call without ``shard``: a data set byte for byte, an evaluation in
-    predictions and metrics.
+    The result is that of one call without ``shard``: a data set byte for byte, an evaluation or a
+    comparison but for the seconds that it took.
 
     Args:
-        folders: of all shards, in any order; they stay as they are.
+        folders: of all shards, in any order; they stay as they are. That of a comparison has it as
+            comparison.json.
         out: folder for the whole.
 
     Raises:
@@ -61,6 +64,8 @@ def merge(
 def _found(folder: Path, kind: str) -> _Found:
     source = folder / kind
     request = read_json(source) if source.is_file() else {}
+    if kind == COMPARISON and request:
+        request = dict(Comparison.load(source).settings)
     shard = request.pop(SHARD, None)
     if shard is None:
         raise InvalidEventError(f"{folder} is no shard of {_KINDS[kind].what}")
@@ -96,10 +101,10 @@ def _of_whole(one: _Found) -> Mapping[str, Any]:
     return {name: value for name, value in one.request.items() if name != "events"}
 
 
-def _check_finished(one: _Found, done: int, n: int) -> None:
+def _check_finished(one: _Found, done: int, n: int, what: str = "events") -> None:
     if done < n:
         raise InvalidEventError(
-            f"{one.folder} is not finished: {done} of {n} events; resume it as shard {one.shard}"
+            f"{one.folder} is not finished: {done} of {n} {what}; resume it as shard {one.shard}"
         )
 
 
@@ -151,15 +156,26 @@ def _merged_evaluation(found: Sequence[_Found], out: Path) -> Evaluation:
     return merged
 
 
+def _merged_comparison(found: Sequence[_Found], out: Path) -> Comparison:
+    given = [Comparison.load(one.folder / COMPARISON) for one in found]
+    for one, comparison in zip(found, given, strict=True):
+        done = len(comparison.runs)
+        _check_finished(one, done, done + runs_left(comparison), "runs")
+    merged = together(given)
+    merged.save(out / COMPARISON)
+    return merged
+
+
 class _Kind(NamedTuple):
     """What shards can be of, in words, and how they are put together."""
 
     what: str
-    put_together: Callable[[Sequence[_Found], Path], GeneratedEvents | Evaluation]
+    put_together: Callable[[Sequence[_Found], Path], GeneratedEvents | Evaluation | Comparison]
 
 
 _KINDS: Final = {
     PLAN: _Kind("a data set", _merged_set),
     SETTINGS: _Kind("an evaluation", _merged_evaluation),
+    COMPARISON: _Kind("a comparison", _merged_comparison),
 }
 """The file that tells a kind of results -> the kind."""

@@ -5,9 +5,11 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Sequence
-from typing import Self, TypeVar
+from typing import Final, Self, TypeVar
 
 from phase_ppl.world.errors import InvalidSettingError, shown
+
+SHARD: Final = "shard"  # the setting that says which share of some results is in a folder
 
 Item = TypeVar("Item")
 

@@ -34,7 +34,7 @@ from phase_ppl.world.errors import (
 from phase_ppl.world.files import locked, writable_folder, write_json
 from phase_ppl.world.identity import differences, versions_so_far
 from phase_ppl.world.scene import PHASE, World
-from phase_ppl.world.shards import Shard
+from phase_ppl.world.shards import SHARD, Shard
 from phase_ppl.world.worlds import named
 
 PLAN_SCHEMA: Final = "phase-ppl-plan-1"
@@ -66,7 +66,7 @@ class DatasetBuilder:
         self.slots = plan.slots() if shard is None else shard.of_all(plan.slots())
         record = {"schema": PLAN_SCHEMA, "keep_rejected": keep_rejected, **plan.to_dict()}
         if shard is not None:
-            record["shard"] = str(shard)
+            record[SHARD] = str(shard)
         target = self.path / PLAN
         made_by: list[dict[str, Any]] = []
         if target.exists():
