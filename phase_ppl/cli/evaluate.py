@@ -284,7 +284,7 @@ def _check_several(
     for label, model in models.items():
         asked = ready(model, of_models[label])
         if options.resume and holds_predictions(options.out / label):
-            settings = settings_of(asked, options.seed or 0, chosen)
+            settings = settings_of(asked, options.seed or 0, chosen, options.shard)
             ResultsFolder.open(options.out / label).check_same(settings)
     references = stored_names(named_references(options.stored), reference_predictions(chosen))
     known = [*models, *(stored_label(name, models) for name in references)]

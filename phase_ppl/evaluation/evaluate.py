@@ -157,13 +157,8 @@ def evaluate(
         asked = observed(asked, observer)
     if not asked.parallel:
         executor, slots = None, 1
-    settings = settings_of(asked, seed, chosen)
-    if shard is not None:
-        share = Shard.named(shard)
-        chosen = share.of_all(chosen)
-        seen = settings["events"]
-        settings |= {SHARD: str(share), "whole": whole_digest(seen)}
-        settings["events"] = {event.id: seen[event.id] for event in chosen}
+    settings = settings_of(asked, seed, chosen, shard)
+    chosen = [event for event in chosen if event.id in settings["events"]]
     with locked(None if out is None else writable_folder(out)):
         folder: ResultsFolder | None = None
         done: dict[str, Prediction] = {}
@@ -195,13 +190,22 @@ def evaluate(
         return found
 
 
-def settings_of(model: ReadyModel, seed: int, events: Sequence[Event]) -> dict[str, Any]:
-    """Return what determines the predictions, in JSON's types."""
+def settings_of(
+    model: ReadyModel, seed: int, events: Sequence[Event], shard: str | None = None
+) -> dict[str, Any]:
+    """Return what determines the predictions of a shard of the events, in JSON's types."""
+    seen = {event.id: event_digest(event) for event in events}
+    of_shard = {}
+    if shard is not None:
+        share = Shard.named(shard)
+        of_shard = {SHARD: str(share), "whole": whole_digest(seen)}
+        seen = dict(share.of_all(list(seen.items())))
     return {
         **model.record,
         "seed": seed,
         "versions": stable(versions()),
-        "events": {event.id: event_digest(event) for event in events},
+        "events": seen,
+        **of_shard,
     }
 
 

@@ -116,11 +116,11 @@ def _merged_set(found: Sequence[_Found], out: Path) -> GeneratedEvents:
     for one in found:
         mine = one.shard.of_all(wanted)
         _check_finished(one, sum(part_file(one.folder, slot).is_file() for slot in mine), len(mine))
-    write_json(out / PLAN, record)
     assemble(
         out, plan, record["versions"], wanted,
         lambda slot: found[slot.number % len(found)].folder,
     )  # fmt: skip
+    write_json(out / PLAN, record)  # last, so that a merge that was killed can be begun again
     return GeneratedEvents(out)
 
 

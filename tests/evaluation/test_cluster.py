@@ -121,6 +121,22 @@ def test_shards_make_the_evaluation_of_one_process(tmp_path: Path) -> None:
     assert names[0] == names[1]
 
 
+def test_the_commands_make_shards_of_several_models(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ppl.save_events(EVENTS, tmp_path / "events.json")
+    given = ["evaluate", str(tmp_path / "events.json"), "--no-figures", "--quiet"]
+    given += ["--model", "one=last_frame", "--model", "two=last_frame", "--workers", "1"]
+    for number in (1, 2):
+        command = [*given, "--shard", f"{number}/2", "--out", str(tmp_path / f"{number}")]
+        assert main(command) == 0
+        assert main([*command, "--resume"]) == 0
+    capsys.readouterr()
+    folders = [str(tmp_path / number / "two") for number in "12"]
+    assert main(["merge", *folders, "--out", str(tmp_path / "two")]) == 0
+    assert "8 of 8 events" in capsys.readouterr().out
+
+
 def test_shards_that_do_not_fit_together_are_refused(tmp_path: Path) -> None:
     def shard(
         name: str, share: str, events: Any = EVENTS, model: Any = guesses, **more: Any
