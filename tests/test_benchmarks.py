@@ -56,6 +56,12 @@ def test_speed_of_one_transition(figures: Figures) -> None:
     assert report["transition_speedup"] == pytest.approx(us[0] / us[1])
 
 
+def test_memory_that_sets_take(figures: Figures) -> None:
+    (row,) = figures("large_sets.py", "--events", "2", "--frames", "34")["sets"]
+    assert row["made"] > row["opened"] > 0
+    assert row["events"] == 2
+
+
 def test_sizes_of_the_folders_of_a_package(tmp_path: Path, figures: Figures) -> None:
     package = tmp_path / "thing"
     (package / "part").mkdir(parents=True)

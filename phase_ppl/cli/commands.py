@@ -9,6 +9,7 @@ import json
 import shlex
 import sys
 from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -59,6 +60,7 @@ COMMANDS: Final = {
     ),
     "diagnose": ("results", "say whether the chains of a posterior can be trusted"),
     "generate": ("generate", "make a data set of simulated social events"),
+    "merge": ("merge", "put the shards of a data set, an evaluation or a comparison together"),
     "verify": ("generate", "compare a generated data set with its checksums"),
     "describe": (
         "events",
@@ -74,6 +76,8 @@ FAILED: Final = 1
 BAD_INPUT: Final = 2
 INTERRUPTED: Final = 130
 """Exit codes."""
+
+_DASK_SECONDS: Final = 10  # that a scheduler may take to answer
 
 POSTERIOR: Final = "posterior.nc"  # the file in the folder of results that holds the posterior
 
@@ -95,7 +99,8 @@ def run(arguments: Sequence[str] | None) -> int:
             commands.add_parser(name, help=does)
     options: argparse.Namespace = parser.parse_args(given)
     try:
-        code: int = options.run(options)
+        with _executor(getattr(options, "dask", None)) as options.executor:
+            code: int = options.run(options)
         return code
     except PhasePPLError as error:
         print(f"phase-ppl: error: {one_line(error)}", file=sys.stderr)
@@ -214,6 +219,44 @@ def add_planner(parser: argparse.ArgumentParser) -> None:
 def add_workers(parser: argparse.ArgumentParser) -> None:
     """Add the option of the number of processes."""
     add(parser, "--workers N", "processes; default one per usable core", whole(1))
+
+
+def add_dask(parser: argparse.ArgumentParser) -> None:
+    """Add the option of a cluster; ``options.executor`` is then that to work in, or None."""
+    says = (
+        "a dask scheduler, as in machine:8786, whose workers do the work; --workers then says how "
+        "much they are given at a time, default all"
+    )
+    add(parser, "--dask ADDRESS", says)
+
+
+@contextlib.contextmanager
+def _executor(address: str | None) -> Iterator[Executor | None]:
+    """Yield the executor of a dask cluster; None where there is none."""
+    if address is None:
+        yield None
+        return
+    try:
+        from distributed import Client
+    except ImportError:
+        raise InvalidSettingError("--dask needs pip install 'phase_ppl[cluster]'") from None
+    try:
+        client = Client(address, timeout=_DASK_SECONDS)
+    except (OSError, ValueError) as error:
+        raise InvalidSettingError(
+            f"--dask {address}: no scheduler answers ({one_line(error)})"
+        ) from None
+    with client:
+        yield client.get_executor()
+
+
+MERGES: Final = "phase-ppl merge FOLDERS... --out OUT"
+
+
+def add_shard(parser: argparse.ArgumentParser) -> None:
+    """Add the option of a share of the work."""
+    says = f"do only share I of N, in a folder of its own; then {MERGES}"
+    add(parser, "--shard I/N", says)
 
 
 def add_options(parser: argparse._ActionsContainer, says: str, type: Any = None) -> None:

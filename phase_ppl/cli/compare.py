@@ -45,6 +45,8 @@ def add_to(commands: Any) -> None:
     cli.add(parser, "--reference R", says)
     cli.add(parser, "--weights NAME", "default count", default="count")
     cli.add_workers(parser)
+    cli.add_dask(parser)
+    cli.add_shard(parser)
     cli.add(parser, "--checkpoint FILE", ".json; keeps and takes up finished runs", Path)
     cli.add(parser, "--out DIR", "for the runs and a figure", Path)
     cli.add_overwrite(parser)
@@ -75,6 +77,8 @@ def _compared(event: Event, out: Path | None, options: argparse.Namespace) -> in
             reference=_reference(options.reference),
             weights=options.weights,
             workers=options.workers,
+            executor=options.executor,
+            shard=options.shard,
             progress=cli.shows_progress(options),
             checkpoint=options.checkpoint,
         )

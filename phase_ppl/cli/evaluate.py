@@ -31,7 +31,8 @@ _SHORT_FOR: Final = ("preset", "planner", *_OWN, "budget", "weights")
 """Options of models that have options of the command of their own."""
 
 _OF_WORK: Final = (
-    *("model", "observer", "resume", "split", "limit", "seed", "judgments", "option", "stored"),
+    *("model", "observer", "resume", "shard", "split", "limit", "seed"),
+    *("judgments", "option", "stored"),
     *_SHORT_FOR,
 )
 """Options that say nothing where an evaluation is only shown again."""
@@ -71,6 +72,8 @@ def add_to(commands: Any) -> None:
     cli.add(parser, "--split NAME", "of a generated set, such as test")
     cli.add(parser, "--limit N", "the first N events only", cli.whole(1))
     cli.add_workers(parser)
+    cli.add_dask(parser)
+    cli.add_shard(parser)
     cli.add(parser, "--seed N", "default 0", cli.whole(0))
     cli.add(parser, "--judgments FILE", "people's judgments, a .csv file", Path)
     says = (
@@ -193,7 +196,8 @@ def _evaluate(options: argparse.Namespace) -> int:
         else:
             print(evaluation)
         problems = []
-        if evaluation.folder is not None and not options.no_figures and _of_phase(evaluation):
+        drawable = not options.no_figures and options.shard is None
+        if evaluation.folder is not None and drawable and _of_phase(evaluation):
             problems = _draw(evaluation, evaluation.folder, options)
         for problem in problems:
             print(f"phase-ppl: error: {named}{problem}", file=sys.stderr)
@@ -229,6 +233,8 @@ def _evaluation(
             model,
             out=out,
             workers=options.workers,
+            executor=options.executor,
+            shard=options.shard,
             resume=options.resume,
             limit=options.limit,
             seed=options.seed or 0,
@@ -243,7 +249,8 @@ def _evaluation(
             print("Go on with the same command and --resume", file=sys.stderr)
         return None
     except phase_ppl.PhasePPLError as error:
-        raise type(error)(f"{named}{error}") from None
+        hint = "; --resume goes on" if out is not None and hasattr(error, "evaluation") else ""
+        raise type(error)(f"{named}{error}{hint}") from None
 
 
 def _check_one(
@@ -277,7 +284,7 @@ def _check_several(
     for label, model in models.items():
         asked = ready(model, of_models[label])
         if options.resume and holds_predictions(options.out / label):
-            settings = settings_of(asked, options.seed or 0, chosen)
+            settings = settings_of(asked, options.seed or 0, chosen, options.shard)
             ResultsFolder.open(options.out / label).check_same(settings)
     references = stored_names(named_references(options.stored), reference_predictions(chosen))
     known = [*models, *(stored_label(name, models) for name in references)]

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import phase_ppl
 from phase_ppl.cli import commands as cli
-from phase_ppl.dataset.generated import MANIFEST, read_manifest
+from phase_ppl.dataset.generated import MANIFEST, GeneratedEvents
 from phase_ppl.dataset.load import EXPORTS, PHASE_PICKLE
 from phase_ppl.dataset.load import SUFFIXES as EVENT_SUFFIXES
 from phase_ppl.dataset.statistics import PHASE
@@ -161,9 +161,10 @@ def _describe(options: argparse.Namespace) -> int:
     return 0
 
 
-def _statistics(path: Path) -> tuple[list[Event], Mapping[str, Any]]:
-    events = all_events(path)
-    manifest = read_manifest(path) if (path / MANIFEST).is_file() else None
+def _statistics(path: Path) -> tuple[Sequence[Event], Mapping[str, Any]]:
+    made = GeneratedEvents(path) if (path / MANIFEST).is_file() else None
+    events = all_events(path) if made is None else made
+    manifest = None if made is None else made.manifest
     name = path.resolve().name if path.is_dir() else path.stem
     return events, phase_ppl.statistics(events, manifest, name=name)
 

@@ -25,8 +25,8 @@ REJECTED_VIDEOS: Final = "videos_rejected"
 
 
 _PASSED_ON: Final = (
-    *("planner", "seed", "copies", "replans", "turning", "workers"),
-    *("keep_rejected", "resume", "other_versions"),
+    *("planner", "seed", "copies", "replans", "turning", "shard", "workers"),
+    *("executor", "keep_rejected", "resume", "other_versions"),
 )
 
 
@@ -63,6 +63,8 @@ def add_to(commands: Any) -> None:
     says = "which way agents can turn, before any reflection; default both"
     cli.add(parser, "--turning", says, choices=TURNINGS, default="both")
     cli.add_workers(parser)
+    cli.add_dask(parser)
+    cli.add_shard(parser)
     cli.add(parser, "--keep-rejected", "keep the draws that were not good enough")
     says = "film every event, rejected draws too if they are kept, and draw all on one picture"
     cli.add(parser, "--videos", says)
@@ -96,6 +98,9 @@ def _generate(options: argparse.Namespace) -> int:
     except GenerationInterrupted as stopped:
         print(f"phase-ppl: {stopped}: phase-ppl generate ... --resume", file=sys.stderr)
         return cli.INTERRUPTED
+    if isinstance(made, Path):
+        print(f"Shard {options.shard} is in {made}; of all of them: {cli.MERGES}")
+        return 0
     _print(made)
     if options.videos:
         _film(made, options)
@@ -136,7 +141,7 @@ def _print(made: GeneratedEvents) -> None:
     splits = Counter(entry["split"] for entry in made.entries)
     parts = ", ".join(f"{n} {name}" for name, n in splits.items())
     print(f"{len(made)} events ({parts}) in {made.path}")
-    anew = manifest.get("made_anew")
+    anew = made.cost.get("made_anew")
     if anew:
         print(f"Made anew, since their parts were damaged: {', '.join(anew)}", file=sys.stderr)
 

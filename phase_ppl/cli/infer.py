@@ -87,6 +87,7 @@ def _add_run_options(parser: argparse.ArgumentParser) -> None:
     cli.add(length, "--iterations L", "default 6, or as before", cli.whole(1))
     cli.add(length, "--budget B", cli.BUDGET, cli.budget)
     cli.add_workers(parser)
+    cli.add_dask(parser)
     says = "what becomes of a failed simulation; default reject, or as before"
     cli.add(parser, "--on-failure", says, choices=("reject", "raise", "retry"))
     cli.add(parser, "--retries N", "of retry; default 3", cli.whole(1))
@@ -251,7 +252,7 @@ def _has_own(options: argparse.Namespace) -> bool:
 
 def _run_options(options: argparse.Namespace) -> dict[str, Any]:
     names = (
-        *("iterations", "budget", "workers", "on_failure", "retries"),
+        *("iterations", "budget", "workers", "executor", "on_failure", "retries"),
         *("simulation_seconds", "burn_in", "weights"),
     )
     return {"progress": cli.shows_progress(options), **cli.given(options, *names)}

@@ -17,14 +17,16 @@ compared when the file is read.
 
 from __future__ import annotations
 
+import bisect
 import contextlib
 import copy
 import functools
 import hashlib
 import io
+import itertools
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Self, overload
 
@@ -256,6 +258,9 @@ _CHECKSUM: Final = "sha256"
 _AT_ONCE: Final = 32
 """Events that are read before the file is closed again, when all are gone through."""
 
+_LISTED_AT_MOST: Final = 16
+"""Files of which it is kept where in them their events are."""
+
 Place = dict[str, int | slice]
 """Where an event is in a file of several: dimension -> index or slice."""
 
@@ -439,33 +444,45 @@ def _id(dataset: xr.Dataset) -> str:
 
 
 class StoredEvents(Sequence[Event]):
-    """Events of a file of several, of which an event is read each time it is asked for.
+    """Events of files of several, of which an event is read each time it is asked for.
 
-    The file is open only while something is read, so that any number of processes and threads can
+    A file is open only while something is read, so that any number of processes and threads can
     have the same events, and they can be pickled. Slices are of the same kind, and read nothing.
 
     Args:
-        path: a file as :func:`phase_ppl.dataset.load.save_events` writes it, ending in ".nc".
-        turning: "both", "ccw" or "cw" instead of what the file says.
+        path: a file as :func:`phase_ppl.dataset.load.save_events` writes it, ending in ".nc", or
+            several, whose events follow each other.
+        turning: "both", "ccw" or "cw" instead of what the files say.
 
     Raises:
         InvalidEventError: it cannot be read, now or when an event is asked for, or it was changed
             since.
     """
 
-    def __init__(self, path: str | os.PathLike[str], turning: Turning | None = None) -> None:
-        self._file = Path(path)
+    def __init__(
+        self,
+        path: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+        turning: Turning | None = None,
+    ) -> None:
+        self._files = [
+            Path(one) for one in ([path] if isinstance(path, str | os.PathLike) else path)
+        ]
         self._turning = turning
-        with naming(self._file):
-            self._state = _state(self._file)
-            self._listed = listing(self._file)
-            check_ids(self._listed.ids)
-        self._places: Sequence[int] = range(len(self._listed.ids))
+        self._states: list[_State] = []
+        self._ids: list[str] = []
+        self._starts: list[int] = []
+        for file in self._files:
+            with naming(file):
+                self._states.append(_state(file))
+                self._starts.append(len(self._ids))
+                self._ids += _listing(file, self._states[-1]).ids
+                check_ids(self._ids)
+        self._places: Sequence[int] = range(len(self._ids))
 
     @property
     def ids(self) -> list[str]:
         """The ids of the events, in their order."""
-        return [self._listed.ids[place] for place in self._places]
+        return [self._ids[place] for place in self._places]
 
     def chosen(self, indices: Sequence[int]) -> Self:
         """Return some of the events, in the order of the indices."""
@@ -475,19 +492,29 @@ class StoredEvents(Sequence[Event]):
 
     def read(self, indices: Sequence[int]) -> list[Event]:
         """Return events in one go."""
-        events = []
+        events: list[Event] = []
+        places = [self._places[index] for index in indices]
+        for number, of_file in itertools.groupby(places, self._number_of_file):
+            events += self._read(number, of_file)
+        return events if self._turning is None else [turned(e, self._turning) for e in events]
+
+    def _number_of_file(self, place: int) -> int:
+        return bisect.bisect_right(self._starts, place) - 1
+
+    def _read(self, number: int, places: Iterable[int]) -> Iterator[Event]:
+        path, state = self._files[number], self._states[number]
         with contextlib.ExitStack() as stack:
-            with naming(self._file):
-                if _state(self._file) != self._state:
+            with naming(path):
+                if _state(path) != state:
                     raise InvalidEventError(
                         "was changed since its events were listed; load it again"
                     )
+                listed = _listing(path, state)
                 with reading():
-                    file = stack.enter_context(h5py.File(self._file, "r"))
-            for place in (self._places[index] for index in indices):
-                with naming(self._file, self._listed.ids[place]):
-                    events.append(event_at(file, self._listed, place))
-        return events if self._turning is None else [turned(e, self._turning) for e in events]
+                    file = stack.enter_context(h5py.File(path, "r"))
+            for place in places:
+                with naming(path, self._ids[place]):
+                    yield event_at(file, listed, place - self._starts[number])
 
     @overload
     def __getitem__(self, index: int) -> Event: ...
@@ -508,7 +535,16 @@ class StoredEvents(Sequence[Event]):
             yield from self.read(range(start, min(start + _AT_ONCE, len(self))))
 
 
-def _state(path: Path) -> tuple[int, int]:
+_State = tuple[int, int]
+
+
+@functools.lru_cache(maxsize=_LISTED_AT_MOST)
+def _listing(path: Path, state: _State) -> Listing:
+    """Return what a file holds that was in this state."""
+    return listing(path)
+
+
+def _state(path: Path) -> _State:
     """Return what tells a file from another that was put in its place."""
     try:
         found = path.stat()

@@ -9,18 +9,27 @@
       manifest.json       per event what is known about it beside the event itself
       rejected.nc         rejected draws as events, where they were kept
       rejected.json       why each of them was not kept, and its measures
+      cost.json           what the last call took, and what it made anew
 
 A part is written whole or not at all, so interrupted generation goes on with the slots that are
-missing, or whose part was damaged since; the finished set is the same.
+missing, or whose part was damaged since; the finished set is the same. The folder of a shard
+keeps its parts, for ``phase_ppl.merge``.
+
+A set of more than 1000 slots has a folder for each thousand, ``blocks/00000`` and so on, with
+events.nc, rejected.nc and rejected.json of these, and entries.json in place of the manifest's
+``entries``; of it nothing is in memory but the ids and what is asked for.
 """
 
 from __future__ import annotations
 
+import bisect
+import copy
+import functools
 import os
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final, Self, overload
 
 from phase_ppl.dataset.documents import check_schema, read_json
 from phase_ppl.dataset.events_netcdf import StoredEvents, checksum
@@ -36,6 +45,9 @@ EVENTS: Final = "events.nc"
 MANIFEST: Final = "manifest.json"
 PLAN: Final = "plan.json"
 REJECTED: Final = "rejected"
+COST: Final = "cost.json"
+BLOCKS: Final = "blocks"
+ENTRIES: Final = "entries.json"
 
 
 class GeneratedEvents(StoredEvents):
@@ -60,9 +72,19 @@ class GeneratedEvents(StoredEvents):
     def __init__(self, path: str | os.PathLike[str], turning: Turning | None = None) -> None:
         self.path = Path(path)
         self.manifest = read_manifest(self.path)
-        self._entries: list[dict[str, Any]] = self.manifest["entries"]
-        super().__init__(self.path / EVENTS, turning)
-        if self.ids != [entry["id"] for entry in self._entries]:
+        sizes: list[int] = self.manifest.get("blocks", [])
+        self._blocks = [self.path / BLOCKS / f"{i:05d}" for i in range(len(sizes))]
+        # a block without events has no file of them
+        filled = [block for block, n in zip(self._blocks, sizes, strict=True) if n]
+        super().__init__([folder / EVENTS for folder in filled or [self.path]], turning)
+        self._entries: Sequence[dict[str, Any]]
+        if sizes:
+            self._entries = _Entries(filled, self._starts, self._ids)
+            same = len(self._ids) == sum(sizes)
+        else:
+            self._entries = self.manifest["entries"]
+            same = self._ids == [entry["id"] for entry in self._entries]
+        if not same:
             raise InvalidEventError(
                 f"{self.path}: {EVENTS} and {MANIFEST} are not of the same events"
             )
@@ -76,9 +98,15 @@ class GeneratedEvents(StoredEvents):
         return preformatted(self)
 
     @property
-    def entries(self) -> list[dict[str, Any]]:
-        """What the manifest says about each of these events, in their order."""
-        return list(self._entries)
+    def entries(self) -> Sequence[dict[str, Any]]:
+        """What is known about how each of these events was made, in their order."""
+        return self._entries
+
+    @property
+    def cost(self) -> dict[str, Any]:
+        """What the call that finished it took, ``seconds`` and ``workers``; {} where shards did."""
+        source = self.path / COST
+        return read_json(source) if source.is_file() else {}
 
     def split(self, name: str) -> Self:
         """Return the events of a split, such as "train".
@@ -98,24 +126,72 @@ class GeneratedEvents(StoredEvents):
         Raises:
             InvalidEventError: their files are damaged, or not of the same draws.
         """
-        events, reasons = self.path / f"{REJECTED}.nc", self.path / f"{REJECTED}.json"
-        if not events.is_file():
-            return []
-        told = read_json(reasons).get("rejected")
-        if not isinstance(told, list) or not all(
-            isinstance(draw, dict) and isinstance(draw.get("reason"), str) for draw in told
-        ):
-            raise InvalidEventError(f"{reasons}: expected a list of draws with their reasons")
-        found = StoredEvents(events)
-        if found.ids != [draw.get("id") for draw in told]:
-            raise InvalidEventError(f"{events} and {reasons.name} are not of the same draws")
-        return [(event, draw["reason"]) for event, draw in zip(found, told, strict=True)]
+        folders = self._blocks or [self.path]
+        return [draw for folder in folders for draw in _rejected(folder)]
 
     def chosen(self, indices: Sequence[int]) -> Self:
         """Return some of the events, in the order of the indices."""
         found = super().chosen(indices)
-        found._entries = [self._entries[index] for index in indices]
+        known = self._entries
+        if isinstance(known, _Entries):
+            found._entries = known.chosen(indices)
+        else:
+            found._entries = [known[index] for index in indices]
         return found
+
+
+class _Entries(Sequence[dict[str, Any]]):
+    """What is known about the events of blocks: read, a block at a time, when it is asked for."""
+
+    def __init__(self, folders: Sequence[Path], starts: Sequence[int], ids: Sequence[str]) -> None:
+        self._folders, self._starts, self._ids = folders, starts, ids
+        self._places: Sequence[int] = range(len(ids))
+
+    def chosen(self, indices: Sequence[int]) -> Self:
+        found = copy.copy(self)
+        found._places = [self._places[index] for index in indices]
+        return found
+
+    @overload
+    def __getitem__(self, index: int) -> dict[str, Any]: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> Self: ...
+
+    def __getitem__(self, index: int | slice) -> dict[str, Any] | Self:
+        if isinstance(index, slice):
+            return self.chosen(range(len(self))[index])
+        place = self._places[index]
+        number = bisect.bisect_right(self._starts, place) - 1
+        entries = _entries_of(self._folders[number] / ENTRIES)
+        within = place - self._starts[number]
+        if within >= len(entries) or entries[within]["id"] != self._ids[place]:
+            folder = self._folders[number]
+            raise InvalidEventError(f"{folder}: {EVENTS} and {ENTRIES} are not of the same events")
+        return entries[within]
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+
+@functools.lru_cache(maxsize=2)
+def _entries_of(source: Path) -> list[dict[str, Any]]:
+    return _checked_entries(read_json(source), source)
+
+
+def _rejected(folder: Path) -> list[tuple[Event, str]]:
+    events, reasons = folder / f"{REJECTED}.nc", folder / f"{REJECTED}.json"
+    if not events.is_file():
+        return []
+    told = read_json(reasons).get("rejected")
+    if not isinstance(told, list) or not all(
+        isinstance(draw, dict) and isinstance(draw.get("reason"), str) for draw in told
+    ):
+        raise InvalidEventError(f"{reasons}: expected a list of draws with their reasons")
+    found = StoredEvents(events)
+    if found.ids != [draw.get("id") for draw in told]:
+        raise InvalidEventError(f"{events} and {reasons.name} are not of the same draws")
+    return [(event, draw["reason"]) for event, draw in zip(found, told, strict=True)]
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
@@ -126,14 +202,23 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         raise InvalidEventError(f"{folder} holds no generated data set{unfinished}")
     manifest = read_json(source)
     check_schema(manifest, MANIFEST_SCHEMA, source)
-    entries = manifest.get("entries")
+    sizes = manifest.get("blocks")
+    if sizes is None:
+        _checked_entries(manifest, source)
+    elif not isinstance(sizes, list) or not all(isinstance(n, int) and n >= 0 for n in sizes):
+        raise InvalidEventError(f"{source}: expected numbers of events as blocks")
+    return manifest
+
+
+def _checked_entries(record: Mapping[str, Any], source: Path) -> list[dict[str, Any]]:
+    entries = record.get("entries")
     wanted = ("id", "split", "checksum")
     if not isinstance(entries, list) or not all(
         isinstance(entry, dict) and all(isinstance(entry.get(name), str) for name in wanted)
         for entry in entries
     ):
         raise InvalidEventError(f"{source}: expected entries with {', '.join(wanted)}")
-    return manifest
+    return entries
 
 
 def verify(folder: str | os.PathLike[str]) -> list[str]:

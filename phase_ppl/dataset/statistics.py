@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from phase_ppl.dataset.generated import GeneratedEvents
 from phase_ppl.dataset.generation.situation import SIZES
 from phase_ppl.dataset.motion import SLOW, moves_to_the_end, seems_to_hold, speeds
 from phase_ppl.world.arrays import FloatArray
@@ -138,6 +139,8 @@ def statistics(
         raise InvalidEventError("there are no events to describe")
     for event in events:
         check_phase(event.scene, "a data card")
+    if isinstance(events, GeneratedEvents) and isinstance(manifest, Mapping):
+        manifest = {**manifest, "entries": events.entries}  # which that of a large set has not
     events = list(events)  # gone through many times; those of a stored set are read each time
     entries = _entries(manifest)
     told = [entries.get(event.id, {}) for event in events]

@@ -6,11 +6,13 @@ import contextlib
 import dataclasses
 import hashlib
 import itertools
+import json
 import os
 import sys
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -23,15 +25,16 @@ from phase_ppl.evaluation.prediction import Prediction, as_prediction
 from phase_ppl.evaluation.registry import Answer, Predict, ReadyModel, check_world, ready
 from phase_ppl.evaluation.tables import world_of
 from phase_ppl.simulator.contract import described
-from phase_ppl.simulator.processes import Failure, in_worker, results
-from phase_ppl.world.checks import number_of_workers, whole_number
-from phase_ppl.world.errors import InvalidSettingError, UnknownNameError
+from phase_ppl.simulator.processes import Failure, in_worker, results, slots_of
+from phase_ppl.world.checks import whole_number
+from phase_ppl.world.errors import InvalidSettingError, SimulationError, UnknownNameError
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import locked, writable_folder, write_json
 from phase_ppl.world.identity import event_digest, stable, versions
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.progress import Bar
 from phase_ppl.world.scene import Scene, check_phase
+from phase_ppl.world.shards import SHARD, Shard
 
 if TYPE_CHECKING:
     from phase_ppl.evaluation.observers.fit import FittedObserver
@@ -70,7 +73,9 @@ def evaluate(
     *,
     out: str | os.PathLike[str] | None = None,
     workers: int | None = None,
+    executor: Executor | None = None,
     resume: bool = False,
+    shard: str | None = None,
     split: str | None = None,
     limit: int | None = None,
     seed: int = 0,
@@ -102,10 +107,15 @@ def evaluate(
         out: folder to keep everything in (:mod:`phase_ppl.evaluation.folder`), event by event;
             by default nothing is kept.
         workers: processes, at most; by default one per usable core. 1 runs the model in this
-            process, as do models that are not to run side by side.
+            process, as do models that are not to run side by side. With an ``executor``, how many
+            events to give it at a time; by default all.
+        executor: any PEP 3148 executor to ask the model in, such as that of a ``dask.distributed``
+            client; it is not shut down. Models that are not to run side by side stay here.
         resume: go on with the evaluation in ``out``, if there is one. Finished events are not
             predicted again, failed ones are. Settings and events must be the same, but there may
             be more events after those; truth and judgments may have changed.
+        shard: "2/8" asks about the second of eight shares of the events, each with an ``out`` of
+            its own, of which :func:`phase_ppl.merge` makes the whole.
         split: only the events of that split of a generated data set, such as "test".
         limit: only the first so many events.
         seed: a whole number >= 0.
@@ -123,11 +133,14 @@ def evaluate(
             PHASE only, or events of several worlds; or ``out`` holds an
             evaluation with others, the message says which.
         OutputError: ``out`` cannot be written, or holds an evaluation and ``resume`` is not set.
-        EvaluationInterrupted: Ctrl-C; it carries what was finished.
+        SimulationError: the executor takes no more work.
+        EvaluationInterrupted: Ctrl-C.
+
+    The last two carry what was finished as ``evaluation``.
     """
     clock = time.monotonic()
     whole_number("seed", seed, minimum=0)
-    slots = number_of_workers(workers)
+    slots = slots_of(workers, executor)
     given = all_events(events, split)
     world = world_of(given)
     if judgments is not None:
@@ -142,7 +155,10 @@ def evaluate(
         from phase_ppl.evaluation.observers.fit import observed  # needs JAX
 
         asked = observed(asked, observer)
-    settings = settings_of(asked, seed, chosen)
+    if not asked.parallel:
+        executor, slots = None, 1
+    settings = settings_of(asked, seed, chosen, shard)
+    chosen = [event for event in chosen if event.id in settings["events"]]
     with locked(None if out is None else writable_folder(out)):
         folder: ResultsFolder | None = None
         done: dict[str, Prediction] = {}
@@ -150,8 +166,7 @@ def evaluate(
         if out is not None:
             folder, done, notes = ResultsFolder.begin(out, settings, chosen, resume)
             settings = folder.settings
-        slots = slots if asked.parallel else 1
-        session = _Session(asked, folder, done, slots)
+        session = _Session(asked, folder, done, slots, executor)
 
         def evaluation() -> Evaluation:
             kept = {event.id: done[event.id] for event in chosen if event.id in done}
@@ -166,20 +181,37 @@ def evaluate(
             session.work(left, settings, Progress(left, len(done), slots, progress), notes)
         except KeyboardInterrupt as stop:
             raise EvaluationInterrupted(evaluation()) from stop
+        except SimulationError as error:
+            error.evaluation = evaluation()  # type: ignore[attr-defined]
+            raise
         found = evaluation()
         if folder is not None:
             write_json(folder.path / METRICS, found.metrics)
         return found
 
 
-def settings_of(model: ReadyModel, seed: int, events: Sequence[Event]) -> dict[str, Any]:
-    """Return what determines the predictions, in JSON's types."""
+def settings_of(
+    model: ReadyModel, seed: int, events: Sequence[Event], shard: str | None = None
+) -> dict[str, Any]:
+    """Return what determines the predictions of a shard of the events, in JSON's types."""
+    seen = {event.id: event_digest(event) for event in events}
+    of_shard = {}
+    if shard is not None:
+        share = Shard.named(shard)
+        of_shard = {SHARD: str(share), "whole": whole_digest(seen)}
+        seen = dict(share.of_all(list(seen.items())))
     return {
         **model.record,
         "seed": seed,
         "versions": stable(versions()),
-        "events": {event.id: event_digest(event) for event in events},
+        "events": seen,
+        **of_shard,
     }
+
+
+def whole_digest(events: Mapping[str, str]) -> str:
+    """Return a hash of the events that shards are of: ids and digests, in their order."""
+    return hashlib.sha256(json.dumps(list(events.items())).encode()).hexdigest()
 
 
 def event_seed(seed: int, digest: str) -> int:
@@ -196,10 +228,12 @@ class _Session:
         model: ReadyModel,
         folder: ResultsFolder | None,
         done: dict[str, Prediction],
-        workers: int,
+        workers: int | None,
+        executor: Executor | None,
     ) -> None:
         self.failures: dict[str, str] = {}
-        self._model, self._folder, self._done, self._workers = model, folder, done, workers
+        self._model, self._folder, self._done = model, folder, done
+        self._workers, self._executor = workers, executor
 
     def work(
         self, events: Sequence[Event], settings: Mapping[str, Any], bar: Progress, notes: list[str]
@@ -211,7 +245,9 @@ class _Session:
             _Job(i, e.scene, e.observation, event_seed(seed, digests[e.id]), keeps)
             for i, e in enumerate(events)
         ]
-        answers = results(_ask, self._model.predict, jobs, self._workers, "the model")
+        answers = results(
+            _ask, self._model.predict, jobs, self._workers, "the model", self._executor
+        )
         with bar, contextlib.closing(answers):
             for note in notes:
                 bar.say(note)
@@ -318,7 +354,7 @@ class Progress(Bar):
     """
 
     def __init__(
-        self, events: Sequence[Event], done: int, workers: int, shown: bool | None = None
+        self, events: Sequence[Event], done: int, workers: int | None, shown: bool | None = None
     ) -> None:
         self._left = {event.id: event.observation.n_frames for event in events}
         self._workers = workers
@@ -341,7 +377,8 @@ class Progress(Bar):
         if not self._frames:
             return None
         each = self._seconds / self._frames
-        together = min(self._workers, max(len(self._left), 1))
+        left = max(len(self._left), 1)
+        together = left if self._workers is None else min(self._workers, left)
         return each * sum(self._left.values()) / together
 
     def say(self, text: str) -> None:

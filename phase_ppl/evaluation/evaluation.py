@@ -371,7 +371,8 @@ def _cost(cost: Mapping[str, Any]) -> str:
     if cost["simulations"] is not None:
         words = f"{cost['simulations']} simulations, {words}"
     if cost["wall_seconds"] is not None:
-        on = f" with {cost['workers']} worker{'' if cost['workers'] == 1 else 's'}"
+        n = cost["workers"]
+        on = "" if n is None else f" with {n} worker{'' if n == 1 else 's'}"
         words += f"; this call took {_time(cost['wall_seconds'])}{on}"
     return words
 

@@ -54,7 +54,15 @@ FAILURES: Final = "failures.json"
 COMPARISON: Final = "comparison.json"
 """The file by which the folder of a comparison of models is known."""
 
-_DETERMINE: Final = ("model", "options", "model_settings", "function", "function_source", "seed")
+_DETERMINE: Final = (
+    "model",
+    "options",
+    "model_settings",
+    "function",
+    "function_source",
+    "seed",
+    "shard",
+)
 """The settings that must be the same for an evaluation to go on, beside events and versions."""
 
 

@@ -293,7 +293,8 @@ def _distribution(question: str, given: ArrayLike, labels: Sequence[str]) -> Flo
     total = values.sum()
     if abs(total - 1) > _SUM_TOLERANCE:
         raise InvalidEventError(f"{question} has probabilities of sum {total:.4g}, expected 1")
-    values /= total
+    if abs(total - 1) > len(values) * np.finfo(np.float64).eps:
+        values /= total  # not again, so that what was written is read as it was
     values.flags.writeable = False
     return values
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any, Final
 
@@ -32,13 +33,15 @@ from phase_ppl.inference.runs.run import check_event
 from phase_ppl.inference.settings import BUDGETS, Budget, SimpleSettings, simulations
 from phase_ppl.models.model import Model
 from phase_ppl.models.program import event_salt
-from phase_ppl.world.checks import instance_of, number_of_workers, whole_number
+from phase_ppl.simulator.processes import slots_of
+from phase_ppl.world.checks import instance_of, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import locked
 from phase_ppl.world.identity import versions, versions_so_far
 from phase_ppl.world.progress import is_shown
 from phase_ppl.world.scene import check_phase
+from phase_ppl.world.shards import SHARD, Shard
 
 BUDGET: Final = simulations(500)
 REPEATS: Final = 8
@@ -75,6 +78,8 @@ def compare(
     weights: str = "count",
     settings: SimpleSettings | None = None,
     workers: int | None = None,
+    executor: Executor | None = None,
+    shard: str | None = None,
     progress: bool | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
 ) -> Comparison:
@@ -107,7 +112,11 @@ def compare(
             measured and printed; kernels are not ranked within it.
         weights: of the draws; "count" is the only valid one for judging kernels.
         settings: of SIMPLE; by default the paper's numbers, with learned proposals.
-        workers: processes; by default one per usable core.
+        workers: processes; by default one per usable core. With an ``executor``, how many
+            simulations to give it at a time; by default all.
+        executor: any PEP 3148 executor to simulate in, as for :func:`phase_ppl.infer`.
+        shard: "2/8" does only the second of eight shares of the runs, of which
+            :func:`phase_ppl.merge` makes the whole; each makes the reference for itself.
         progress: whether to show a bar on stderr; by default where that is a terminal.
         checkpoint: a .json file that is rewritten after every run. If it exists, the runs in it
             are not repeated; more kernels and more repeats may be asked for. It is a comparison
@@ -117,7 +126,8 @@ def compare(
         InvalidSettingError, UnknownNameError: a setting or kernel that cannot be used, or a
             checkpoint of other settings.
         InvalidEventError: ``event`` is no event, or the checkpoint is damaged.
-        SimulationError: all initial simulations of a run failed.
+        SimulationError: all initial simulations of a run failed, or the executor takes no more
+            work.
         ComparisonInterrupted: Ctrl-C; it carries what was finished.
     """
     check_event(event)
@@ -126,7 +136,7 @@ def compare(
     settings = SimpleSettings() if settings is None else settings
     repeats = whole_number("repeats", repeats, maximum=_MOST_REPEATS)
     seed = whole_number("seed", seed, minimum=0)
-    number_of_workers(workers)
+    slots_of(workers, executor)
     if weights not in WEIGHTINGS:
         raise unknown_name("weights", weights, WEIGHTINGS)
     instance_of("budget", budget, Budget, BUDGETS)
@@ -134,6 +144,9 @@ def compare(
     wanted = Reference.asked_for(reference, event, budget, chains, settings, weights)
     for entry in chosen if wanted.kernel is None else (*chosen, wanted.kernel):
         entry.check(event, model, budget)
+    share = None if shard is None else Shard.named(shard)
+    runs = [(repeat, entry) for repeat in range(repeats) for entry in chosen]
+    runs = runs if share is None else share.of_all(runs)
     with locked(checkpoint):
         record = _Record(
             {
@@ -148,10 +161,11 @@ def compare(
                 "seed": seed,
                 "weights": weights,
                 "reference": {"asked": wanted.record()},
+                **({} if share is None else {SHARD: str(share)}),
             },
             checkpoint,
         )
-        waiting = [(r, c) for r in range(repeats) for c in chosen if not record.has(c, r)]
+        waiting = [(r, c) for r, c in runs if not record.has(c, r)]
         if waiting and checkpoint is not None:
             versions_so_far([record.settings["versions"]], checkpoint)
         shown_bar = is_shown(progress)
@@ -159,7 +173,7 @@ def compare(
             with tqdm(total=len(waiting) + 1, disable=not shown_bar, unit="run") as bar:
                 bar.set_description("reference")
                 if record.reference is None:
-                    found = reference_of(wanted, event, model, seed, workers)
+                    found = reference_of(wanted, event, model, seed, workers, executor)
                     found["truth"] = of_truth(found["marginals"], event.truth)
                     record.keep_reference(found)
                 bar.update()
@@ -167,7 +181,7 @@ def compare(
                 for repeat, entry in waiting:
                     bar.set_description(f"{entry.label}, repeat {repeat + 1}")
                     run_seed = int(np.random.SeedSequence([seed, repeat]).generate_state(1)[0])
-                    post = entry.run(event, model, budget, run_seed, workers)
+                    post = entry.run(event, model, budget, run_seed, workers, executor)
                     post = Posterior(post.tree, weights)
                     columns = {
                         "kernel": entry.label,
@@ -221,17 +235,7 @@ class _Record:
         runs = pd.DataFrame(self.runs, columns=list(RUN_COLUMNS))
         empty = pd.DataFrame(columns=list(CURVE_COLUMNS))
         curves = pd.concat(self.curves, ignore_index=True) if self.curves else empty
-        order = {label: place for place, label in enumerate(self.settings["kernels"])}
-        runs, curves = (
-            frame.sort_values(
-                ["kernel", "repeat"],
-                key=lambda c: c.map(order) if c.name == "kernel" else c,
-                kind="stable",
-                ignore_index=True,
-            )
-            for frame in (runs, curves)
-        )
-        return Comparison(runs, curves, self.settings)
+        return _in_order(runs, curves, self.settings)
 
     def _save(self) -> None:
         if self._path is not None:
@@ -242,6 +246,9 @@ class _Record:
         old, new = dict(stored.settings), self.settings
         pairs = [(name, old.get(name), new[name]) for name in new
                  if name not in _MAY_DIFFER]  # fmt: skip
+        pairs.append((SHARD, old.get(SHARD), new.get(SHARD)))
+        if SHARD in new:  # of which kernels and repeats a share is decides what is in it
+            pairs += [(name, old[name], new[name]) for name in ("kernels", "repeats")]
         pairs.append(("reference", old["reference"].get("asked"), new["reference"]["asked"]))
         shared = old["kernels"].keys() & new["kernels"].keys()
         pairs += [(f"kernel {k!r}", old["kernels"][k], new["kernels"][k]) for k in sorted(shared)]
@@ -257,6 +264,36 @@ class _Record:
         new["reference"] = old["reference"]
         self.runs = stored.runs.to_dict("records")
         self.curves = [stored.curve] if len(stored.curve) else []
+
+
+def runs_left(shard: Comparison) -> int:
+    """Return how many runs of a shard's comparison are not finished."""
+    settings = shard.settings
+    runs = [None] * (settings["repeats"] * len(settings["kernels"]))
+    return len(Shard.named(settings[SHARD]).of_all(runs)) - len(shard.runs)
+
+
+def together(shards: Sequence[Comparison]) -> Comparison:
+    """Return the comparison whose shards are given, all of them."""
+    settings = {name: value for name, value in shards[0].settings.items() if name != SHARD}
+    frames = ([one.runs for one in shards], [one.curve for one in shards])
+    runs, curves = (pd.concat(each, ignore_index=True) for each in frames)
+    return _in_order(runs, curves, settings)
+
+
+def _in_order(runs: pd.DataFrame, curves: pd.DataFrame, settings: Mapping[str, Any]) -> Comparison:
+    """Return a comparison of runs in any order."""
+    order = {label: place for place, label in enumerate(settings["kernels"])}
+    runs, curves = (
+        frame.sort_values(
+            ["kernel", "repeat"],
+            key=lambda c: c.map(order) if c.name == "kernel" else c,
+            kind="stable",
+            ignore_index=True,
+        )
+        for frame in (runs, curves)
+    )
+    return Comparison(runs, curves, settings)
 
 
 def _stable(value: Any) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Mapping
+from concurrent.futures import Executor
 from typing import Any, Final, TypeAlias
 
 from phase_ppl.analysis.posterior import Posterior
@@ -19,8 +20,8 @@ from phase_ppl.world.event import Event
 Spec: TypeAlias = Kernel | tuple[Kernel, Mapping[str, Any]]  # A kernel, or a kernel and its options
 
 _TAKEN: Final = (
-    *("event", "model", "kernel", "seed", "workers", "progress", "planner", "budget"),
-    *("iterations", "checkpoint"),
+    *("event", "model", "kernel", "seed", "workers", "executor", "progress", "planner"),
+    *("budget", "iterations", "checkpoint"),
 )
 """Arguments of ``infer`` that are the comparison's to give."""
 
@@ -68,7 +69,13 @@ class Entry:
             ) from error
 
     def run(
-        self, event: Event, model: Model, budget: Any, seed: int, workers: int | None
+        self,
+        event: Event,
+        model: Model,
+        budget: Any,
+        seed: int,
+        workers: int | None,
+        executor: Executor | None = None,
     ) -> Posterior:
         """Return the posterior of one run."""
         length = dict(self.length) or {"budget": budget}
@@ -79,6 +86,7 @@ class Entry:
             chains=self.chains,
             seed=seed,
             workers=workers,
+            executor=executor,
             progress=False,
             settings=self.settings,
             **length,

@@ -16,6 +16,7 @@ import dataclasses
 import hashlib
 import math
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from typing import Any, Final, NamedTuple, TypeAlias
 
 import jax
@@ -91,6 +92,7 @@ def enumerate_goals(
     per_pair: int = PER_PAIR,
     seed: int = 0,
     workers: int | None = None,
+    executor: Executor | None = None,
 ) -> Enumeration:
     """Return the posterior of the effective goals by simulating all pairs of a plan.
 
@@ -107,7 +109,9 @@ def enumerate_goals(
     ]
     seeds = _seeds(event, model, hypotheses, seed)
     simulator = model.build_simulator()
-    with Runner(simulator, event.scene, event.observation, workers=workers) as runner:
+    with Runner(
+        simulator, event.scene, event.observation, workers=workers, executor=executor
+    ) as runner:
         results = runner.run(hypotheses, seeds)
     errors = np.array([result.errors for result in results])
     usable = np.array([result.completed for result in results])
@@ -241,7 +245,12 @@ def _per_pair(reference: tuple[Any, ...]) -> int:
 
 
 def reference_of(
-    asked: Reference, event: Event, model: Model, seed: int, workers: int | None
+    asked: Reference,
+    event: Event,
+    model: Model,
+    seed: int,
+    workers: int | None,
+    executor: Executor | None = None,
 ) -> dict[str, Any]:
     """Return the reference: ``description``, ``marginals``, ``simulations``, ``error``.
 
@@ -264,7 +273,13 @@ def reference_of(
         plan = plan_enumeration(model, seed)
         if asked.kernel is None or _affordable(plan, asked, event):
             found = enumerate_goals(
-                event, model, plan, per_pair=asked.per_pair, seed=seed, workers=workers
+                event,
+                model,
+                plan,
+                per_pair=asked.per_pair,
+                seed=seed,
+                workers=workers,
+                executor=executor,
             )
             pairs, each = len(plan.pairs), asked.per_pair
             return {
@@ -279,7 +294,7 @@ def reference_of(
     else:
         assert asked.kernel is not None
         run_seed = int(np.random.SeedSequence([seed, 2**31]).generate_state(1)[0])
-        post = asked.kernel.run(event, model, asked.budget, run_seed, workers)
+        post = asked.kernel.run(event, model, asked.budget, run_seed, workers, executor)
         post = Posterior(post.tree, asked.weights)
         length = ", ".join(str(value) for value in asked.kernel.length.values())
         words = (

@@ -9,12 +9,14 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import enum
+import fcntl
 import math
 import multiprocessing
 import os
 import pickle
 import secrets
 import signal
+import tempfile
 import threading
 import time
 from collections import deque
@@ -28,13 +30,15 @@ from concurrent.futures import (
     wait,
 )
 from multiprocessing import resource_tracker
+from pathlib import Path
 from typing import Any, Final, Generic, TypeVar
 
 import cloudpickle
 import loky
 
 from phase_ppl.simulator.contract import Cancelled, OutOfTime, described, too_long
-from phase_ppl.world.errors import InvalidSettingError, SimulationError
+from phase_ppl.world.checks import number_of_workers
+from phase_ppl.world.errors import InvalidSettingError, SimulationError, shown
 
 Result = TypeVar("Result")
 
@@ -88,8 +92,8 @@ def _start_worker(token: str, packed: bytes) -> None:
 
 
 def in_worker() -> bool:
-    """Return whether this process is a worker of ours."""
-    return bool(_packed)
+    """Return whether this process does the work of another."""
+    return bool(_packed or _loaded)
 
 
 def _end_with_parent(parent: int) -> None:
@@ -111,6 +115,8 @@ def _do_in_worker(
                 thing = pickle.loads(packed)
             except Exception as error:
                 raise CannotLoad(described(error)) from None
+            if token not in _packed:
+                _warm_up_in_turn(thing)
             if len(_loaded) >= _LOADED_AT_MOST:  # workers of other people live long
                 del _loaded[next(iter(_loaded))]
             _loaded[token] = thing
@@ -118,7 +124,25 @@ def _do_in_worker(
     return function(thing, *arguments)
 
 
+def _warm_up_in_turn(thing: Any) -> None:
+    """Warm up one process of a machine after the other: what the first compiles, all then load."""
+    with (Path(tempfile.gettempdir()) / f".phase_ppl-{os.getuid()}").open("w") as lock:
+        with contextlib.suppress(OSError):  # a file system without locks
+            fcntl.flock(lock, fcntl.LOCK_EX)
+        _warm_up(thing)
+
+
 # --- in the parent ---------------------------------------------------------------------------
+
+
+def slots_of(workers: int | None, executor: Executor | None) -> int | None:
+    """Return how many tasks run at a time; None: that is for the executor to say.
+
+    InvalidSettingError: there can be no such number, or ``executor`` is none.
+    """
+    if executor is not None and not callable(getattr(executor, "submit", None)):
+        raise InvalidSettingError(f"executor={shown(executor)} is no PEP 3148 executor")
+    return None if executor is not None and workers is None else number_of_workers(workers)
 
 
 class OwnWorkers:
@@ -244,7 +268,7 @@ class BorrowedExecutor:
         self._executor, self._token, self._packed = executor, token, packed
 
     def warm_up(self) -> None:
-        """Do nothing: what its workers share is not known."""
+        """Do nothing: its workers do it where they load the thing."""
 
     def submit(
         self, function: Callable[..., Any], arguments: tuple[Any, ...], with_thing: bool = False
@@ -254,7 +278,7 @@ class BorrowedExecutor:
         try:
             return self._executor.submit(_do_in_worker, self._token, packed, function, arguments)
         except Exception as error:  # shut down, or broken
-            raise SimulationError(f"the executor takes no simulation: {error}") from error
+            raise SimulationError(f"the executor takes no more work: {error}") from error
 
     def stop(self, running: Iterable[Future[Any]]) -> None:
         """Withdraw what has not begun; what has runs to its end, unheeded."""
@@ -480,8 +504,9 @@ def results(
     function: Callable[[Thing, Job], Any],
     thing: Thing,
     jobs: Sequence[Job],
-    workers: int,
+    workers: int | None,
     what: str = "the work",
+    executor: Executor | None = None,
 ) -> Generator[tuple[Job, Any], None, None]:
     """Yield each job with ``function(thing, job)``, as they finish; they begin in the order given.
 
@@ -493,12 +518,18 @@ def results(
         thing: what all jobs work with; sent to each process once. If it has a method
             ``warm_up``, that is called once before the jobs.
         jobs: what differs.
-        workers: processes; 1 does everything in this process.
+        workers: processes; 1 does everything in this process. With an ``executor``, how many jobs
+            to give it at a time; None: all.
         what: name of the thing in error messages.
+        executor: any PEP 3148 executor to work in instead; it is not shut down.
+
+    Raises:
+        InvalidSettingError: the thing cannot be sent to processes, or not be loaded there.
+        SimulationError: the executor takes no more work.
     """
     if not jobs:
         return
-    if workers < 2:
+    if executor is None and workers == 1:
         _warm_up(thing)
         for job in jobs:
             yield job, _attempt(thing, function, job)
@@ -510,8 +541,13 @@ def results(
         raise InvalidSettingError(
             f"{what} cannot be sent to worker processes ({described(error)}); workers=1 needs none"
         ) from error
-    warm_up = _warm_up if hasattr(thing, "warm_up") else None
-    pool = OwnWorkers(workers, secrets.token_hex(8), packed, warm_up)
+    token = secrets.token_hex(8)
+    pool: OwnWorkers | BorrowedExecutor
+    if executor is None:
+        warm_up = _warm_up if hasattr(thing, "warm_up") else None
+        pool = OwnWorkers(number_of_workers(workers), token, packed, warm_up)
+    else:
+        pool = BorrowedExecutor(executor, workers, token, packed)
     dispatch = Dispatch(
         pool, _attempt, jobs, lambda job: (function, job), _given_up, max_retries=RUNS - 1
     )

@@ -25,9 +25,15 @@ from phase_ppl.simulator.contract import (
     simulate_together,
     too_long,
 )
-from phase_ppl.simulator.processes import BorrowedExecutor, CannotLoad, Dispatch, OwnWorkers
+from phase_ppl.simulator.processes import (
+    BorrowedExecutor,
+    CannotLoad,
+    Dispatch,
+    OwnWorkers,
+    slots_of,
+)
 from phase_ppl.world.arrays import FloatArray
-from phase_ppl.world.checks import number_of_workers, positive_number, whole_number
+from phase_ppl.world.checks import positive_number, whole_number
 from phase_ppl.world.errors import InvalidSettingError, SimulationError, shown, unknown_name
 from phase_ppl.world.hypothesis import Hypothesis, Roles
 from phase_ppl.world.observation import Observation
@@ -150,10 +156,7 @@ class Runner:
     ) -> None:
         if not callable(simulator):
             raise InvalidSettingError(f"simulator={shown(simulator)} cannot be called")
-        if executor is not None and not callable(getattr(executor, "submit", None)):
-            raise InvalidSettingError(f"executor={shown(executor)} is no PEP 3148 executor")
-        own = executor is None or workers is not None
-        slots = self.workers = number_of_workers(workers) if own else None
+        slots = self.workers = slots_of(workers, executor)
         self.on_failure, self.retries = on_failure, n_retries(on_failure, retries)
         if simulation_seconds is not None:
             positive_number("simulation_seconds", simulation_seconds)

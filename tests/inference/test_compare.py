@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import phase_ppl as ppl
@@ -70,6 +71,37 @@ def compare(reference: Any, **options: Any) -> ppl.Comparison:
 @pytest.fixture(scope="module")
 def found(reference: ppl.Posterior) -> ppl.Comparison:
     return compare(reference)
+
+
+def test_shards_make_the_comparison_of_one_process(
+    found: ppl.Comparison, reference: ppl.Posterior, tmp_path: Path
+) -> None:
+    def shard(name: str, **options: Any) -> Path:
+        (tmp_path / name).mkdir(exist_ok=True)
+        compare(reference, checkpoint=tmp_path / name / "comparison.json", **options)
+        return tmp_path / name
+
+    folders = [shard(f"{i}", shard=f"{i}/3") for i in (1, 2, 3)]
+    merged = ppl.merge(folders[::-1], tmp_path / "all")
+    assert isinstance(merged, ppl.Comparison)
+    assert merged.settings == found.settings
+    timed = [name for name in found.runs if "second" in name]
+    again = ppl.Comparison.load(tmp_path / "all" / "comparison.json")
+    for one in (merged, again):
+        pd.testing.assert_frame_equal(one.runs.drop(columns=timed), found.runs.drop(columns=timed))
+        curves = [each.curve.filter(regex="^(?!.*second)") for each in (one, found)]
+        pd.testing.assert_frame_equal(*curves)
+    with pytest.raises(InvalidSettingError, match="the shard 2/3 is missing"):
+        ppl.merge(folders[::2], tmp_path / "less")
+    with pytest.raises(InvalidSettingError, match="made with another shard: '1/3', not '2/3'"):
+        shard("1", shard="2/3")
+    with pytest.raises(InvalidSettingError, match="made with another repeats: 2, not 3"):
+        shard("1", shard="1/3", repeats=3)
+    kept = ppl.Comparison.load(folders[0] / "comparison.json")
+    cut = dataclasses.replace(kept, runs=kept.runs[:1])
+    cut.save(folders[0] / "comparison.json")
+    with pytest.raises(InvalidEventError, match="1 is not finished: 1 of 2 runs"):
+        ppl.merge(folders, tmp_path / "less")
 
 
 def test_every_kernel_runs_every_repeat_within_the_budget(found: ppl.Comparison) -> None:

@@ -160,7 +160,7 @@ def test_an_executor_that_is_shut_down_is_an_error_of_the_run() -> None:
     executor.shutdown()
     with (
         runner(toys.drift, executor=executor) as other,
-        pytest.raises(SimulationError, match="the executor takes no simulation"),
+        pytest.raises(SimulationError, match="the executor takes no more work"),
     ):
         other.run([GO], [1])
 
@@ -368,7 +368,7 @@ def test_an_executor_that_is_shut_down_ends_the_wait(tmp_path: Path) -> None:
         while not marker.exists():
             time.sleep(0.01)
         threads.shutdown(wait=False, cancel_futures=True)
-        with pytest.raises(SimulationError, match="the executor takes no simulation"):
+        with pytest.raises(SimulationError, match="the executor takes no more work"):
             running.result(timeout=30)
 
 

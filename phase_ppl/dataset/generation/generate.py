@@ -3,64 +3,48 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
-import hashlib
-import json
 import os
 import time
-from collections import Counter
 from collections.abc import Mapping
+from concurrent.futures import Executor
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, overload
 
 from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.dataset.documents import read_json
-from phase_ppl.dataset.events_json import event_from_record, event_record
-from phase_ppl.dataset.events_netcdf import checksum, many, to_bytes
-from phase_ppl.dataset.generated import (
-    EVENTS,
-    MANIFEST,
-    MANIFEST_SCHEMA,
-    PLAN,
-    REJECTED,
-    GeneratedEvents,
-)
+from phase_ppl.dataset.generated import COST, MANIFEST, PLAN, GeneratedEvents
 from phase_ppl.dataset.generation.any_world import make_in_any_world
 from phase_ppl.dataset.generation.making import Made, make
+from phase_ppl.dataset.generation.parts import (
+    PARTS,
+    assemble,
+    part_file,
+    read_part,
+    write_part,
+)
 from phase_ppl.dataset.generation.plan import PHASE500, DrawRoles, Plan, Slot, cell_of, scaled
-from phase_ppl.simulator.processes import Failure, results
-from phase_ppl.world.checks import instance_of, number_of_workers
+from phase_ppl.simulator.processes import Failure, results, slots_of
+from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
     OutputError,
-    PhasePPLError,
     SimulationError,
-    shown,
 )
-from phase_ppl.world.event import Event
-from phase_ppl.world.files import locked, writable_folder, write_bytes, write_json
+from phase_ppl.world.files import locked, writable_folder, write_json
 from phase_ppl.world.identity import differences, versions_so_far
 from phase_ppl.world.scene import PHASE, World
+from phase_ppl.world.shards import SHARD, Shard
 from phase_ppl.world.worlds import named
 
 PLAN_SCHEMA: Final = "phase-ppl-plan-1"
-PARTS: Final = "parts"
-
-
-class _Part(NamedTuple):
-    """What became of a slot: events with their entries, and what was refused and why."""
-
-    events: list[Event]
-    entries: list[dict[str, Any]]
-    refused: list[tuple[dict[str, Any], Event | None]]
 
 
 class DatasetBuilder:
     """The folder of a data set that is being made.
 
-    ``damaged`` are the names of events whose part was there and cannot be used: they are missing
-    again.
+    ``slots`` are those to be made here: all of the plan, or the share of a ``shard``. ``damaged``
+    are the names of events whose part was there and cannot be used: they are missing again.
 
     Raises:
         OutputError: the folder cannot be written, holds a data set already, or one of another
@@ -76,9 +60,13 @@ class DatasetBuilder:
         keep_rejected: bool,
         resume: bool,
         other_versions: bool = False,
+        shard: Shard | None = None,
     ) -> None:
         self.path, self.plan = Path(path), plan
+        self.slots = plan.slots() if shard is None else shard.of_all(plan.slots())
         record = {"schema": PLAN_SCHEMA, "keep_rejected": keep_rejected, **plan.to_dict()}
+        if shard is not None:
+            record[SHARD] = str(shard)
         target = self.path / PLAN
         made_by: list[dict[str, Any]] = []
         if target.exists():
@@ -105,18 +93,15 @@ class DatasetBuilder:
 
     def _look_for_missing(self) -> dict[int, Slot]:
         missing = {}
-        for slot in self.plan.slots():
-            if self._part(slot).is_file():
+        for slot in self.slots:
+            if part_file(self.path, slot).is_file():
                 try:
-                    self._read(slot)
+                    read_part(self.path, slot)
                     continue
                 except InvalidEventError:
                     self.damaged.append(slot.name)
             missing[slot.number] = slot
         return missing
-
-    def _part(self, slot: Slot) -> Path:
-        return self.path / PARTS / f"{slot.number:05d}.json"
 
     def missing(self) -> list[Slot]:
         """Return the slots that are not finished."""
@@ -124,119 +109,22 @@ class DatasetBuilder:
 
     def add(self, made: Made) -> None:
         """Keep what became of a slot."""
-        rejected: list[dict[str, Any]] = []
-        for draw in made.rejected:
-            record = {"id": draw.id, "reason": draw.reason, "replanned": draw.replanned}
-            rejected.append({**record, "measures": draw.found})
-            if self._keep_rejected and draw.event is not None:
-                rejected[-1]["event"] = event_record(draw.event)
-        content = {
-            "name": made.slot.name,
-            "cell": made.slot.cell,
-            "events": [event_record(event) for event in made.events],
-            "entries": made.entries,
-            "rejected": rejected,
-        }
-        write_json(self._part(made.slot), {"sha256": _digest(content), **content})
+        write_part(self.path, made, self._keep_rejected)
         del self._missing[made.slot.number]
-
-    def _read(self, slot: Slot) -> _Part:
-        """Return what is kept of a slot (InvalidEventError: it is damaged)."""
-        source = self._part(slot)
-        content = read_json(source)
-        digest = content.pop("sha256", None)
-        try:
-            if digest != _digest(content):
-                raise InvalidEventError("its content is not what sha256 says")
-            if content["name"] != slot.name:
-                raise InvalidEventError(f"it holds {shown(content['name'])}")
-            events = [event_from_record(record) for record in content["events"]]
-            entries, refused = list(content["entries"]), []
-            for draw in content["rejected"]:
-                event = event_from_record(draw["event"]) if "event" in draw else None
-                kept = {key: draw[key] for key in ("reason", "replanned", "measures")}
-                refused.append((kept, event))
-            if [event.id for event in events] != [entry["id"] for entry in entries]:
-                raise InvalidEventError("its events and entries are not the same")
-            return _Part(events, entries, refused)
-        except (KeyError, TypeError, PhasePPLError) as error:
-            raise InvalidEventError(
-                f"{source}: is damaged ({error}); resume makes it anew"
-            ) from None
 
     def finish(self, cost: Mapping[str, Any]) -> GeneratedEvents:
         """Put the parts together and return the data set."""
         if not self._finished:
-            self._assemble(cost)
-        for slot in self.plan.slots():
-            self._part(slot).unlink(missing_ok=True)
+            plan = self.plan.to_dict()
+            assemble(self.path, plan, self._made_by, self.slots, lambda _: self.path)
+            write_json(self.path / COST, {**cost, "made_anew": self.damaged})
+        for slot in self.slots:
+            part_file(self.path, slot).unlink(missing_ok=True)
         for half in (self.path / PARTS).glob(".part-*"):  # of a process that was killed
             half.unlink(missing_ok=True)
         with contextlib.suppress(OSError):  # what else is there is not ours
             (self.path / PARTS).rmdir()
         return GeneratedEvents(self.path)
-
-    def _assemble(self, cost: Mapping[str, Any]) -> None:
-        events: list[Event] = []
-        entries: list[dict[str, Any]] = []
-        refused: list[Event] = []
-        told: list[dict[str, Any]] = []
-        draws = {cell: _Tally() for cell in self.plan.cells}
-        replans = {cell: _Tally() for cell in self.plan.cells}
-        given_up = []
-        for slot in self.plan.slots():
-            part = self._read(slot)
-            events += part.events
-            entries += part.entries
-            draws[slot.cell].kept += bool(part.events)
-            replans[slot.cell].kept += sum(bool(entry.get("replanned")) for entry in part.entries)
-            given_up += [] if part.events else [slot.name]
-            for draw, event in part.refused:
-                (replans if draw["replanned"] else draws)[slot.cell].reasons[draw["reason"]] += 1
-                if event is not None:
-                    refused.append(event)
-                    told.append({"id": event.id, "cell": slot.cell, **draw})
-        if not events:
-            raise OutputError(f"{self.path}: no draw of any kind was kept")
-        for event, entry in zip(events, entries, strict=True):
-            entry["checksum"] = checksum(event)
-        write_bytes(self.path / EVENTS, (".nc",), to_bytes(many(events)))
-        if refused:
-            write_bytes(self.path / f"{REJECTED}.nc", (".nc",), to_bytes(many(refused)))
-            write_json(self.path / f"{REJECTED}.json", {"rejected": told})
-        write_json(
-            self.path / MANIFEST,
-            {
-                "schema": MANIFEST_SCHEMA,
-                "plan": self.plan.to_dict(),
-                "versions": self._made_by[-1],
-                "earlier_versions": self._made_by[:-1],
-                "kept": {cell: tally.kept for cell, tally in draws.items()},
-                "rejected": {cell: dict(tally.reasons) for cell, tally in draws.items()},
-                "replans": {
-                    cell: {"kept": tally.kept, "rejected": dict(tally.reasons)}
-                    for cell, tally in replans.items()
-                    if self.plan.replans
-                },
-                "given_up": given_up,
-                "made_anew": self.damaged,
-                "cost": dict(cost),
-                "entries": entries,
-            },
-        )
-
-
-@dataclasses.dataclass
-class _Tally:
-    """How many simulations of a kind were kept, and why others were not."""
-
-    kept: int = 0
-    reasons: Counter[str] = dataclasses.field(default_factory=Counter)
-
-
-def _digest(content: Mapping[str, Any]) -> str:
-    text = json.dumps(content, sort_keys=True, allow_nan=False)
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 # --- the call --------------------------------------------------------------------------------
@@ -249,7 +137,15 @@ class GenerationInterrupted(KeyboardInterrupt):
     """The generation was interrupted; what was finished is kept and can be resumed."""
 
 
+@overload
 def generate(
+    out: str | os.PathLike[str], n: int | None = None, *, shard: None = None, **options: Any
+) -> GeneratedEvents: ...
+@overload
+def generate(
+    out: str | os.PathLike[str], n: int | None = None, *, shard: str, **options: Any
+) -> Path: ...
+def generate(  # type: ignore[misc]
     out: str | os.PathLike[str],
     n: int | None = None,
     *,
@@ -269,9 +165,11 @@ def generate(
     keep_rejected: bool = False,
     resume: bool = False,
     other_versions: bool = False,
+    shard: str | None = None,
     workers: int | None = None,
+    executor: Executor | None = None,
     progress: bool | None = None,
-) -> GeneratedEvents:
+) -> GeneratedEvents | Path:
     """Make a data set like PHASE: draw situations, simulate them, keep those that show something.
 
     Each event follows from ``seed`` and its number in the plan: the set is the same for any number
@@ -310,16 +208,23 @@ def generate(
         resume: go on with what ``out`` holds.
         other_versions: also where that was made by other versions of this package, or of what it
             builds on; the manifest keeps both.
-        workers: processes; by default one per usable core.
+        shard: "2/8" makes only the second of eight shares, each in a folder of its own, of which
+            :func:`phase_ppl.merge` makes the set.
+        workers: processes; by default one per usable core. With an ``executor``, how many events
+            to give it at a time; by default all.
+        executor: any PEP 3148 executor to make events in, such as that of a ``dask.distributed``
+            client; it is not shut down.
         progress: True or False for a bar on stderr; None: where stderr is a terminal.
 
     Returns:
-        The events, a sequence; ``.manifest`` and ``.entries`` say how each was made.
+        The events, a sequence; ``.manifest`` and ``.entries`` say how each was made. Of a shard its
+        folder.
 
     Raises:
         UnknownNameError, InvalidSettingError: a setting that is not allowed.
         OutputError: the folder cannot be used.
-        SimulationError: an event could not be made; the others are kept.
+        SimulationError: an event could not be made, or the executor takes no more work; what was
+            made is kept.
         GenerationInterrupted: Ctrl-C; what was finished is kept.
     """
     given = {"splits": splits, "frames": frames, "max_tries": max_tries}
@@ -345,20 +250,32 @@ def generate(
         recolour=of_phase if recolour is None else recolour,
         **{name: value for name, value in given.items() if value is not None},  # type: ignore[arg-type]
     )
-    n_workers = number_of_workers(workers)
+    slots = slots_of(workers, executor)
+    share = None if shard is None else Shard.named(shard)
     with locked(writable_folder(out)):
         builder = DatasetBuilder(
-            out, plan, keep_rejected=keep_rejected, resume=resume, other_versions=other_versions
+            out,
+            plan,
+            keep_rejected=keep_rejected,
+            resume=resume,
+            other_versions=other_versions,
+            shard=share,
         )
-        return _run(builder, n_workers, progress)
+        cost = _run(builder, slots, executor, progress)
+        return builder.finish(cost) if share is None else builder.path
 
 
-def _run(builder: DatasetBuilder, n_workers: int, progress: bool | None) -> GeneratedEvents:
-    """Make what is missing, and put everything together."""
+def _run(
+    builder: DatasetBuilder,
+    n_workers: int | None,
+    executor: Executor | None,
+    progress: bool | None,
+) -> dict[str, Any]:
+    """Make what is missing; return what that cost."""
     from tqdm.auto import tqdm
 
     clock = time.perf_counter()
-    missing, total = builder.missing(), len(builder.plan.slots())
+    missing, total = builder.missing(), len(builder.slots)
     failures: list[str] = []
     bar = tqdm(
         total=total,
@@ -369,7 +286,7 @@ def _run(builder: DatasetBuilder, n_workers: int, progress: bool | None) -> Gene
         dynamic_ncols=True,
     )
     how = make if builder.plan.world == PHASE else make_in_any_world
-    made = results(how, builder.plan, missing, n_workers, "the plan")
+    made = results(how, builder.plan, missing, n_workers, "the plan", executor)
     try:
         with contextlib.closing(made), bar:
             for slot, result in made:
@@ -383,10 +300,16 @@ def _run(builder: DatasetBuilder, n_workers: int, progress: bool | None) -> Gene
         raise GenerationInterrupted(
             f"interrupted with {left} of {total} events to be made; resume goes on"
         ) from None
+    except SimulationError as error:
+        left = len(builder.missing())
+        raise SimulationError(
+            f"{error}: {left} of {total} events are still to be made; the others are kept in "
+            f"{builder.path}, and resume goes on"
+        ) from None
     if failures:
         raise SimulationError(
             f"{len(failures)} events could not be made, the first: {failures[0]}; the others are "
             f"kept in {builder.path}"
         )
     seconds = time.perf_counter() - clock
-    return builder.finish({"seconds": seconds, "workers": n_workers, "made_now": len(missing)})
+    return {"seconds": seconds, "workers": n_workers, "made_now": len(missing)}

@@ -56,9 +56,14 @@ REFLECTION_SHARES: Final[Mapping[str, float]] = {
 """How often the original test videos are reflected, and how."""
 
 FRAMES: Final = 101
+
+BLOCK: Final = 1000
+"""Slots whose events are put together at a time, in memory and in a file."""
+
+_SLOT_BYTES: Final = 400
 _EVENT_BYTES: Final = 20_000
 _FRAME_BYTES: Final = 600
-"""Of memory that an event takes, and each of its frames, when all are put together."""
+"""Of memory that a slot takes; an event that is put together with others, and each frame of it."""
 MAX_TRIES: Final = 200
 MOST_TRIES: Final = 1000  # in another world than PHASE, where each has a number of its own
 
@@ -148,9 +153,10 @@ class Plan:
             )
         whole_number("frames", self.frames, 2)
         whole_number("seed", self.seed, 0)
-        n = sum(self.cells.values()) * (1 + self.copies + self.replans)
-        what = f"a plan of {n} events of {self.frames} frames"
-        check_memory(what, n * (_EVENT_BYTES + _FRAME_BYTES * self.frames))
+        n, each = sum(self.cells.values()), 1 + self.copies + self.replans
+        together = min(n, BLOCK) * each * (_EVENT_BYTES + _FRAME_BYTES * self.frames)
+        what = f"a plan of {n * each} events of {self.frames} frames"
+        check_memory(what, n * _SLOT_BYTES + together)
         whole_number("max_tries", self.max_tries, 1)
         object.__setattr__(self, "planner", PlannerConfig.named(self.planner))
         most = len(self.looks) - 1
@@ -190,19 +196,7 @@ class Plan:
 
     def slots(self) -> list[Slot]:
         """Return the events to be made; in each split about the same shares of every cell."""
-        rng = np.random.default_rng([self.seed, 1])
-        cells = [cell for cell, n in self.cells.items() for _ in range(n)]
-        # neighbours are of a kind: dealing the splits out along the row stratifies them
-        names = list(self.splits)
-        counts = apportioned(len(cells), self.splits)
-        place = np.concatenate(
-            [(np.arange(counts[name]) + rng.random()) / max(counts[name], 1) for name in names]
-        )
-        split_of_row = np.repeat(names, [counts[name] for name in names])[np.argsort(place)]
-        order = rng.permutation(len(cells))  # numbers say nothing about kinds
-        return [
-            Slot(number, cells[row], str(split_of_row[row])) for number, row in enumerate(order)
-        ]
+        return slots(self.cells, self.splits, self.seed)
 
     def warm_up(self) -> None:
         """Compile what its events are simulated with."""
@@ -218,6 +212,21 @@ class Plan:
             if self.roles is not None:
                 record["roles"] = _function_record(self.roles)
         return dict(json.loads(json.dumps(record, default=dict)))
+
+
+def slots(cells: Mapping[str, int], splits: Mapping[str, float], seed: int) -> list[Slot]:
+    """Return the slots of a plan with these settings (:meth:`Plan.slots`)."""
+    rng = np.random.default_rng([seed, 1])
+    row = [cell for cell, n in cells.items() for _ in range(n)]
+    # neighbours are of a kind: dealing the splits out along the row stratifies them
+    names = list(splits)
+    counts = apportioned(len(row), splits)
+    place = np.concatenate(
+        [(np.arange(counts[name]) + rng.random()) / max(counts[name], 1) for name in names]
+    )
+    split_of_row = np.repeat(names, [counts[name] for name in names])[np.argsort(place)]
+    order = rng.permutation(len(row))  # numbers say nothing about kinds
+    return [Slot(number, row[one], str(split_of_row[one])) for number, one in enumerate(order)]
 
 
 def _function_record(function: Callable[..., Any]) -> dict[str, Any]:

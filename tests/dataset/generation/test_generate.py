@@ -17,7 +17,7 @@ from phase_ppl.agents.config import PlannerConfig
 from phase_ppl.cli import main
 from phase_ppl.dataset.generated import GeneratedEvents, verify
 from phase_ppl.dataset.generation import generate as module
-from phase_ppl.dataset.generation import making
+from phase_ppl.dataset.generation import making, parts
 from phase_ppl.dataset.generation.families import family_and_variant
 from phase_ppl.dataset.generation.generate import GenerationInterrupted, generate
 from phase_ppl.dataset.generation.plan import PHASE500, SPLITS, Plan, apportioned, scaled
@@ -248,8 +248,8 @@ def test_a_damaged_part_is_made_anew(
     (tmp_path / "part" / "parts" / "notes.txt").write_text("of a user")
     resumed = generate(tmp_path / "part", cells=CELLS, resume=True, **QUICK)
     assert make.calls == 4 + 3
-    assert resumed.manifest["made_anew"] == [whole.entries[0]["id"]]
-    assert whole.manifest["made_anew"] == []
+    assert resumed.cost["made_anew"] == [whole.entries[0]["id"]]
+    assert whole.cost["made_anew"] == []
     left = [file.name for file in (tmp_path / "part" / "parts").iterdir()]
     assert left == ["notes.txt"]
     assert resumed.entries == whole.entries
@@ -290,6 +290,18 @@ def test_interrupted_generation_goes_on_to_the_same_set(
     again = generate(tmp_path / "part", cells=CELLS, resume=True, **QUICK)
     assert make.calls == 3 + 3
     assert again.entries == whole.entries
+
+
+@pytest.mark.usefixtures("all_go")
+def test_statistics_of_a_set_in_blocks_are_those_of_one_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, whole: GeneratedEvents
+) -> None:
+    monkeypatch.setattr(parts, "BLOCK", 2)
+    made = generate(tmp_path / "set", cells=CELLS, **QUICK)
+    assert "entries" not in made.manifest
+    found, known = (ppl.statistics(one, one.manifest) for one in (made, whole))
+    assert json.dumps(found) == json.dumps(known)
+    assert "family" in found["tables"]
 
 
 @pytest.mark.usefixtures("anything_goes")

@@ -1,0 +1,113 @@
+"""What memory do generated sets take, by how many events they have?
+
+    python benchmarks/large_sets.py [--events 100 500 2000] [--frames 101]
+
+Each set is made in a process of its own by a simulator that takes no time, opened in another, and
+gone through in a third. What is measured is the most memory that the process ever had, beyond what
+it has after the imports.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from common import write
+
+import phase_ppl as ppl
+from phase_ppl.dataset.generation import making
+from phase_ppl.dataset.generation.copies import Recording
+from phase_ppl.dataset.generation.situation import Situation
+from phase_ppl.simulator.joint import JointSimulator
+from phase_ppl.world.names import AGENTS, NOTHING
+
+STEPS: Final = ("made", "opened", "gone through")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--events", type=int, nargs="+", default=[100, 500, 2000])
+    parser.add_argument("--frames", type=int, default=101)
+    parser.add_argument("--step", choices=STEPS, help="only this one, in --set")
+    parser.add_argument("--set", metavar="DIR", type=Path)
+    parser.add_argument("--json", metavar="FILE")
+    options = parser.parse_args()
+    if options.step is not None:
+        print(megabytes(options.step, options.set, options.events[0], options.frames))
+        return
+    rows = [measured(n, options.frames) for n in options.events]
+    print(f"{'events':>7}{''.join(f'{step:>14}' for step in STEPS)}{'seconds':>10}{'on disk':>10}")
+    for row in rows:
+        peaks = "".join(f"{row[step]:11.0f} MB" for step in STEPS)
+        print(f"{row['events']:7.0f}{peaks}{row['seconds']:10.0f}{row['disk']:7.0f} MB")
+    write({"sets": rows}, options.json)
+
+
+def measured(n: int, frames: int) -> dict[str, float]:
+    """Return the memory that each step with ``n`` events takes, MB, and what making them takes."""
+    found: dict[str, float] = {"events": n}
+    with tempfile.TemporaryDirectory() as folder:
+        for step in STEPS:
+            clock = time.perf_counter()
+            done = subprocess.run(
+                [
+                    *(sys.executable, __file__, "--step", step, "--set", f"{folder}/set"),
+                    *("--events", str(n), "--frames", str(frames)),
+                ],
+                stdout=subprocess.PIPE,
+                text=True,
+                check=True,
+            )
+            found[step] = float(done.stdout)
+            found.setdefault("seconds", time.perf_counter() - clock)
+        files = [file for file in Path(folder).rglob("*") if file.is_file()]
+        found["disk"] = sum(file.stat().st_size for file in files) / 1e6
+    return found
+
+
+def megabytes(step: str, folder: Path, n: int, frames: int) -> float:
+    """Return the memory that a step takes in this process, MB."""
+    for name in ("generate", "load_events"):  # with all that they import
+        getattr(ppl, name)
+    before = most()
+    if step == "made":
+        making.record = instant
+        making.reason_against = lambda *_: None
+        ppl.generate(folder, n, frames=frames, workers=1)
+    else:
+        events = ppl.load_events(folder)
+        assert len(events) == n
+        for event in events if step == "gone through" else [events[n // 2]]:
+            assert event.observation.n_frames
+    return most() - before
+
+
+def most() -> float:
+    """Return the most memory that this process ever had, MB."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if MACOS else 1024) / 1e6
+
+
+MACOS: Final = sys.platform == "darwin"
+
+
+def instant(situation: Situation, simulator: JointSimulator, frames: int, seed: int) -> Recording:
+    """Return a recording in which everything makes for one place."""
+    start = situation.scene.start
+    there = np.append(np.reshape(situation.scene.arena, (2, 2)).mean(axis=1), seed % np.pi)
+    gone = np.linspace(0, 0.5, frames)[:, None, None]
+    nothing = np.full((frames, len(AGENTS)), NOTHING)
+    track = start + gone * (there - start)
+    return Recording(
+        situation.scene, situation.hypothesis, situation.layout, track, nothing, nothing
+    )
+
+
+if __name__ == "__main__":
+    main()
