@@ -15,6 +15,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from phase_ppl.analysis.convergence import ess
+from phase_ppl.analysis.event_posterior import EventPosterior
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.summary import plain
 from phase_ppl.analysis.tree import array
@@ -23,8 +24,9 @@ from phase_ppl.world.errors import InvalidEventError, unknown_name
 from phase_ppl.world.event import Truth
 from phase_ppl.world.files import existing_file, write_json
 from phase_ppl.world.goals import goal_index
-from phase_ppl.world.hypothesis import RELATIONS
+from phase_ppl.world.hypothesis import RELATIONS, Roles
 from phase_ppl.world.picture import preformatted
+from phase_ppl.world.space import space_of
 
 SCHEMA: Final = "phase-ppl-comparison-1"
 
@@ -198,7 +200,8 @@ class Comparison:
                     for row in rows
                 )
             )
-        blocks.append("\n".join(f"rank by {MEASURES[n]}: {self._ranking(n)}" for n in DISTANCES))
+        known = [name for name in DISTANCES if self.runs[name].notna().any()]
+        blocks.append("\n".join(f"rank by {MEASURES[n]}: {self._ranking(n)}" for n in known))
         return "\n\n".join(blocks)
 
     def _error_in_words(self) -> str:
@@ -259,16 +262,23 @@ def _cell(mean: float, error: float) -> str:
 
 # --- what is compared -----------------------------------------------------------------------------
 
-COMPARED: Final = ("goal_red", "goal_green", "relation")
-"""Quantities whose marginals are compared with a reference."""
-
 CURVE_POINTS: Final = 40  # prefixes of a run that are looked at, at most
-Marginals = Mapping[str, FloatArray]  # quantity of ``COMPARED`` -> probabilities of its labels
+Marginals = Mapping[str, FloatArray]  # goals and relations -> probabilities of their labels
 
 
-def marginals(post: Posterior) -> dict[str, FloatArray]:
-    """Return the marginals that are compared."""
-    return {name: np.asarray(post.marginal(name).values, float) for name in COMPARED}
+def marginals(post: EventPosterior) -> dict[str, FloatArray]:
+    """Return the marginals that are compared: of all goals and relations."""
+    names = (*post.goals_of.values(), *post.relations_of.values())
+    return {name: np.asarray(post.marginal(name).values, float) for name in names}
+
+
+def _means(values: Mapping[str, float]) -> tuple[float, float]:
+    """Return the means over goals and over relations; NaN where there are none."""
+    goals: list[float] = []
+    relations: list[float] = []
+    for name, value in values.items():
+        (goals if name.startswith("goal_") else relations).append(value)
+    return float(np.mean(goals)), float(np.mean(relations)) if relations else np.nan
 
 
 def total_variation(one: FloatArray, other: FloatArray) -> float:
@@ -278,49 +288,59 @@ def total_variation(one: FloatArray, other: FloatArray) -> float:
 
 def distances(found: Marginals, reference: Marginals) -> dict[str, float]:
     """Return ``tv_goals`` and ``tv_relation`` of marginals; see :func:`accuracy`."""
-    apart = {name: total_variation(found[name], reference[name]) for name in COMPARED}
-    return {
-        "tv_goals": (apart["goal_red"] + apart["goal_green"]) / 2,
-        "tv_relation": apart["relation"],
-    }
+    goals, relation = _means({n: total_variation(p, reference[n]) for n, p in found.items()})
+    return {"tv_goals": goals, "tv_relation": relation}
 
 
-def accuracy(post: Posterior, reference: Marginals, truth: Truth | None) -> dict[str, float]:
+def accuracy(
+    post: Posterior, reference: Marginals, truth: Truth | Roles | None
+) -> dict[str, float]:
     """Return how near a posterior is to a reference and to the truth; NaN where there is none.
 
     Keys:
 
-    * ``tv_goals``: total variation between the marginal of a goal and the reference's, mean of
-      both agents; ``tv_relation``: of the relation.
-    * ``p_pair``: probability of the true pair of effective goals; ``p_goals``: of the true goal
-      of an agent, mean of both; ``p_relation``: of the true relation.
-    * ``map_goals``: share of the two agents whose most probable goal is the true one;
-      ``map_relation``: 1 if the most probable relation is the true one, else 0.
+    * ``tv_goals``: total variation between the marginal of a goal and the reference's, mean over
+      the agents; ``tv_relation``: of a relation, mean over the pairs.
+    * ``p_pair``: probability of the true effective goals of all; ``p_goals``: of the true goal of
+      an agent, mean over them; ``p_relation``: of a true relation, likewise.
+    * ``map_goals``: share of the agents whose most probable goal is the true one;
+      ``map_relation``: of the pairs whose most probable relation is.
     """
     found = marginals(post)
     result = distances(found, reference)
     if truth is None:
         return result | {"p_pair": np.nan} | of_truth(found, truth)
-    pair = post.probability(goal_red=truth.goal_red, goal_green=truth.goal_green)
+    goals = post.scene.world.goals
+    codes = _true_codes(truth).items()
+    pair = post.probability(**{n: goals[code] for n, code in codes if n.startswith("goal_")})
     return result | {"p_pair": pair} | of_truth(found, truth)
 
 
-def of_truth(found: Marginals, truth: Truth | None) -> dict[str, float]:
-    """Return what marginals make of the truth, as :func:`accuracy`; NaN where there is none."""
-    if truth is None:
-        return dict.fromkeys(("p_goals", "p_relation", "map_goals", "map_relation"), np.nan)
-    codes = {
+def _true_codes(truth: Truth | Roles) -> dict[str, int]:
+    """Return the labels of goals and relations, as codes."""
+    if isinstance(truth, Roles):
+        space, goals = space_of(truth.world), np.array(truth.effective_goals)
+        relations = {name: int(code) for name, code in space.relation_codes(goals).items()}
+        return dict(zip(space.goal_sites, goals.tolist(), strict=True)) | relations
+    return {
         "goal_red": goal_index(truth.goal_red),
         "goal_green": goal_index(truth.goal_green),
         "relation": RELATIONS.index(truth.relation),
     }
-    p = {name: float(found[name][code]) for name, code in codes.items()}
-    best = {name: float(found[name].argmax() == code) for name, code in codes.items()}
+
+
+def of_truth(found: Marginals, truth: Truth | Roles | None) -> dict[str, float]:
+    """Return what marginals make of the truth, as :func:`accuracy`; NaN where there is none."""
+    if truth is None:
+        return dict.fromkeys(("p_goals", "p_relation", "map_goals", "map_relation"), np.nan)
+    codes = _true_codes(truth)
+    p = _means({name: float(found[name][code]) for name, code in codes.items()})
+    best = _means({name: float(found[name].argmax() == code) for name, code in codes.items()})
     return {
-        "p_goals": (p["goal_red"] + p["goal_green"]) / 2,
-        "p_relation": p["relation"],
-        "map_goals": (best["goal_red"] + best["goal_green"]) / 2,
-        "map_relation": best["relation"],
+        "p_goals": p[0],
+        "p_relation": p[1],
+        "map_goals": best[0],
+        "map_relation": best[1],
     }
 
 
@@ -329,8 +349,8 @@ def efficiency(post: Posterior) -> dict[str, float]:
 
     Keys:
 
-    * ``acceptance``, ``moves``: share of proposals accepted, and of iterations in which the pair
-      of effective goals changed.
+    * ``acceptance``, ``moves``: share of proposals accepted, and of iterations in which
+      effective goals changed.
     * ``distinct``: hypotheses among the draws.
     * ``ess_per_simulation``: effective sample size of the log joint
       (:func:`phase_ppl.analysis.diagnostics.ess`), per simulation; of weighted draws, 1 / the
@@ -358,7 +378,7 @@ def _effective_sample_size(post: Posterior, found: Mapping[str, Any]) -> float:
     return ess(array(post.tree, "sample_stats", "log_joint").astype(float), "mean")
 
 
-def curve(post: Posterior, reference: Marginals, truth: Truth | None) -> pd.DataFrame:
+def curve(post: Posterior, reference: Marginals, truth: Truth | Roles | None) -> pd.DataFrame:
     """Return :func:`accuracy` of what a run had after ever more simulations.
 
     Of the first draws of all chains, with the simulations made until then; nothing is simulated.
@@ -369,7 +389,7 @@ def curve(post: Posterior, reference: Marginals, truth: Truth | None) -> pd.Data
         :data:`CURVE_POINTS`.
     """
     tree = post.tree
-    n_draws = array(tree, "posterior", "goal_red").shape[1]
+    n_draws = tree["posterior"].sizes["draw"]
     iteration = array(tree, "simulations", "iteration")
     frames = array(tree, "simulations", "frames_simulated")
     # draws are those after the last iterations: a run can have more of these, or one fewer

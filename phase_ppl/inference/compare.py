@@ -40,7 +40,6 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.files import locked
 from phase_ppl.world.identity import versions, versions_so_far
 from phase_ppl.world.progress import is_shown
-from phase_ppl.world.scene import check_phase
 from phase_ppl.world.shards import SHARD, Shard
 
 BUDGET: Final = simulations(500)
@@ -104,7 +103,7 @@ def compare(
         chains: particles M.
         seed: a whole number >= 0.
         reference: what the results are compared with: a posterior of the same event and model,
-            "enumeration" (:mod:`phase_ppl.inference.reference`), with more than 4
+            "enumeration" in PHASE (:mod:`phase_ppl.inference.reference`), with more than 4
             simulations of each pair of goals as ``("enumeration", {"per_pair": 16})``, or a
             kernel as in ``kernels``, whose options may have a ``budget`` or ``iterations``;
             without, it has ten times the budget. By default enumeration, if ten times the budget
@@ -131,9 +130,8 @@ def compare(
         ComparisonInterrupted: Ctrl-C; it carries what was finished.
     """
     check_event(event)
-    check_phase(event.scene, "a comparison of kernels")
     model = Model() if model is None else model
-    settings = SimpleSettings() if settings is None else settings
+    settings = SimpleSettings.of(event.scene.world) if settings is None else settings
     repeats = whole_number("repeats", repeats, maximum=_MOST_REPEATS)
     seed = whole_number("seed", seed, minimum=0)
     slots_of(workers, executor)

@@ -25,7 +25,7 @@ import numpy as np
 from jax import random
 from numpy.typing import NDArray
 
-from phase_ppl.analysis.comparison import COMPARED, Marginals, distances, marginals
+from phase_ppl.analysis.comparison import Marginals, distances, marginals
 from phase_ppl.analysis.posterior import Posterior
 from phase_ppl.analysis.quantities import relation_codes
 from phase_ppl.inference.entries import Entry, Spec, entry
@@ -43,6 +43,7 @@ from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, Simul
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import N_GOALS
 from phase_ppl.world.hypothesis import RELATIONS, Hypothesis
+from phase_ppl.world.scene import PHASE, check_phase
 
 PER_PAIR: Final = 4  # simulations of each pair, unless more are asked for
 SPLITS: Final = 3  # ways in which the simulations of a pair are parted into halves
@@ -209,16 +210,20 @@ class Reference:
                     f"the reference is of {reference.event_id}, another event than {event.id}"
                 )
             return cls(reference, False, None, budget, weights)
-        if isinstance(reference, str) and reference == ENUMERATION:
-            return cls(None, True, None, budget, weights)
-        if isinstance(reference, tuple) and reference[:1] == (ENUMERATION,):
-            return cls(None, True, None, budget, weights, _per_pair(reference))
+        if reference == ENUMERATION or (
+            isinstance(reference, tuple) and reference[:1] == (ENUMERATION,)
+        ):
+            check_phase(
+                event.scene, 'a reference by enumeration (the kernel "enumerate" is another)'
+            )
+            per_pair = _per_pair(reference) if isinstance(reference, tuple) else PER_PAIR
+            return cls(None, True, None, budget, weights, per_pair)
         long = dataclasses.replace(budget, amount=LONG * budget.amount)
         spec = LONG_RUN if reference is None else reference
         run = entry("reference", spec, chains, settings, own_length=True)
         if not run.length:
             run = dataclasses.replace(run, length={"budget": long})
-        return cls(None, reference is None, run, long, weights)
+        return cls(None, reference is None and event.scene.world == PHASE, run, long, weights)
 
     def record(self) -> Any:
         """Return what was asked for, as a file keeps it."""
@@ -265,7 +270,7 @@ def reference_of(
         table = filter_event(event, model, seed=seed, threads=workers, progress=False)
         return {
             "description": "the sum over a table of all hypotheses",
-            "marginals": {name: table.marginal(name).values for name in COMPARED},
+            "marginals": marginals(table),
             "simulations": 0,
             "error": None,
         }
@@ -333,7 +338,7 @@ def _halves_of(post: Posterior) -> list[Halves]:
     if n_chains < 2 or post.weights != "count":
         return []
     table = post.to_dataframe()
-    labels = {name: post.marginal(name)[name].values for name in COMPARED}
+    labels = {name: post.marginal(name)[name].values for name in marginals(post)}
     chain = table["chain"].to_numpy()
     halves: list[Halves] = []
     for upper in (chain >= n_chains // 2, chain % 2 == 1):
@@ -342,7 +347,7 @@ def _halves_of(post: Posterior) -> list[Halves]:
             total = max(chosen["weight"].sum(), np.finfo(float).tiny)
             sums = {
                 name: chosen.groupby(name)["weight"].sum().reindex(labels[name], fill_value=0.0)
-                for name in COMPARED
+                for name in labels
             }
             shares.append({name: values.to_numpy() / total for name, values in sums.items()})
         halves.append((shares[0], shares[1]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import itertools
 from collections.abc import Iterator
@@ -16,6 +17,7 @@ import pytest
 from jax import random
 
 import phase_ppl as ppl
+from phase_ppl.analysis.comparison import distances, of_truth
 from phase_ppl.inference.proposals.guide import bottom_up_guide
 from phase_ppl.inference.proposals.tables import BottomUpTables, goal_distances, window_count
 from phase_ppl.inference.registry import kernel_info
@@ -420,3 +422,44 @@ def test_a_prior_of_a_world_is_none_of_phase() -> None:
 def test_scenarios_of_ones_own_are_for_phase() -> None:
     with pytest.raises(InvalidSettingError, match="scenario replaces that of the world PHASE"):
         ppl.Posterior(enumerated().tree, scenario=lambda red, green: "independent")
+
+
+# --- kernels side by side -----------------------------------------------------------------------
+
+
+def test_kernels_are_compared_with_the_truth_and_with_a_reference() -> None:
+    truth = Roles.of(SOLO, {"red agent": TRUE_GOAL}, strength=450.0)
+    found = ppl.compare(
+        dataclasses.replace(walking(), truth=truth),
+        ppl.Model(simulator=walkers),
+        kernels=("prior_mh", "local_mh"),
+        budget=ppl.simulations(160),
+        reference=enumerated(),
+        repeats=2,
+        chains=8,
+        workers=1,
+        progress=False,
+    )
+    assert (found.runs["tv_goals"] < 0.6).all()
+    assert found.runs["tv_relation"].isna().all()
+    np.testing.assert_allclose(found.runs["p_goals"], found.runs["p_pair"])
+    assert "rank by TV goals" in str(found)
+    assert "relation" not in str(found)
+    with pytest.raises(InvalidSettingError, match='"enumerate"'):
+        ppl.compare(walking(), reference="enumeration")
+
+
+def test_true_goals_and_relations_of_all_are_looked_up() -> None:
+    goals = {"red agent": "Get blue ball to home", "green agent": "Get blue ball to field"}
+    truth = Roles.of(TRIO, goals, {("purple agent", "red agent"): "help"})
+    space, codes = space_of(TRIO), np.array(truth.effective_goals)
+    sure = {
+        **dict(zip(space.goal_sites, np.eye(space.n_goals)[codes], strict=True)),
+        **{name: np.eye(3)[code] for name, code in space.relation_codes(codes).items()},
+    }
+    assert of_truth(sure, truth) == dict.fromkeys(
+        ("p_goals", "p_relation", "map_goals", "map_relation"), 1.0
+    )
+    none = {name: np.roll(masses, 1) for name, masses in sure.items()}
+    assert set(of_truth(none, truth).values()) == {0.0}
+    assert distances(sure, none) == {"tv_goals": 1.0, "tv_relation": 1.0}
