@@ -313,6 +313,9 @@ Thing = TypeVar("Thing")
 Job = TypeVar("Job")
 RUNS: Final = 2  # how often a job of ``results`` is tried whose worker process dies
 
+AT_ONCE: Final = 1000
+"""Jobs of ``results`` that an executor is given at a time, since waiting takes longer for more."""
+
 _POLL_SECONDS: Final = 1.0
 """How often is looked for what nobody tells: an executor that was closed, a worker that hangs."""
 
@@ -519,7 +522,7 @@ def results(
             ``warm_up``, that is called once before the jobs.
         jobs: what differs.
         workers: processes; 1 does everything in this process. With an ``executor``, how many jobs
-            to give it at a time; None: all.
+            to give it at a time; None: up to :data:`AT_ONCE`.
         what: name of the thing in error messages.
         executor: any PEP 3148 executor to work in instead; it is not shut down.
 
@@ -547,7 +550,7 @@ def results(
         warm_up = _warm_up if hasattr(thing, "warm_up") else None
         pool = OwnWorkers(number_of_workers(workers), token, packed, warm_up)
     else:
-        pool = BorrowedExecutor(executor, workers, token, packed)
+        pool = BorrowedExecutor(executor, workers or AT_ONCE, token, packed)
     dispatch = Dispatch(
         pool, _attempt, jobs, lambda job: (function, job), _given_up, max_retries=RUNS - 1
     )
