@@ -93,7 +93,8 @@ def _start_worker(token: str, packed: bytes) -> None:
 
 def in_worker() -> bool:
     """Return whether this process does the work of another."""
-    return bool(_packed or _loaded)
+    own = f"{os.getpid()}-"  # of an executor whose workers are threads
+    return bool(_packed) or not all(token.startswith(own) for token in _loaded)
 
 
 def _end_with_parent(parent: int) -> None:
@@ -133,6 +134,11 @@ def _warm_up_in_turn(thing: Any) -> None:
 
 
 # --- in the parent ---------------------------------------------------------------------------
+
+
+def new_token() -> str:
+    """Return a name for what tasks of this process work with."""
+    return f"{os.getpid()}-{secrets.token_hex(8)}"
 
 
 def slots_of(workers: int | None, executor: Executor | None) -> int | None:
@@ -544,7 +550,7 @@ def results(
         raise InvalidSettingError(
             f"{what} cannot be sent to worker processes ({described(error)}); workers=1 needs none"
         ) from error
-    token = secrets.token_hex(8)
+    token = new_token()
     pool: OwnWorkers | BorrowedExecutor
     if executor is None:
         warm_up = _warm_up if hasattr(thing, "warm_up") else None
