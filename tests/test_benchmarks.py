@@ -56,6 +56,7 @@ def test_speed_of_one_transition(figures: Figures) -> None:
     assert report["transition_speedup"] == pytest.approx(us[0] / us[1])
 
 
+@pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="reads /proc")
 def test_memory_that_sets_take(figures: Figures) -> None:
     (row,) = figures("large_sets.py", "--events", "2", "--frames", "34")["sets"]
     assert row["made"] > row["opened"] > 0

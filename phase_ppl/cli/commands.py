@@ -225,7 +225,7 @@ def add_dask(parser: argparse.ArgumentParser) -> None:
     """Add the option of a cluster; ``options.executor`` is then that to work in, or None."""
     says = (
         "a dask scheduler, as in machine:8786, whose workers do the work; --workers then says how "
-        "much they are given at a time, default all"
+        "much they are given at a time"
     )
     add(parser, "--dask ADDRESS", says)
 

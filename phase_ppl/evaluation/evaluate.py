@@ -108,7 +108,7 @@ def evaluate(
             by default nothing is kept.
         workers: processes, at most; by default one per usable core. 1 runs the model in this
             process, as do models that are not to run side by side. With an ``executor``, how many
-            events to give it at a time; by default all.
+            events to give it at a time; by default up to 1000.
         executor: any PEP 3148 executor to ask the model in, such as that of a ``dask.distributed``
             client; it is not shut down. Models that are not to run side by side stay here.
         resume: go on with the evaluation in ``out``, if there is one. Finished events are not

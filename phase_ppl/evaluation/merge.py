@@ -52,7 +52,9 @@ def merge(
     paths = [as_path(folder) for folder in folders]
     if not paths:
         raise InvalidSettingError("no shards were given")
-    kind = next((name for name in _KINDS if (paths[0] / name).is_file()), PLAN)
+    kind = next((name for name in _KINDS if (paths[0] / name).is_file()), None)
+    if kind is None:
+        raise InvalidEventError(f"{paths[0]} is no shard: it has no {' or '.join(_KINDS)}")
     found = _complete([_found(path, kind) for path in paths])
     with locked(writable_folder(out)):
         for name, there in _KINDS.items():

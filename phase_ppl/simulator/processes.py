@@ -93,7 +93,8 @@ def _start_worker(token: str, packed: bytes) -> None:
 
 def in_worker() -> bool:
     """Return whether this process does the work of another."""
-    return bool(_packed or _loaded)
+    own = f"{os.getpid()}-"  # of an executor whose workers are threads
+    return bool(_packed) or not all(token.startswith(own) for token in _loaded)
 
 
 def _end_with_parent(parent: int) -> None:
@@ -133,6 +134,11 @@ def _warm_up_in_turn(thing: Any) -> None:
 
 
 # --- in the parent ---------------------------------------------------------------------------
+
+
+def new_token() -> str:
+    """Return a name for what tasks of this process work with."""
+    return f"{os.getpid()}-{secrets.token_hex(8)}"
 
 
 def slots_of(workers: int | None, executor: Executor | None) -> int | None:
@@ -312,6 +318,9 @@ def mapped(
 Thing = TypeVar("Thing")
 Job = TypeVar("Job")
 RUNS: Final = 2  # how often a job of ``results`` is tried whose worker process dies
+
+AT_ONCE: Final = 1000
+"""Jobs of ``results`` that an executor is given at a time, since waiting takes longer for more."""
 
 _POLL_SECONDS: Final = 1.0
 """How often is looked for what nobody tells: an executor that was closed, a worker that hangs."""
@@ -519,7 +528,7 @@ def results(
             ``warm_up``, that is called once before the jobs.
         jobs: what differs.
         workers: processes; 1 does everything in this process. With an ``executor``, how many jobs
-            to give it at a time; None: all.
+            to give it at a time; None: up to :data:`AT_ONCE`.
         what: name of the thing in error messages.
         executor: any PEP 3148 executor to work in instead; it is not shut down.
 
@@ -541,13 +550,13 @@ def results(
         raise InvalidSettingError(
             f"{what} cannot be sent to worker processes ({described(error)}); workers=1 needs none"
         ) from error
-    token = secrets.token_hex(8)
+    token = new_token()
     pool: OwnWorkers | BorrowedExecutor
     if executor is None:
         warm_up = _warm_up if hasattr(thing, "warm_up") else None
         pool = OwnWorkers(number_of_workers(workers), token, packed, warm_up)
     else:
-        pool = BorrowedExecutor(executor, workers, token, packed)
+        pool = BorrowedExecutor(executor, workers or AT_ONCE, token, packed)
     dispatch = Dispatch(
         pool, _attempt, jobs, lambda job: (function, job), _given_up, max_retries=RUNS - 1
     )

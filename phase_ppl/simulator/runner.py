@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import math
-import secrets
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -30,6 +29,7 @@ from phase_ppl.simulator.processes import (
     CannotLoad,
     Dispatch,
     OwnWorkers,
+    new_token,
     slots_of,
 )
 from phase_ppl.world.arrays import FloatArray
@@ -181,7 +181,7 @@ class Runner:
 
     def _packed_work(self) -> tuple[str, bytes]:
         try:
-            return secrets.token_hex(8), cloudpickle.dumps(self._work)
+            return new_token(), cloudpickle.dumps(self._work)
         except Exception as error:
             raise InvalidSettingError(
                 f"simulator={shown(self._work.simulator)} cannot be sent to worker processes "

@@ -79,6 +79,7 @@ def test_a_cluster_that_is_closed_leaves_what_can_be_resumed(tmp_path: Path) -> 
 def test_the_command_works_on_a_cluster(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    assert "guessing" not in ppl.available_models()  # which looks for all of them
     monkeypatch.setattr(registry.MODELS, "entries", dict(registry.MODELS.entries))
     ppl.register_model("guessing")(lambda: guesses)
     ppl.save_events(EVENTS, tmp_path / "events.json")

@@ -11,6 +11,7 @@ import sys
 import textwrap
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -293,9 +294,12 @@ def test_compiled_programs_do_not_pile_up_in_workers() -> None:
     # one of the two gets more than so many
     found = evaluate(compiles, several(2 * COMPILED_OF + 1), workers=2)
     assert max(given.cost["kept"] for given in found.predictions.values()) == COMPILED_OF - 1
-    # those of the caller's own process are left alone
-    here = evaluate(compiles, several(COMPILED_OF + 1), workers=1)
-    assert max(given.cost["kept"] for given in here.predictions.values()) == COMPILED_OF
+    # those of the caller's own process are left alone, also where its threads do the work
+    with ThreadPoolExecutor(1) as thread:
+        for given in ({"workers": 1}, {"executor": thread, "workers": 1}):
+            _doubled().clear_cache()
+            here = evaluate(compiles, several(COMPILED_OF + 1), **given)
+            assert max(one.cost["kept"] for one in here.predictions.values()) == COMPILED_OF
 
 
 @functools.cache

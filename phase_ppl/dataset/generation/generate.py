@@ -211,7 +211,7 @@ def generate(  # type: ignore[misc]
         shard: "2/8" makes only the second of eight shares, each in a folder of its own, of which
             :func:`phase_ppl.merge` makes the set.
         workers: processes; by default one per usable core. With an ``executor``, how many events
-            to give it at a time; by default all.
+            to give it at a time; by default up to 1000.
         executor: any PEP 3148 executor to make events in, such as that of a ``dask.distributed``
             client; it is not shut down.
         progress: True or False for a bar on stderr; None: where stderr is a terminal.

@@ -151,6 +151,7 @@ def test_merge_refuses_in_one_line(tmp_path: Path, shards: list[Path], whole: Pa
     refused([one, two, three, two], "the shard 2/3 is there twice")
     refused([one, two, whole], f"{whole} is no shard", InvalidEventError)
     refused([one, two, tmp_path / "none"], "none is no shard", InvalidEventError)
+    refused([tmp_path / "none", one], "is no shard: it has no plan.json or", InvalidEventError)
     other = make(tmp_path / "other", shard="3/3", seed=3)
     refused([one, two, other], r"are of different requests: seed is 3, was 2")
     halves = make(tmp_path / "halves", shard="2/2")
