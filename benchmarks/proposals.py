@@ -1,6 +1,6 @@
 """How often the proposals find the truth of the real videos, before anything is simulated.
 
-python benchmarks/proposals.py [--half first|second|all] [--json FILE]
+python benchmarks/proposals.py [--half first|second|all] [--forms NAME ...] [--json FILE]
 
 The probability that the true pair of effective goals is among 15 initial particles, and among
 those and 90 more proposals from windows chosen evenly (a run chooses those that it explains
@@ -10,12 +10,12 @@ badly), by form of the proposal and scenario.
 from __future__ import annotations
 
 import argparse
-from typing import Any, Literal
+from typing import Any
 
 import common
 import numpy as np
 
-from phase_ppl.inference.proposals.tables import FORMS, bottom_up_tables
+from phase_ppl.inference.proposals.tables import FORMS, Form, bottom_up_tables
 from phase_ppl.inference.settings import SimpleSettings
 from phase_ppl.models.sites import ALPHA_PROBABILITIES, SELF_REFERRING
 from phase_ppl.world.event import Event
@@ -26,7 +26,7 @@ INITIAL, LATER = 15, 90
 MEASURES = ("initial", "ever", "log_proposal")
 
 
-def probabilities(event: Event, form: Literal["learned", "paper"]) -> np.ndarray:
+def probabilities(event: Event, form: Form) -> np.ndarray:
     """Return (window + 1,) probabilities that the true effective goals are proposed."""
     assert event.truth is not None
     truth = GOALS.index(event.truth.goal_red), GOALS.index(event.truth.goal_green)
@@ -51,7 +51,7 @@ def probabilities(event: Event, form: Literal["learned", "paper"]) -> np.ndarray
     return found
 
 
-def judge(task: tuple[Event, Literal["learned", "paper"]]) -> dict[str, Any]:
+def judge(task: tuple[Event, Form]) -> dict[str, Any]:
     event, form = task
     found = probabilities(event, form)
     first = (1 - found[-1]) ** INITIAL
@@ -69,14 +69,15 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--half", choices=common.HALVES, default="all")
+    parser.add_argument("--forms", nargs="+", choices=FORMS, default=FORMS)
     parser.add_argument("--limit", type=int, help="a stratified subset of about so many videos")
     parser.add_argument("--json", metavar="FILE", help="write the figures as JSON")
     options = parser.parse_args()
     events = common.dev_events(options.half, options.limit)
-    tasks = [(event, form) for form in FORMS for event in events]
+    tasks = [(event, form) for form in options.forms for event in events]
     rows = [result for _, result in common.parallel(judge, tasks, "videos")]
     figures: dict[str, Any] = {}
-    for form in FORMS:
+    for form in options.forms:
         figures[form] = {}
         for scenario in (*common.SCENARIOS, "all"):
             group = [

@@ -210,7 +210,7 @@ def test_strengths_of_a_few_videos(figures: Figures) -> None:
 
 @REAL
 def test_learned_proposals_find_the_truth_more_often_than_distances(figures: Figures) -> None:
-    report = figures("proposals.py", "--limit", "8")
+    report = figures("proposals.py", "--limit", "8", "--forms", "learned", "paper")
     learned, paper = (report[form]["all"] for form in ("learned", "paper"))
     assert learned["log_proposal"]["value"] > paper["log_proposal"]["value"] + 1
 
