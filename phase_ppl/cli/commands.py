@@ -282,8 +282,8 @@ def given(options: argparse.Namespace, *names: str) -> dict[str, Any]:
 
 
 PRESET: Final = (
-    "as_printed, as_intended, default or raced: kernel, proposal, planner, weights, prior and "
-    "thresholds in one word; what else is given goes before it"
+    "as_printed, as_intended, default, guided or raced: kernel, proposal, planner, weights, prior "
+    "and thresholds in one word; what else is given goes before it"
 )
 """What ``--preset`` does."""
 

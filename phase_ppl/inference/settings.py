@@ -195,6 +195,8 @@ PRESETS: Final[Mapping[str, Mapping[str, Any]]] = {
     "as_intended": {**_OF_THE_PAPER, "settings": SimpleSettings(proposal="paper"), "rule": "exact"},
     # what ``infer`` does unasked: learned proposals, the exact rule, the fast planner
     "default": {},
+    # proposals of goals by the closed loop, which reads the video once before
+    "guided": {"settings": SimpleSettings(proposal="closed_loop")},
     # twice the simulations: the paper's 15 chains, and as many particles that race
     "raced": {"kernel": "racing", "chains": 30},
 }
@@ -213,8 +215,8 @@ def preset(name: str) -> dict[str, Any]:
     >>> ppl.evaluate(events, "simple", preset="as_intended")
 
     Args:
-        name: "as_printed", "as_intended", "default" or "raced"; what differs stands in the page of
-            deviations of the documentation.
+        name: "as_printed", "as_intended", "default", "guided" or "raced"; what differs stands in
+            the page of deviations of the documentation.
 
     Raises:
         UnknownNameError: there is no such preset.

@@ -30,6 +30,8 @@ def test_as_printed_is_appendix_4_to_the_letter_and_the_default_is_what_infer_do
     assert apart == {"rule", "settings"}
     assert (intended["rule"], intended["settings"].sign) == ("exact", "intended")
     assert ppl.preset("default") == {}
+    guided = completed("guided", {"beta": 0.1})
+    assert guided == {"settings": ppl.SimpleSettings(proposal="closed_loop", beta=0.1)}
 
 
 def test_a_preset_is_ones_own_to_change() -> None:
