@@ -8,8 +8,6 @@ from collections.abc import Mapping
 from typing import Any, Final, NamedTuple
 
 from phase_ppl.dataset.statistics import LEVELS, PHASE
-from phase_ppl.world.goals import GOALS
-from phase_ppl.world.names import LANDMARKS
 
 Statistics = Mapping[str, Any]
 WIDTH: Final = 88  # columns of the text at most
@@ -213,31 +211,40 @@ def number(value: float, row: Row) -> str:
     return f"{value:.2f}" if row.heading.startswith("step") else f"{value:.1f}"
 
 
-def goal_grid(here: Statistics) -> tuple[list[str], list[list[int]], dict[str, int]]:
-    """Return how often each goal occurs: those about landmarks as a grid, the others by name.
+class GoalGrid(NamedTuple):
+    """How often each goal occurs: those about landmarks as a grid, the others by name."""
 
-    Returns:
-        Names of the rows, such as "Get blue item to"; counts (row, landmark); goal -> count.
-    """
+    landmarks: list[str]
+    rows: dict[str, list[int]]  # such as "Get blue item to" -> (landmark,) counts
+    others: dict[str, int]
+
+
+def goal_grid(here: Statistics) -> GoalGrid:
+    """Return how often each goal of a set's world occurs."""
     counts = here["tables"].get("goal", {}).get("counts", {})
-    n = len(LANDMARKS)
-    of_landmarks, others = GOALS[: -n or None], GOALS[-n:]
-    names = [goal.removesuffix(f" {LANDMARKS[0]}") for goal in of_landmarks[::n]]
-    grid = [
-        [int(counts.get(goal, 0)) for goal in of_landmarks[start : start + n]]
-        for start in range(0, len(of_landmarks), n)
-    ]
-    return names, grid, {goal: int(counts.get(goal, 0)) for goal in others}
+    found = GoalGrid(list(here["landmarks"]), {}, {})
+    for goal, count in counts.items():
+        row, landmark = next(
+            ((goal.removesuffix(f" {name}"), name) for name in found.landmarks
+             if goal.startswith("Get ") and goal.endswith(f" {name}")), ("", "")
+        )  # fmt: skip
+        if row:
+            found.rows.setdefault(row, [0] * len(found.landmarks))
+            found.rows[row][found.landmarks.index(landmark)] = int(count)
+        else:
+            found.others[goal] = int(count)
+    return found
 
 
 def _goals(here: Statistics) -> list[str]:
     if "goal" not in here["tables"]:
         return []
-    names, grid, others = goal_grid(here)
-    lines = ["", f"{'goals':<28}" + "".join(f"{landmark:>11}" for landmark in LANDMARKS)]
-    for name, counts in zip(names, grid, strict=True):
+    landmarks, rows, others = goal_grid(here)
+    lines = ["", f"{'goals':<28}" + "".join(f"{landmark:>11}" for landmark in landmarks)]
+    for name, counts in rows.items():
         lines.append(f"  {name:<26}" + "".join(f"{count:>11}" for count in counts))
-    return lines + [f"  {goal:<26}{count:>11}" for goal, count in others.items()]
+    width = max([26, *map(len, others)])
+    return lines + [f"  {goal:<{width}}{count:>11}" for goal, count in others.items()]
 
 
 def _draws(here: Statistics) -> list[str]:

@@ -44,9 +44,9 @@ def moves_to_the_end(trajectory: FloatArray) -> bool:
     return bool(len(moving)) and len(steps) - 1 - int(moving[-1]) < TAIL
 
 
-def seems_to_hold(trajectory: FloatArray, radius: FloatArray) -> Flags:
+def seems_to_hold(trajectory: FloatArray, radius: FloatArray, n_agents: int = len(AGENTS)) -> Flags:
     """Return (time, agent): whether the agent seems to hold an item (:func:`items_held`)."""
-    return np.asarray(items_held(trajectory, radius) != NOTHING)
+    return np.asarray(items_held(trajectory, radius, n_agents=n_agents) != NOTHING)
 
 
 def items_held(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Final
@@ -13,12 +14,20 @@ from phase_ppl.dataset.generation.situation import SIZES
 from phase_ppl.dataset.motion import SLOW, moves_to_the_end, seems_to_hold, speeds
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
-from phase_ppl.world.event import Event
-from phase_ppl.world.goals import GOALS, goal_literal
-from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS, STRENGTH_LEVELS
-from phase_ppl.world.names import AGENTS, Predicate
+from phase_ppl.world.event import Event, Truth
+from phase_ppl.world.goals import goal_index, goal_literal
+from phase_ppl.world.hypothesis import (
+    RELATION_OF_SCENARIO,
+    RELATIONS,
+    SCENARIOS,
+    STRENGTH_LEVELS,
+    Roles,
+    scenario,
+)
+from phase_ppl.world.names import Predicate
 from phase_ppl.world.observation import FRAMES_PER_SECOND
-from phase_ppl.world.scene import check_phase
+from phase_ppl.world.scene import PHASE as PHASE_WORLD
+from phase_ppl.world.scene import World
 
 FRAME_EDGES: Final = (*range(0, 101, 10), 102)
 SPEED_EDGES: Final = tuple(range(0, 71, 2))
@@ -103,8 +112,8 @@ def statistics(
 
     Keys of the result:
 
-    * ``name``, ``events``; ``units``: events without their copies, which the manifest knows;
-      ``without_truth``: events; ``without_strength``: agents.
+    * ``name``, ``events``; ``landmarks`` of their world; ``units``: events without their copies,
+      which the manifest knows; ``without_truth``: events; ``without_strength``: agents.
     * ``tables``: per name ``counts`` and ``shares`` of labels, and ``units``, the events (without
       copies) behind them. ``relation``, ``scenario``, ``goal_type``, ``goal``, ``strength``
       [newtons], ``agent_size``, ``item_size`` [units]; from a manifest also ``family``,
@@ -124,6 +133,8 @@ def statistics(
     * ``draws``, from a manifest: cell -> ``kept``, ``tried``, ``share`` kept, ``reasons`` against
       the others, with their counts; else None.
 
+    In other worlds than PHASE every pair of agents has a relation and a scenario.
+
     What there is nothing to tell about is left out of ``tables`` and ``values``.
 
     Args:
@@ -132,26 +143,28 @@ def statistics(
         name: of the set, as figures and tables call it.
 
     Raises:
-        InvalidEventError: there are no events.
+        InvalidEventError: there are no events, or they are of several worlds.
         InvalidSettingError: the manifest is none.
     """
     if not events:
         raise InvalidEventError("there are no events to describe")
-    for event in events:
-        check_phase(event.scene, "a data card")
     if isinstance(events, GeneratedEvents) and isinstance(manifest, Mapping):
         manifest = {**manifest, "entries": events.entries}  # which that of a large set has not
     events = list(events)  # gone through many times; those of a stored set are read each time
+    world = events[0].scene.world
+    if any(event.scene.world != world for event in events):
+        raise InvalidEventError("the events are of several worlds, which are described one by one")
     entries = _entries(manifest)
     told = [entries.get(event.id, {}) for event in events]
     units = [str(entry.get("group", event.id)) for event, entry in zip(events, told, strict=True)]
     held, holding_from = _holding(events, told)
-    found = _Motion(units)
+    found = _Motion(units, len(world.agents))
     for event, held_items in zip(events, held, strict=True):
         found.add(event, held_items)
     return {
         "name": name,
         "events": len(events),
+        "landmarks": list(world.landmark_names),
         "units": len(set(units)),
         "without_truth": sum(event.truth is None for event in events),
         "without_strength": sum(force is None for event in events for force in _strengths(event)),
@@ -169,13 +182,13 @@ class _Motion:
     ``units`` are, per event, the unit that it belongs to; units are what is resampled.
     """
 
-    def __init__(self, units: Sequence[str]) -> None:
-        self._units = units
+    def __init__(self, units: Sequence[str], n_agents: int) -> None:
+        self._units, self._n_agents = units, n_agents
         self._numbers: dict[str, list[FloatArray]] = {}
 
     def add(self, event: Event, held: FloatArray) -> None:
         """Take in an event, and how much of each frame each agent holds an item."""
-        track, n = event.observation.trajectory, len(AGENTS)
+        track, n = event.observation.trajectory, self._n_agents
         speed = speeds(track)
         by_strength = {"": speed[:, :n]}
         for level, name in zip(STRENGTH_LEVELS, LEVELS, strict=True):
@@ -268,14 +281,17 @@ def _holding(
     events: Sequence[Event], told: Sequence[Mapping[str, Any]]
 ) -> tuple[list[FloatArray], str]:
     """Return per event, frame and agent how much of it an item is held, and whence it is known."""
+    n_agents = len(events[0].scene.world.agents)
     recorded = [(entry.get("measures") or {}).get("held") for entry in told]
-    if all(isinstance(held, list) and len(held) == len(AGENTS) for held in recorded):
+    if all(isinstance(held, list) and len(held) == n_agents for held in recorded):
         known = [
             np.repeat(np.asarray(held, np.float64), event.observation.n_frames)
             for event, held in zip(events, recorded, strict=True)
         ]
         return known, "recorded"
-    seen = [seems_to_hold(e.observation.trajectory, e.scene.radius).ravel() for e in events]
+    seen = [
+        seems_to_hold(e.observation.trajectory, e.scene.radius, n_agents).ravel() for e in events
+    ]
     return [np.asarray(flags, np.float64) for flags in seen], "geometry"
 
 
@@ -283,13 +299,14 @@ def _tables(
     events: Sequence[Event], told: Sequence[Mapping[str, Any]], units: Sequence[str]
 ) -> dict[str, Any]:
     """Return the tables of :func:`statistics`."""
-    n = len(AGENTS)
+    world = events[0].scene.world
+    n = len(world.agents)
     sizes = sorted(f"{size:g}" for size in SIZES)
     known: dict[str, Sequence[str]] = {
         "relation": RELATIONS,
         "scenario": SCENARIOS,
         "goal_type": GOAL_TYPES,
-        "goal": GOALS,
+        "goal": world.goals,
         "strength": LEVELS,
         "agent_size": sizes,
         "item_size": sizes,
@@ -304,12 +321,13 @@ def _tables(
             "item_size": size[n:],
         }
         if event.truth is not None:
-            goals = event.truth.goal_red, event.truth.goal_green
+            goals = _goals(event.truth)
+            scenarios = _scenarios(event.truth)
             of_event.update(
-                relation=[event.truth.relation],
-                scenario=[event.truth.scenario],
-                goal_type=map(goal_type, goals),
-                goal=goals,
+                relation=[relation for relation, _ in scenarios],
+                scenario=[name for _, name in scenarios],
+                goal_type=[goal_type(goal, world) for goal in goals],
+                goal=[world.goals[goal] for goal in goals],
             )
         for key in ("family", "layout", "split", "reflection"):
             if entry.get(key) is not None:
@@ -317,29 +335,54 @@ def _tables(
         for key, given in of_event.items():
             labels[key] += [(label, unit) for label in given]
     found = {}
-    for key, pairs in labels.items():
-        first = known[key] or sorted({label for label, _ in pairs}, key=_place)
+    for key, told_of in labels.items():
+        first = known[key] or sorted({label for label, _ in told_of}, key=_place)
         counts = Counter(dict.fromkeys(first, 0))
-        counts.update(label for label, _ in pairs)
-        if pairs:
-            found[key] = _counted(len({unit for _, unit in pairs}), counts)
+        counts.update(label for label, _ in told_of)
+        if told_of:
+            found[key] = _counted(len({unit for _, unit in told_of}), counts)
     return found
 
 
-def goal_type(goal: str | int) -> str:
-    """Return which of :data:`GOAL_TYPES` a goal is."""
-    literal = goal_literal(goal, 0)
+def _goals(truth: Truth | Roles) -> Sequence[int]:
+    """Return (agent,) effective goals."""
+    if isinstance(truth, Roles):
+        return truth.effective_goals
+    return [goal_index(goal) for goal in (truth.goal_red, truth.goal_green)]
+
+
+def _scenarios(truth: Truth | Roles) -> list[tuple[str, str]]:
+    """Return relation and scenario of every pair of agents."""
+    if not isinstance(truth, Roles):
+        return [(truth.relation, truth.scenario)]
+    goals = truth.effective_goals
+    names = [
+        scenario(goals[one], goals[other], truth.world, (one, other))
+        for one, other in itertools.combinations(range(len(goals)), 2)
+    ]
+    return [(RELATION_OF_SCENARIO[name], name) for name in names]
+
+
+def goal_type(goal: str | int, world: World = PHASE_WORLD) -> str:
+    """Return which of :data:`GOAL_TYPES` a goal is; "other" for a predicate of one's own."""
+    literal = goal_literal(goal, 0, world)
+    if literal.predicate is Predicate.OWN:
+        return OTHER
     if literal.predicate is Predicate.TOUCH:
         kind = "TE"
     else:
-        kind = "LMA" if literal.subject < len(AGENTS) else "LMO"
+        kind = "LMA" if literal.subject < len(world.agents) else "LMO"
     return kind + ("+" if literal.positive else "-")
 
 
-def _strengths(event: Event) -> tuple[float | None, float | None]:
-    """Return the strengths of red and green, newtons, as far as they are known."""
+def _strengths(event: Event) -> tuple[float | None, ...]:
+    """Return (agent,) strengths, newtons, as far as they are known."""
     truth = event.truth
-    return (None, None) if truth is None else (truth.strength_red, truth.strength_green)
+    if truth is None:
+        return (None,) * len(event.scene.world.agents)
+    if isinstance(truth, Roles):
+        return truth.strengths
+    return truth.strength_red, truth.strength_green
 
 
 def _level(force: float) -> str:

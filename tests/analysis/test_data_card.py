@@ -151,10 +151,11 @@ def test_the_table_says_what_is_estimated_and_what_is_not_known() -> None:
 
 def test_the_grid_has_every_goal_once() -> None:
     counts = {goal: number for number, goal in enumerate(GOALS)}
-    names, grid, others = goal_grid({"tables": {"goal": {"counts": counts}}})
-    assert names[1] == "Get blue item away from"
-    assert grid[1] == [counts[f"{names[1]} {lm} lm"] for lm in ("blue", "green", "red", "yellow")]
-    assert sorted([*np.ravel(grid), *others.values()]) == list(range(36))
+    landmarks = ["blue lm", "green lm", "red lm", "yellow lm"]
+    found = goal_grid({"landmarks": landmarks, "tables": {"goal": {"counts": counts}}})
+    row = "Get blue item away from"
+    assert found.rows[row] == [counts[f"{row} {landmark}"] for landmark in landmarks]
+    assert sorted([*np.ravel(list(found.rows.values())), *found.others.values()]) == list(range(36))
 
 
 # --- the figure --------------------------------------------------------------------------------

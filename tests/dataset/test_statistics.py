@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 import phase_ppl
+from phase_ppl.analysis.data_table import data_table
 from phase_ppl.dataset.motion import moves_to_the_end, seems_to_hold, speeds
 from phase_ppl.dataset.statistics import GOAL_TYPES, PHASE, goal_type, standard_error, statistics
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
@@ -238,3 +239,31 @@ def test_half_of_the_test_videos_is_like_the_whole() -> None:
         assert value[name] == pytest.approx(whole[name], abs=0.04)
     assert 0.19 < value["at_rest"] < 0.31
     assert value["frames_median"] == pytest.approx(whole["frames_median"], abs=5)
+
+
+# --- other worlds -------------------------------------------------------------------------------
+
+
+def test_a_set_of_another_world_is_described_by_its_own_names() -> None:
+    trio = phase_ppl.worlds.TRIO
+    goals = {"red agent": "Get blue ball to home", "green agent": "get to pink ball"}
+    event = phase_ppl.simulate(
+        trio.random_scene(0),
+        goals=goals,
+        relation={("purple agent", "red agent"): "hinder"},
+        frames=4,
+        planner=phase_ppl.PlannerConfig(simulations=2, particles=4),
+    )
+    found = statistics([event])
+    counts = {name: found["tables"][name]["counts"] for name in found["tables"]}
+    assert found["landmarks"] == list(trio.landmark_names)
+    assert counts["relation"] == {"friendly": 0, "neutral": 2, "adversarial": 1}
+    assert counts["scenario"]["opposing"] == 1
+    assert {goal for goal, n in counts["goal"].items() if n} == {
+        *goals.values(), "Get blue ball away from home"
+    }  # fmt: skip
+    assert (counts["goal_type"]["LMO+"], counts["goal_type"]["LMO-"]) == (1, 1)
+    assert sum(counts["agent_size"].values()) == 3
+    assert "home" in data_table(found, PHASE)
+    with pytest.raises(InvalidEventError, match="several worlds"):
+        statistics([event, phase_ppl.load_event("compete")])

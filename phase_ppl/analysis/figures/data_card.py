@@ -20,7 +20,6 @@ from phase_ppl.analysis.data_table import (
 )
 from phase_ppl.analysis.figures.style import GREY, INK, NORMAL, SMALL, bare, new_figure, written
 from phase_ppl.dataset.statistics import LEVELS, PHASE, SPEED_EDGES
-from phase_ppl.world.names import LANDMARKS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -51,6 +50,8 @@ _TIME_NAMES: Final = {
 _SPEED_MARKS: Final = {"mean": ("mean", "o"), "p99": ("99 %", "|"), "max": ("most", "o")}
 _SPEED_TEXT: Final = SPEED_EDGES[-1] + 7.0
 """Where the columns of numbers begin, units/s."""
+
+_FEW: Final = 6  # goals that are about no landmark; of more, those that occur are drawn
 
 _ROW: Final = 3.2  # height of a row of panels, inches
 
@@ -86,7 +87,7 @@ def data_card(
     kinds, types, goals = panels[0]
     _paired_bars(kinds, "Relation, and scenario", groups("relation", "scenario"))
     (of_types,) = groups("goal_type")
-    named = [row._replace(label=GOAL_TYPE_NAMES[row.label]) for row in of_types]
+    named = [row._replace(label=GOAL_TYPE_NAMES.get(row.label, row.label)) for row in of_types]
     _paired_bars(types, "Goals of agents, by type", [named])
     _goals(goals, statistics)
     bodies, durations, speeds, times = panels[1]
@@ -168,25 +169,28 @@ def _paired_bars(axes: Axes, title: str, groups: Sequence[Sequence[Row]]) -> Non
 
 
 def _goals(axes: Axes, here: Statistics) -> None:
-    """Draw how often each of the 36 goals occurs, as a grid of numbers on shades."""
+    """Draw how often each goal occurs, as a grid of numbers on shades."""
     _title(axes, "Goals of agents, numbers")
     if "goal" not in here["tables"]:
         _unknown(axes)
         return
-    names, grid, others = goal_grid(here)
-    rest = [[count, *[np.nan] * (len(LANDMARKS) - 1)] for count in others.values()]
-    numbers = np.array([*grid, *rest], float)
+    landmarks, of_landmarks, others = goal_grid(here)
+    if len(others) > _FEW:
+        others = {goal: count for goal, count in others.items() if count}
+    rest = [[count, *[np.nan] * (len(landmarks) - 1)] for count in others.values()]
+    numbers = np.array([*of_landmarks.values(), *rest], float)
     axes.imshow(numbers, aspect="auto", cmap="Blues", vmin=0, vmax=1.6 * max(np.nanmax(numbers), 1))
     for (row, column), count in np.ndenumerate(numbers):
         if not np.isnan(count):
             style: dict[str, Any] = {"fontsize": SMALL, "color": INK if count else GREY}
             axes.text(column, row, f"{count:.0f}", ha="center", va="center", **style)
-    axes.set_yticks(range(len(numbers)), [*(name.removeprefix("Get ") for name in names), *others])
-    axes.set_xticks(range(len(LANDMARKS)), LANDMARKS)
+    names = [name.removeprefix("Get ") for name in of_landmarks]
+    axes.set_yticks(range(len(numbers)), [*names, *others])
+    axes.set_xticks(range(len(landmarks)), landmarks)
     axes.xaxis.tick_top()
     bare(axes, "left", "bottom")
     axes.tick_params(length=0, pad=2)
-    axes.axhline(len(names) - 0.5, color="white", lw=4)
+    axes.axhline(len(of_landmarks) - 0.5, color="white", lw=4)
 
 
 def _durations(axes: Axes, here: Statistics, beside: Statistics, found: Sequence[Row]) -> None:
