@@ -103,7 +103,7 @@ def test_predicates_as_printed_have_a_uniform_prior_and_the_planners_thresholds(
 def test_compare_takes_presets_for_kernels() -> None:
     found = entries(list(PRESETS), 7, ppl.SimpleSettings())
     assert [one.label for one in found] == list(PRESETS)
-    assert [one.info.name for one in found] == ["local_mh"] * 3 + ["racing"]
+    assert [one.info.name for one in found] == ["local_mh"] * 4 + ["racing"]
     printed, _, default, raced = found
     assert (printed.options, printed.chains, printed.settings) == ({"rule": "paper"}, 15, PRINTED)
     assert (default.options, default.chains) == ({}, 7)
