@@ -104,9 +104,10 @@ def test_compare_takes_presets_for_kernels() -> None:
     found = entries(list(PRESETS), 7, ppl.SimpleSettings())
     assert [one.label for one in found] == list(PRESETS)
     assert [one.info.name for one in found] == ["local_mh"] * 4 + ["racing"]
-    printed, _, default, raced = found
+    printed, _, default, guided, raced = found
     assert (printed.options, printed.chains, printed.settings) == ({"rule": "paper"}, 15, PRINTED)
     assert (default.options, default.chains) == ({}, 7)
+    assert guided.settings == ppl.SimpleSettings(proposal="closed_loop")
     assert raced.chains == 30
     assert not printed.length
 
