@@ -242,7 +242,9 @@ def agreement(
 
     people = float(agreeing(counts[several]))
     size = (n, int(several.sum()))
-    drawn = agreeing(rng.multinomial(counts[several].sum(axis=1), p[several], size=size))
+    # sums of weights may come to 1 and a last bit, which numpy refuses
+    chances = p[several] / p[several].sum(axis=1, keepdims=True)
+    drawn = agreeing(rng.multinomial(counts[several].sum(axis=1), chances, size=size))
     low, high = np.quantile(drawn, [0.025, 0.975])
     tail = min((drawn <= people).sum(), (drawn >= people).sum()) + 1
     return {

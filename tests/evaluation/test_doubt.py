@@ -96,6 +96,13 @@ def test_raters_who_agree_more_than_by_chance_are_found() -> None:
     assert apart["low"] < 1 / 3 < apart["high"]
 
 
+def test_probabilities_of_one_and_a_last_bit_are_taken() -> None:
+    p = np.array([[np.nextafter(1.0, 2.0), 0.0, 0.0]] * 4)
+    found = agreement(p, np.array([[9, 0, 0]] * 4), np.random.default_rng(0), 20)
+    assert found is not None
+    assert found["low"] == found["high"] == found["people"] == 1.0
+
+
 def test_people_with_names_are_resampled_as_wholes() -> None:
     rows = [
         {"participant": f"p{i}", "relation": "friendly" if i < 6 else "neutral"} for i in range(12)
