@@ -16,7 +16,7 @@ from phase_ppl.cli import own
 from phase_ppl.world.errors import InvalidSettingError, OutputError, unknown_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.files import writable_folder, write_json
-from phase_ppl.world.scene import PHASE, check_phase
+from phase_ppl.world.scene import PHASE
 
 if TYPE_CHECKING:
     from phase_ppl.evaluation.comparison import ModelComparison
@@ -279,7 +279,6 @@ def _check_several(
     from phase_ppl.evaluation.registry import ready
 
     check_names(list(models))
-    check_phase(events[0].scene, "a comparison of models")
     chosen = events[: options.limit]
     for label, model in models.items():
         asked = ready(model, of_models[label])
@@ -430,13 +429,13 @@ def _sources(given: Sequence[str]) -> dict[str, Any] | list[str]:
 
 
 def keep(found: ModelComparison, out: Path, options: argparse.Namespace) -> int:
-    """Write a comparison with its figures and pages; return the exit code."""
+    """Write a comparison, of PHASE with its figures and pages; return the exit code."""
     from phase_ppl.evaluation.folder import entry_name
     from phase_ppl.evaluation.report import contents, write_page
 
     found.save(out)
-    problems = []
-    if not options.no_figures:
+    problems, of_phase = [], found.world == PHASE
+    if of_phase and not options.no_figures:
         pages = writable_folder(out / PAGES)
         for old in pages.glob(_PAGE):  # of an earlier comparison, perhaps of other events
             old.unlink(missing_ok=True)
@@ -450,7 +449,7 @@ def keep(found: ModelComparison, out: Path, options: argparse.Namespace) -> int:
         problems = drawn(found, out, list(events), draw_page, options)
     for problem in problems:
         print(f"phase-ppl: error: {problem}", file=sys.stderr)
-    print(f"\nKept in {out}\n{cli.report_hint(out)}")
+    print(f"\nKept in {out}" + (f"\n{cli.report_hint(out)}" if of_phase else ""))
     return cli.FAILED if problems else 0
 
 

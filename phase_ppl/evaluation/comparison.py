@@ -30,8 +30,10 @@ from phase_ppl.evaluation.entries import (
     shared_events,
 )
 from phase_ppl.evaluation.folder import COMPARISON, EVENTS
+from phase_ppl.evaluation.metrics import Path as MetricPath
 from phase_ppl.evaluation.metrics import at, events_with, human_accuracy, metrics_of_each
 from phase_ppl.evaluation.prediction import Prediction
+from phase_ppl.evaluation.tables import world_of
 from phase_ppl.world.checks import whole_number
 from phase_ppl.world.errors import (
     InvalidEventError,
@@ -44,7 +46,7 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.files import writable_folder, write_json
 from phase_ppl.world.hypothesis import SCENARIOS
 from phase_ppl.world.picture import preformatted
-from phase_ppl.world.scene import check_phase
+from phase_ppl.world.scene import PHASE, World, check_phase
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -83,6 +85,11 @@ class ModelComparison:
     settings: Mapping[str, Any]
     notes: tuple[str, ...] = ()
 
+    @functools.cached_property
+    def world(self) -> World:
+        """The world of all events."""
+        return world_of(self.events)
+
     @property
     def models(self) -> list[str]:
         """Names of the models."""
@@ -103,8 +110,12 @@ class ModelComparison:
 
     @functools.cached_property
     def people(self) -> dict[str, Any]:
-        """What people got right (:func:`~phase_ppl.evaluation.metrics.human_accuracy`)."""
-        return human_accuracy(self.events, seed=self.settings["seed"])
+        """What people got right (:func:`~phase_ppl.evaluation.metrics.human_accuracy`).
+
+        Empty in another world than PHASE, of which no judgments are read.
+        """
+        known = self.world == PHASE
+        return human_accuracy(self.events, seed=self.settings["seed"]) if known else {}
 
     @functools.cached_property
     def differences(self) -> list[dict[str, Any]]:
@@ -122,13 +133,16 @@ class ModelComparison:
 
         Empty where no judged event has truth.
         """
+        if not self.people:
+            return []
         return differences.equivalence(
             self.events, self.entries, margin=self.settings["margin"], **self._drawn
         )
 
     @functools.cached_property
     def answers(self) -> list[AnswerSet]:
-        """All answers, of people first, as figures and pages show them."""
+        """All answers, of people first, as figures and pages show them: those of PHASE."""
+        check_phase(self.events[0].scene, "a figure or page of models")
         labels = [label_of(name) for name in self.models]
         found = [people_answers(self.events)]
         for one, label, colour in zip(self.entries, labels, colours_of(self.models), strict=True):
@@ -191,7 +205,8 @@ class ModelComparison:
         events = load_events(path / EVENTS)
         try:
             check_schema(record, SCHEMA)
-            read = [_entry(one) for one in of_kind("models", record["models"], list)]
+            world = world_of(events)
+            read = [_entry(one, world) for one in of_kind("models", record["models"], list)]
             ids = {event.id for event in events}
             for one in read:
                 unknown = [name for name in one.predictions if name not in ids]
@@ -250,14 +265,14 @@ def compare_models(
         InvalidEventError: a folder holds no evaluation, or a damaged one; or the evaluations
             are about different events, the message says which.
         InvalidSettingError: a source is no evaluation; there are none; two would have the same
-            name, or one that of people; or a number is out of range.
+            name, or one that of people; the events are of several worlds; or a number is out of
+            range.
         UnknownNameError: there is no model of that name to compare with, or stored.
     """
     found = evaluations(sources)
     if not found:
         raise InvalidSettingError("there are no evaluations to compare")
     events, notes = shared_events(found, common)
-    check_phase(events[0].scene, "a comparison of models")
     compared = entries(found, events, stored)
     given = {"margin": margin, "against": against, "seed": seed, "resamples": resamples}
     settings = _checked(given, compared)
@@ -302,13 +317,13 @@ def _record(one: Entry) -> dict[str, Any]:
     return {**fields, "predictions": predictions}
 
 
-def _entry(record: object) -> Entry:
+def _entry(record: object, world: World) -> Entry:
     given = of_kind("a model", record, dict)
     fields = {field.name: given[field.name] for field in dataclasses.fields(Entry)}
     for name in ("settings", "failures"):
         of_kind(f"{name} of a model", fields[name], dict)
     predictions = [
-        Prediction.from_dict(of_kind("a prediction", one, dict))
+        Prediction.from_dict(of_kind("a prediction", one, dict), world)
         for one in of_kind("predictions of a model", fields["predictions"], list)
     ]
     by_id = {prediction.event_id: prediction for prediction in predictions}
@@ -347,11 +362,12 @@ _DIFFERENCES: Final = {
 }
 
 _Row = tuple[str, Mapping[str, Any]]
+_Columns = Mapping[str, str | MetricPath]  # heading -> place in the metrics
 
 
 def _text(c: ModelComparison) -> str:
     """Return all tables of a comparison."""
-    n, judged = len(c.events), c.people["n_events"]
+    n, judged = len(c.events), c.people.get("n_events", 0)
     head = f"{_number(len(c.models), 'model')} on {_number(n, 'event')}"
     if judged:
         head += f", {judged} of them with truth and people's judgments"
@@ -366,12 +382,14 @@ def _text(c: ModelComparison) -> str:
     return "\n".join([*lines, *_differences(c), *_equivalence(c)])
 
 
-def _tables(c: ModelComparison) -> Iterator[tuple[str, dict[str, str], list[_Row]]]:
-    """Yield title, columns (heading -> place in the metrics) and rows of the tables of metrics."""
+def _tables(c: ModelComparison) -> Iterator[tuple[str, _Columns, list[_Row]]]:
+    """Yield title, columns and rows of the tables of metrics."""
     models: list[_Row] = [(name, c.metrics[name]) for name in c.models]
-    right: list[_Row] = [*models, (PEOPLE, c.people), (MAJORITY, c.people["majority"])]
+    right: list[_Row] = [*models]
+    if c.people:
+        right += [(PEOPLE, c.people), (MAJORITY, c.people["majority"])]
     yield (
-        "right answers (people: share of people who are right)",
+        "right answers" + (" (people: share of people who are right)" if c.people else ""),
         {
             "goals": "goal_accuracy",
             "goal in top 3": "goal_top3_accuracy",
@@ -381,22 +399,17 @@ def _tables(c: ModelComparison) -> Iterator[tuple[str, dict[str, str], list[_Row
         },
         right,
     )
-    counts = {name: max(m["by_scenario"][name]["n"] for _, m in models) for name in SCENARIOS}
     for kind, (word, _) in _KINDS.items():
-        yield (
-            f"{word} right, by true scenario (events)",
-            {
-                f"{name} ({n})": f"by_scenario.{name}.{kind}_accuracy"
-                for name, n in counts.items()
-                if n
-            },
-            right,
-        )
+        title, places = _by_part(c, kind)
+        columns = {name: (*place, f"{kind}_accuracy") for name, place in places.items()}
+        yield f"{word} right, {title}", columns, right
     yield (
         "mean log probability of the true answer, nats",
         {word: f"{kind}_log_score_truth" for kind, (word, _) in _KINDS.items()},
         models,
     )
+    if not c.people:
+        return
     among: _Row = (PEOPLE, _among_people(models))
     for kind, (word, prefix) in _KINDS.items():
         yield (
@@ -422,6 +435,22 @@ def _tables(c: ModelComparison) -> Iterator[tuple[str, dict[str, str], list[_Row
     )
 
 
+def _by_part(c: ModelComparison, kind: str) -> tuple[str, dict[str, MetricPath]]:
+    """Return by what answers are told apart, and heading -> its place in the metrics.
+
+    In PHASE by scenario; elsewhere goals by agent, relations by pair.
+    """
+    metrics = [c.metrics[name] for name in c.models]
+    if not c.people:
+        parts = "by_agent" if kind == "goal" else "by_pair"
+        return parts.replace("_", " "), {name: (parts, name) for name in metrics[0].get(parts, {})}
+    counts = {name: max(m["by_scenario"][name]["n"] for m in metrics) for name in SCENARIOS}
+    places: dict[str, MetricPath] = {
+        f"{name} ({n})": ("by_scenario", name) for name, n in counts.items() if n
+    }
+    return "by true scenario (events)", places
+
+
 def _one_out(models: Sequence[_Row]) -> dict[str, Any]:
     """Return how well raters predict one of them, in the places of models with people."""
     known = [m["doubt"]["ceiling"] for _, m in models if m["doubt"] and m["doubt"]["ceiling"]]
@@ -444,7 +473,7 @@ def _among_people(models: Sequence[_Row]) -> dict[str, Any]:
     return {"human": found}
 
 
-def _table(title: str, columns: Mapping[str, str], rows: Sequence[_Row]) -> list[str]:
+def _table(title: str, columns: _Columns, rows: Sequence[_Row]) -> list[str]:
     """Return a table without rows and columns that have nothing to say."""
     kept = [
         (short(name, _LABEL - 2), [_cell(metrics, place) for place in columns.values()])
@@ -468,9 +497,9 @@ def _table(title: str, columns: Mapping[str, str], rows: Sequence[_Row]) -> list
     return lines
 
 
-def _cell(metrics: Mapping[str, Any], place: str) -> str:
+def _cell(metrics: Mapping[str, Any], place: str | MetricPath) -> str:
     """Return what a table shows of a place in the metrics."""
-    found = at(metrics, tuple(place.split(".")))
+    found = at(metrics, tuple(place.split(".")) if isinstance(place, str) else place)
     if place == "cpu_seconds" and found is not None:
         value = found["value"]
         return f"{value:.3f}" if value < 1 else f"{value:.1f}" if value < 100 else f"{value:.0f}"

@@ -58,7 +58,7 @@ def differences(
     rows: list[Row] = []
     for one, other in pairs:
         found = paired.difference(one.predictions, other.predictions)
-        counts = {name: part["n"] for name, part in found["by_scenario"].items()}
+        counts = {name: part["n"] for name, part in found.get("by_scenario", {}).items()}
         for scenario, measure, value in _figures(found):
             rows.append(
                 {
@@ -79,6 +79,9 @@ def _figures(found: Mapping[str, Any]) -> list[tuple[str | None, str, dict[str, 
             flat += [(s, kind, v) for s, part in value.items() for kind, v in part.items()]
         elif name == "human":
             flat += [(None, f"human.{inner}", v) for inner, v in value.items()]
+        elif name in ("by_agent", "by_pair"):
+            for part, measures in value.items():
+                flat += [(None, f"{name}.{part}.{inner}", v) for inner, v in measures.items()]
         else:
             flat.append((None, name, value))
     return [(scenario, name, v) for scenario, name, v in flat if isinstance(v, dict)]

@@ -155,6 +155,27 @@ def test_models_of_phase_are_refused_with_their_names_and_the_worlds(
         ppl.evaluate(events, model, **ONE_PROCESS)
 
 
+def test_models_are_compared_by_agent_and_pair(events: list[ppl.Event], tmp_path: Path) -> None:
+    sources = {
+        "home": ppl.evaluate(events, always_home, **ONE_PROCESS),
+        "last": ppl.evaluate(events, "last_frame", **ONE_PROCESS),
+    }
+    compared = ppl.compare_models(sources, resamples=100)
+    assert compared.people == {}
+    assert compared.equivalence == []
+    rows = {row["measure"]: row for row in compared.differences}
+    alone = sources["home"].against(sources["last"])
+    for measure in ("by_agent.purple agent.goal_accuracy", "by_pair.red & green.relation_accuracy"):
+        part, name, inner = measure.split(".")
+        assert rows[measure]["value"] == alone[part][name][inner]["value"]
+    assert rows["by_agent.purple agent.goal_accuracy"]["value"] == 1.0
+    text = str(compared)
+    for word in ("goals right, by agent", "relations right, by pair", "green & purple", "p: boot"):
+        assert word in text
+    assert "people" not in text
+    assert str(ppl.ModelComparison.load(compared.save(tmp_path / "kept"))) == text
+
+
 def test_what_else_is_of_phase_or_of_several_worlds_is_refused(
     events: list[ppl.Event], tmp_path: Path
 ) -> None:
@@ -166,8 +187,9 @@ def test_what_else_is_of_phase_or_of_several_worlds_is_refused(
     with pytest.raises(InvalidSettingError, match="a file of people's judgments knows the world"):
         ppl.evaluate(events, "last_frame", judgments=tmp_path / "none.csv", **ONE_PROCESS)
     one = ppl.evaluate(events, "last_frame", **ONE_PROCESS)
-    with pytest.raises(InvalidSettingError, match="a comparison of models knows the world PHASE"):
-        ppl.compare_models({"one": one, "other": one})
+    compared = ppl.compare_models({"one": one, "other": one})
+    with pytest.raises(InvalidSettingError, match="a figure or page of models knows the world"):
+        _ = compared.measured
     with pytest.raises(InvalidEventError, match="of the world 'PHASE', not 'trio'"):
         ppl.evaluation.prediction.as_prediction(Prediction("", answers={}), "", TRIO)
 
@@ -180,5 +202,10 @@ def test_the_terminal_evaluates_events_of_another_world(
     assert main([*command, "--out", str(tmp_path / "out")]) == 0
     assert "red & green" in capsys.readouterr().out
     assert not (tmp_path / "out" / "figures").exists()
-    assert main([*command, "--model", "stepwise", "--out", str(tmp_path / "two")]) == 2
-    assert "a comparison of models knows the world PHASE only" in capsys.readouterr().err
+    assert main([*command, "--model", "predicate", "--out", str(tmp_path / "two")]) == 0
+    printed = capsys.readouterr()
+    assert "relations right, by pair" in printed.out
+    assert "--html" not in printed.out
+    assert not (tmp_path / "two" / "figures").exists()
+    assert main(["compare-models", str(tmp_path / "two")]) == 0
+    assert "relations right, by pair" in capsys.readouterr().out
