@@ -4,7 +4,10 @@
 
 Each folder holds posteriors (.nc), as ``phase-ppl infer EVENTS --out FOLDER`` and ``phase-ppl
 evaluate EVENTS --out FOLDER`` write them, of the real videos or of ``--events`` with their truth.
-Asked is for each agent's goal and for relations. Intervals are bootstrapped over events.
+Asked is for each agent's goal and for relations, each of which is decided on its own if its
+probability exceeds 1/2 by its errors; "verdict" asks of all of them, which are decided together if
+``post.diagnostics()`` says so: no rival is untried, and it is not the prior alone. Intervals are
+bootstrapped over events.
 """
 
 from __future__ import annotations
@@ -21,7 +24,7 @@ import phase_ppl as ppl
 from phase_ppl.evaluation.tables import true_answer
 from phase_ppl.world.event import Event
 
-KINDS = ("goals", "relation", "all")
+KINDS = ("goals", "relation", "all", "verdict")
 
 
 def answers(folder: Path, events: Sequence[Event]) -> list[dict[str, list[tuple[bool, bool]]]]:
@@ -34,14 +37,13 @@ def answers(folder: Path, events: Sequence[Event]) -> list[dict[str, list[tuple[
             print(f"{path}: of {post.event_id!r}, which is none of the events with truth")
             continue
         event = known[post.event_id]
-        pairs = {
-            kind: [
-                (leader["label"] == true_answer(event, name), leader["sure"])
-                for name, leader in post.leaders().items()
-                if kind in ("all", "goals" if name.startswith("goal_") else "relation")
-            ]
-            for kind in KINDS
-        }
+        together = bool(post.diagnostics()["decided"])
+        pairs: dict[str, list[tuple[bool, bool]]] = {kind: [] for kind in KINDS}
+        for name, leader in post.leaders().items():
+            right = leader["label"] == true_answer(event, name)
+            for kind in ("goals" if name.startswith("goal_") else "relation", "all"):
+                pairs[kind].append((right, leader["sure"]))
+            pairs["verdict"].append((right, together))
         found.append(pairs)
     return found
 
