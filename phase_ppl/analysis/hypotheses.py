@@ -273,6 +273,8 @@ class Hypotheses:
             quantity -> ``label``, ``probability`` and ``error``; ``next``, the second label, and
             ``next_probability``; ``sure``: whether the probability exceeds 1/2 by
             :data:`SURE` errors. With errors that are not known nothing is sure.
+            What was never simulated counts as impossible: whether that matters, and whether it
+            is the prior that decides, ``diagnostics()`` says.
         """
         found = {}
         for name in (*self.goals_of.values(), *self.relations_of.values()):
