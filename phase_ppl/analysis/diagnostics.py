@@ -23,7 +23,7 @@ from phase_ppl.analysis.tree import (
     space_of_tree,
     untried,
 )
-from phase_ppl.analysis.verdict import FEW_DRAWS, verdict
+from phase_ppl.analysis.verdict import ALONE, FEW_DRAWS, verdict
 from phase_ppl.analysis.vocabulary import Vocabulary, vocabulary
 from phase_ppl.analysis.weights import Rows, aborted_mass_bound
 from phase_ppl.dataset.generation.situation import overlaps
@@ -66,7 +66,7 @@ def diagnostics(
       a pair is what all agents want, and there is a relation for every two agents.
     * ``untried_rivals``: how many pairs that differ from the leading one in nothing but one
       agent's landmark were never simulated, though the prior allows them.
-    * ``decided``: whether all leaders are sure, with the prior and without it, by
+    * ``decided``: whether all leaders are sure, have more than ``ALONE`` without the prior, by
       ``FEW_DRAWS`` independent draws or more, and all rivals were tried.
     * ``monte_carlo_error``: per goal, the error of the leading goal's probability under the
       weighting in use; None with one particle.
@@ -137,11 +137,11 @@ def diagnostics(
         "leading_goals": {name: _leading_goals(p, shares, labels) for name, p in by_chain.items()},
         "between_chain_tv": {name: _between_chain_tv(p, shares) for name, p in by_chain.items()},
         "leaders": (answers := _without_prior(tree, rows, leaders, words)),
-        "untried_rivals": (n_untried := untried_rivals(tree, leaders)),
+        "untried_rivals": (n_untried := len(untried_rivals(tree, leaders))),
         "decided": effective_size >= FEW_DRAWS
         and not n_untried
         and all(
-            one["sure"] and one["without_prior"] is not None and one["without_prior"] > 0.5
+            one["sure"] and one["without_prior"] is not None and one["without_prior"] > ALONE
             for one in answers.values()
         ),
         "monte_carlo_error": {name: _finite(leaders[name]["error"]) for name in goals},
@@ -191,8 +191,12 @@ def _without_prior(
     }
 
 
-def untried_rivals(tree: xr.DataTree, leaders: Mapping[str, Mapping[str, Any]]) -> int:
-    """Return how many rivals of the leading goals were never simulated; 0 where no prior is kept.
+def untried_rivals(
+    tree: xr.DataTree, leaders: Mapping[str, Mapping[str, Any]]
+) -> NDArray[np.int64]:
+    """Return (rival, agent) the rivals of the leading goals that were never simulated.
+
+    None where no prior is kept, by which it can be told what is possible.
 
     A rival differs in the landmark of one agent's goal, about the same entity and of the same sign.
     """
@@ -207,10 +211,10 @@ def untried_rivals(tree: xr.DataTree, leaders: Mapping[str, Mapping[str, Any]]) 
         for other in range(len(goals))
         if _elsewhere(other, leading[agent], agent, space)
     ]
-    prior = prior_of_goals(tree, np.array(rivals, np.int64).reshape(-1, space.n_agents))
-    if prior is None:
-        return 0
-    return sum(mass > 0 and one not in done for mass, one in zip(prior, rivals, strict=True))
+    pairs = np.array(rivals, np.int64).reshape(-1, space.n_agents)
+    prior = prior_of_goals(tree, pairs)
+    new = np.array([one not in done for one in rivals], np.bool_)
+    return pairs[:0] if prior is None else pairs[(prior > 0) & new]
 
 
 def _elsewhere(goal: int, other: int, agent: int, space: HypothesisSpace) -> bool:

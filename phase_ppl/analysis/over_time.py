@@ -55,7 +55,7 @@ def over_time(tree: xr.DataTree, scenario: ScenarioFunction | None = None) -> xr
         raise InvalidSettingError("there is nothing to weight: no simulation was completed")
     if not has_proposals(tree):
         name, (rows, weights) = "visited", _by_visits(tree)
-    elif tree.attrs.get("only_weights") == "stratified":
+    elif "stratified" in (tree.attrs.get("only_weights"), tree.attrs["weights"]):
         name, (rows, weights) = "stratified", _by_proposals(tree, log_shares(tree))
     else:
         name, log_prior = "importance", simulations["log_prior"].values

@@ -20,6 +20,10 @@ FEW_DRAWS: Final = 5.0
 
 MIXED: Final = 1.1  # R-hat above which draws are said to depend on where their chain began
 
+ALONE: Final = 0.99
+"""Probability that an answer needs without the prior, for the video to be said to decide: mean
+likelihoods of few simulations err by nats (``benchmarks/decided.py``)."""
+
 UNTRIED: Final = 0.05
 """Prior mass of pairs of goals without a simulation from which on it is a sign."""
 
@@ -238,19 +242,26 @@ def undecided(leaders: Mapping[str, Mapping[str, Any]]) -> list[str]:
 
 
 def _by_prior(found: Mapping[str, Any]) -> list[str]:
-    """Return what is sure by the prior only."""
-    names = [
-        f"{_asked(name)} '{one['label']}' {one['without_prior']:.2f}"
-        for name, one in found["leaders"].items()
-        if one["sure"] and one["without_prior"] is not None and one["without_prior"] <= 0.5
-    ]
-    if not names:
-        return []
-    return [
-        "The prior decides, not the video: with all "
-        f"{_combined(found)} alike beforehand, "
-        f"{' and '.join(names)} would have no more."
-    ]
+    """Return what is sure by the prior only, or less sure without it."""
+    signs, below = [], 0.0
+    for most, says in (
+        (0.5, "The prior decides, not the video"),
+        (ALONE, "The video alone does not decide"),
+    ):
+        names = [
+            f"{_asked(name)} '{one['label']}' {one['without_prior']:.2f}"
+            for name, one in found["leaders"].items()
+            if one["sure"]
+            and one["without_prior"] is not None
+            and below <= one["without_prior"] <= most
+        ]
+        below = math.nextafter(most, 1)
+        if names:
+            signs.append(
+                f"{says}: with all {_combined(found)} alike beforehand, {' and '.join(names)} "
+                "would have no more."
+            )
+    return signs
 
 
 def _untried_rivals(n: int) -> list[str]:

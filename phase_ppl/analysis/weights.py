@@ -62,6 +62,9 @@ from phase_ppl.analysis.tree import (
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
 
+STRATIFIED: Final = "stratified"
+"""Name of the weighting under which it may depend on earlier results what is simulated."""
+
 MOST_GROUPS: Final = 32
 """Groups of chains that are left out, at most: more would hardly make errors surer."""
 
@@ -230,6 +233,8 @@ def importance(tree: xr.DataTree) -> Rows:
         )
     simulations = tree["simulations"].dataset
     log_joint = (simulations["log_prior"] + simulations["log_likelihood"]).values.astype(float)
+    # what was simulated at the end, by earlier results
+    log_joint[simulations["iteration"].values >= tree.attrs.get("rivals_from", np.inf)] = np.nan
     with np.errstate(invalid="ignore"):  # of what failed
         log_weight = log_joint + log_reciprocal_proposal(tree)
     rows = _weighted_simulations(tree, "importance", log_weight)
@@ -343,7 +348,7 @@ def _draws(tree: xr.DataTree) -> tuple[dict[str, NDArray[Any]], dict[str, NDArra
 
 WEIGHTINGS: Final[Mapping[str, Callable[[xr.DataTree], Rows]]] = {
     "count": count,
-    "stratified": stratified,
+    STRATIFIED: stratified,
     "importance": importance,
     "visited": visited,
     "likelihood": likelihood,

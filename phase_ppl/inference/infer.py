@@ -75,6 +75,12 @@ def infer(
     :class:`phase_ppl.StepwiseLikelihood` and no kernel is named, summed: the video is read once
     under all hypotheses, and the result is a :class:`phase_ppl.StepwisePosterior`.
 
+    In a run that is too short for draws to be counted all its simulations are weighed. Before it
+    answers, the rivals of the leading goals that none has tried are simulated, those with which one
+    agent wants the same thing at another landmark: one more simulation for each particle, where
+    neither a ``budget`` nor other ``weights`` than "stratified" are given. The draws stay as they
+    are.
+
     Only ``event.scene`` and ``event.observation`` are used; the id is kept as a name. The same
     seed gives the same result with any number of workers.
 

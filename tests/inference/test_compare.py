@@ -170,7 +170,7 @@ def test_kernel_may_be_a_reference(found: ppl.Comparison) -> None:
     spec = ("prior_mh", {"iterations": 7})
     other = compare(spec, repeats=1, kernels=["prior_mh"])
     assert "prior_mh, 7" in other.settings["reference"]["description"]
-    assert other.settings["reference"]["simulations"] == 4 * 8
+    assert other.settings["reference"]["simulations"] >= 4 * 8
     assert 0 < other.settings["reference"]["error"]["tv_goals"] <= 1
     long = compare("prior_mh", repeats=1, kernels=["prior_mh"])
     assert long.settings["reference"]["simulations"] == 240

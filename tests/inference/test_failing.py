@@ -86,7 +86,7 @@ def test_retries_give_the_same_draws_after_a_rest(retrying: ppl.Posterior, tmp_p
     longer = ppl.resume(path, EVENT, MODEL, iterations=4, workers=1, progress=False)
     assert_same_draws(retrying.tree, longer.tree)
     assert longer.settings == retrying.settings
-    assert longer.cost["retries"] == retrying.cost["retries"]
+    assert longer.cost["retries"] >= retrying.cost["retries"]  # of rivals of the first answer too
     with pytest.raises(InvalidSettingError, match="has failed simulations"):
         ppl.resume(path, EVENT, MODEL, on_failure="reject")
 
@@ -138,7 +138,7 @@ class Hangs:
 def test_a_limit_of_seconds_makes_a_failure_of_what_hangs() -> None:
     model = ppl.Model(simulator=Hangs(10))  # one of them only to see whether it repeats itself
     options = {**OPTIONS, "chains": 2, "iterations": 4, "simulation_seconds": 0.2}
-    post = ppl.infer(EVENT, model, **options)
+    post = ppl.infer(EVENT, model, weights="importance", **options)
     assert post.cost["failures"] == int(failed(post).sum()) == 1
     assert post.settings["simulation_seconds"] == 0.2
 

@@ -74,7 +74,7 @@ def test_the_frames_of_a_simulation_add_up_to_its_likelihood(post: ppl.Posterior
     np.testing.assert_array_equal(frames, simulations["frames_simulated"].values)
     total = simulations["log_likelihood"].values[completed]
     np.testing.assert_allclose(by_frame[completed].sum(axis=1), total)
-    found, weighed = post.over_time(), ppl.Posterior(post.tree, "importance")
+    found, weighed = post.over_time(), ppl.Posterior(post.tree, "stratified")
     for name in ("goal_red", "goal_green", "relation", "scenario"):
         np.testing.assert_allclose(found[name][-1], weighed.marginal(name), atol=1e-9)
 
@@ -102,13 +102,14 @@ def test_nothing_that_is_asked_of_a_posterior_simulates_again(
 
 def test_every_simulation_is_kept_and_counted(post: ppl.Posterior) -> None:
     simulations = post.tree["simulations"].dataset
-    assert len(simulations["seed"]) == post.cost["simulations"] == CHAINS * (1 + ITERATIONS)
-    np.testing.assert_array_equal(np.bincount(simulations["iteration"]), [CHAINS] * 3)
+    assert len(simulations["seed"]) == post.cost["simulations"] == CHAINS * (2 + ITERATIONS)
+    assert post.tree.attrs["rivals_from"] == 3, "each particle simulates one more"
+    np.testing.assert_array_equal(np.bincount(simulations["iteration"]), [CHAINS] * 4)
     frames = simulations["frames_simulated"].values
     assert frames.sum() == post.cost["frames"]
     by_iteration = simulations["frames_simulated"].groupby(simulations["iteration"]).sum()
     paid = post.tree["sample_stats"]["frames_simulated"].sum("chain")
-    np.testing.assert_array_equal(paid, by_iteration[1:])
+    np.testing.assert_array_equal(paid, by_iteration[1:3])
     aborted = ~simulations["completed"].values
     assert (frames[~aborted] == EVENT.observation.n_frames).all()
 
@@ -143,7 +144,7 @@ def test_events_of_one_length_share_the_compiled_programs(post: ppl.Posterior) -
 def test_progress_counts_simulations_on_stderr(capsys: pytest.CaptureFixture[str]) -> None:
     infer(progress=True)
     captured = capsys.readouterr()
-    assert "12/12" in captured.err
+    assert "16/16" in captured.err
     assert captured.out == ""
     infer(progress=False)
     assert capsys.readouterr().err == ""
@@ -185,7 +186,9 @@ def test_sites_of_ones_own_are_inferred_and_stored() -> None:
     found = ppl.infer(EVENT, model, kernel="prior_mh", **options)
     assert found.tree["posterior"]["mood"].shape == (CHAINS, ITERATIONS)
     assert found.tree["posterior"]["traits"].shape == (CHAINS, ITERATIONS, 2)
-    assert found.tree["simulations"]["traits"].shape == (CHAINS * (1 + ITERATIONS), 2)
+    n_simulations = found.cost["simulations"]
+    assert n_simulations >= CHAINS * (1 + ITERATIONS)
+    assert found.tree["simulations"]["traits"].shape == (n_simulations, 2)
     assert sum(found.marginal("mood").values) == pytest.approx(1)
     assert 0 < found.mean("social") < 1
 
@@ -322,3 +325,23 @@ def test_wrong_setting_is_refused_before_anything_is_simulated(
 def test_what_is_no_event_is_refused() -> None:
     with pytest.raises(InvalidEventError, match=r"load_event"):
         ppl.infer("collaborate.json")  # type: ignore[arg-type]
+
+
+def test_the_rivals_of_an_answer_are_simulated_before_it_is_given(post: ppl.Posterior) -> None:
+    found = post.diagnostics()
+    assert found["weights"] == "stratified"
+    assert found["untried_rivals"] == 0
+    draws = ppl.Posterior(post.tree, "count").marginal("goal_red")
+    without = infer(weights="importance")
+    assert "rivals_from" not in without.tree.attrs
+    assert without.cost["simulations"] == CHAINS * (1 + ITERATIONS)
+    np.testing.assert_array_equal(draws, ppl.Posterior(without.tree, "count").marginal("goal_red"))
+    # by importance their densities say nothing: they were chosen by what was found before
+    left = ppl.Posterior(post.tree, "importance").marginal("goal_red")
+    np.testing.assert_array_equal(left, without.marginal("goal_red"))
+
+
+def test_with_a_budget_no_rivals_come_on_top() -> None:
+    found = infer(iterations=None, budget=ppl.simulations(12))
+    assert found.cost["simulations"] == 12
+    assert found.tree.attrs["weights"] == "importance"

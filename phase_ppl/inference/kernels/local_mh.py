@@ -34,12 +34,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax import random
 from jax.scipy.special import logsumexp
+from numpyro import handlers
 
 from phase_ppl.inference.kernels.metropolis import MetropolisKernel, MHState, Move
+from phase_ppl.inference.proposals.guide import Mixture
 from phase_ppl.inference.proposals.tables import window_length
 from phase_ppl.inference.registry import Validity, register_kernel
 from phase_ppl.inference.settings import SimpleSettings
-from phase_ppl.models.density import Program, Sites, log_density
+from phase_ppl.models.density import Program, Sites, draw, log_density
 from phase_ppl.models.program import EventProgram
 from phase_ppl.world.errors import unknown_name
 
@@ -188,6 +190,24 @@ class LocalMH(MetropolisKernel):
             window,
             logsumexp(log_windows + memo["log_proposal"]),
         )
+
+    def simulate_given(
+        self, key: jax.Array, given: dict[str, jax.Array], log_floor: jax.Array
+    ) -> jax.Array:
+        """Return (time,) the errors of a hypothesis of which some sites are given.
+
+        The others are drawn from what the whole observation suggests; that density, of all sites,
+        is kept with the simulation, which is stopped where its log likelihood cannot reach a floor.
+        """
+        program, guide = self.program, self.guide
+        assert isinstance(guide, Mixture), "the bottom-up guide is one"
+        bottom_up, window = guide.programs[0], jnp.asarray(self.n_windows)
+        key_sites, key_seed = random.split(key)
+        sites = draw(handlers.substitute(bottom_up, data=given), key_sites, window)
+        log_prior, log_proposal = program.log_prior(sites), log_density(bottom_up, sites, window)
+        seed = program.simulator_seed(key_seed, sites)
+        ceiling = self.error_ceiling(log_floor)
+        return program.simulate(sites, log_prior, seed, ceiling, log_proposal)
 
     def log_windows(self, step_error: jax.Array) -> jax.Array:
         """Return (window,) log r(k | e), of the windows that there are."""

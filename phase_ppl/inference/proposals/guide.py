@@ -214,6 +214,9 @@ class Mixture:
     """NumPyro program that is a mixture of programs over the same latent sites, with weights.
 
     Its density is the exact one of the mixture: all components can have made a given value.
+
+    Attributes:
+        programs: of which it is a mixture.
     """
 
     def __init__(
@@ -222,7 +225,7 @@ class Mixture:
         weights: Sequence[float],
         sites: Mapping[str, tuple[int, ...]],
     ) -> None:
-        self._programs = programs
+        self.programs = programs
         self._log_weights = np.log(np.array(weights, np.float32))
         self._sites = sites
 
@@ -237,7 +240,7 @@ class Mixture:
                 for name, shape in self._sites.items()
             }
         with handlers.block():
-            parts = [log_density(program, values, *args) for program in self._programs]
+            parts = [log_density(program, values, *args) for program in self.programs]
         numpyro.factor("mixture", logsumexp(self._log_weights + jnp.stack(parts)))
 
     def draw(self, key: jax.Array, *args: Any) -> dict[str, jax.Array]:
@@ -245,9 +248,9 @@ class Mixture:
         return self._drawn(random.split(key)[1], *args)
 
     def _drawn(self, key: jax.Array, *args: Any) -> dict[str, jax.Array]:
-        key_which, *keys = random.split(key, 1 + len(self._programs))
+        key_which, *keys = random.split(key, 1 + len(self.programs))
         which = random.categorical(key_which, jnp.asarray(self._log_weights))
-        draws = [draw(p, k, *args) for p, k in zip(self._programs, keys, strict=True)]
+        draws = [draw(p, k, *args) for p, k in zip(self.programs, keys, strict=True)]
         return {
             name: jnp.stack([d[name].astype(draws[-1][name].dtype) for d in draws])[which]
             for name in self._sites

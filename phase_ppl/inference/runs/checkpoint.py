@@ -304,8 +304,6 @@ def write_checkpoint(
     """Write a run to a file, whole or not at all; ``about`` as :class:`Checkpoint` has it."""
     leaves = jax.tree_util.tree_flatten_with_path(state)[0]
     packed = [packed_leaf(leaf) for _, leaf in leaves]
-    # those of an iteration that was interrupted will be run again
-    records = [record for record in records if record.iteration < len(particles)]
     document = {
         "schema": SCHEMA,
         **about,

@@ -12,6 +12,7 @@ import jax
 from jax import random
 from numpyro.infer.mcmc import MCMCKernel
 
+from phase_ppl.inference.kernels.local_mh import LocalMH
 from phase_ppl.inference.proposals.guide import bottom_up_guide
 from phase_ppl.inference.proposals.tables import BottomUpTables, padded, window_count
 from phase_ppl.inference.registry import KERNELS, Factory, KernelInfo, described
@@ -253,6 +254,25 @@ def compiled(recipe: Recipe) -> tuple[Hosted, Hosted]:
     identity = _identity(recipe)
     names = (None, None) if identity is None else (f"init of {identity}", f"step of {identity}")
     return Hosted(init, names[0]), Hosted(step, names[1])
+
+
+@remembered(_KEPT_PROGRAMS)
+def compiled_given(recipe: Recipe) -> Hosted:
+    """Return the compiled function (keys, given sites, log floors, data) -> errors (chain, time).
+
+    Each particle simulates a hypothesis of which some sites are given, the others proposed by
+    SIMPLE, whatever the kernel.
+    """
+
+    def simulate(
+        keys: jax.Array, given: dict[str, jax.Array], log_floor: jax.Array, data: Data
+    ) -> Any:
+        kernel = make_kernel(recipe._replace(info=KERNELS["local_mh"], options=()), data)
+        assert isinstance(kernel, LocalMH), "it is registered by that name"
+        return jax.vmap(kernel.simulate_given)(keys, given, log_floor)
+
+    identity = _identity(recipe)
+    return Hosted(simulate, None if identity is None else f"given sites of {identity}")
 
 
 def _identity(recipe: Recipe) -> str | None:

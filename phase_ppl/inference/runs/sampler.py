@@ -10,6 +10,7 @@ from __future__ import annotations
 import concurrent.futures as futures
 import contextlib
 import dataclasses
+import functools
 import json
 import math
 import os
@@ -24,21 +25,24 @@ from typing import Any, Final, TypeVar
 import jax
 import numpy as np
 from jax import random
+from numpy.typing import NDArray
 
+from phase_ppl.analysis.diagnostics import untried_rivals
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.analysis.weights import WEIGHTINGS
+from phase_ppl.analysis.weights import STRATIFIED, WEIGHTINGS
 from phase_ppl.inference.proposals.strength import estimator_name
 from phase_ppl.inference.runs import length
 from phase_ppl.inference.runs.checkpoint import Checkpoint, write_checkpoint
 from phase_ppl.inference.runs.draws import Columns, build_tree, particles_of
 from phase_ppl.inference.runs.length import Length, Pace, Tally
-from phase_ppl.inference.runs.run import Run, compiled, fields_of, make_kernel
+from phase_ppl.inference.runs.run import Run, compiled, compiled_given, fields_of, make_kernel
 from phase_ppl.inference.settings import Budget
 from phase_ppl.inference.stepwise import TableRunner, filter_event
-from phase_ppl.models.bridge import SimulatorBridge, request_key
+from phase_ppl.models.bridge import Record, SimulatorBridge, request_key
 from phase_ppl.models.density import on_cpu
 from phase_ppl.models.hosted import Hosted
 from phase_ppl.models.likelihood import is_stepwise
+from phase_ppl.models.space_prior import drawn_stated
 from phase_ppl.simulator.contract import Cancelled, OutOfTime, SimulationResult, Statistics
 from phase_ppl.simulator.runner import Runner
 from phase_ppl.world.checks import check_memory, whole_number
@@ -49,6 +53,7 @@ from phase_ppl.world.errors import (
     shown,
     unknown_name,
 )
+from phase_ppl.world.hypothesis import STRENGTH_RANGE
 from phase_ppl.world.identity import versions
 from phase_ppl.world.progress import Progress
 from phase_ppl.world.space import space_of
@@ -57,6 +62,15 @@ POLL_SECONDS: Final = 0.1  # how long Ctrl-C may go unnoticed
 _RECORD_BYTES: Final = 3000
 _FRAME_BYTES: Final = 104
 """Of memory that a simulation takes, and each of its frames."""
+
+_ROUNDS: Final = 3
+"""Times that rivals are tried, if every time others lead."""
+
+_NEGLIGIBLE: Final = 16.0
+"""Nats below the best simulation from which on one makes no difference to any mean likelihood."""
+
+_OF_SIMULATIONS: Final = ("importance", STRATIFIED)
+"""Weights of runs that are too short for draws to be counted."""
 
 _APART: Final = 0.5  # units by which a first frame may be off the start
 
@@ -204,6 +218,8 @@ class Sampler:
         self._particles: list[Columns] = []  # the initial ones, and those after every iteration
         self._tally = Tally()
         self._written = -1
+        self._rivals_from: int | None = None  # the iteration that they count as
+        self._n_rivals = 0  # simulations of them
         self._calls = 1
         self._pace = Pace(self._length, options.began)
         if saved is not None:
@@ -225,8 +241,9 @@ class Sampler:
             most * (_RECORD_BYTES + _FRAME_BYTES * self._n_frames),
         )
 
-    def _keys(self) -> jax.Array:
-        number = int(np.random.SeedSequence(self._run.seed).generate_state(1)[0])
+    def _keys(self, *place: int) -> jax.Array:
+        """Return a key for each particle; of the beginning, or of another place of the run."""
+        number = int(np.random.SeedSequence(self._run.seed, spawn_key=place).generate_state(1)[0])
         return _split(np.uint32(number), np.zeros(self._run.chains, np.bool_))
 
     def _go_on(self, saved: Checkpoint) -> None:
@@ -244,14 +261,19 @@ class Sampler:
                 f"a budget of {self._length.budget} is too small: {saved.path} went on after "
                 f"{before.simulations} simulations of {before.frames} frames"
             )
-        for record in saved.records:
-            self._bridge.remember(record)
-        self._bridge.iteration = self._written = saved.done
         self._tally = Tally.of(saved.records, saved.done, before)
         self._runner.statistics = dataclasses.replace(saved.statistics)
         self._calls = saved.calls + 1
         began, recent = self._options.began, saved.recent
         self._pace = Pace(self._length, began, seconds=saved.seconds, recent=recent)
+        # rivals are those of the answer, which will be another
+        last = saved.done + (not self._pace.another(saved.done, self._tally))
+        for record in saved.records:
+            if record.iteration <= last:
+                self._bridge.remember(record)
+        if any(record.iteration > saved.done for record in self._bridge.records):
+            self._rivals_from = last
+        self._bridge.iteration = self._written = saved.done
 
     def advance(self) -> BaseException | None:
         """Do what is left of the run; return what ended it before its end, or None."""
@@ -269,6 +291,8 @@ class Sampler:
                     bar.reach(self._simulations())
                     bar.expect(self._expected())
                     self._iterate(lambda: self._step(self._state, self._data))
+                bar.reach(self._simulations())
+                self._try_rivals(bar)
                 bar.expect(self._simulations())
                 bar.reach(self._simulations())
             except OutOfTime:  # the iteration that was under way does not count
@@ -307,6 +331,54 @@ class Sampler:
         self._pace.end(initial=initial)
         self._tally = Tally.of(self._bridge.records, self._done, self._tally)
         self._keep()
+
+    def _try_rivals(self, bar: Progress) -> None:
+        """Simulate the rivals of the leading goals that no simulation has tried.
+
+        Of runs so short that all their simulations are weighed. The particles share the rivals, a
+        simulation each; should others lead then, theirs follow.
+        """
+        run = self._run
+        if self._length.budget is not None or self._options.weights not in (None, STRATIFIED):
+            return
+        if self._rivals_from is not None:  # by an earlier call
+            return
+        tried: set[tuple[int, ...]] = set()
+        for round_ in range(_ROUNDS):
+            post = self.posterior(interrupted=False)
+            assert post is not None, "there are particles"
+            if post.tree.attrs["weights"] not in _OF_SIMULATIONS:
+                return
+            self._rivals_from = self._bridge.iteration = self._done + 1
+            found = untried_rivals(post.tree, Posterior(post.tree, STRATIFIED).leaders())
+            # what failed is not tried again
+            rivals = [pair for pair in map(tuple, found.tolist()) if pair not in tried]
+            tried |= set(rivals)
+            simulations = post.tree["simulations"].dataset
+            known = simulations["log_likelihood"].values[simulations["completed"].values]
+            floor = np.full(run.chains, known.max() - _NEGLIGIBLE, np.float32)
+            for first in range(0, len(rivals), run.chains):
+                self._n_rivals += run.chains
+                bar.expect(self._simulations())
+                goals = np.take(rivals, range(first, first + run.chains), axis=0, mode="wrap")
+                work = functools.partial(self._simulate_goals, goals, floor, round_, first)
+                self._in_thread(work)
+            if not rivals:
+                break
+        self._written = -1
+        self._keep(self._bridge.records)
+
+    def _simulate_goals(
+        self, goals: NDArray[np.int64], log_floor: NDArray[np.float32], *place: int
+    ) -> Any:
+        """Have each particle simulate effective goals (chain, agent)."""
+        run, space = self._run, space_of(self._run.event.scene.world)
+        usual = np.full(goals.shape, np.mean(STRENGTH_RANGE))
+        stated = drawn_stated(run.model.prior, goals, usual).astype(np.int32)
+        names = (*space.goal_sites, space.company_site)
+        given = {name: stated[:, i] for i, name in enumerate(names)}
+        keys = self._keys(self._done, *place)
+        return compiled_given(run.recipe)(keys, given, log_floor, self._data)
 
     def _first_state(self) -> Any:
         state = self._init(self._keys(), self._data)
@@ -375,7 +447,7 @@ class Sampler:
         """Return the simulations until now: the most there can be, where those do not decide."""
         if self._length.counts:
             return self._tally.simulations
-        return self._length.at_most(self._done)
+        return self._length.at_most(self._done) + self._n_rivals
 
     def _expected(self) -> int:
         """Return how many simulations there will be in the end, as far as one can tell."""
@@ -386,8 +458,13 @@ class Sampler:
             return max(math.ceil(total), spent.simulations)
         return self._length.at_most(self._pace.expected(max(self._done, 0)))
 
-    def _keep(self) -> None:
-        """Write the file, if there is to be one that is not up to date."""
+    def _keep(self, records: Sequence[Record] | None = None) -> None:
+        """Write the file, if there is to be one that is not up to date.
+
+        With all ``records``, or those of what is complete.
+        """
+        if records is None:  # those of an iteration that was interrupted will be run again
+            records = [one for one in self._bridge.records if one.iteration <= self._done]
         options, ends = self._options, self._length
         if options.checkpoint is None or self._written == self._done:
             return
@@ -415,7 +492,7 @@ class Sampler:
         }
         write_checkpoint(
             *(options.checkpoint, about, self._run.event),
-            *(self._state, self._particles, self._bridge.records),
+            *(self._state, self._particles, records),
         )
         self._written = self._done
 
@@ -440,6 +517,8 @@ class Sampler:
             # of an interrupted run at least the last draw counts
             most = tree["posterior"].sizes["draw"] - 1
             tree.attrs["burn_in"] = min(self._options.burn_in, most)
+        if self._rivals_from is not None:
+            tree.attrs |= {"rivals_from": self._rivals_from, "weights": STRATIFIED}
         if self._options.weights is not None:
             tree.attrs["weights"] = self._options.weights
         return Posterior(tree)
