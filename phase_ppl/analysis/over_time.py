@@ -14,6 +14,7 @@ from phase_ppl.analysis.vocabulary import vocabulary
 from phase_ppl.analysis.weights import (
     evaluations,
     has_proposals,
+    log_mass,
     log_reciprocal_proposal,
     log_shares,
     normalised,
@@ -55,11 +56,10 @@ def over_time(tree: xr.DataTree, scenario: ScenarioFunction | None = None) -> xr
         raise InvalidSettingError("there is nothing to weight: no simulation was completed")
     if not has_proposals(tree):
         name, (rows, weights) = "visited", _by_visits(tree)
-    elif "stratified" in (tree.attrs.get("only_weights"), tree.attrs["weights"]):
+    elif tree.attrs.get("only_weights") == "stratified":
         name, (rows, weights) = "stratified", _by_proposals(tree, log_shares(tree))
     else:
-        name, log_prior = "importance", simulations["log_prior"].values
-        rows, weights = _by_proposals(tree, log_prior)
+        name, (rows, weights) = "importance", _by_proposals(tree, log_mass(tree))
     words = vocabulary(space_of_tree(tree), scenario)
     codes = {goal: simulations[goal].values[rows] for goal in words.goals.values()}
     codes |= words.relation_codes(codes)

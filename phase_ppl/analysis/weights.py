@@ -27,7 +27,9 @@ Every query is a sum over such a table. Which weighting is valid when:
     of their number times their mean (Ionides 2008, JCGS 17:295), and what is left once more, so
     that no simulation decides alone; it makes answers from few simulations steadier and vanishes as
     they grow. Consistent, whatever the acceptance rule; for kernels whose proposals have a density
-    that covers the prior (``local_mh``, ``prior_mh``, the local moves of ``mixture``).
+    that covers the prior (``local_mh``, ``prior_mh``, the local moves of ``mixture``). Rivals of
+    the answer that no proposal had, and that were simulated before it was given, weigh as under
+    "stratified"; they become fewer as proposals grow.
 ``"visited"``
     Every pair of effective goals that was simulated weighs its prior times the mean likelihood of
     its simulations, whatever they were proposed from. Not the posterior, however long the run:
@@ -61,9 +63,6 @@ from phase_ppl.analysis.tree import (
 )
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError
-
-STRATIFIED: Final = "stratified"
-"""Name of the weighting under which it may depend on earlier results what is simulated."""
 
 MOST_GROUPS: Final = 32
 """Groups of chains that are left out, at most: more would hardly make errors surer."""
@@ -232,13 +231,27 @@ def importance(tree: xr.DataTree) -> Rows:
             f"'importance' would be wrong; those for it are {tree.attrs['only_weights']!r}"
         )
     simulations = tree["simulations"].dataset
-    log_joint = (simulations["log_prior"] + simulations["log_likelihood"]).values.astype(float)
-    # what was simulated at the end, by earlier results
-    log_joint[simulations["iteration"].values >= tree.attrs.get("rivals_from", np.inf)] = np.nan
     with np.errstate(invalid="ignore"):  # of what failed
-        log_weight = log_joint + log_reciprocal_proposal(tree)
+        log_weight = log_mass(tree) + simulations["log_likelihood"].values
+        log_weight = log_weight + log_reciprocal_proposal(tree)
     rows = _weighted_simulations(tree, "importance", log_weight)
     return dataclasses.replace(rows, weights=truncated(rows.weights))
+
+
+def log_mass(tree: xr.DataTree) -> FloatArray:
+    """Return (simulation,) the log of what weighs, times L / Q, under weights "importance".
+
+    That is P(h); of rivals, which earlier results chose, n Q(h) P(pair) times their share of the
+    pair's mean, so that they weigh as under "stratified", as pairs beside n proposals that had none
+    of them.
+    """
+    simulations = tree["simulations"].dataset
+    found = simulations["log_prior"].values.astype(float)
+    rival = simulations["iteration"].values >= tree.attrs.get("rivals_from", np.inf)
+    if rival.any():
+        n_proposals = np.isfinite(simulations["log_proposal"].values[~rival]).sum()
+        found[rival] = log_shares(tree)[rival] + np.log(n_proposals)
+    return found
 
 
 def has_proposals(tree: xr.DataTree) -> bool:
@@ -348,7 +361,7 @@ def _draws(tree: xr.DataTree) -> tuple[dict[str, NDArray[Any]], dict[str, NDArra
 
 WEIGHTINGS: Final[Mapping[str, Callable[[xr.DataTree], Rows]]] = {
     "count": count,
-    STRATIFIED: stratified,
+    "stratified": stratified,
     "importance": importance,
     "visited": visited,
     "likelihood": likelihood,

@@ -138,7 +138,7 @@ class Hangs:
 def test_a_limit_of_seconds_makes_a_failure_of_what_hangs() -> None:
     model = ppl.Model(simulator=Hangs(10))  # one of them only to see whether it repeats itself
     options = {**OPTIONS, "chains": 2, "iterations": 4, "simulation_seconds": 0.2}
-    post = ppl.infer(EVENT, model, weights="importance", **options)
+    post = ppl.infer(EVENT, model, weights="count", **options)
     assert post.cost["failures"] == int(failed(post).sum()) == 1
     assert post.settings["simulation_seconds"] == 0.2
 

@@ -74,7 +74,7 @@ def test_the_frames_of_a_simulation_add_up_to_its_likelihood(post: ppl.Posterior
     np.testing.assert_array_equal(frames, simulations["frames_simulated"].values)
     total = simulations["log_likelihood"].values[completed]
     np.testing.assert_allclose(by_frame[completed].sum(axis=1), total)
-    found, weighed = post.over_time(), ppl.Posterior(post.tree, "stratified")
+    found, weighed = post.over_time(), ppl.Posterior(post.tree, "importance")
     for name in ("goal_red", "goal_green", "relation", "scenario"):
         np.testing.assert_allclose(found[name][-1], weighed.marginal(name), atol=1e-9)
 
@@ -102,9 +102,9 @@ def test_nothing_that_is_asked_of_a_posterior_simulates_again(
 
 def test_every_simulation_is_kept_and_counted(post: ppl.Posterior) -> None:
     simulations = post.tree["simulations"].dataset
-    assert len(simulations["seed"]) == post.cost["simulations"] == CHAINS * (2 + ITERATIONS)
-    assert post.tree.attrs["rivals_from"] == 3, "each particle simulates one more"
-    np.testing.assert_array_equal(np.bincount(simulations["iteration"]), [CHAINS] * 4)
+    assert len(simulations["seed"]) == post.cost["simulations"] > CHAINS * (1 + ITERATIONS)
+    assert post.tree.attrs["rivals_from"] == 3
+    np.testing.assert_array_equal(np.bincount(simulations["iteration"])[:3], [CHAINS] * 3)
     frames = simulations["frames_simulated"].values
     assert frames.sum() == post.cost["frames"]
     by_iteration = simulations["frames_simulated"].groupby(simulations["iteration"]).sum()
@@ -142,9 +142,9 @@ def test_events_of_one_length_share_the_compiled_programs(post: ppl.Posterior) -
 
 
 def test_progress_counts_simulations_on_stderr(capsys: pytest.CaptureFixture[str]) -> None:
-    infer(progress=True)
+    made = infer(progress=True).cost["simulations"]
     captured = capsys.readouterr()
-    assert "16/16" in captured.err
+    assert f"{made}/{made}" in captured.err
     assert captured.out == ""
     infer(progress=False)
     assert capsys.readouterr().err == ""
@@ -329,16 +329,13 @@ def test_what_is_no_event_is_refused() -> None:
 
 def test_the_rivals_of_an_answer_are_simulated_before_it_is_given(post: ppl.Posterior) -> None:
     found = post.diagnostics()
-    assert found["weights"] == "stratified"
+    assert found["weights"] == "importance"
     assert found["untried_rivals"] == 0
+    counted = infer(weights="count")
+    assert "rivals_from" not in counted.tree.attrs
+    assert counted.cost["simulations"] == CHAINS * (1 + ITERATIONS)
     draws = ppl.Posterior(post.tree, "count").marginal("goal_red")
-    without = infer(weights="importance")
-    assert "rivals_from" not in without.tree.attrs
-    assert without.cost["simulations"] == CHAINS * (1 + ITERATIONS)
-    np.testing.assert_array_equal(draws, ppl.Posterior(without.tree, "count").marginal("goal_red"))
-    # by importance their densities say nothing: they were chosen by what was found before
-    left = ppl.Posterior(post.tree, "importance").marginal("goal_red")
-    np.testing.assert_array_equal(left, without.marginal("goal_red"))
+    np.testing.assert_array_equal(draws, counted.marginal("goal_red"))
 
 
 def test_with_a_budget_no_rivals_come_on_top() -> None:

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from phase_ppl.analysis.diagnostics import untried_rivals
 from phase_ppl.analysis.posterior import Posterior
-from phase_ppl.analysis.weights import STRATIFIED, WEIGHTINGS
+from phase_ppl.analysis.weights import WEIGHTINGS, has_proposals
 from phase_ppl.inference.proposals.strength import estimator_name
 from phase_ppl.inference.runs import length
 from phase_ppl.inference.runs.checkpoint import Checkpoint, write_checkpoint
@@ -69,8 +69,8 @@ _ROUNDS: Final = 3
 _NEGLIGIBLE: Final = 16.0
 """Nats below the best simulation from which on one makes no difference to any mean likelihood."""
 
-_OF_SIMULATIONS: Final = ("importance", STRATIFIED)
-"""Weights of runs that are too short for draws to be counted."""
+_OF_SIMULATIONS: Final = ("importance", "stratified")
+"""Weights of all simulations: those of runs that are too short for draws to be counted."""
 
 _APART: Final = 0.5  # units by which a first frame may be off the start
 
@@ -339,18 +339,16 @@ class Sampler:
         simulation each; should others lead then, theirs follow.
         """
         run = self._run
-        if self._length.budget is not None or self._options.weights not in (None, STRATIFIED):
-            return
-        if self._rivals_from is not None:  # by an earlier call
+        if self._length.budget is not None or self._rivals_from is not None:  # by an earlier call
             return
         tried: set[tuple[int, ...]] = set()
         for round_ in range(_ROUNDS):
             post = self.posterior(interrupted=False)
             assert post is not None, "there are particles"
-            if post.tree.attrs["weights"] not in _OF_SIMULATIONS:
+            if post.weights not in _OF_SIMULATIONS or not has_proposals(post.tree):
                 return
             self._rivals_from = self._bridge.iteration = self._done + 1
-            found = untried_rivals(post.tree, Posterior(post.tree, STRATIFIED).leaders())
+            found = untried_rivals(post.tree, post.leaders())
             # what failed is not tried again
             rivals = [pair for pair in map(tuple, found.tolist()) if pair not in tried]
             tried |= set(rivals)
@@ -518,7 +516,7 @@ class Sampler:
             most = tree["posterior"].sizes["draw"] - 1
             tree.attrs["burn_in"] = min(self._options.burn_in, most)
         if self._rivals_from is not None:
-            tree.attrs |= {"rivals_from": self._rivals_from, "weights": STRATIFIED}
+            tree.attrs["rivals_from"] = self._rivals_from
         if self._options.weights is not None:
             tree.attrs["weights"] = self._options.weights
         return Posterior(tree)
