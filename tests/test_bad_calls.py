@@ -148,7 +148,7 @@ def late(scene: Any, hypothesis: Any, rng: Any) -> Iterator[Any]:
 def test_a_simulator_that_is_not_what_it_should_be_is_told_of_once(
     simulator: Any, message: str
 ) -> None:
-    options = {**OPTIONS, "iterations": 1}
+    options = {**OPTIONS, "iterations": 1, "weights": "count"}
     with pytest.warns(UserWarning, match=message):
         post = ppl.infer(EVENT, ppl.Model(simulator=simulator), **options)
     assert post.cost["simulations"] == len(post.tree["simulations"]["seed"]) == 8

@@ -44,9 +44,10 @@ def test_its_answers_are_the_marginals_of_the_posterior_it_keeps(tmp_path: Path)
         for posterior in (post, kept):
             marginal = posterior.marginal(question).values
             assert prediction.probabilities[question] == pytest.approx(marginal, abs=1e-12)
-    assert prediction.cost["simulations"] == post.cost["simulations"] == 8
-    assert found.cost["simulations"] == 8
-    assert "8 simulations" in str(found)
+    spent = post.cost["simulations"]
+    assert spent > 8, "the rivals of the answer are simulated too"
+    assert prediction.cost["simulations"] == found.cost["simulations"] == spent
+    assert f"{spent} simulations" in str(found)
     assert found.settings["model_settings"]["model"]["simulator"] == "tests.inference.toy.walkers"
 
 
@@ -164,7 +165,7 @@ def test_without_social_goals_alpha_is_zero_in_every_draw() -> None:
     assert model("no_social_goals").prior is priors.no_social_goals
     lesion = model("no_social_goals", simulator=walkers)
     post = ppl.infer(EVENT, lesion, workers=1, progress=False, checkpoint=None, **TINY)
-    assert post.cost["simulations"] == 8
+    assert post.cost["simulations"] >= 8
     assert np.all(post.tree["posterior"]["alpha"].values == 0)
 
 

@@ -51,7 +51,7 @@ def test_a_cluster_that_loses_a_worker_gives_the_same_posterior(tmp_path: Path) 
     for group in ("posterior", "sample_stats", "simulated", "simulations"):
         for name, values in alone.tree[group].dataset.items():
             assert values.equals(post.tree[group].dataset[name]), f"{group}/{name}"
-    assert post.cost["simulations"] == 12
+    assert post.cost["simulations"] == alone.cost["simulations"] >= 12
     assert post.cost["failures"] == 0
     assert post.cost["workers"] is None
 
