@@ -308,6 +308,24 @@ def test_stratified_weighs_a_pair_by_its_prior_and_its_mean_likelihood() -> None
     )
 
 
+def test_rivals_weigh_by_their_pairs_prior_and_mean_likelihood_beside_n_proposals() -> None:
+    # of the two proposals P L / Q = 0.2 each; the rival's two simulations, which earlier ones
+    # called for, are no third and fourth: their pair weighs 2 x 0.1 x (0.4 + 0.2) / 2
+    simulations = [
+        Simulation(A, 0, LOG(0.2), LOG(0.5)),
+        Simulation(B, 1, LOG(0.2), LOG(0.25), iteration=1),
+        Simulation(C, 2, LOG(0.1), LOG(0.4), iteration=2),
+        Simulation(C, 3, LOG(0.2), LOG(0.2), iteration=2),
+    ]
+    tree = proposed(make_tree(simulations, [[0, 1]]), [LOG(q) for q in (0.5, 0.25, 0.3, 0.6)])
+    tree.attrs["rivals_from"] = 2
+    found = goal_probabilities(
+        Posterior(with_prior(tree, [(A, 0.6), (B, 0.3), (C, 0.1)]), "importance")
+    )
+    expected = {BLUE_TO_RED: 0.2, PINK_TO_BLUE: 0.2, PINK_TO_RED: 0.06}
+    assert found == pytest.approx({goal: mass / 0.46 for goal, mass in expected.items()})
+
+
 def test_stratified_needs_densities_and_the_prior_of_pairs() -> None:
     tree = make_tree([Simulation(A), Simulation(B, 1, iteration=1)], [[0, 1]])
     with pytest.raises(InvalidSettingError, match="density of each proposal"):
