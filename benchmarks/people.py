@@ -2,13 +2,15 @@
 
 python benchmarks/people.py fit --source NAME=DIR ... [--observer NAME ...] [--json FILE]
 python benchmarks/people.py store --source NAME=DIR ... --observer NAME [--json FILE]
-python benchmarks/people.py recover [--populations N] [--figure FILE] [--json FILE]
+python benchmarks/people.py recover [--like prior|people] [--figure FILE] [--json FILE]
 
 `fit` needs evaluations of the real videos (phase-ppl evaluate dev.json --model NAME --out DIR), in
 whose folders the evidence lies; "cues" is none, and a model whose answers the videos carry goes by
 its name. Each video is predicted by fits without it; "chosen" picks, for each video, the observer
 that predicts the others best. `store` writes the parameters that come with the package. `recover`
-draws populations of raters from known observers.
+draws populations of raters from known observers: with parameters from the priors, by which
+intervals should hold at their rate, or with those of real people ("people"), as far as an observer
+has them. Of observers that predict about as well the simplest is chosen (PARSIMONY).
 """
 
 from __future__ import annotations
@@ -30,13 +32,14 @@ from phase_ppl.evaluation.doubt import doubt_of
 from phase_ppl.evaluation.evaluation import Evaluation
 from phase_ppl.evaluation.metrics import evaluate_predictions
 from phase_ppl.evaluation.observers.answers import Answers, people
-from phase_ppl.evaluation.observers.fit import PeopleFit
+from phase_ppl.evaluation.observers.fit import PEOPLE, PeopleFit, observer_of
 from phase_ppl.evaluation.prediction import Prediction, reference_predictions
 from phase_ppl.models.observer.observers import OBSERVERS, Evidence, observer_named
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import RELATIONS
 
+CHAINS = 4  # of each fit of "recover"
 LABELLED = 0.9
 """Probability of the answer of a model that gives labels only."""
 
@@ -150,6 +153,11 @@ def store(options: argparse.Namespace) -> dict[str, Any]:
 
 
 RIVALS = ("saturating", "company", "attentive")
+"""From the simplest to the one with most parameters, each a case of the next."""
+
+PARSIMONY = 1.0
+"""Standard errors of a difference in ELPD within which the simpler observer is preferred."""
+
 NOBODY: Any = np.zeros((0, 4), np.int64), (), np.zeros((0, 2), np.int64), np.zeros(0)
 """Of answers without names."""
 
@@ -175,17 +183,26 @@ def videos_like(rng: np.random.Generator, n: int) -> Evidence:
 
 
 def population(
-    name: str, rng: np.random.Generator, videos: int, raters: int
+    name: str, rng: np.random.Generator, like: str, videos: int, raters: int
 ) -> tuple[Evidence, Answers, dict[str, float]]:
     """Return evidence, answers of raters who follow an observer, and its parameters."""
     import jax
     from numpyro import handlers
 
     evidence = videos_like(rng, videos)
-    with handlers.seed(rng_seed=int(rng.integers(2**31))), handlers.trace() as trace:
+    real: dict[str, float] = {}
+    if like == "people":
+        known = observer_of(PEOPLE, "stepwise").draws
+        draw = int(rng.integers(len(known["spread"])))
+        real = {k: float(values[draw]) for k, values in known.items()}
+    with (
+        handlers.seed(rng_seed=int(rng.integers(2**31))),
+        handlers.substitute(data=real),
+        handlers.trace() as trace,
+    ):
         said = observer_named(name)(evidence)
-    true = {k: float(site["value"]) for k, site in trace.items()}
-    true["spread"] = float(abs(rng.normal(0.0, 0.7)))
+    true = {k: float(site["value"]) for k, site in trace.items() if not k.startswith("raw_")}
+    true["spread"] = real.get("spread", float(abs(rng.normal(0.0, 1.0))))
     logs = np.asarray(said["relation"]) + true["spread"] * rng.standard_normal((videos, 3))
     p = np.asarray(jax.nn.softmax(logs, axis=-1), np.float64)
     counts = rng.multinomial(raters, p / p.sum(axis=1, keepdims=True))
@@ -203,9 +220,11 @@ def sampler(name: str, draws: int) -> Any:
         evidence = Evidence(("",) * n, logs, prior, {"relation": codes}, cues)
         people(observer_named(name), evidence, Answers({"relation": counts}, *NOBODY), np.ones(n))  # type: ignore[arg-type]
 
+    # weight and saturation have two modes, of which a single chain sees one
     return MCMC(
-        NUTS(program, target_accept_prob=0.9), num_warmup=draws, num_samples=draws,
-        progress_bar=False, jit_model_args=True,
+        NUTS(program, target_accept_prob=0.9, max_tree_depth=5), num_warmup=draws,
+        num_samples=draws, num_chains=CHAINS, chain_method="vectorized", progress_bar=False,
+        jit_model_args=True,
     )  # fmt: skip
 
 
@@ -220,9 +239,20 @@ def drawn(
     return {k: np.asarray(v, np.float64) for k, v in mcmc.get_samples().items()}
 
 
-def left_out_score(log_likelihood: Any) -> float:
+def left_out_scores(log_likelihood: Any) -> FloatArray:
+    """Return (video,) the log predictive density of each video's answers without them."""
     weights, _ = pareto_smoothed(-log_likelihood.T)
-    return float(np.logaddexp.reduce(np.log(weights) + log_likelihood.T, axis=1).sum())
+    return np.asarray(np.logaddexp.reduce(np.log(weights) + log_likelihood.T, axis=1))
+
+
+def simplest(elpd: Mapping[str, FloatArray]) -> str:
+    """Return the simplest observer that is not surely worse than the best one."""
+    best = max(elpd, key=lambda rival: elpd[rival].sum())
+    for rival in RIVALS:
+        behind = elpd[best] - elpd[rival]
+        if behind.sum() <= PARSIMONY * behind.std() * len(behind) ** 0.5:
+            return rival
+    return best
 
 
 def recover(options: argparse.Namespace) -> dict[str, Any]:
@@ -230,10 +260,13 @@ def recover(options: argparse.Namespace) -> dict[str, Any]:
     for i in range(options.populations):
         rng = np.random.default_rng([options.seed, i])
         name = RIVALS[i % len(RIVALS)]
-        evidence, answers, true = population(name, rng, options.videos, options.raters)
+        evidence, answers, true = population(
+            name, rng, options.like, options.videos, options.raters
+        )
         fits = {rival: drawn(rival, evidence, answers, options, i) for rival in RIVALS}
-        elpd = {rival: left_out_score(one["log_likelihood"]) for rival, one in fits.items()}
-        best = max(elpd, key=lambda rival: elpd[rival])
+        scores = {rival: left_out_scores(one["log_likelihood"]) for rival, one in fits.items()}
+        elpd = {rival: float(one.sum()) for rival, one in scores.items()}
+        best, chosen = max(elpd, key=lambda rival: elpd[rival]), simplest(scores)
         parameters = {}
         for site in true:
             draws = fits[name][site]
@@ -243,10 +276,19 @@ def recover(options: argparse.Namespace) -> dict[str, Any]:
                 "true": true[site], "mean": float(draws.mean()), "low": float(low),
                 "high": float(high), "rank": rank,
             }  # fmt: skip
-        rows.append({"observer": name, "best": best, "elpd": elpd, "parameters": parameters})
+        rows.append(
+            {
+                "observer": name,
+                "best": best,
+                "chosen": chosen,
+                "elpd": elpd,
+                "parameters": parameters,
+            }
+        )
         inside = [p["low"] <= p["true"] <= p["high"] for p in parameters.values()]
         print(
-            f"{i:3d} {name:12s} best {best:12s} inside 90 %: {sum(inside)} of {len(inside)}",
+            f"{i:3d} {name:12s} best {best:12s} chosen {chosen:12s} inside 90 %: {sum(inside)} of "
+            f"{len(inside)}",
             flush=True,
         )
         keep(options, {"populations": rows})
@@ -263,7 +305,8 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
         p["low"] <= p["true"] <= p["high"] for row in rows for p in row["parameters"].values()
     ]
     return {
-        "right_observer": sum(row["observer"] == row["best"] for row in rows),
+        "right_best": sum(row["observer"] == row["best"] for row in rows),
+        "right_chosen": sum(row["observer"] == row["chosen"] for row in rows),
         "of": len(rows),
         "coverage_of_90": float(np.mean(inside)),
         "intervals": len(inside),
@@ -331,6 +374,7 @@ def main() -> None:
     parser.add_argument("what", choices=("fit", "store", "recover"))
     parser.add_argument("--source", action="append", default=[], metavar="NAME[=DIR]")
     parser.add_argument("--observer", action="append", choices=sorted(OBSERVERS))
+    parser.add_argument("--like", choices=("prior", "people"), default="prior")
     parser.add_argument("--populations", type=int, default=20)
     parser.add_argument("--videos", type=int, default=50)
     parser.add_argument("--raters", type=int, default=14)

@@ -1,0 +1,122 @@
+"""What a decision and a frame of a video cost, by how many agents and goals a world has.
+
+    python benchmarks/sizes.py [--scenes N] [--frames N] [--figure FILE] [--json FILE]
+
+Worlds of 1 to 4 agents with two items and three landmarks, and of two agents with 1 to 8
+landmarks. In random scenes of each, roles of ``ppl.roles.draw`` are simulated (a decision: one
+agent at one step, by the fast planner) and read back step by step with one set of searches (a
+frame). CPU milliseconds, the first scene of each world left out, in which code is compiled.
+Beside them stands the number of combinations of all agents' goals: cost should not grow with it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from typing import Any
+
+import numpy as np
+from common import write
+from tqdm import tqdm
+
+import phase_ppl as ppl
+
+AGENTS = ("red agent", "green agent", "purple agent", "orange agent")
+PLACES = [(4, 4), (32, 20), (4, 20), (32, 4), (18, 4), (18, 20), (4, 12), (32, 12)]
+WALLS = [((12, 0), (12, 7)), ((12, 13), (12, 24)), ((24, 0), (24, 7)), ((24, 13), (24, 24))]
+SIZES = [(agents, 3) for agents in (1, 2, 3, 4)] + [(2, landmarks) for landmarks in (1, 5, 8)]
+
+
+def world_of(agents: int, landmarks: int) -> ppl.World:
+    """Return a world of three rooms."""
+    places = {f"place {i + 1}": PLACES[i] for i in range(landmarks)}
+    return ppl.World(
+        AGENTS[:agents], ["ball", "box"], places, arena=(0, 36, 0, 24), walls=WALLS,
+        half_width=2.0, name=f"{agents} agents, {landmarks} landmarks",
+    )  # fmt: skip
+
+
+def measure(agents: int, landmarks: int, scenes: int, frames: int) -> dict[str, Any]:
+    """Return what one size of world costs, in CPU milliseconds."""
+    world = world_of(agents, landmarks)
+    model = ppl.Model(likelihood=ppl.StepwiseLikelihood(planner_seeds=1))
+    decisions, read, searches = [], [], []
+    for seed in range(scenes + 1):
+        roles = ppl.roles.draw(world, seed)
+        began = time.process_time()
+        event = ppl.simulate(world.random_scene(seed), roles, frames=frames, seed=seed)
+        simulated = time.process_time()
+        post = ppl.infer(event, model, seed=seed, progress=False)
+        ended = time.process_time()
+        if seed:
+            decisions.append((simulated - began) / (agents * (frames - 1)))
+            read.append((ended - simulated) / (frames - 1))
+            searches.append(post.cost["searches"] / (frames - 1))
+    return {
+        "agents": agents,
+        "landmarks": landmarks,
+        "goals": len(world.goals),
+        "combinations": float(len(world.goals)) ** agents,
+        "decision_ms": 1000 * float(np.median(decisions)),
+        "frame_ms": 1000 * float(np.median(read)),
+        "searches": float(np.median(searches)),
+    }
+
+
+def draw(rows: list[dict[str, Any]], path: str) -> None:
+    """Draw cost against agents and against goals."""
+    from phase_ppl.analysis.figures.style import COLOURS, NORMAL, bare, new_figure, written
+
+    by_agents = [row for row in rows if row["landmarks"] == SIZES[0][1]]
+    by_goals = sorted((row for row in rows if row["agents"] == 2), key=lambda row: row["goals"])
+    figure = new_figure(6.5, 2.6, "constrained")
+    for axes, of, across, label in zip(
+        figure.subplots(1, 2, sharey=True),
+        (by_agents, by_goals),
+        ("agents", "goals"),
+        ("agents (three landmarks)", "goals of an agent (two agents)"),
+        strict=True,
+    ):
+        x = [row[across] for row in of]
+        for name, words, colour in (
+            ("frame_ms", "a frame read step by step, ms", COLOURS[0]),
+            ("decision_ms", "a decision, ms", COLOURS[1]),
+            ("searches", "searches for a frame", COLOURS[2]),
+        ):
+            axes.plot(x, [row[name] for row in of], "o-", ms=3, color=colour, label=words)
+        axes.plot(
+            x, [row["combinations"] for row in of], ":", color="#777777",
+            label="combinations of goals",
+        )  # fmt: skip
+        axes.set(yscale="log", xlabel=label, xticks=x)
+        bare(axes)
+    figure.axes[0].legend(fontsize=NORMAL - 1, frameon=False)
+    written(figure, path)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--scenes", type=int, default=3)
+    parser.add_argument("--frames", type=int, default=40)
+    parser.add_argument("--figure", metavar="FILE")
+    parser.add_argument("--json", metavar="FILE")
+    options = parser.parse_args()
+    rows = []
+    for agents, landmarks in tqdm(SIZES, disable=None):
+        rows.append(measure(agents, landmarks, options.scenes, options.frames))
+        print(
+            "{agents} agents, {goals:3d} goals, {combinations:9.3g} combinations: a decision "
+            "{decision_ms:5.1f} ms, a frame {frame_ms:6.0f} ms and {searches:4.0f} searches".format(
+                **rows[-1]
+            ),
+            flush=True,
+        )
+    if options.figure:
+        draw(rows, options.figure)
+    write({"sizes": rows}, options.json)
+
+
+if __name__ == "__main__":
+    main()
