@@ -13,7 +13,6 @@ import functools
 import hashlib
 import io
 import json
-import numbers
 import re
 import tempfile
 from collections.abc import Callable, Iterable, Mapping
@@ -25,6 +24,7 @@ import numpy as np
 from phase_ppl.dataset.documents import parse_text
 from phase_ppl.evaluation.prediction import GOAL_QUESTIONS, QUESTIONS
 from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.checks import number_or_nan
 from phase_ppl.world.errors import AnswerError, InvalidEventError, shown, unknown_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import GOALS, N_GOALS
@@ -189,22 +189,19 @@ class Request:
         Not of the files: other versions of an encoder write other bytes of the same animation.
         """
         seen = event_digest(Event(self._scene, self._observation))
-        record = json.dumps([seen, self._rendering, self._chosen])
-        return hashlib.sha256(record.encode()).hexdigest()
+        return sha256(json.dumps([seen, self._rendering, self._chosen]))
 
     def drawn(self) -> dict[str, object]:
         """Return what has been asked for until now: its size in bytes and a hash of its bytes."""
-        found: dict[str, object] = {}
-        for name in ("video", "pictures"):
-            if name in vars(self):
-                parts = [self.video] if name == "video" else [each.png for each in self.pictures]
-                content = b"".join(parts)
-                found[name] = {
-                    "files": len(parts),
-                    "bytes": len(content),
-                    "sha256": hashlib.sha256(content).hexdigest(),
-                }
-        return found
+        files = {
+            "video": [self.video] if "video" in vars(self) else [],
+            "pictures": [each.png for each in self.pictures] if "pictures" in vars(self) else [],
+        }
+        return {
+            name: {"files": len(parts), "bytes": sum(map(len, parts)), "sha256": sha256(*parts)}
+            for name, parts in files.items()
+            if parts
+        }
 
 
 @dataclasses.dataclass(frozen=True)
@@ -224,18 +221,16 @@ class Reply:
     requests: int = 1  # how many were made until it came
 
     def __post_init__(self) -> None:
-        # servers send what they like, and one field of another type must not cost the answer
         if not isinstance(self.text, str):
             kind = type(self.text).__name__
             raise AnswerError(f"the text of a reply is of type {kind}, expected str")
+        # servers send what they like, and one field of another type must not cost the answer
         for name in ("finish", "model"):
             given = getattr(self, name)
             object.__setattr__(self, name, None if given is None else str(given))
         for name in ("tokens_in", "tokens_out"):
-            count = getattr(self, name)
-            whole = isinstance(count, numbers.Integral) and not isinstance(count, bool)
-            whole = whole or (isinstance(count, float) and count.is_integer())
-            object.__setattr__(self, name, int(count) if whole else None)
+            count = number_or_nan(getattr(self, name))
+            object.__setattr__(self, name, int(count) if count.is_integer() else None)
 
 
 Client: TypeAlias = Callable[[Request], str | Reply]
@@ -253,6 +248,14 @@ class NoReply(AnswerError):
     def __init__(self, reason: str, again: bool = False) -> None:
         super().__init__(reason)
         self.again, self.requests = again, 1
+
+
+def sha256(*parts: str | bytes) -> str:
+    """Return a hash of texts or bytes that follow each other."""
+    found = hashlib.sha256()
+    for part in parts:
+        found.update(part.encode() if isinstance(part, str) else part)
+    return found.hexdigest()
 
 
 def writable(text: str) -> str:

@@ -279,8 +279,8 @@ def test_how_the_rest_is_treated_is_decided_when_an_answer_is_read(tmp_path: Pat
     ("damage", "reason"),
     [
         ({"request": {"model": "another"}}, "another request: .*model is 'toy', was 'another'"),
-        ({"attempts": [{"time": "now"}]}, "an attempt is .* expected time, seconds"),
-        ({"attempts": [{"time": "", "seconds": 1, "text": 3}]}, "an attempt has text=3"),
+        ({"attempts": [{"time": "now"}]}, r"attempts\[0\] has no number of seconds"),
+        ({"attempts": [{"time": "", "seconds": 1, "text": 3}]}, r"attempts\[0\]\.text is 3"),
         ({"attempts": None}, "attempts is None"),
         ({"schema": "x"}, "its schema is 'x'"),
     ],
