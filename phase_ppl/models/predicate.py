@@ -207,26 +207,26 @@ class CostToGo:
 
     def __init__(self, abilities: Abilities, agent: int, goal: Literal) -> None:
         self.agent, self.goal = agent, goal
+        predicate, subject, target, positive = goal
         self._n_agents = len(abilities.passes) - len(abilities.fills)
-        if goal.predicate is Predicate.ON:
+        self._by_others = agent != subject < self._n_agents
+        if predicate is Predicate.ON:
             of_goal = list(abilities.landmark_in)
-            of_goal[abilities.landmark_rooms[goal.target]] = goal.target
+            of_goal[abilities.landmark_rooms[target]] = target
             abilities = dataclasses.replace(abilities, landmark_in=tuple(of_goal))
         self.abilities = abilities
-        self.focus = self._focus()
-        """The entity that the agent has to be at for the goal, or ``NOTHING``."""
         self._closes = (NOTHING,) * len(abilities.fills)  # no item closes a door
+        touch = predicate is Predicate.TOUCH
+        item = target if touch and self._by_others else subject
+        self._item = item if item >= self._n_agents else NOTHING  # that the agent is to move
+        if self._item != NOTHING:
+            self.focus = self._item
+        elif self._by_others:
+            self.focus = NOTHING if positive else subject
+        else:
+            self.focus = target if touch and positive else NOTHING
+        # ``focus`` is the entity that the agent has to be at for the goal
         self._known: dict[Node, float] = {}
-
-    def _focus(self) -> int:
-        predicate, subject, target, positive = self.goal
-        if subject >= self._n_agents:
-            return subject
-        if predicate is Predicate.TOUCH and (
-            target >= self._n_agents if subject != self.agent else positive
-        ):
-            return target
-        return subject if subject != self.agent and not positive else NOTHING
 
     def __call__(self, node: Node) -> float:
         """Return the cost, units of way; inf where there is no plan."""
@@ -270,34 +270,28 @@ class CostToGo:
 
     def _cost(self, node: Node) -> float:
         agent, (predicate, subject, target, positive) = self.agent, self.goal
-        touch, landmarks = predicate is Predicate.TOUCH, self.abilities.landmark_rooms
-        by_others = agent != subject < self._n_agents
-        # the item that the agent is to move, and the room that the goal is about
-        item = target if touch and by_others else subject
-        room = node.rooms[subject if by_others else target] if touch else landmarks[target]
-        if item >= self._n_agents:
-            if touch and positive:
-                return self._plan(node, {item}, lambda n: n.rooms[item] == room)
-            if positive:
-                return self._plan(node, {item}, lambda n: n.placed[item] and n.rooms[item] == room)
-            away = self._farthest(room, node.rooms[item])
-            return self._plan(
-                node, {item}, lambda n: n.held[agent] == item and n.rooms[item] in away
-            )
-        if by_others and positive:
+        touch, focus = predicate is Predicate.TOUCH, self.focus
+        # who goes, and the room that the goal is about
+        mover = agent if self._item == NOTHING else self._item
+        if touch:
+            room = node.rooms[subject if self._by_others else target]
+        else:
+            room = self.abilities.landmark_rooms[target]
+        if self._item == NOTHING and focus != NOTHING:
+            return self._plan(node, lambda n: n.near[agent] == focus)
+        if positive and self._by_others and self._item == NOTHING:
             return 0.0
-        if by_others or (touch and positive):
-            focus = self.focus
-            return self._plan(node, {focus}, lambda n: n.near[agent] == focus)
         if positive:
-            return self._plan(node, {agent}, lambda n: n.placed[agent] and n.rooms[agent] == room)
-        away = self._farthest(room, node.rooms[agent])
-        return self._plan(node, set(), lambda n: n.rooms[agent] in away)
-
-    def _plan(self, node: Node, targets: set[int], is_goal: Callable[[Node], bool]) -> float:
-        steps = plan(
-            node, (self.agent,), frozenset(targets), is_goal, lambda n: 0.0, self.abilities
+            return self._plan(node, lambda n: n.rooms[mover] == room and (touch or n.placed[mover]))
+        away = self._farthest(room, node.rooms[mover])
+        return self._plan(
+            node, lambda n: n.rooms[mover] in away and mover in (agent, n.held[agent])
         )
+
+    def _plan(self, node: Node, is_goal: Callable[[Node], bool]) -> float:
+        own = {self.agent} if self.goal.positive else set[int]()
+        targets = frozenset(own if self.focus == NOTHING else {self.focus})
+        steps = plan(node, (self.agent,), targets, is_goal, lambda n: 0.0, self.abilities)
         return math.inf if steps is None else sum(step.cost for step in steps)
 
     def _farthest(self, room: int, start: int) -> frozenset[int]:
