@@ -288,16 +288,7 @@ def parse(text: str, remaining: str = REMAINING[0]) -> Parsed:
     except InvalidEventError as error:
         raise AnswerError(f"the answer {error}; it begins {shown(body[:60])}") from None
     answers = _asked_for(document, repairs)
-    probabilities = {}
-    for question, labels in QUESTIONS.items():
-        shares = answers[question]
-        if not isinstance(shares, Mapping):
-            raise AnswerError(f"{question} is {shown(shares)}, expected names with probabilities")
-        named = _named(question, shares, repairs)
-        expected = min(N_NAMED, len(labels))
-        if len(named) != expected:
-            raise AnswerError(f"{question} has {len(named)} entries, expected exactly {expected}")
-        probabilities[question] = _distribution(question, named, remaining, repairs)
+    probabilities = {q: _distribution(q, answers[q], remaining, repairs) for q in QUESTIONS}
     return Parsed(probabilities, tuple(repairs))
 
 
@@ -333,25 +324,6 @@ def _asked_for(document: Mapping[str, Any], repairs: list[str]) -> dict[str, Any
     return found
 
 
-def _named(question: str, shares: Mapping[str, Any], repairs: list[str]) -> dict[str, float]:
-    """Return label -> probability, as given."""
-    labels = QUESTIONS[question]
-    found: dict[str, float] = {}
-    for name, share in shares.items():
-        label = _same_name(name, labels, repairs)
-        if label is None:
-            what = "relation" if question == "relation" else "goal"
-            raise AnswerError(f"{question}: {unknown_name(what, name, labels)}")
-        if label in found:
-            raise AnswerError(f"{question} gives {label!r} twice")
-        if isinstance(share, bool) or not isinstance(share, int | float) or not 0 <= share <= 1:
-            raise AnswerError(
-                f"{question}: {label!r} has {shown(share)}, expected a number from 0 to 1"
-            )
-        found[label] = float(share)
-    return found
-
-
 def _same_name(given: str, allowed: Iterable[str], repairs: list[str]) -> str | None:
     """Return the name that is the same but for case and spaces, if there is one."""
     wanted = " ".join(given.split()).lower()
@@ -361,12 +333,28 @@ def _same_name(given: str, allowed: Iterable[str], repairs: list[str]) -> str | 
     return name
 
 
-def _distribution(
-    question: str, named: Mapping[str, float], remaining: str, repairs: list[str]
-) -> FloatArray:
+def _distribution(question: str, shares: object, remaining: str, repairs: list[str]) -> FloatArray:
     labels = QUESTIONS[question]
-    values = np.array([named.get(label, 0.0) for label in labels])
-    unnamed = np.array([label not in named for label in labels])
+    if not isinstance(shares, Mapping):
+        raise AnswerError(f"{question} is {shown(shares)}, expected names with probabilities")
+    values = np.full(len(labels), np.nan)
+    for name, share in shares.items():
+        label = _same_name(name, labels, repairs)
+        if label is None:
+            what = "relation" if question == "relation" else "goal"
+            raise AnswerError(f"{question}: {unknown_name(what, name, labels)}")
+        place = labels.index(label)
+        if not np.isnan(values[place]):
+            raise AnswerError(f"{question} gives {label!r} twice")
+        if not 0 <= number_or_nan(share) <= 1:
+            raise AnswerError(
+                f"{question}: {label!r} has {shown(share)}, expected a number from 0 to 1"
+            )
+        values[place] = share
+    unnamed, expected = np.isnan(values), min(N_NAMED, len(labels))
+    if len(shares) != expected:
+        raise AnswerError(f"{question} has {len(shares)} entries, expected exactly {expected}")
+    values[unnamed] = 0.0
     total = float(values.sum())
     off = abs(total - 1)
     if off > _SUM_TOLERANCE + _SUM_EXACT:

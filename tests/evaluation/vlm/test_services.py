@@ -32,24 +32,23 @@ class Asked(NamedTuple):
     name: str
     server: Server
 
-    def service(self, timeout: float = 20.0, **more: Any) -> Service:
-        given = {"base_url": self.server.url, "timeout": timeout, **more}
+    def service(self, **more: Any) -> Service:
+        given = {"base_url": self.server.url, "timeout": 20.0, **more}
         show = given.pop("show", None)
         return make_service(self.name, "the-model", show, given, to_be_asked=True)
 
     def envelope(self, content: str | None, **more: Any) -> Any:
         return ENVELOPES[self.name](content, **more)
 
-    def reply(self, body: Any, **more: Any) -> Reply:
-        """Return the reply to what the server sends."""
-        self.server.behaviours = [sends(body)]
-        return self.service(**more)(request())
+    def reply(self, *behaviours: Any, retries: int = 0, **more: Any) -> Reply:
+        """Return the reply to what the server does, or sends."""
+        self.server.behaviours = [one if callable(one) else sends(one) for one in behaviours]
+        return self.service(**more)(request(), retries)
 
-    def failure(self, *behaviours: Any, timeout: float = 20.0, retries: int = 0) -> NoReply:
+    def failure(self, *behaviours: Any, **more: Any) -> NoReply:
         """Return the failure that comes of what the server does."""
-        self.server.behaviours = list(behaviours)
         with pytest.raises(NoReply) as caught:
-            self.service(timeout)(request(), retries)
+            self.reply(*behaviours, **more)
         return caught.value
 
 
@@ -60,34 +59,34 @@ def listening() -> Iterator[Server]:
 
 
 @pytest.fixture
-def server(listening: Server, monkeypatch: pytest.MonkeyPatch) -> Server:
+def services(listening: Server, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Asked]:
     for variable in VARIABLES:
         monkeypatch.delenv(variable, raising=False)
     monkeypatch.setenv("OPENAI_API_KEY", KEY)
     monkeypatch.setenv("GEMINI_API_KEY", KEY)
     listening.seen.clear()
-    return listening
 
+    def installed(name: str) -> Asked:
+        if not HERE[name]:
+            pytest.skip(f"{SERVICES[name]} is not installed (extra vlm)")
+        return Asked(name, listening)
 
-def installed(name: str, server: Server) -> Asked:
-    if not HERE[name]:
-        pytest.skip(f"{SERVICES[name]} is not installed (extra vlm)")
-    return Asked(name, server)
+    return installed
 
 
 @pytest.fixture(params=list(SERVICES))
-def asked(request: pytest.FixtureRequest, server: Server) -> Asked:
-    return installed(request.param, server)
+def asked(request: pytest.FixtureRequest, services: Callable[[str], Asked]) -> Asked:
+    return services(request.param)
 
 
 @pytest.fixture
-def google(server: Server) -> Asked:
-    return installed("google", server)
+def google(services: Callable[[str], Asked]) -> Asked:
+    return services("google")
 
 
 @pytest.fixture
-def openai(server: Server) -> Asked:
-    return installed("openai", server)
+def openai(services: Callable[[str], Asked]) -> Asked:
+    return services("openai")
 
 
 def request() -> Request:
@@ -157,8 +156,7 @@ def test_the_library_tries_again_where_a_failure_may_pass(
 ) -> None:
     busy = sends({"error": {"message": "slow down"}}, 429, retry_after="7")
     oops = sends({"error": {"message": "oops"}}, 503)
-    asked.server.behaviours = [busy, oops, sends(asked.envelope("{}"))]
-    reply = asked.service()(request(), 3)
+    reply = asked.reply(busy, oops, asked.envelope("{}"), retries=3)
     assert (reply.text, reply.requests, len(asked.server.seen)) == ("{}", 3, 3)
     assert len(sleeps) == 2
     if asked.name == "openai":  # Google's library does not heed the header
@@ -174,40 +172,32 @@ def test_the_library_gives_up_at_the_limit(asked: Asked, sleeps: list[float]) ->
     assert len(sleeps) == 2
 
 
+INVALID = {"code": 400, "message": "API key not valid.", "details": [{"reason": "API_KEY_INVALID"}]}
+
+
 @pytest.mark.parametrize(
-    ("answer", "reason"),
+    ("status", "body", "error", "reason"),
     [
-        (sends("<h1>Oh dear</h1>", 503, content_type="text/html"), "HTTP 503: .*Oh dear"),
-        (sends({"error": {"message": "video too long"}}, 400), "HTTP 400: video too long$"),
+        (503, "<h1>Oh dear</h1>", NoReply, "^HTTP 503: .*Oh dear"),
+        (400, {"error": {"message": "video too long"}}, NoReply, "^HTTP 400: video too long$"),
+        (401, {"error": {"message": f"bad {KEY[:9]}***"}}, InvalidSettingError, "KEY is refused"),
+        (403, {"error": {"message": f"bad {KEY[:9]}***"}}, InvalidSettingError, "KEY is refused"),
+        (404, {"error": {"message": "none such"}}, InvalidSettingError, "name='the-model': none"),
     ],
 )
-def test_what_the_library_gave_up_is_over(asked: Asked, answer: Any, reason: str) -> None:
-    found = asked.failure(answer)
-    assert (found.again, found.requests, len(asked.server.seen)) == (False, 1, 1)
-    assert re.match(reason, str(found))
-
-
-@pytest.mark.parametrize("status", [401, 403])
-def test_a_refused_key_ends_it_and_is_not_shown(asked: Asked, status: int) -> None:
-    masked = f"{KEY[:8]}***{KEY[-4:]}"
-    asked.server.behaviours = [sends({"error": {"message": f"bad key {masked}"}}, status)]
-    with pytest.raises(InvalidSettingError, match=r"_API_KEY is refused") as caught:
-        asked.service()(request())
-    assert masked not in str(caught.value)
+def test_a_refusal_ends_it_and_says_why(
+    asked: Asked, status: int, body: Any, error: type[Exception], reason: str
+) -> None:
+    with pytest.raises(error, match=reason) as caught:
+        asked.reply(sends(body, status), retries=0)
+    assert not getattr(caught.value, "again", False)
+    assert KEY[:9] not in str(caught.value)
+    assert len(asked.server.seen) == 1
 
 
 def test_a_key_that_google_calls_invalid_is_refused_too(google: Asked) -> None:
-    details = [{"reason": "API_KEY_INVALID", "domain": "googleapis.com"}]
-    body = {"error": {"code": 400, "message": "API key not valid.", "details": details}}
-    google.server.behaviours = [sends(body, 400)]
     with pytest.raises(InvalidSettingError, match="is refused"):
-        google.service()(request())
-
-
-def test_an_unknown_model_is_a_setting(asked: Asked) -> None:
-    asked.server.behaviours = [sends({"error": {"message": "no such model"}}, 404)]
-    with pytest.raises(InvalidSettingError, match=r"404 to name='the-model': no such model"):
-        asked.service()(request())
+        google.reply(sends({"error": INVALID}, 400))
 
 
 @pytest.mark.parametrize(
@@ -216,44 +206,45 @@ def test_an_unknown_model_is_a_setting(asked: Asked) -> None:
     ids=["no JSON", "a list", "nothing", "half an answer"],
 )
 def test_what_is_no_answer_may_be_one_the_next_time(asked: Asked, behaviour: Any) -> None:
-    asked.server.behaviours = [behaviour]
     with pytest.raises(AnswerError) as caught:
-        parse(asked.service()(request()).text)
+        parse(asked.reply(behaviour).text)
     assert getattr(caught.value, "again", True)
     assert len(str(caught.value)) < 300
 
 
+CUT = from_google(None, finish="MAX_TOKENS")
+del CUT["usageMetadata"]["candidatesTokenCount"]
+BUSY = {"choices": None, "error": {"message": "busy"}}
+PARTS = {"choices": [{"message": {"content": [{"text": ""}]}}]}
+ODD = {"usage": {"prompt_tokens": "12", "completion_tokens": 3.0}, "model": 3}
+
+
 @pytest.mark.parametrize(
-    ("changes", "text", "finish"),
+    ("name", "body", "expected"),
     [
-        ({"choices": [None]}, "", None),
-        ({"choices": None, "error": {"message": "busy"}}, "", "{'message': 'busy'}"),
-        ({"choices": [{"message": {"content": [{"text": ""}]}}]}, "[{'text': ''}]", None),
+        ("google", from_google(None, finish="SAFETY"), {"text": "", "finish": "SAFETY"}),
+        ("google", CUT, {"text": "", "tokens_out": 30}),  # what was thought until the limit
+        ("google", {"promptFeedback": {"blockReason": "OTHER"}}, {"finish": "blocked: OTHER"}),
+        ("openai", from_openai(None, "content_filter"), {"text": "", "finish": "content_filter"}),
+        ("openai", from_openai(None, refusal="No."), {"text": "", "finish": "refusal: No."}),
+        # what the library hands on unchecked
+        ("openai", {"choices": [None]}, {"text": "", "finish": None}),
+        ("openai", BUSY, {"text": "", "finish": "{'message': 'busy'}"}),
+        ("openai", PARTS, {"text": "[{'text': ''}]"}),
+        ("openai", {**from_openai("{}"), **ODD},
+         {"text": "{}", "model": "3", "tokens_in": None, "tokens_out": 3}),
     ],
-    ids=["null", "an error that is called a success", "parts"],
-)
-def test_what_openais_library_hands_on_unchecked_is_no_answer(
-    openai: Asked, changes: dict[str, Any], text: str, finish: str | None
+)  # fmt: skip
+def test_a_reply_without_a_text_or_with_odd_parts_is_one(
+    services: Callable[[str], Asked], name: str, body: Any, expected: dict[str, Any]
 ) -> None:
-    reply = openai.reply({**openai.envelope("{}"), **changes})
-    assert (reply.text, reply.finish) == (text, finish)
-
-
-def test_what_stands_beside_an_answer_does_not_cost_it(openai: Asked) -> None:
-    odd = {"usage": {"prompt_tokens": "12", "completion_tokens": 3.0}, "model": 3}
-    reply = openai.reply({**openai.envelope("{}"), **odd})
-    assert (reply.text, reply.model, reply.tokens_in, reply.tokens_out) == ("{}", "3", None, 3)
-
-
-def test_google_counts_what_was_thought_until_the_limit(google: Asked) -> None:
-    body = google.envelope(None, finish="MAX_TOKENS")
-    del body["usageMetadata"]["candidatesTokenCount"]
-    assert google.reply(body).tokens_out == 30
+    reply = services(name).reply(body)
+    assert {part: getattr(reply, part) for part in expected} == expected
 
 
 def test_an_answer_of_another_form_does_not_show_pieces_of_the_key(google: Asked) -> None:
     text = "x" * 15 + KEY + "y" * 60  # a cut would go through the key
-    found = google.failure(sends({"candidates": [{"content": {"parts": text}}]}))
+    found = google.failure({"candidates": [{"content": {"parts": text}}]})
     assert found.again
     assert "of another form" in str(found)
     assert KEY[:6] not in str(found)
@@ -279,25 +270,6 @@ def test_a_redirection_is_not_followed(asked: Asked, status: int) -> None:
         found = asked.failure(sends("", status, location=elsewhere))
         assert f"HTTP {status}" in str(found)
         assert other.seen == []
-
-
-@pytest.mark.parametrize("content", [None, ""])
-def test_a_text_that_is_missing_is_empty_and_says_why(asked: Asked, content: str | None) -> None:
-    finish = {"google": "SAFETY", "openai": "content_filter"}[asked.name]
-    reply = asked.reply(asked.envelope(content, finish=finish))
-    assert (reply.text, reply.finish) == ("", finish)
-
-
-def test_refusals_are_told_apart(asked: Asked) -> None:
-    body, finish = {
-        "google": (
-            {"promptFeedback": {"blockReason": "PROHIBITED_CONTENT"}},
-            "blocked: PROHIBITED_CONTENT",
-        ),
-        "openai": (from_openai(None, refusal="I will not."), "refusal: I will not."),
-    }[asked.name]
-    reply = asked.reply(body)
-    assert (reply.text, reply.finish) == ("", finish)
 
 
 def test_no_key_or_one_that_cannot_be_is_said_before_anything_is_sent(
