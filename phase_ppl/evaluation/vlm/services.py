@@ -69,6 +69,7 @@ class Service:
     def __call__(self, request: Request, retries: int = 0) -> Reply:
         """Return the answer to a request, made again by the library up to ``retries`` times."""
         key = self._key()
+        _ = request.video if self.show == "video" else request.pictures  # that fails by itself
         sent: list[object] = []  # what the library sends, the first time and again
         client = {"follow_redirects": False, "event_hooks": {"request": [sent.append]}}
         try:
