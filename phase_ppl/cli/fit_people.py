@@ -45,7 +45,7 @@ def _fit(options: argparse.Namespace) -> int:
         source = phase_ppl.evidence_from(
             events,
             options.source,
-            **({} if Path(options.source).is_dir() else {"workers": options.workers}),
+            workers=options.workers,
             progress=cli.shows_progress(options),
             seed=options.seed,
         )

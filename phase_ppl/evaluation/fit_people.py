@@ -7,7 +7,7 @@ import os
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from phase_ppl.analysis.posterior import load_posterior
 from phase_ppl.evaluation.evaluate import evaluate
@@ -97,25 +97,19 @@ def evidence_from(
         return source
     if source is None or isinstance(source, Mapping):
         return evidence_of(events, source)
-    if perception is None:
+    if perception is None or isinstance(source, Evaluation) or _is_folder(source):
         return evidence_of(events, asked_about(events, source, **options))
-    if isinstance(source, Evaluation) or _is_folder(source):
-        return evidence_of(events, asked_about(events, source))
-    with tempfile.TemporaryDirectory() as folder:
-        seed = options.get("seed", 0)
-        readings = [perception.readings(e.scene, e.observation, seed) for e in events]
-        made: dict[str, list[Made]] = {event.id: [] for event in events}
-        for i in range(perception.percepts):
-            seen = [
-                dataclasses.replace(event, observation=of[i])
-                for event, of in zip(events, readings, strict=True)
-            ]
-            asked = evaluate(
-                seen, cast("str | Model", source), out=Path(folder) / str(i), **options
-            )
-            for event, one in _made(asked).items():
-                made[event].append(one)
-        return evidence_of(events, made)
+    seed = options.get("seed", 0)
+    readings = [perception.readings(e.scene, e.observation, seed) for e in events]
+    made: dict[str, list[Made]] = {event.id: [] for event in events}
+    for percepts in zip(*readings, strict=True):
+        seen = [
+            dataclasses.replace(event, observation=one)
+            for event, one in zip(events, percepts, strict=True)
+        ]
+        for event, one in asked_about(seen, source, **options).items():
+            made[event].append(one)
+    return evidence_of(events, made)
 
 
 def _is_folder(source: object) -> bool:

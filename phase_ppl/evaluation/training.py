@@ -15,6 +15,7 @@ missing, and more can be added; each follows from its seed, whatever the others.
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 import os
@@ -95,7 +96,7 @@ def train_socialgnn(
     if any(entry["split"] == TEST for entry in found.entries):
         splits[TEST] = list(found.split(TEST))
     asked = {
-        "settings": settings.to_dict(),
+        "settings": dataclasses.asdict(settings),
         "data": _identity(found, splits),
         "versions": versions(),
     }
@@ -104,24 +105,6 @@ def train_socialgnn(
     if missing:
         _train(folder, missing, splits, settings, progress)
     return _finish(folder, wanted, splits, settings, asked, progress)
-
-
-class _Epochs(Bar):
-    """A bar that counts epochs of networks, which end early or late."""
-
-    def __init__(self, networks: int, epochs: int, shown: bool | None) -> None:
-        self._epochs, self._done = epochs, 0
-        super().__init__(networks * epochs, 0, shown, "epoch", "training")
-
-    def one_more(self, epoch: int) -> None:
-        """Count an epoch of the present network."""
-        self._done = epoch + 1
-        self._bar.update(1)
-
-    def next_network(self) -> None:
-        """Count the epochs that the present network did not need."""
-        self._bar.update(self._epochs - self._done)
-        self._done = 0
 
 
 def _identity(found: GeneratedEvents, splits: dict[str, list[Event]]) -> dict[str, Any]:
@@ -175,12 +158,13 @@ def _train(
     training, validation = (
         Examples(splits[name], settings.variant) for name in (TRAINING, VALIDATION)
     )
-    with _Epochs(len(seeds), settings.epochs, progress) as bar:
+    with Bar(len(seeds) * settings.epochs, 0, progress, "epoch", "training") as bar:
         for seed in seeds:
             clock = time.process_time()
-            fitted = fit(training, validation, settings, seed, bar.one_more)
+            fitted = fit(training, validation, settings, seed, bar.update)
             seconds = time.process_time() - clock
-            bar.next_network()
+            for _ in range(settings.epochs - len(fitted.curves["training"])):
+                bar.update()  # for epochs that were not needed
             store.save([fitted.arrays], folder / MEMBERS / f"{seed}.npz")
             curves = {
                 name: [round(value, _DIGITS) for value in values]
@@ -206,25 +190,32 @@ def _finish(
 ) -> dict[str, Any]:
     """Put the networks together, score them, write the report and draw the curves."""
     from phase_ppl.analysis.figures.curves import training_curves
+    from phase_ppl.models.socialgnn.network import Ensemble
 
-    variant = settings.variant
+    variant, threads = settings.variant, settings.threads
     members = [store.load(folder / MEMBERS / f"{seed}.npz").members[0] for seed in seeds]
     store.save(members, folder / f"{variant}.npz")
-    said = _said(Trained(variant, tuple(members)), splits, settings, progress)
-    records = [
-        {
-            **read_json(folder / MEMBERS / f"{seed}.json"),
-            "accuracy": _accuracy(splits, [of_event[number] for of_event in said]),
-        }
-        for number, seed in enumerate(seeds)
-    ]
+    networks = [Ensemble(Trained(variant, (member,)), threads) for member in members]
+    said: list[dict[str, Shares]] = [{} for _ in networks]  # what each says of each event
+    events = [event for of_split in splits.values() for event in of_split]
+    for event in counted(events, progress, "event", "scoring"):
+        graphs = frame_graphs(event.scene, event.observation, variant)
+        for answers, network in zip(said, networks, strict=True):
+            answers[event.id] = network.of(graphs)
+    together = {
+        name: {q: np.mean([one[name][q] for one in said], axis=0) for q in shares}
+        for name, shares in said[0].items()
+    }
     report = {
         "command": _command(settings, seeds),
         "note": "trained on generated events, not on PHASE; accuracies are on generated events too",
         "torch": str(needs_torch().__version__),
         **asked,
-        "together": _accuracy(splits, [_mean(of_event) for of_event in said], intervals=True),
-        "members": records,
+        "together": _accuracy(splits, together, intervals=True),
+        "members": [
+            {**read_json(folder / MEMBERS / f"{seed}.json"), "accuracy": _accuracy(splits, answers)}
+            for seed, answers in zip(seeds, said, strict=True)
+        ],
     }
     write_json(folder / f"{variant}.json", report)
     training_curves(report, folder / f"{variant}.png")
@@ -233,52 +224,26 @@ def _finish(
 
 def _command(settings: TrainingSettings, seeds: Sequence[int]) -> str:
     """Return the command that makes these networks, of a set and in a folder of any name."""
-    usual = TrainingSettings.of(settings.variant).to_dict()
-    changed = {name: v for name, v in settings.to_dict().items() if v != usual[name]}
+    usual = vars(TrainingSettings.of(settings.variant))
+    changed = {name: v for name, v in vars(settings).items() if v != usual[name]}
     given = [f"--option {name}={json.dumps(value)}" for name, value in changed.items()]
     given.append(f"--seeds {len(seeds)} --seed {seeds[0]} --out DIR")
     return f"phase-ppl train socialgnn --data SET --variant {settings.variant} {' '.join(given)}"
 
 
-def _said(
-    trained: Trained,
-    splits: dict[str, list[Event]],
-    settings: TrainingSettings,
-    progress: bool | None,
-) -> list[list[Shares]]:
-    """Return per event, split after split, what each network says."""
-    from phase_ppl.models.socialgnn.network import Ensemble
-
-    networks = [
-        Ensemble(Trained(trained.variant, (member,)), settings.threads)
-        for member in trained.members
-    ]
-    events = [event for of_split in splits.values() for event in of_split]
-    found = []
-    for event in counted(events, progress, "event", "scoring"):
-        graphs = frame_graphs(event.scene, event.observation, trained.variant)
-        found.append([network.of(graphs) for network in networks])
-    return found
-
-
-def _mean(said: Sequence[Shares]) -> Shares:
-    return {name: np.mean([one[name] for one in said], axis=0) for name in said[0]}
-
-
 def _accuracy(
-    splits: dict[str, list[Event]], said: Sequence[Shares], intervals: bool = False
+    splits: dict[str, list[Event]], said: Mapping[str, Shares], intervals: bool = False
 ) -> dict[str, Any]:
     """Return split -> accuracies over all its events and by scenario."""
-    rest = iter(said)
     result: dict[str, Any] = {}
     for split, events in splits.items():
-        predictions = {event.id: Prediction(event.id, next(rest)) for event in events}
+        predictions = {event.id: Prediction(event.id, said[event.id]) for event in events}
         metrics = evaluate_predictions(events, predictions)
-        result[split] = _scores(metrics, intervals)
-        result[split]["by_scenario"] = {
+        by_scenario = {
             name: {"n": of["n"], **_scores(of, intervals)}
             for name, of in metrics["by_scenario"].items()
         }
+        result[split] = {**_scores(metrics, intervals), "by_scenario": by_scenario}
     return result
 
 

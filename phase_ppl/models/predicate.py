@@ -31,7 +31,7 @@ from phase_ppl.world.checks import nonnegative_number, positive_number, whole_nu
 from phase_ppl.world.errors import InvalidSettingError, shown, unknown_name
 from phase_ppl.world.geometry import GRAB_POINTS, GRAB_REACH
 from phase_ppl.world.goals import N_GOALS, goal_literal, is_self_referring, possible_goals
-from phase_ppl.world.hypothesis import RELATION_TABLE, RELATIONS
+from phase_ppl.world.hypothesis import RELATION_TABLE, RELATIONS, STRENGTH
 from phase_ppl.world.names import AGENTS, NOTHING, STOP, Literal, Predicate
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
@@ -101,24 +101,18 @@ def symbolic_trajectory(
 
 def _near(trajectory: FloatArray, scene: Scene, given: Thresholds) -> Flags:
     """Return (time, agent, entity)."""
-    n_agents, n_entities = len(scene.world.agents), len(scene.world.entities)
-    near = np.zeros((len(trajectory), n_agents, n_entities), bool)
-    place = trajectory[..., :2]
-    for one, other in itertools.combinations(range(n_agents), 2):
-        apart = np.linalg.norm(place[:, one] - place[:, other], axis=1)
-        near[:, one, other] = near[:, other, one] = apart < given.touch_agent
-    for agent in range(n_agents):
-        cos, sin = np.cos(trajectory[:, agent, 2]), np.sin(trajectory[:, agent, 2])
-        for local in GRAB_POINTS * scene.radius[agent]:
-            offset = np.column_stack(
-                [cos * local[0] - sin * local[1], sin * local[0] + cos * local[1]]
-            )
-            for item in range(n_agents, n_entities):
-                distance = np.linalg.norm(place[:, agent] + offset - place[:, item], axis=1)
-                near[:, agent, item] |= distance < scene.radius[item] + given.touch_item
+    n, place, angle = len(scene.world.agents), trajectory[..., :2], trajectory[:, :, 2]
+    agents, items = place[:, :n], place[:, n:]
+    near = np.zeros((*agents.shape[:2], place.shape[1]), bool)
+    apart = np.linalg.norm(agents[:, :, None] - agents[:, None], axis=-1)
+    near[..., :n] = (apart < given.touch_agent) & ~np.eye(n, dtype=bool)
+    x, y = np.moveaxis(GRAB_POINTS * scene.radius[:n, None, None], -1, 0)  # agent, grab point
+    cos, sin = np.cos(angle[:, :n, None]), np.sin(angle[:, :n, None])
+    points = agents[:, :, None] + np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
+    distance = np.linalg.norm(points[:, :, :, None] - items[:, None, None], axis=-1)
+    near[..., n:] = (distance < scene.radius[n:] + given.touch_item).any(axis=2)
     rooms = scene.rooms.room_of(place)
-    near &= rooms[:, :n_agents, None] == rooms[:, None]
-    return near
+    return near & (rooms[:, :n, None] == rooms[:, None])
 
 
 def _on(trajectory: FloatArray, scene: Scene, given: Thresholds) -> NDArray[np.int64]:
@@ -213,25 +207,26 @@ class CostToGo:
 
     def __init__(self, abilities: Abilities, agent: int, goal: Literal) -> None:
         self.agent, self.goal = agent, goal
+        predicate, subject, target, positive = goal
         self._n_agents = len(abilities.passes) - len(abilities.fills)
-        if goal.predicate is Predicate.ON:
+        self._by_others = agent != subject < self._n_agents
+        if predicate is Predicate.ON:
             of_goal = list(abilities.landmark_in)
-            of_goal[abilities.landmark_rooms[goal.target]] = goal.target
+            of_goal[abilities.landmark_rooms[target]] = target
             abilities = dataclasses.replace(abilities, landmark_in=tuple(of_goal))
         self.abilities = abilities
-        self.focus = self._focus()
-        """The entity that the agent has to be at for the goal, or ``NOTHING``."""
+        self._closes = (NOTHING,) * len(abilities.fills)  # no item closes a door
+        touch = predicate is Predicate.TOUCH
+        item = target if touch and self._by_others else subject
+        self._item = item if item >= self._n_agents else NOTHING  # that the agent is to move
+        if self._item != NOTHING:
+            self.focus = self._item
+        elif self._by_others:
+            self.focus = NOTHING if positive else subject
+        else:
+            self.focus = target if touch and positive else NOTHING
+        # ``focus`` is the entity that the agent has to be at for the goal
         self._known: dict[Node, float] = {}
-
-    def _focus(self) -> int:
-        predicate, subject, target, positive = self.goal
-        if subject >= self._n_agents:
-            return subject
-        if predicate is Predicate.TOUCH and (
-            target >= self._n_agents if subject != self.agent else positive
-        ):
-            return target
-        return subject if subject != self.agent and not positive else NOTHING
 
     def __call__(self, node: Node) -> float:
         """Return the cost, units of way; inf where there is no plan."""
@@ -252,12 +247,7 @@ class CostToGo:
             on != NOTHING and on == there[room]
             for on, room in zip(state.on, state.rooms, strict=True)
         )
-        return Node(state.rooms, state.held, tuple(near), placed, self._clear)
-
-    @property
-    def _clear(self) -> tuple[int, ...]:
-        """No item closes a door."""
-        return (NOTHING,) * len(self.abilities.fills)
+        return Node(state.rooms, state.held, tuple(near), placed, self._closes)
 
     def _relevant(self, node: Node) -> Node:
         """Return the node without what makes no difference to the goal."""
@@ -275,42 +265,33 @@ class CostToGo:
             tuple(held),
             tuple(near),
             tuple(yes and e == literal.subject for e, yes in enumerate(node.placed)),
-            self._clear,
+            self._closes,
         )
 
     def _cost(self, node: Node) -> float:
         agent, (predicate, subject, target, positive) = self.agent, self.goal
-        touch = predicate is Predicate.TOUCH
-        by_others = agent != subject < self._n_agents
-        # the item that the agent is to move, and the room that the goal is about
-        item = target if touch and by_others else subject
-        room = node.rooms[subject if by_others else target] if touch else self._room_of(target)
-        if item >= self._n_agents:
-            if touch and positive:
-                return self._plan(node, {item}, lambda n: n.rooms[item] == room)
-            if positive:
-                return self._plan(node, {item}, lambda n: n.placed[item] and n.rooms[item] == room)
-            away = self._farthest(room, node.rooms[item])
-            return self._plan(
-                node, {item}, lambda n: n.held[agent] == item and n.rooms[item] in away
-            )
-        if by_others and positive:
+        touch, focus = predicate is Predicate.TOUCH, self.focus
+        # who goes, and the room that the goal is about
+        mover = agent if self._item == NOTHING else self._item
+        if touch:
+            room = node.rooms[subject if self._by_others else target]
+        else:
+            room = self.abilities.landmark_rooms[target]
+        if self._item == NOTHING and focus != NOTHING:
+            return self._plan(node, lambda n: n.near[agent] == focus)
+        if positive and self._by_others and self._item == NOTHING:
             return 0.0
-        if by_others or (touch and positive):
-            focus = self.focus
-            return self._plan(node, {focus}, lambda n: n.near[agent] == focus)
         if positive:
-            return self._plan(node, {agent}, lambda n: n.placed[agent] and n.rooms[agent] == room)
-        away = self._farthest(room, node.rooms[agent])
-        return self._plan(node, set(), lambda n: n.rooms[agent] in away)
-
-    def _room_of(self, landmark: int) -> int:
-        return self.abilities.landmark_rooms[landmark]
-
-    def _plan(self, node: Node, targets: set[int], is_goal: Callable[[Node], bool]) -> float:
-        steps = plan(
-            node, (self.agent,), frozenset(targets), is_goal, lambda n: 0.0, self.abilities
+            return self._plan(node, lambda n: n.rooms[mover] == room and (touch or n.placed[mover]))
+        away = self._farthest(room, node.rooms[mover])
+        return self._plan(
+            node, lambda n: n.rooms[mover] in away and mover in (agent, n.held[agent])
         )
+
+    def _plan(self, node: Node, is_goal: Callable[[Node], bool]) -> float:
+        own = {self.agent} if self.goal.positive else set[int]()
+        targets = frozenset(own if self.focus == NOTHING else {self.focus})
+        steps = plan(node, (self.agent,), targets, is_goal, lambda n: 0.0, self.abilities)
         return math.inf if steps is None else sum(step.cost for step in steps)
 
     def _farthest(self, room: int, start: int) -> frozenset[int]:
@@ -324,9 +305,8 @@ class CostToGo:
         return frozenset(r for r in there if distance[room][r] >= most - _TIE)
 
 
-_cost_to_go = functools.lru_cache(maxsize=1024)(
-    CostToGo
-)  # scenes of one layout share what it knows
+# scenes of one layout share what it knows
+_cost_to_go = functools.lru_cache(maxsize=1024)(CostToGo)
 
 
 # --- the forward model: how probable a symbolic trajectory is if an agent has a goal --------------
@@ -518,25 +498,17 @@ AS_THE_PAPER: Final[Mapping[str, Any]] = {
 }
 """The paper's P(g), and the predicates as SIMPLE's planner has them."""
 
-_STRENGTH: Final = 450.0
 
+def posterior(log_likelihood: FloatArray, log_prior: FloatArray) -> dict[str, FloatArray]:
+    """Return the probabilities of goals and relation, by question.
 
-class Inverse(NamedTuple):
-    """Probabilities of goals and relation."""
-
-    joint: FloatArray  # (goal of red, goal of green)
-    goal_red: FloatArray  # (36,) marginals
-    goal_green: FloatArray
-    relation: FloatArray  # (3,) of ``RELATIONS``, which follows from the two goals
-
-
-def posterior(log_likelihood: FloatArray, log_prior: FloatArray) -> Inverse:
-    """Return what (agent, goal) log P(trajectory | goal) and the log prior of pairs say."""
+    What (agent, goal) log P(trajectory | goal) and the log prior of pairs say.
+    """
     log_joint = log_likelihood[0][:, None] + log_likelihood[1] + log_prior
     joint = np.exp(log_joint - log_joint.max())
     joint /= joint.sum()
     relation = np.array([joint[index == RELATION_TABLE].sum() for index in range(len(RELATIONS))])
-    return Inverse(joint, joint.sum(axis=1), joint.sum(axis=0), relation)
+    return {"goal_red": joint.sum(axis=1), "goal_green": joint.sum(axis=0), "relation": relation}
 
 
 def log_prior_of_pairs(name: str) -> FloatArray:
@@ -573,9 +545,7 @@ def _of_simple(name: str) -> FloatArray:
     from phase_ppl.models.effective import log_prior_of_effective
 
     pairs = np.argwhere(np.ones((N_GOALS, N_GOALS)))
-    strengths = {
-        site: np.full(len(pairs), _STRENGTH) for site in ("strength_red", "strength_green")
-    }
+    strengths = dict.fromkeys(("strength_red", "strength_green"), np.full(len(pairs), STRENGTH))
     log_prior = log_prior_of_effective(priors.named(name), pairs, strengths)
     prior: FloatArray = np.exp(log_prior - log_prior.max()).reshape(N_GOALS, N_GOALS)
     return prior

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import io
+import itertools
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,6 @@ from phase_ppl.models.socialgnn.graphs import (
     VARIANTS,
     Graphs,
     Variant,
-    contacts,
     edge_slots,
     frame_graphs,
     touching,
@@ -70,17 +69,12 @@ def test_features_are_in_the_units_that_they_say() -> None:
 
 def test_bodies_that_touch_are_joined_in_both_directions_and_no_others() -> None:
     event = walk(2, 1, n_frames=9, with_item=True)
-    found = edges(graphs(), CONTACT)
+    found, radius = edges(graphs(), CONTACT), event.scene.radius
     wanted = {
-        (frame, one, other)
+        (frame, *pair)
         for frame, poses in enumerate(event.observation.trajectory)
-        for one in range(4)
-        for other in range(4)
-        if one != other
-        and (
-            touches(one, other, poses, event.scene.radius)
-            or touches(other, one, poses, event.scene.radius)
-        )
+        for pair in itertools.permutations(range(4), 2)
+        if touches(*pair, poses, radius) or touches(*pair[::-1], poses, radius)
     }
     assert found == wanted
     assert (8, 0, 2) in found  # it has the item
@@ -145,13 +139,8 @@ def test_the_papers_contact_is_being_near_with_no_wall_between() -> None:
 
 def test_edges_have_a_slot_each_and_two_landmarks_none() -> None:
     twelve, more = edge_slots("original"), edge_slots("extended")
-    assert [int(twelve[pair]) for pair in ((0, 1), (0, 2), (0, 3), (1, 0), (3, 2))] == [
-        0,
-        1,
-        2,
-        3,
-        11,
-    ]
+    pairs = ((0, 1), (0, 2), (0, 3), (1, 0), (3, 2))
+    assert [int(twelve[pair]) for pair in pairs] == [0, 1, 2, 3, 11]
     assert (twelve.diagonal() == -1).all()
     assert sorted(more[more >= 0]) == list(range(12 + 32))
     assert (more[4:, 4:] == -1).all()
@@ -213,11 +202,6 @@ def test_events_without_truth_teach_nothing() -> None:
         Examples([event], "extended")
 
 
-def test_contacts_of_two_frames() -> None:
-    event = walk(0, 1, n_frames=2)
-    assert contacts(event.scene, event.observation).shape == (2, 4, 4)
-
-
 # --- settings ----------------------------------------------------------------------------------
 
 
@@ -230,16 +214,12 @@ def test_contacts_of_two_frames() -> None:
         ({"decay": -1}, "decay=-1"),
         ({"dropout": 1.0}, "dropout=1.0"),
         ({"looks": 1}, "looks=1, expected True or False"),
+        ({"variant": "origina"}, "'original'"),
     ],
 )
 def test_settings_out_of_range_are_refused(change: dict[str, Any], message: str) -> None:
-    with pytest.raises(InvalidSettingError, match=message):
+    with pytest.raises((InvalidSettingError, UnknownNameError), match=message):
         TrainingSettings(**change)
-
-
-def test_an_unknown_variant_gets_close_ones() -> None:
-    with pytest.raises(UnknownNameError, match="'original'"):
-        TrainingSettings(variant="origina")  # type: ignore[arg-type]
 
 
 # --- learning ----------------------------------------------------------------------------------
@@ -378,10 +358,10 @@ def random_member(variant: Variant, seed: int = 0) -> dict[str, NDArray[np.float
     )
 
 
-def answers(trained: Trained, n_frames: int = 6) -> dict[str, NDArray[np.float64]]:
+def answers(trained: Trained) -> dict[str, NDArray[np.float64]]:
     from phase_ppl.models.socialgnn.network import Ensemble
 
-    event = walk(2, 0, n_frames, with_item=True)
+    event = walk(2, 0, with_item=True)
     return Ensemble(trained)(event.scene, event.observation)
 
 
@@ -395,21 +375,14 @@ def test_networks_together_say_the_mean_of_their_probabilities() -> None:
 
 
 @needs_torch
-@pytest.mark.parametrize("n_frames", [2, 3, 150])
-def test_events_of_any_length_are_answered(n_frames: int) -> None:
-    for shares in answers(Trained("extended", (random_member("extended"),)), n_frames).values():
-        assert np.isfinite(shares).all()
-
-
-@needs_torch
-def test_an_event_alone_gets_the_answer_that_it_gets_among_longer_ones() -> None:
+def test_an_event_of_any_length_gets_the_answer_that_it_gets_among_others() -> None:
     import torch
 
     from phase_ppl.models.socialgnn.graphs import batch
     from phase_ppl.models.socialgnn.network import Ensemble
 
     ensemble = Ensemble(Trained("extended", (random_member("extended"),)))
-    events = [walk(2, 0, 3), walk(1, 0, 40, with_item=True), walk(0, 3, 2)]
+    events = [walk(2, 0, 3), walk(1, 0, 150, with_item=True), walk(0, 3, 2)]
     together = batch([frame_graphs(e.scene, e.observation, "extended") for e in events])
     with torch.no_grad():
         said = ensemble._networks[0](together)
@@ -452,62 +425,33 @@ def test_networks_come_back_bit_by_bit(variant: Variant, tmp_path: Path) -> None
     assert found.digest() != Trained(variant, tuple(members[:1])).digest()
 
 
-@needs_torch
-def test_a_trained_network_says_the_same_after_it_was_saved(tmp_path: Path) -> None:
-    from phase_ppl.models.socialgnn.training import fit
-
-    examples = Examples(eight(), "message_passing")
-    fitted = fit(examples, examples, TrainingSettings(epochs=2), seed=0)
-    store.save([fitted.arrays], tmp_path / "message_passing.npz")
-    before = answers(Trained("message_passing", (fitted.arrays,)))
-    for name, shares in answers(store.load(tmp_path)).items():
-        np.testing.assert_array_equal(shares, before[name])
-
-
-def damaged(change: Any) -> bytes:
-    """Return a file of one network to which something was done."""
-    arrays: dict[str, Any] = {f"0/{n}": a for n, a in random_member("message_passing").items()}
-    change(arrays)
-    file = io.BytesIO()
-    np.savez(file, **arrays)
-    return file.getvalue()
-
-
-def _numbers(name: str, value: Any) -> Any:
-    return lambda arrays: arrays.update({name: value})
-
-
-DAMAGES = {
-    "the array lstm.bias_hh_l0 is missing": lambda a: a.pop("0/lstm.bias_hh_l0"),
-    "the array more is unknown": _numbers("0/more", np.zeros(3, np.float16)),
-    r"node.bias has shape \(3,\), expected \(16,\)": _numbers(
-        "0/node.bias", np.zeros(3, np.float16)
-    ),
-    "node.bias holds something else than finite numbers": _numbers(
-        "0/node.bias", np.full(16, np.nan, np.float16)
-    ),
-    "edge.bias holds something else than finite numbers in half": _numbers(
-        "0/edge.bias", np.zeros(32)
-    ),
-    "expected members 0, 1, ..., found 0, 7": _numbers("7/edge.bias", np.zeros(32, np.float16)),
-    "Object arrays cannot be loaded": _numbers("0/edge.bias", np.array([{}] * 32)),
-}
-
-
-@pytest.mark.parametrize("message", DAMAGES)
-def test_a_damaged_file_is_refused_with_the_reason(message: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "array", "message"),
+    [
+        ("0/lstm.bias_hh_l0", None, r"lstm\.bias_hh_l0 has shape None, expected"),
+        ("0/more", np.zeros(3, np.float16), r"more has shape \(3,\), expected None"),
+        ("0/node.bias", np.zeros(3, np.float16), r"has shape \(3,\), expected \(16,\)"),
+        ("0/node.bias", np.full(16, np.nan, np.float16), "something else than finite numbers"),
+        ("0/edge.bias", np.zeros(32), "something else than finite numbers in half"),
+        ("7/edge.bias", np.zeros(32, np.float16), "expected members 0, 1, ..., found 0, 7"),
+        ("0/edge.bias", np.array([{}] * 32), "Object arrays cannot be loaded"),
+    ],
+)
+def test_a_damaged_file_is_refused_with_the_reason(
+    name: str, array: Any, message: str, tmp_path: Path
+) -> None:
+    arrays = {f"0/{n}": a for n, a in random_member("message_passing").items()} | {name: array}
     file = tmp_path / "message_passing.npz"
-    file.write_bytes(damaged(DAMAGES[message]))
+    np.savez(file, **{n: a for n, a in arrays.items() if a is not None})
     with pytest.raises(
         InvalidSettingError, match=f"message_passing.npz holds no weights.*{message}"
     ):
         store.load(file)
 
 
-def test_what_is_no_file_of_arrays_is_refused(tmp_path: Path) -> None:
-    whole = damaged(lambda arrays: None)
-    with zipfile.ZipFile(tmp_path / "empty.npz", "w"):
-        pass
+def test_what_is_no_file_of_arrays_is_refused_in_a_line(tmp_path: Path) -> None:
+    store.save([random_member("message_passing")], tmp_path / "whole.npz")
+    whole = (tmp_path / "whole.npz").read_bytes()
     flipped = bytearray(whole)
     for place in range(200, len(flipped), 97):
         flipped[place] ^= 0xFF
@@ -515,26 +459,12 @@ def test_what_is_no_file_of_arrays_is_refused(tmp_path: Path) -> None:
                 "flipped.npz": bytes(flipped)}  # fmt: skip
     for name, content in contents.items():
         (tmp_path / name).write_bytes(content)
-    for name in (*contents, "empty.npz", "missing.npz"):
-        with pytest.raises(InvalidSettingError, match=f"{name} holds no weights of a SocialGNN"):
-            store.load(tmp_path / name)
-
-
-def test_a_file_that_claims_or_unpacks_to_gigabytes_is_refused(tmp_path: Path) -> None:
-    def header(shape: str) -> bytes:
-        text = f"{{'descr': '<f2', 'fortran_order': False, 'shape': {shape}, }}".ljust(117) + "\n"
-        return b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text.encode()
-
-    contents = {
-        "claims.npz": (header("(1000000000000000,)"), "Unable to allocate"),
-        "unpacks.npz": (header("(50000000,)") + bytes(10**8), "unpacks to more than 67108864"),
-        "open.npz": (header("(" * 300), ""),
-        "deep.npz": (header("(" * 3000 + ")" * 3000), "Cannot parse header"),
-    }
-    for name, (content, message) in contents.items():
-        with zipfile.ZipFile(tmp_path / name, "w", zipfile.ZIP_DEFLATED) as packed:
-            packed.writestr("0/edge.bias.npy", content)
-        with pytest.raises(InvalidSettingError, match=f"{name} holds no .*{message}") as told:
+    header = f"{{'descr': '<f2', 'fortran_order': False, 'shape': {'(' * 3000}"
+    with zipfile.ZipFile(tmp_path / "deep.npz", "w") as packed:
+        length = len(header).to_bytes(2, "little")
+        packed.writestr("0/edge.bias.npy", b"\x93NUMPY\x01\x00" + length + header.encode())
+    for name in (*contents, "deep.npz", "missing.npz"):
+        with pytest.raises(InvalidSettingError, match=f"{name} holds no weights of a") as told:
             store.load(tmp_path / name)
         assert len(str(told.value)) < 300 + len(str(tmp_path))
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from phase_ppl.evaluation.prediction import QUESTIONS, Prediction, pairs_of
+from phase_ppl.evaluation.prediction import Prediction, pairs_of
 from phase_ppl.evaluation.registry import register_model
 from phase_ppl.world.errors import InvalidSettingError
 from phase_ppl.world.hypothesis import RELATIONS, STRENGTH
@@ -41,8 +41,7 @@ class PredicateInversePlanning:
         if scene.world != PHASE:
             prior = prior_in(scene.world, self.prior)
             return Prediction("", marginals(likelihood, prior, scene.world), world=scene.world)
-        found = posterior(likelihood, self.log_prior)
-        return Prediction("", {question: getattr(found, question) for question in QUESTIONS})
+        return Prediction("", posterior(likelihood, self.log_prior))
 
     def settings(self) -> dict[str, Any]:
         """Return what determines the answers."""
@@ -165,12 +164,11 @@ def predicate(
                 f"{name} is no option of model 'predicate': allowed are "
                 f"{', '.join(['prior', 'preset', *known])}"
             )
-    options = {**usual, **options}
-    thresholds, rationality = (
-        {field.name: options[field.name] for field in dataclasses.fields(kind)
-         if field.name in options}
-        for kind in (Thresholds, Rationality)
-    )  # fmt: skip
+    options, of_thresholds = {**usual, **options}, {f.name for f in dataclasses.fields(Thresholds)}
+    options.pop("prior", None)
     return PredicateInversePlanning(
-        prior, log_prior_of_pairs(prior), Thresholds(**thresholds), Rationality(**rationality)
+        prior,
+        log_prior_of_pairs(prior),
+        Thresholds(**{name: v for name, v in options.items() if name in of_thresholds}),
+        Rationality(**{name: v for name, v in options.items() if name not in of_thresholds}),
     )

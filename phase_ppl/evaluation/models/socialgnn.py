@@ -40,10 +40,6 @@ class SocialGNNModel:
         """Import PyTorch and make the networks, so that the first event does not pay for it."""
         _ = self._ensemble
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Leave out the networks: each process makes its own."""
-        return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-
     def settings(self) -> dict[str, Any]:
         """Return what determines the answers."""
         return {

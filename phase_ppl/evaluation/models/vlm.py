@@ -24,15 +24,22 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
-import hashlib
 import json
+import math
 import os
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
-from phase_ppl.dataset.documents import check_schema, read_json
+from phase_ppl.dataset.documents import (
+    check_schema,
+    in_front,
+    of_kind,
+    optional,
+    read_json,
+    require,
+)
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.registry import Answer, register_model
 from phase_ppl.evaluation.vlm.request import (
@@ -46,10 +53,11 @@ from phase_ppl.evaluation.vlm.request import (
     in_a_line,
     parse,
     rendering,
+    sha256,
     writable,
 )
 from phase_ppl.evaluation.vlm.services import LONGEST_WAIT, Service, make_service
-from phase_ppl.world.checks import whole_number
+from phase_ppl.world.checks import instance_of, number_or_nan, whole_number
 from phase_ppl.world.errors import (
     AnswerError,
     InvalidEventError,
@@ -58,7 +66,7 @@ from phase_ppl.world.errors import (
     shown,
     unknown_name,
 )
-from phase_ppl.world.files import write_json
+from phase_ppl.world.files import writable_folder, write_json
 from phase_ppl.world.identity import differences, qualified_name
 from phase_ppl.world.observation import Observation
 from phase_ppl.world.scene import Scene
@@ -72,12 +80,6 @@ FIRST_WAIT: Final = 2.0
 """Seconds to wait after a failure that may pass: doubled every time, up to ``LONGEST_WAIT``."""
 
 Attempt: TypeAlias = dict[str, Any]
-
-_PARTS: Final[Mapping[str, type | tuple[type, ...]]] = {
-    **dict.fromkeys(("time", "text", "failure", "finish", "model"), str),
-    **dict.fromkeys(("tokens_in", "tokens_out", "requests"), int),
-    "seconds": (int, float),
-}
 
 pause = time.sleep
 
@@ -96,8 +98,7 @@ class Store:
 
     def file_of(self, request: Mapping[str, Any], seed: int) -> Path:
         """Return the file of a request, whether it is there or not."""
-        text = json.dumps(request, sort_keys=True)
-        return self.path / f"{hashlib.sha256(text.encode()).hexdigest()[:20]}-{seed}.json"
+        return self.path / f"{sha256(json.dumps(request, sort_keys=True))[:20]}-{seed}.json"
 
     def find(self, request: Mapping[str, Any], seed: int) -> dict[str, Any] | None:
         """Return the record of a request; None where there is none."""
@@ -106,38 +107,28 @@ class Store:
             return None
         record = read_json(source)
         check_schema(record, SCHEMA, source)
-        was = record.get("request")
-        found = differences(was, request) if isinstance(was, dict) else ["request is missing"]
-        if found or record.get("seed") != seed:
-            words = "; ".join(found) or f"seed is {seed}, was {shown(record.get('seed'))}"
-            raise InvalidEventError(f"{source}: is the answer to another request: {words}")
-        attempts = record.get("attempts")
-        if not isinstance(attempts, list):
-            raise InvalidEventError(f"{source}: attempts is {shown(attempts)}, expected a list")
-        for attempt in attempts:
-            given = attempt if isinstance(attempt, dict) else {}
-            if not {"time", "seconds"} <= set(given) or ("text" in given) == ("failure" in given):
-                raise InvalidEventError(
-                    f"{source}: an attempt is {shown(attempt)}, expected time, seconds, and text "
-                    "or failure"
-                )
-            for name, value in given.items():
-                if name not in _PARTS or not isinstance(value, _PARTS[name]):
-                    raise InvalidEventError(f"{source}: an attempt has {name}={shown(value)}")
+        with in_front(f"{source}: "):
+            apart = differences(require(record, "request", dict), request)
+            if require(record, "seed", int) != seed:
+                apart.append(f"seed is {seed}, was {record['seed']}")
+            if apart:
+                raise InvalidEventError(f"is the answer to another request: {'; '.join(apart)}")
+            for place, attempt in enumerate(require(record, "attempts", list)):
+                where = f"attempts[{place}]"
+                require(of_kind(where, attempt, dict), "time", str, where)
+                if math.isnan(number_or_nan(attempt.get("seconds"))):
+                    raise InvalidEventError(f"{where} has no number of seconds")
+                require(attempt, "failure" if "failure" in attempt else "text", str, where)
+                for name in ("tokens_in", "tokens_out", "requests"):
+                    optional(attempt, name, int, where)
         return record
-
-    def knows(self, request: Mapping[str, Any]) -> bool:
-        """Whether the request has been answered for any seed."""
-        key = self.file_of(request, 0).name.partition("-")[0]
-        return any(self.path.glob(f"{key}-*.json"))
 
     def keep(self, record: Mapping[str, Any]) -> None:
         """Write a record, in place of the one before."""
-        try:
-            self.path.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise OutputError(f"cannot write into {self.path}: {error.strerror}") from None
-        write_json(self.file_of(record["request"], record["seed"]), record)
+        write_json(
+            writable_folder(self.path) / self.file_of(record["request"], record["seed"]).name,
+            record,
+        )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -162,7 +153,7 @@ class Vlm:
         )
         determines = {
             **self.named,
-            "prompt_sha256": hashlib.sha256(request.prompt.encode()).hexdigest(),
+            "prompt_sha256": sha256(request.prompt),
             "film_sha256": request.digest,
         }
         record = self.store.find(determines, seed) if self.store else None
@@ -170,7 +161,7 @@ class Vlm:
             record = {"schema": SCHEMA, "request": determines, "seed": seed}
             record |= {"prompt": request.prompt, "attempts": []}
         attempts: list[Attempt] = record["attempts"]
-        parsed, place, reason = self._first_readable(attempts)
+        place, parsed, reason = self._first_readable(attempts)
         from_store = parsed is not None
         if self.replay and not from_store:
             raise AnswerError(self._missing(determines, seed, reason))
@@ -183,8 +174,7 @@ class Vlm:
             if self.store and any("text" in each for each in attempts):
                 self.store.keep(record)
             made += _requests(attempt)
-            parsed, _, reason = self._first_readable([attempt])
-            place = len(attempts) - 1
+            place, parsed, reason = self._first_readable(attempts)
             if parsed is None and (made > self.retries or not again):
                 requests = f"{made} request{'s' * (made > 1)}"
                 raise AnswerError(f"no answer that can be used in {requests}; the last: {reason}")
@@ -198,46 +188,43 @@ class Vlm:
 
     def settings(self) -> dict[str, Any]:
         """Return what is asked, and how the animation is drawn."""
-        digest = hashlib.sha256(self.text.encode()).hexdigest()
-        return {**self.named, "prompt_sha256": digest, "rendering": rendering()}
+        return {**self.named, "prompt_sha256": sha256(self.text), "rendering": rendering()}
 
-    def _first_readable(self, attempts: Sequence[Attempt]) -> tuple[Parsed | None, int, str | None]:
-        """Return the first answer that can be used, its place, and why the last one cannot."""
+    def _first_readable(self, attempts: Sequence[Attempt]) -> tuple[int, Parsed | None, str | None]:
+        """Return the place of the first answer that can be used, it, and why the last cannot."""
         reason = None
         for place, attempt in enumerate(attempts):
-            if "text" not in attempt:
-                reason = attempt["failure"]
-                continue
-            try:
-                return parse(attempt["text"], self.remaining), place, None
-            except AnswerError as error:
-                ended = attempt.get("finish")
-                reason = f"{error} (ended by: {ended})" if ended else str(error)
-        return None, len(attempts), reason
+            reason = attempt.get("failure")
+            if reason is None:
+                try:
+                    return place, parse(attempt["text"], self.remaining), None
+                except AnswerError as error:
+                    ended = attempt.get("finish")
+                    reason = f"{error} (ended by: {ended})" if ended else str(error)
+        return len(attempts), None, reason
 
     def _try(self, request: Request, retries: int) -> tuple[Attempt, bool]:
         """Return an attempt, and whether to try again if it was in vain."""
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
         clock, again = time.perf_counter(), True
-        found: dict[str, Any] = {}
+        found: dict[str, Any]
         try:
             client = self.client
             given = client(request, retries) if isinstance(client, Service) else client(request)
-            reply: object = Reply(given) if isinstance(given, str) else given
-            if isinstance(reply, Reply):
-                found = dataclasses.asdict(reply) | {"text": writable(reply.text)}
-            else:
-                failure = f"the client returned {shown(reply)}, expected text"
-                found, again = {"failure": writable(failure)}, False
+            reply = Reply(given) if isinstance(given, str) else given
+            if not isinstance(reply, Reply):
+                raise NoReply(f"the client returned {shown(reply)}, expected text")
+            words = {name: getattr(reply, name) for name in ("finish", "model")}
+            found = {name: word and in_a_line(word) for name, word in words.items()}
+            found = {**vars(reply), **found, "text": writable(reply.text)}
         except NoReply as error:
-            found = {"failure": writable(str(error)), "requests": error.requests}
-            again = error.again
+            found, again = (
+                {"failure": writable(str(error)), "requests": error.requests},
+                error.again,
+            )
         except (ConnectionError, TimeoutError) as error:
             found = {"failure": in_a_line(f"{type(error).__name__}: {error}")}
         seconds = round(time.perf_counter() - clock, 3)
-        for name in ("finish", "model"):
-            if found.get(name) is not None:
-                found[name] = in_a_line(found[name])
         if found.get("requests") == 1:
             del found["requests"]
         known = {name: value for name, value in found.items() if value is not None}
@@ -245,12 +232,12 @@ class Vlm:
 
     def _missing(self, determines: Mapping[str, Any], seed: int, reason: str | None) -> str:
         assert self.store is not None
-        name = self.store.file_of(determines, seed).name
+        folder, name = self.store.path, self.store.file_of(determines, seed).name
         if reason is not None:
-            return f"{self.store.path / name} has no answer that can be used; the last: {reason}"
-        words = f"{self.store.path} has no answer to this request: {name} is missing"
-        other = self.store.knows(determines)
-        return f"{words}; it has been answered for other seeds only" if other else words
+            return f"{folder / name} has no answer that can be used; the last: {reason}"
+        words = f"{folder} has no answer to this request: {name} is missing"
+        others = any(folder.glob(f"{name.partition('-')[0]}-*.json"))
+        return f"{words}; it has been answered for other seeds only" if others else words
 
 
 def _requests(attempt: Attempt) -> int:
@@ -310,7 +297,7 @@ def vlm(
             GEMINI_API_KEY, and OPENAI_API_KEY.
         temperature: by default the service's, as for the paper.
         video_fps: frames per second of the video that Google looks at; by default Google's, 1.
-        timeout: seconds for a request to a service, from its beginning to its end; by default 300.
+        timeout: seconds after which a service's library gives up a request; by default 300.
         retries: how often the same request is made again after a failure that may pass or an
             answer that cannot be used.
         remaining: "spread" or "zero" (:data:`phase_ppl.evaluation.vlm.request.REMAINING`).
@@ -321,8 +308,7 @@ def vlm(
         raise InvalidSettingError(
             "model 'vlm' needs client='google', client='openai' or a function of a request"
         )
-    if not isinstance(replay, bool):
-        raise InvalidSettingError(f"replay={shown(replay)}, expected true or false")
+    instance_of("replay", replay, bool, "true or false")
     if remaining not in REMAINING:
         raise unknown_name("remaining", remaining, REMAINING)
     if show not in (None, "video", "pictures"):

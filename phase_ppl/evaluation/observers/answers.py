@@ -46,43 +46,38 @@ class Answers:
     @classmethod
     def of(cls, events: Sequence[Event], study: Study | None = None) -> Answers:
         """Collect the judgments that events carry, and the response times of a study."""
-        judged = [event_judgments(event) for event in events]
+        judged = {i: one for i, e in enumerate(events) if (one := event_judgments(e)) is not None}
         counts = {
-            question: np.array(
-                [
-                    np.zeros(len(labels), np.int64)
-                    if one is None
-                    else one.counts.get(question, np.zeros(len(labels), np.int64))
-                    for one in judged
-                ]
-            )
+            question: np.zeros((len(events), len(labels)), np.int64)
             for question, labels in QUESTIONS.items()
         }
+        for event, one in judged.items():
+            for question, given in one.counts.items():
+                counts[question][event] = given
         counts = {question: n for question, n in counts.items() if n.any()}
         if not counts:
             raise InvalidEventError("nobody judged any of the events")
-        named = all(one is None or one.responses for one in judged)
-        names = sorted({who for one in judged if one is not None for who in one.responses})
+        named = all(one.responses for one in judged.values())
+        names = sorted({who for one in judged.values() for who in one.responses} if named else ())
         place = {who: i for i, who in enumerate(names)}
         rows = [
             (q, event, place[who], labels.index(given[question]))
-            for event, one in enumerate(judged)
-            if one is not None and named
+            for event, one in judged.items()
+            if named
             for who, given in one.responses.items()
             for q, (question, labels) in enumerate(QUESTIONS.items())
             if question in given
         ]
         ids = {event.id: i for i, event in enumerate(events)}
-        timed = [] if study is None or not named else study.table.dropna(subset="response_time")
         times = [
             (ids[row.video], place[row.participant], row.response_time)
-            for row in ([] if isinstance(timed, list) else timed.itertuples())
+            for row in (() if study is None else study.table.itertuples())
             if row.video in ids and row.participant in place and row.response_time > 0
         ]
         return cls(
             counts,
             np.array(rows, np.int64).reshape(-1, 4),
-            tuple(names) if named else (),
+            tuple(names),
             np.array([row[:2] for row in times], np.int64).reshape(-1, 2),
             np.array([row[2] for row in times], np.float64),
         )

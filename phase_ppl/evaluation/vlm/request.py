@@ -13,7 +13,6 @@ import functools
 import hashlib
 import io
 import json
-import numbers
 import re
 import tempfile
 from collections.abc import Callable, Iterable, Mapping
@@ -25,6 +24,7 @@ import numpy as np
 from phase_ppl.dataset.documents import parse_text
 from phase_ppl.evaluation.prediction import GOAL_QUESTIONS, QUESTIONS
 from phase_ppl.world.arrays import FloatArray
+from phase_ppl.world.checks import number_or_nan
 from phase_ppl.world.errors import AnswerError, InvalidEventError, shown, unknown_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.goals import GOALS, N_GOALS
@@ -189,22 +189,19 @@ class Request:
         Not of the files: other versions of an encoder write other bytes of the same animation.
         """
         seen = event_digest(Event(self._scene, self._observation))
-        record = json.dumps([seen, self._rendering, self._chosen])
-        return hashlib.sha256(record.encode()).hexdigest()
+        return sha256(json.dumps([seen, self._rendering, self._chosen]))
 
     def drawn(self) -> dict[str, object]:
         """Return what has been asked for until now: its size in bytes and a hash of its bytes."""
-        found: dict[str, object] = {}
-        for name in ("video", "pictures"):
-            if name in vars(self):
-                parts = [self.video] if name == "video" else [each.png for each in self.pictures]
-                content = b"".join(parts)
-                found[name] = {
-                    "files": len(parts),
-                    "bytes": len(content),
-                    "sha256": hashlib.sha256(content).hexdigest(),
-                }
-        return found
+        files = {
+            "video": [self.video] if "video" in vars(self) else [],
+            "pictures": [each.png for each in self.pictures] if "pictures" in vars(self) else [],
+        }
+        return {
+            name: {"files": len(parts), "bytes": sum(map(len, parts)), "sha256": sha256(*parts)}
+            for name, parts in files.items()
+            if parts
+        }
 
 
 @dataclasses.dataclass(frozen=True)
@@ -224,18 +221,16 @@ class Reply:
     requests: int = 1  # how many were made until it came
 
     def __post_init__(self) -> None:
-        # servers send what they like, and one field of another type must not cost the answer
         if not isinstance(self.text, str):
             kind = type(self.text).__name__
             raise AnswerError(f"the text of a reply is of type {kind}, expected str")
+        # servers send what they like, and one field of another type must not cost the answer
         for name in ("finish", "model"):
             given = getattr(self, name)
             object.__setattr__(self, name, None if given is None else str(given))
         for name in ("tokens_in", "tokens_out"):
-            count = getattr(self, name)
-            whole = isinstance(count, numbers.Integral) and not isinstance(count, bool)
-            whole = whole or (isinstance(count, float) and count.is_integer())
-            object.__setattr__(self, name, int(count) if whole else None)
+            count = number_or_nan(getattr(self, name))
+            object.__setattr__(self, name, int(count) if count.is_integer() else None)
 
 
 Client: TypeAlias = Callable[[Request], str | Reply]
@@ -253,6 +248,14 @@ class NoReply(AnswerError):
     def __init__(self, reason: str, again: bool = False) -> None:
         super().__init__(reason)
         self.again, self.requests = again, 1
+
+
+def sha256(*parts: str | bytes) -> str:
+    """Return a hash of texts or bytes that follow each other."""
+    found = hashlib.sha256()
+    for part in parts:
+        found.update(part.encode() if isinstance(part, str) else part)
+    return found.hexdigest()
 
 
 def writable(text: str) -> str:
@@ -285,16 +288,7 @@ def parse(text: str, remaining: str = REMAINING[0]) -> Parsed:
     except InvalidEventError as error:
         raise AnswerError(f"the answer {error}; it begins {shown(body[:60])}") from None
     answers = _asked_for(document, repairs)
-    probabilities = {}
-    for question, labels in QUESTIONS.items():
-        shares = answers[question]
-        if not isinstance(shares, Mapping):
-            raise AnswerError(f"{question} is {shown(shares)}, expected names with probabilities")
-        named = _named(question, shares, repairs)
-        expected = min(N_NAMED, len(labels))
-        if len(named) != expected:
-            raise AnswerError(f"{question} has {len(named)} entries, expected exactly {expected}")
-        probabilities[question] = _distribution(question, named, remaining, repairs)
+    probabilities = {q: _distribution(q, answers[q], remaining, repairs) for q in QUESTIONS}
     return Parsed(probabilities, tuple(repairs))
 
 
@@ -330,25 +324,6 @@ def _asked_for(document: Mapping[str, Any], repairs: list[str]) -> dict[str, Any
     return found
 
 
-def _named(question: str, shares: Mapping[str, Any], repairs: list[str]) -> dict[str, float]:
-    """Return label -> probability, as given."""
-    labels = QUESTIONS[question]
-    found: dict[str, float] = {}
-    for name, share in shares.items():
-        label = _same_name(name, labels, repairs)
-        if label is None:
-            what = "relation" if question == "relation" else "goal"
-            raise AnswerError(f"{question}: {unknown_name(what, name, labels)}")
-        if label in found:
-            raise AnswerError(f"{question} gives {label!r} twice")
-        if isinstance(share, bool) or not isinstance(share, int | float) or not 0 <= share <= 1:
-            raise AnswerError(
-                f"{question}: {label!r} has {shown(share)}, expected a number from 0 to 1"
-            )
-        found[label] = float(share)
-    return found
-
-
 def _same_name(given: str, allowed: Iterable[str], repairs: list[str]) -> str | None:
     """Return the name that is the same but for case and spaces, if there is one."""
     wanted = " ".join(given.split()).lower()
@@ -358,12 +333,28 @@ def _same_name(given: str, allowed: Iterable[str], repairs: list[str]) -> str | 
     return name
 
 
-def _distribution(
-    question: str, named: Mapping[str, float], remaining: str, repairs: list[str]
-) -> FloatArray:
+def _distribution(question: str, shares: object, remaining: str, repairs: list[str]) -> FloatArray:
     labels = QUESTIONS[question]
-    values = np.array([named.get(label, 0.0) for label in labels])
-    unnamed = np.array([label not in named for label in labels])
+    if not isinstance(shares, Mapping):
+        raise AnswerError(f"{question} is {shown(shares)}, expected names with probabilities")
+    values = np.full(len(labels), np.nan)
+    for name, share in shares.items():
+        label = _same_name(name, labels, repairs)
+        if label is None:
+            what = "relation" if question == "relation" else "goal"
+            raise AnswerError(f"{question}: {unknown_name(what, name, labels)}")
+        place = labels.index(label)
+        if not np.isnan(values[place]):
+            raise AnswerError(f"{question} gives {label!r} twice")
+        if not 0 <= number_or_nan(share) <= 1:
+            raise AnswerError(
+                f"{question}: {label!r} has {shown(share)}, expected a number from 0 to 1"
+            )
+        values[place] = share
+    unnamed, expected = np.isnan(values), min(N_NAMED, len(labels))
+    if len(shares) != expected:
+        raise AnswerError(f"{question} has {len(shares)} entries, expected exactly {expected}")
+    values[unnamed] = 0.0
     total = float(values.sum())
     off = abs(total - 1)
     if off > _SUM_TOLERANCE + _SUM_EXACT:

@@ -10,9 +10,8 @@ from __future__ import annotations
 import dataclasses
 import functools
 import hashlib
-import io
 import os
-import zipfile
+import textwrap
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
@@ -30,7 +29,7 @@ from phase_ppl.models.socialgnn.graphs import (
     n_context,
     n_nodes,
 )
-from phase_ppl.world.checks import whole_number
+from phase_ppl.world.checks import instance_of, number_or_nan, whole_number
 from phase_ppl.world.errors import InvalidSettingError, shown
 from phase_ppl.world.files import atomic_output
 from phase_ppl.world.goals import N_GOALS
@@ -110,16 +109,12 @@ class TrainingSettings:
             whole_number(name, getattr(self, name))
         whole_number("patience", self.patience, 0)
         for name in ("balanced", "looks"):
-            if not isinstance(getattr(self, name), bool):
-                raise InvalidSettingError(
-                    f"{name}={shown(getattr(self, name))}, expected True or False"
-                )
+            instance_of(name, getattr(self, name), bool, "True or False")
         for name, low, high in (
             ("learning_rate", 1e-7, 1.0), ("decay", 0.0, 1.0), ("dropout", 0.0, 0.9),
         ):  # fmt: skip
             value = getattr(self, name)
-            number = isinstance(value, int | float) and not isinstance(value, bool)
-            if not (number and low <= value <= high):
+            if not low <= number_or_nan(value) <= high:
                 raise InvalidSettingError(
                     f"{name}={shown(value)}, expected a number from {low:g} to {high:g}"
                 )
@@ -129,10 +124,6 @@ class TrainingSettings:
         """Return how a variant is usually trained: those of the paper as its authors did."""
         usual = {} if variant == "message_passing" else AS_THE_AUTHORS
         return cls(variant, **{**usual, **changes})
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return it as plain data."""
-        return dataclasses.asdict(self)
 
 
 AS_THE_AUTHORS: Final[Mapping[str, Any]] = {
@@ -147,9 +138,6 @@ AS_THE_AUTHORS: Final[Mapping[str, Any]] = {
 Arrays = Mapping[str, NDArray[np.float16]]
 
 _WEIGHTS: Final = resources.files("phase_ppl.models.socialgnn") / "weights"
-_LARGEST: Final = 64 * 2**20
-"""Bytes, of a file or of what it unpacks to, above which it is not read: those of the package have
-under one megabyte."""
 
 
 class Trained(NamedTuple):
@@ -202,21 +190,12 @@ def load(path: str | os.PathLike[str]) -> Trained:
             raise InvalidSettingError(f"{source} {why}")
         source = there[0]
     try:
-        if source.stat().st_size > _LARGEST:
-            raise ValueError(f"it has more than {_LARGEST} bytes")
-        # from memory: NumPy leaves a damaged file open
-        content = io.BytesIO(source.read_bytes())
-        with zipfile.ZipFile(content) as packed:
-            if sum(entry.file_size for entry in packed.infolist()) > _LARGEST:
-                raise ValueError(f"it unpacks to more than {_LARGEST} bytes")
-        with np.load(content, allow_pickle=False) as kept:
-            arrays = {name: kept[name] for name in kept.files}
-        return _checked(arrays)
+        with open(source, "rb") as file, np.load(file, allow_pickle=False) as kept:
+            return _checked({name: kept[name] for name in kept.files})
     except Exception as error:  # NumPy has a dozen kinds for what is not as it should be
         reason = str(getattr(error, "strerror", None) or error)
-        if len(reason) > 200:  # NumPy's shows what it could not read
-            reason = f"{reason[:200]}..."
-        raise InvalidSettingError(f"{source} holds no weights of a SocialGNN: {reason}") from None
+        words = textwrap.shorten(reason, 200, placeholder="...")  # NumPy shows what it cannot read
+        raise InvalidSettingError(f"{source} holds no weights of a SocialGNN: {words}") from None
 
 
 @functools.cache
@@ -238,24 +217,19 @@ def _checked(arrays: dict[str, NDArray[Any]]) -> Trained:
     variant: Variant = "extended" if "heads.goal_red.weight" in first else "original"
     if "node.weight" in first:
         variant = "message_passing"
-    members = [_member(number, by_member[str(number)], variant) for number in range(len(by_member))]
-    return Trained(variant, tuple(members))
-
-
-def _member(number: int, arrays: dict[str, NDArray[Any]], variant: Variant) -> Arrays:
-    wanted = shapes(variant)
-    apart = sorted(set(arrays) ^ set(wanted))
-    if apart:
-        what = "is missing" if apart[0] in wanted else "is unknown"
-        raise ValueError(f"member {number}: the array {apart[0]} {what}")
-    for name, array in arrays.items():
-        if array.shape != wanted[name]:
-            raise ValueError(
-                f"member {number}: {name} has shape {array.shape}, expected {wanted[name]}"
-            )
-        if array.dtype != np.float16 or not np.isfinite(array).all():
-            raise ValueError(
-                f"member {number}: {name} holds something else than finite numbers in half "
-                "precision"
-            )
-    return arrays
+    wanted, kind = shapes(variant), np.dtype(np.float16)
+    for number, arrays_of in by_member.items():
+        found = {name: array.shape for name, array in arrays_of.items()}
+        for name in sorted(found.keys() | wanted.keys()):
+            shape = found.get(name), wanted.get(name)
+            if shape[0] != shape[1]:
+                raise ValueError(
+                    f"member {number}: {name} has shape {shape[0]}, expected {shape[1]}"
+                )
+            array = arrays_of[name]
+            if array.dtype != kind or not np.isfinite(array).all():
+                raise ValueError(
+                    f"member {number}: {name} holds something else than finite numbers in half "
+                    "precision"
+                )
+    return Trained(variant, tuple(by_member[str(number)] for number in range(len(by_member))))

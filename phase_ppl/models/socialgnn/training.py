@@ -43,12 +43,12 @@ def fit(
     validation: Examples,
     settings: TrainingSettings,
     seed: int,
-    after_epoch: Callable[[int], object] = lambda epoch: None,
+    after_epoch: Callable[[], object] = lambda: None,
 ) -> Fitted:
     """Return the network trained from a seed.
 
     That of the first weights, the order and looks of the events, and the dropout. ``after_epoch``
-    is called with the number of each epoch that is done, from 0.
+    is called after each epoch.
     """
     with threads(settings.threads), torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
@@ -76,7 +76,7 @@ class _Fit:
             class_weights(training.relations) if settings.balanced else torch.tensor(NEUTRAL_TWICE)
         )
 
-    def run(self, after_epoch: Callable[[int], object]) -> Fitted:
+    def run(self, after_epoch: Callable[[], object]) -> Fitted:
         curves: Curves = {name: [] for name in ("training", "validation", "relation", "goals")}
         best, kept = 0, self.network.state_dict()
         for epoch in range(self.settings.epochs):
@@ -93,7 +93,7 @@ class _Fit:
                 self.schedule.step(now)
             if epoch == 0 or not patience or now < curves["validation"][best]:
                 best, kept = epoch, copy.deepcopy(self.network.state_dict())
-            after_epoch(epoch)
+            after_epoch()
             if patience and epoch - best >= patience:
                 break
         arrays = halved({name: values.numpy() for name, values in kept.items()})

@@ -60,81 +60,29 @@ def running() -> Iterator[Server]:
         listening.shutdown()
 
 
-def sends(
-    body: Any, status: int = 200, content_type: str = "application/json", **headers: str
-) -> Behaviour:
-    """Send ``body``, as JSON unless it is a text; ``_`` in names of headers stands for ``-``."""
+def sends(body: Any, status: int = 200, share: float = 1.0, **headers: str) -> Behaviour:
+    """Send ``body``, as JSON unless it is a text, or a share of it and hang up.
+
+    ``_`` in names of headers stands for ``-``.
+    """
     content = (body if isinstance(body, str) else json.dumps(body)).encode()
-    return sends_bytes(content, status, content_type, **headers)
-
-
-def sends_bytes(
-    content: bytes, status: int = 200, content_type: str = "application/json", **headers: str
-) -> Behaviour:
-    """Send ``content`` as it is."""
+    headers = {"content_type": "application/json", **headers}
 
     def behave(handler: BaseHTTPRequestHandler) -> None:
-        _head(handler, status, len(content), content_type, headers)
-        handler.wfile.write(content)
+        handler.send_response(status)
+        handler.send_header("content-length", str(len(content)))
+        for name, value in headers.items():
+            handler.send_header(name.replace("_", "-"), value)
+        handler.end_headers()
+        handler.wfile.write(content[: int(share * len(content))])
 
     return behave
 
 
-def sends_without_end() -> Behaviour:
-    """Send spaces as fast as they are taken, until nobody takes them."""
-
-    def behave(handler: BaseHTTPRequestHandler) -> None:
-        _head(handler, 200, 2**50, "application/json", {})
-        while True:
-            handler.wfile.write(b" " * 2**16)
-
-    return behave
-
-
-def breaks_off(body: Any) -> Behaviour:
-    """Send half of what was promised and hang up."""
-    content = json.dumps(body).encode()
-
-    def behave(handler: BaseHTTPRequestHandler) -> None:
-        _head(handler, 200, len(content), "application/json", {})
-        handler.wfile.write(content[: len(content) // 2])
-
-    return behave
-
-
-def drips(seconds: float) -> Behaviour:
-    """Send a space now and then, so that no single wait is long."""
-
-    def behave(handler: BaseHTTPRequestHandler) -> None:
-        _head(handler, 200, 10_000, "application/json", {})
-        end = time.monotonic() + seconds
-        while time.monotonic() < end:
-            handler.wfile.write(b" ")
-            handler.wfile.flush()
-            time.sleep(0.02)
-
-    return behave
-
-
-def says_nothing(seconds: float) -> Behaviour:
+def says_nothing(handler: BaseHTTPRequestHandler) -> None:
     """Take the request and wait."""
-    return lambda handler: time.sleep(seconds)
+    time.sleep(1.0)
 
 
 def hangs_up(handler: BaseHTTPRequestHandler) -> None:
     """Close the connection without a word."""
-
-
-def _head(
-    handler: BaseHTTPRequestHandler,
-    status: int,
-    length: int,
-    content_type: str,
-    headers: Mapping[str, str],
-) -> None:
-    handler.send_response(status)
-    handler.send_header("content-type", content_type)
-    handler.send_header("content-length", str(length))
-    for name, value in headers.items():
-        handler.send_header(name.replace("_", "-"), value)
-    handler.end_headers()

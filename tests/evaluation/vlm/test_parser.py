@@ -69,24 +69,22 @@ def shares_of(total: float) -> dict[str, float]:
     return {goal: share * total for goal, share in goals().items()}
 
 
-def test_a_little_that_is_missing_goes_to_the_goals_that_are_not_named() -> None:
-    found = parse(text(goal_red=shares_of(0.96)))
+@pytest.mark.parametrize(
+    ("total", "remaining", "named", "other", "repair"),
+    [
+        (0.96, "spread", 0.96, 0.04 / 26, "0.96; the rest spread over 26 goals"),
+        (0.96, "zero", 1, 0, "0.96; scaled to 1"),
+        (1.05, "spread", 1, 0, "1.05; scaled to 1"),
+    ],
+)
+def test_a_little_that_is_missing_or_too_much_is_shared_out(
+    total: float, remaining: str, named: float, other: float, repair: str
+) -> None:
+    found = parse(text(goal_red=shares_of(total)), remaining)
     values = found.probabilities["goal_red"]
-    assert values[:10] == pytest.approx(0.96 * np.array(SHARES))
-    assert values[10:] == pytest.approx(0.04 / 26)
-    assert "0.96; the rest spread over 26 goals" in found.repairs[0]
-
-
-def test_or_is_left_out() -> None:
-    found = parse(text(goal_red=shares_of(0.96)), remaining="zero")
-    assert found.probabilities["goal_red"][:11] == pytest.approx([*SHARES, 0])
-    assert "scaled to 1" in found.repairs[0]
-
-
-def test_a_little_too_much_is_scaled() -> None:
-    found = parse(text(goal_red=shares_of(1.05)))
-    assert found.probabilities["goal_red"][:11] == pytest.approx([*SHARES, 0])
-    assert "goal_red sums to 1.05; scaled to 1" in found.repairs[0]
+    assert values[:10] == pytest.approx(named * np.array(SHARES))
+    assert values[10:] == pytest.approx(other)
+    assert f"goal_red sums to {repair}" in found.repairs[0]
 
 
 def test_relations_are_scaled_since_none_is_unnamed() -> None:
@@ -104,18 +102,14 @@ def renamed(name: str) -> dict[str, float]:
 
 REFUSED: dict[str, tuple[str, str]] = {
     "empty": ("", "is empty"),
-    "spaces": (" \n", "is empty"),
     "an empty fence": ("```json\n\n```", "is empty"),
     "a refusal": ("I'm sorry, I cannot help with that.", r"not JSON.*it begins \"I'm sorry"),
     "a refusal like a pickle": ("cannot\n", "not JSON"),
     "spaces for ever": ("```" + " " * 1_000_000 + "x", "not JSON"),  # in no time
-    "word for ever": ("```" + "j" * 1_000_000, "not JSON"),
-    "fences for ever": ("```\n" * 100_000, "50000 blocks of code"),
     "cut": (text()[:200], "not JSON: line 1"),
     "text before": (f"Here you are: {text()}", "not JSON"),
     "two fences": (f"```json\n{text()}\n```\nor\n```json\n{text()}\n```", "2 blocks of code"),
     "a list": ("[1, 2]", "expected a JSON object"),
-    "a number": ("3", "expected a JSON object"),
     "nested deeply": ("[" * 100_000, "nested too deeply|not JSON"),
     "NaN": (text().replace("0.4", "NaN", 1), "holds NaN"),
     "infinity": (text().replace("0.4", "1e999", 1), "holds 1e999"),
@@ -150,12 +144,10 @@ REFUSED: dict[str, tuple[str, str]] = {
     ),
     "negative": (text(goal_red=goals() | {GOALS[9]: -0.01}), r"has -0\.01, expected a number"),
     "percent": (text(goal_red=goals() | {GOALS[0]: 40}), "has 40, expected a number from 0 to 1"),
-    "huge": (text(goal_red=goals() | {GOALS[0]: 10**300}), "expected a number from 0 to 1"),
     "text for a number": (text(goal_red=goals() | {GOALS[0]: "0.4"}), "has '0.4', expected"),
     "true for a number": (text(goal_red=goals() | {GOALS[0]: True}), "has True, expected"),
     "null for a number": (text(goal_red=goals() | {GOALS[0]: None}), "has None, expected"),
     "sums far below 1": (text(goal_red=shares_of(0.9)), "goal_red sums to 0.9, expected 1"),
-    "sums far above 1": (text(goal_red=shares_of(1.2)), "goal_red sums to 1.2, expected 1"),
     "relations beyond 1": (
         text(relation={"friendly": 1, "neutral": 0.5, "adversarial": 0}),
         "relation sums to 1.5",

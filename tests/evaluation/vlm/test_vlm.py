@@ -216,23 +216,17 @@ def test_a_stored_answer_is_not_asked_for_again(tmp_path: Path, waits: list[floa
     record = json.loads(file.read_text())
     assert record["request"]["model"] == "toy"
     assert record["prompt"] == first.asked[0].prompt
-    assert [sorted(attempt) for attempt in record["attempts"]] == [
-        ["failure", "seconds", "time"],
-        ["seconds", "text", "time"],
-        ["seconds", "text", "time", "tokens_out"],
-    ]
+    assert [set(attempt) - {"seconds", "time"} for attempt in record["attempts"]] == [
+        {"failure"}, {"text"}, {"text", "tokens_out"},
+    ]  # fmt: skip
 
 
 def test_another_question_seed_or_model_is_asked_anew(tmp_path: Path) -> None:
     client = Says(text())
     ask = functools.partial(predict, client, store=tmp_path)
     changes: Sequence[dict[str, Any]] = (
-        {},
-        {"seed": 1},
-        {"event": still(shift=0.1)},
-        {"show": "pictures"},
-        {"frames": 2},
-    )
+        {}, {"seed": 1}, {"event": still(shift=0.1)}, {"show": "pictures"}, {"frames": 2},
+    )  # fmt: skip
     for change in changes:
         ask(**change)
     vlm(client=client, name="other", store=tmp_path)(EVENT.scene, EVENT.observation, 0)
@@ -279,8 +273,8 @@ def test_how_the_rest_is_treated_is_decided_when_an_answer_is_read(tmp_path: Pat
     ("damage", "reason"),
     [
         ({"request": {"model": "another"}}, "another request: .*model is 'toy', was 'another'"),
-        ({"attempts": [{"time": "now"}]}, "an attempt is .* expected time, seconds"),
-        ({"attempts": [{"time": "", "seconds": 1, "text": 3}]}, "an attempt has text=3"),
+        ({"attempts": [{"time": "now"}]}, r"attempts\[0\] has no number of seconds"),
+        ({"attempts": [{"time": "", "seconds": 1, "text": 3}]}, r"attempts\[0\]\.text is 3"),
         ({"attempts": None}, "attempts is None"),
         ({"schema": "x"}, "its schema is 'x'"),
     ],
@@ -325,43 +319,34 @@ def test_a_reply_without_a_text_is_none() -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "error", "reason"),
+    ("options", "reason"),
     [
-        ({}, InvalidSettingError, "needs client='google', client='openai' or a function"),
-        ({"client": "gogle"}, UnknownNameError, "client 'gogle'.*'google'"),
-        ({"client": 3}, UnknownNameError, "client 3"),
-        ({"client": ["google"]}, UnknownNameError, "client .*google"),
-        ({"client": "google", "timeout": 10**400}, InvalidSettingError, "timeout=1000"),
-        ({"client": "google", "timeout": float("nan")}, InvalidSettingError, "timeout=nan"),
-        ({"client": "openai"}, InvalidSettingError, "'openai' needs name"),
-        ({"client": "google", "name": 4}, InvalidSettingError, "name=4, expected a name"),
-        ({"client": "google", "show": "film"}, UnknownNameError, "show 'film'"),
-        ({"client": "google", "timeout": 0}, InvalidSettingError, "timeout=0, expected.*> 0"),
-        ({"client": "google", "temperature": 3}, InvalidSettingError, "temperature=3.*<= 2"),
-        ({"client": "google", "video_fps": 25}, InvalidSettingError, "video_fps=25.*<= 24"),
-        ({"client": "google", "retries": -1}, InvalidSettingError, "retries=-1"),
-        ({"client": "google", "frames": 1}, InvalidSettingError, "frames=1.*>= 2"),
-        ({"client": "google", "remaining": "half"}, UnknownNameError, "remaining 'half'"),
-        ({"client": "google", "replay": "yes"}, InvalidSettingError, "replay='yes'"),
-        ({"client": "google", "replay": True}, InvalidSettingError, "store is not given"),
-        ({"client": "google", "base_url": "server"}, InvalidSettingError, "base_url='server'"),
-        (
-            {"client": "openai", "name": "m", "show": "video"},
-            InvalidSettingError,
-            "takes pictures only",
-        ),
-        (
-            {"client": "openai", "name": "m", "video_fps": 2},
-            InvalidSettingError,
-            "video_fps is for the video that Google gets",
-        ),
-        ({"client": Says(), "name": "m", "timeout": 3}, InvalidSettingError, "timeout: for serv"),
-        ({"client": Says()}, InvalidSettingError, "Says has no name of its own"),
-        ({"client": lambda request: ""}, InvalidSettingError, "lambda.* has no name"),
+        ({}, "needs client='google', client='openai' or a function"),
+        ({"client": "gogle"}, "client 'gogle'.*'google'"),
+        ({"client": ["google"]}, "client .*google"),
+        ({"client": "google", "timeout": 10**400}, "timeout=1000"),
+        ({"client": "google", "timeout": float("nan")}, "timeout=nan"),
+        ({"client": "google", "timeout": 0}, "timeout=0, expected.*> 0"),
+        ({"client": "google", "temperature": 3}, "temperature=3.*<= 2"),
+        ({"client": "google", "video_fps": 25}, "video_fps=25.*<= 24"),
+        ({"client": "google", "name": 4}, "name=4, expected a name"),
+        ({"client": "google", "show": "film"}, "show 'film'"),
+        ({"client": "google", "retries": -1}, "retries=-1"),
+        ({"client": "google", "frames": 1}, "frames=1.*>= 2"),
+        ({"client": "google", "remaining": "half"}, "remaining 'half'"),
+        ({"client": "google", "replay": "yes"}, "replay='yes'"),
+        ({"client": "google", "replay": True}, "store is not given"),
+        ({"client": "google", "base_url": "server"}, "base_url='server'"),
+        ({"client": "openai"}, "'openai' needs name"),
+        ({"client": "openai", "name": "m", "show": "video"}, "takes pictures only"),
+        ({"client": "openai", "name": "m", "video_fps": 2}, "video_fps is for the video"),
+        ({"client": Says(), "name": "m", "timeout": 3}, "timeout: for serv"),
+        ({"client": Says()}, "Says has no name of its own"),
+        ({"client": lambda request: ""}, "lambda.* has no name"),
     ],
 )
-def test_a_wrong_setting_is_named(options: Any, error: type[Exception], reason: str) -> None:
-    with pytest.raises(error, match=reason):
+def test_a_wrong_setting_is_named(options: Any, reason: str) -> None:
+    with pytest.raises((InvalidSettingError, UnknownNameError), match=reason):
         registry.model_info("vlm").make(**options)
 
 
