@@ -469,6 +469,13 @@ def test_what_is_no_file_of_arrays_is_refused_in_a_line(tmp_path: Path) -> None:
         assert len(str(told.value)) < 300 + len(str(tmp_path))
 
 
+def test_a_file_that_unpacks_to_much_is_refused(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "bomb.npz", "w", zipfile.ZIP_DEFLATED) as packed:
+        packed.writestr("0/edge.bias.npy", bytes(10**8))
+    with pytest.raises(InvalidSettingError, match="unpacks to more than 67108864"):
+        store.load(tmp_path / "bomb.npz")
+
+
 def test_a_folder_with_no_weights_or_with_two_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidSettingError, match=r"holds none of extended\.npz, original\.npz"):
         store.load(tmp_path)

@@ -108,6 +108,19 @@ def shared(logs: Array, spread: Array | float, question: str) -> Array:
     return jax.nn.log_softmax(moved, axis=-1)
 
 
+def log_of_counts(
+    counts: IntArray | Array, logs: Array, spread: Array | float, question: str
+) -> Array:
+    """Return (node, event) log probabilities of numbers of answers (event, answer).
+
+    As by :func:`shared`, but with the sums over answers outermost, five times as fast.
+    """
+    normals = jnp.asarray(NORMALS[question])
+    moved = logs.T[:, None] + spread * normals.T[:, :, None]  # answer, node, event
+    chosen = (counts * logs).sum(axis=-1) + spread * normals @ counts.T
+    return chosen - counts.sum(axis=-1) * jax.nn.logsumexp(moved, axis=0)
+
+
 def expected(said: Responses, spread: Array | float) -> Responses:
     """Return question -> (event, answer) shares of people that are to be expected."""
     return {q: jnp.exp(shared(logs, spread, q)).mean(axis=0) for q, logs in said.items()}
@@ -133,15 +146,15 @@ def people(observer: Program, evidence: Evidence, answers: Answers, counted: Arr
     for place, question in enumerate(QUESTIONS):
         if question not in said or question not in answers.counts:
             continue
-        logs = shared(said[question], spread, question)
         if n_raters:
+            logs = shared(said[question], spread, question)
             of = answers.rows[answers.rows[:, 0] == place]
             own = jax.nn.log_softmax(logs[:, of[:, 1]] * sharp[of[:, 2], None], axis=-1)
             chosen = own[:, np.arange(len(of)), of[:, 3]]
             by_node = jnp.zeros(logs.shape[:2]).at[:, of[:, 1]].add(chosen)
         else:
-            by_node = (answers.counts[question] * logs).sum(axis=-1)
-        total += jax.nn.logsumexp(by_node, axis=0) - jnp.log(len(logs))
+            by_node = log_of_counts(answers.counts[question], said[question], spread, question)
+        total += jax.nn.logsumexp(by_node, axis=0) - jnp.log(_NODES)
     if len(answers.seconds):
         total += _of_times(said, answers, n_raters, len(evidence.events))
     numpyro.deterministic("log_likelihood", total)

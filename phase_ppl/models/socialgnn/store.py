@@ -12,6 +12,7 @@ import functools
 import hashlib
 import os
 import textwrap
+import zipfile
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
@@ -138,6 +139,7 @@ AS_THE_AUTHORS: Final[Mapping[str, Any]] = {
 Arrays = Mapping[str, NDArray[np.float16]]
 
 _WEIGHTS: Final = resources.files("phase_ppl.models.socialgnn") / "weights"
+_LARGEST: Final = 64 * 2**20  # bytes that weights unpack to; the package's are under one megabyte
 
 
 class Trained(NamedTuple):
@@ -190,6 +192,9 @@ def load(path: str | os.PathLike[str]) -> Trained:
             raise InvalidSettingError(f"{source} {why}")
         source = there[0]
     try:
+        with zipfile.ZipFile(source) as packed:
+            if sum(entry.file_size for entry in packed.infolist()) > _LARGEST:
+                raise ValueError(f"it unpacks to more than {_LARGEST} bytes")
         with open(source, "rb") as file, np.load(file, allow_pickle=False) as kept:
             return _checked({name: kept[name] for name in kept.files})
     except Exception as error:  # NumPy has a dozen kinds for what is not as it should be
