@@ -14,8 +14,8 @@ import numpy as np
 
 from phase_ppl.evaluation import tables
 from phase_ppl.evaluation.bootstrap import LEVEL, difference, interval, resampled, weighted_mean
-from phase_ppl.evaluation.entries import Entry
 from phase_ppl.evaluation.metrics import Paired, events_with
+from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.tables import KINDS
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event
@@ -31,7 +31,7 @@ _ROUNDING: Final = 1e-12
 
 def differences(
     events: Sequence[Event],
-    compared: Sequence[Entry],
+    models: Mapping[str, Mapping[str, Prediction]],
     *,
     against: str | None = None,
     seed: int = 0,
@@ -50,19 +50,18 @@ def differences(
         the measure; for the scenarios over all pairs and scenarios of the measure.
     """
     if against is None:
-        pairs = list(itertools.combinations(compared, 2))
+        pairs = list(itertools.combinations(models, 2))
     else:
-        other = next(one for one in compared if one.name == against)
-        pairs = [(one, other) for one in compared if one is not other]
+        pairs = [(name, against) for name in models if name != against]
     paired = Paired(events, seed=seed, resamples=resamples)
     rows: list[Row] = []
     for one, other in pairs:
-        found = paired.difference(one.predictions, other.predictions)
+        found = paired.difference(models[one], models[other])
         counts = {name: part["n"] for name, part in found.get("by_scenario", {}).items()}
         for scenario, measure, value in _figures(found):
             rows.append(
                 {
-                    **{"one": one.name, "other": other.name},
+                    **{"one": one, "other": other},
                     **{"measure": measure, "scenario": scenario},
                     **value,
                     "n_events": found["n_events"] if scenario is None else counts[scenario],
@@ -89,7 +88,7 @@ def _figures(found: Mapping[str, Any]) -> list[tuple[str | None, str, dict[str, 
 
 def equivalence(
     events: Sequence[Event],
-    compared: Sequence[Entry],
+    models: Mapping[str, Mapping[str, Prediction]],
     *,
     margin: float,
     seed: int = 0,
@@ -112,9 +111,9 @@ def equivalence(
         are not tested for equivalence: resampling a handful that agree shows no spread.
     """
     rows: list[Row] = []
-    for one in compared:
-        chosen = tables.predicted(events, one.predictions)
-        known, said = tables.facts(chosen), tables.said(chosen, one.predictions)
+    for model, predictions in models.items():
+        chosen = tables.predicted(events, predictions)
+        known, said = tables.facts(chosen), tables.said(chosen, predictions)
         weights = resampled(len(chosen), seed, resamples)
         for kind in KINDS:
             of_people = np.take_along_axis(
@@ -128,7 +127,7 @@ def equivalence(
                     part = np.where(chosen_rows[:, None], more, np.nan)
                 found = _tested(weighted_mean(weights, part), events_with(part), margin)
                 if found is not None:
-                    row = {"model": one.name, "measure": f"{kind}_accuracy", "scenario": scenario}
+                    row = {"model": model, "measure": f"{kind}_accuracy", "scenario": scenario}
                     rows.append({**row, **found})
     for name in ("p", "p_equivalent"):
         rows = _corrected(rows, name)

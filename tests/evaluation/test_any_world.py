@@ -73,7 +73,7 @@ def test_goals_and_relations_are_scored_by_agent_and_pair_and_together(
     assert "human" not in metrics
     assert "by_scenario" not in metrics
     text = str(found)
-    for word in ("purple agent", "red & purple", "of p >= 0.8 (4)"):
+    for word in ("purple agent", "red & purple", "0.75 [0.19, 0.99] of 4"):
         assert word in text
 
 
