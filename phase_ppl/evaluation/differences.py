@@ -1,4 +1,4 @@
-"""Paired differences between models and equivalence with people, on resampled events.
+"""Scores differences between models and equivalence with people, on resampled events.
 
 Both resample events: every figure is about other events like these, not about other people or
 other runs of the models.
@@ -14,12 +14,11 @@ import numpy as np
 
 from phase_ppl.evaluation import tables
 from phase_ppl.evaluation.bootstrap import LEVEL, difference, interval, resampled, weighted_mean
-from phase_ppl.evaluation.metrics import Paired, events_with
+from phase_ppl.evaluation.metrics import Scores, at_truth, events_with
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.tables import KINDS
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.event import Event
-from phase_ppl.world.hypothesis import SCENARIOS
 
 Row = dict[str, Any]
 LEAST_EVENTS: Final = 10  # events without which nothing is said of equivalence
@@ -53,7 +52,7 @@ def differences(
         pairs = list(itertools.combinations(models, 2))
     else:
         pairs = [(name, against) for name in models if name != against]
-    paired = Paired(events, seed=seed, resamples=resamples)
+    paired = Scores(events, seed=seed, resamples=resamples)
     rows: list[Row] = []
     for one, other in pairs:
         found = paired.difference(models[one], models[other])
@@ -71,7 +70,7 @@ def differences(
 
 
 def _figures(found: Mapping[str, Any]) -> list[tuple[str | None, str, dict[str, Any]]]:
-    """Return scenario, measure and figure of all that :class:`Paired` found."""
+    """Return scenario, measure and figure of all that :class:`Scores` found."""
     flat: list[tuple[str | None, str, Any]] = []
     for name, value in found.items():
         if name == "by_scenario":
@@ -116,15 +115,10 @@ def equivalence(
         known, said = tables.facts(chosen), tables.said(chosen, predictions)
         weights = resampled(len(chosen), seed, resamples)
         for kind in KINDS:
-            of_people = np.take_along_axis(
-                known.people[kind], np.maximum(known.truth[kind], 0)[..., None], axis=-1
-            )[..., 0]
-            more = said.right[kind] - of_people
-            for scenario in (None, *SCENARIOS):
-                part = more
-                if scenario is not None:
-                    chosen_rows = known.scenario == SCENARIOS.index(scenario)
-                    part = np.where(chosen_rows[:, None], more, np.nan)
+            more = said.right[kind] - at_truth(known.people[kind], known.truth[kind])
+            parts = {name: chosen for (_, name), chosen in known.parts(kind).items()}
+            for scenario, chosen_rows in {None: True, **parts}.items():
+                part = np.where(chosen_rows, more, np.nan)
                 found = _tested(weighted_mean(weights, part), events_with(part), margin)
                 if found is not None:
                     row = {"model": model, "measure": f"{kind}_accuracy", "scenario": scenario}

@@ -39,6 +39,7 @@ import numpy as np
 
 from phase_ppl.evaluation.bootstrap import (
     Figure,
+    correlation,
     divided,
     figure,
     r_of_sums,
@@ -81,6 +82,7 @@ def doubt(
     judged = [one for one, is_there in zip(known.judgments, there, strict=True) if is_there and one]
     counts = np.array([one.counts["relation"] for one in judged])
     names = [name for name, is_there in zip(ids, there, strict=True) if is_there]
+    groups = same_truth(truth, len(RELATIONS))
     rng = np.random.default_rng([seed, _STREAM])
     drawn = people_drawn(judged, counts, known.by_participant, rng, resamples)
     weights = resampled(len(p), seed, resamples)
@@ -89,7 +91,7 @@ def doubt(
     bins = calibration(p, people)
     return {
         "relation_r": _two_way(weights, p, people, drawn, None),
-        "relation_r_given_truth": _two_way(weights, p, people, drawn, truth),
+        "relation_r_given_truth": _two_way(weights, p, people, drawn, groups),
         "log_score_gap": figure(weighted_mean(weights, gap), len(p)),
         "brier": figure(weighted_mean(weights, brier), len(p)),
         "ece": float(sum(b["n"] * abs(b["probability"] - b["share"]) for b in bins) / p.size),
@@ -108,30 +110,14 @@ def doubt(
     }
 
 
-def pearson(
-    weights: FloatArray, x: FloatArray, y: FloatArray, truth: IntArray | None = None
-) -> FloatArray:
-    """Return (row,) Pearson's r of x and y (row or 1, event, answer), NaN where one is constant.
+def same_truth(truth: IntArray, n_answers: int) -> IntArray:
+    """Return (event, answer) numbers of groups of the same true answer, -1 where it is unknown.
 
-    Weights are (row, event). With ``truth`` (event,) it is the r of what is left when the mean over
-    the events of the same truth is taken off each answer; those of unknown truth (-1) do not count.
+    Deviations from the means of these groups are what is left of probabilities, and of the shares
+    of people, when it does not help to be right.
     """
-    groups = np.zeros(weights.shape[1], np.int64) if truth is None else truth
-    weights = np.where(groups < 0, 0.0, weights)[..., None]
-    total = np.zeros((3, len(weights)))
-    for group in np.unique(groups[groups >= 0]):
-        w = weights[:, groups == group]
-        left, right = (values[:, groups == group] for values in (x, y))
-        axes = (1,) if truth is not None else (1, 2)
-        n = (w * np.ones_like(left)).sum(axis=axes, keepdims=True)
-        n = np.where(n > 0, n, 1.0)
-        left = left - (w * left).sum(axis=axes, keepdims=True) / n
-        right = right - (w * right).sum(axis=axes, keepdims=True) / n
-        products = (left * right, left * left, right * right)
-        total += np.stack([(w * one).sum(axis=(1, 2)) for one in products])
-    both, of_left, of_right = total
-    varied = np.minimum(of_left, of_right) > 1e-12
-    return np.where(varied, both / np.sqrt(np.where(varied, of_left * of_right, 1)), np.nan)
+    groups = truth[:, None] * n_answers + np.arange(n_answers)
+    return np.where(truth[:, None] < 0, -1, groups)
 
 
 def people_drawn(
@@ -166,11 +152,11 @@ def _two_way(
     p: FloatArray,
     people: FloatArray,
     drawn: FloatArray,
-    truth: IntArray | None,
+    groups: IntArray | None,
 ) -> Figure | None:
-    value = pearson(weights[:1], p[None], people[None], truth)
-    among_raters = pearson(np.ones_like(weights[1:]), p[None], drawn, truth)
-    both = pearson(weights[1:], p[None], drawn, truth)
+    value = correlation(weights[:1], p, people, groups)
+    among_raters = correlation(np.ones_like(weights[1:]), p, drawn, groups)
+    both = correlation(weights[1:], p, drawn, groups)
     moved = both + value - _mean(among_raters)
     return figure(np.concatenate([value, np.clip(moved, -1, 1)]), len(p))
 
@@ -209,14 +195,14 @@ def ceiling(
     rest = np.maximum(several[left_out] - answer, 0)
     rest = rest / np.maximum(rest.sum(axis=1, keepdims=True), 1)
     times = several.ravel().astype(float)
-    by_row = of_several[left_out]
+    groups = same_truth(of_several, len(RELATIONS))
     found: dict[str, float] = {}
-    for suffix, groups in (("", None), ("_given_truth", of_several)):
-        halves = _mean(pearson(np.ones(half.shape[:2]), one, other, groups))
-        rows = None if groups is None else by_row
+    for suffix, of_events in (("", None), ("_given_truth", groups)):
+        of_rows = None if of_events is None else of_events[left_out]
+        halves = _mean(correlation(np.ones(half.shape[:2]), one, other, of_events))
         found[f"split_half_r{suffix}"] = halves
         found[f"spearman_brown{suffix}"] = 2 * halves / (1 + halves) if halves > -1 else np.nan
-        found[f"one_out_r{suffix}"] = float(pearson(times[None], rest[None], answer[None], rows)[0])
+        found[f"one_out_r{suffix}"] = float(correlation(times[None], rest, answer, of_rows)[0])
     scores = np.average(log_score(rest, answer), weights=times)
     found["one_out_log_score"] = float(scores)
     return {name: None if np.isnan(value) else value for name, value in found.items()}

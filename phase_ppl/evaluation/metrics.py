@@ -65,7 +65,7 @@ without "goal" are about the relation:
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -86,12 +86,12 @@ from phase_ppl.evaluation.doubt import (
     log_probabilities,
     log_score,
     negative_entropy,
+    same_truth,
     split_half,
 )
 from phase_ppl.evaluation.prediction import (
     GOAL_QUESTIONS,
     Prediction,
-    pairs_of,
     questions_of,
     reference_predictions,
 )
@@ -106,17 +106,6 @@ Path = tuple[str, ...]  # keys under which a figure is found in the metrics
 
 PREFIX: Final[Mapping[str, str]] = {"goal": "goal_", "relation": ""}
 """Kind -> what the names of figures under ``human`` begin with."""
-
-_ORDER: Final = (
-    *("n_events", "n", "goal_accuracy", "goal_top3_accuracy", "relation_accuracy"),
-    *("goal_log_score_truth", "relation_log_score_truth", "by_scenario", "confusion", "human"),
-    *("by_agent", "by_pair", "calibration", "doubt", "ties"),
-)
-_HUMAN_ORDER: Final = (
-    *("relation_r", "relation_r_given_truth", "goal_r", "log_score", "log_score_people"),
-    *("goal_log_score", "goal_log_score_people", "js", "goal_js", "split_half_r"),
-    *("goal_split_half_r", "split_half_by"),
-)
 
 
 def evaluate_predictions(
@@ -142,7 +131,7 @@ def evaluate_predictions(
         InvalidSettingError: a prediction is of another event than it is filed under, or
             ``seed`` or ``resamples`` is out of range.
     """
-    return metrics_of_each(events, {"": predictions}, seed=seed, resamples=resamples)[""]
+    return Scores(events, seed=seed, resamples=resamples).metrics(predictions)
 
 
 def reference_models(
@@ -165,37 +154,10 @@ def metrics_of_each(
 ) -> dict[str, dict[str, Any]]:
     """Return name -> metrics of several models, from name -> event id -> prediction.
 
-    Arguments and errors as for :func:`evaluate_predictions`. What people say among themselves is
-    computed once for all models that predict the same events.
+    Arguments and errors as for :func:`evaluate_predictions`.
     """
-    given: dict[tuple[str, ...], tuple[Facts, FloatArray, dict[Path, Any]]] = {}
-    found = {}
-    for name, predictions in models.items():
-        chosen = tables.predicted(events, predictions)
-        ids = tuple(event.id for event in chosen)
-        if ids not in given:
-            known, weights = tables.facts(chosen), resampled(len(chosen), seed, resamples)
-            given[ids] = known, weights, _among_people(known, weights, seed)
-        known, weights, among_people = given[ids]
-        model = tables.said(chosen, predictions)
-        judged = {f"{k}_judgments": events_with(p.sum(axis=-1)) for k, p in known.people.items()}
-        result: dict[str, Any] = {
-            "n_events": len(chosen),
-            "n": {"events": len(events), "truth": int((known.scenario >= 0).sum()), **judged},
-        }
-        curves = model_curves(known, model, weights) | people_curves(known, model, weights)
-        put(result, {path: curve.figure() for path, curve in curves.items()})
-        if known.world == PHASE:
-            put(result, among_people)
-            count_scenarios(result, known.scenario)
-            result["confusion"] = confusion(zip(known.scenario, model.scenario, strict=True))
-            result["doubt"] = doubt(known, model, ids, seed, resamples)
-        else:
-            result["n"]["truth"] = events_with(np.where(known.truth["goal"] < 0, np.nan, 0.0))
-            result["calibration"] = calibration(model)
-        result["ties"] = count_ties([predictions[event.id] for event in chosen], known.world)
-        found[name] = _ordered(result)
-    return found
+    scores = Scores(events, seed=seed, resamples=resamples)
+    return {name: scores.metrics(predictions) for name, predictions in models.items()}
 
 
 def paired_difference(
@@ -219,44 +181,76 @@ def paired_difference(
     Raises:
         As :func:`evaluate_predictions`.
     """
-    return Paired(events, seed=seed, resamples=resamples).difference(one, other)
+    return Scores(events, seed=seed, resamples=resamples).difference(one, other)
 
 
-class Paired:
-    """Differences between several models on the same resamples of events.
+class Scores:
+    """Metrics of several models and their differences, on the same resamples of events.
 
-    What is asked of a model for one pair is kept for the next.
+    What does not depend on the model, and what is asked of one for a pair, is kept for the next.
     """
 
     def __init__(self, events: Sequence[Event], *, seed: int = 0, resamples: int = 1000) -> None:
         self._events, self._seed, self._resamples = events, seed, resamples
         self._facts: dict[tuple[str, ...], tuple[Facts, FloatArray]] = {}
+        self._among_people: dict[tuple[str, ...], dict[Path, Any]] = {}
         self._curves: dict[tuple[int, tuple[str, ...], bytes], dict[Path, Curve]] = {}
         self._models: list[Mapping[str, Prediction]] = []  # kept, so that each has its own id
+
+    def metrics(self, predictions: Mapping[str, Prediction]) -> dict[str, Any]:
+        """Return what :func:`evaluate_predictions` does."""
+        chosen, ids, known, weights = self._of_events(predictions)
+        model = tables.said(chosen, predictions)
+        true_goals = np.where(known.truth["goal"] < 0, np.nan, 0.0)
+        judged = {f"{k}_judgments": events_with(p.sum(axis=-1)) for k, p in known.people.items()}
+        result: dict[str, Any] = {
+            "n_events": len(chosen),
+            "n": {"events": len(self._events), "truth": events_with(true_goals), **judged},
+        }
+        curves = model_curves(known, model, weights) | people_curves(known, model, weights)
+        put(result, {path: curve.figure() for path, curve in curves.items()})
+        if known.world == PHASE:
+            if ids not in self._among_people:
+                self._among_people[ids] = _among_people(known, weights, self._seed)
+            put(result, self._among_people[ids])
+            count_scenarios(result, known.scenario)
+            result["confusion"] = confusion(known.scenario, model.scenario)
+            result["doubt"] = doubt(known, model, ids, self._seed, self._resamples)
+        else:
+            result["calibration"] = calibration(model)
+        result["ties"] = count_ties([predictions[name] for name in ids], known.world)
+        return result
 
     def difference(
         self, one: Mapping[str, Prediction], other: Mapping[str, Prediction]
     ) -> dict[str, Any]:
         """Return what :func:`paired_difference` does."""
-        chosen = tables.predicted(tables.predicted(self._events, one), other)
-        ids = tuple(event.id for event in chosen)
-        if ids not in self._facts:
-            weights = resampled(len(chosen), self._seed, self._resamples)
-            self._facts[ids] = tables.facts(chosen), weights
+        chosen, ids, known, _ = self._of_events(one, other)
         first, second = tables.said(chosen, one), tables.said(chosen, other)
         of_one = self._of(one, ids, first.where_known(second))
         of_other = self._of(other, ids, second.where_known(first))
         result: dict[str, Any] = {"n_events": len(chosen)}
-        put(
-            result,
-            {
-                path: difference(curve.values, of_other[path].values, curve.n)
-                for path, curve in of_one.items()
-            },
-        )
-        if self._facts[ids][0].world == PHASE:
-            count_scenarios(result, self._facts[ids][0].scenario)
-        return _ordered(result)
+        differences = {
+            path: difference(curve.values, of_other[path].values, curve.n)
+            for path, curve in of_one.items()
+        }
+        put(result, differences)
+        if known.world == PHASE:
+            count_scenarios(result, known.scenario)
+        return result
+
+    def _of_events(
+        self, *models: Mapping[str, Prediction]
+    ) -> tuple[list[Event], tuple[str, ...], Facts, FloatArray]:
+        """Return the events that all models predict, their ids, facts and resamples."""
+        chosen = list(self._events)
+        for predictions in models:
+            chosen = tables.predicted(chosen, predictions)
+        ids = tuple(event.id for event in chosen)
+        if ids not in self._facts:
+            weights = resampled(len(chosen), self._seed, self._resamples)
+            self._facts[ids] = tables.facts(chosen), weights
+        return chosen, ids, *self._facts[ids]
 
     def _of(
         self, model: Mapping[str, Prediction], ids: tuple[str, ...], said: Said
@@ -270,29 +264,17 @@ class Paired:
 
 def _among_people(known: Facts, weights: FloatArray, seed: int) -> dict[Path, Any]:
     """Return the figures of people's agreement with each other."""
+    by_participant = known.by_participant
     found: dict[Path, Any] = {}
     for kind, prefix in PREFIX.items():
-        found["human", f"{prefix}split_half_r"] = figure(
-            *split_half(
-                known.judgments,
-                KINDS[kind],
-                weights,
-                by_participant=known.by_participant,
-                seed=seed,
-            )
+        halves = split_half(
+            known.judgments, KINDS[kind], weights, by_participant=by_participant, seed=seed
         )
+        found["human", f"{prefix}split_half_r"] = figure(*halves)
     judged = any(one is not None for one in known.judgments)
-    by = "participants" if known.by_participant else "votes"
+    by = "participants" if by_participant else "votes"
     found["human", "split_half_by"] = by if judged else None
     return found
-
-
-def _ordered(result: Mapping[str, Any]) -> dict[str, Any]:
-    given = dict(result)
-    if "human" in given:
-        of_people = given["human"]
-        given["human"] = {name: of_people[name] for name in _HUMAN_ORDER if name in of_people}
-    return {name: given[name] for name in _ORDER if name in given}
 
 
 # --- every metric of a model as a curve: its value, and its values on the resamples ---------------
@@ -313,54 +295,47 @@ class Curve(NamedTuple):
 
 def model_curves(known: Facts, model: Said, weights: FloatArray) -> dict[Path, Curve]:
     """Return all figures that are about the model."""
-    elsewhere = known.world != PHASE
-    curves = accuracy_curves(model.right, known.scenario, weights, by_scenario=not elsewhere)
-
-    def mean(values: FloatArray) -> Curve:
-        return Curve(weighted_mean(weights, values), events_with(values))
-
+    curves = accuracy_curves(model.right, known, weights)
     curves["goal_top3_accuracy",] = share_curve(weights, model.in_top)
     for kind, prefix in PREFIX.items():
-        probabilities, people, truth = (
-            model.probabilities[kind],
-            known.people[kind],
-            known.truth[kind],
+        probabilities, people = model.probabilities[kind], known.people[kind]
+        of_truth = at_truth(log_probabilities(probabilities), known.truth[kind])
+        curves[f"{kind}_log_score_truth",] = mean_curve(weights, of_truth)
+        if known.world == PHASE:
+            curves["human", f"{kind}_r"] = _r(weights, probabilities, people)
+            agreed = log_score(probabilities, people)
+            curves["human", f"{prefix}log_score"] = mean_curve(weights, agreed)
+            apart = jensen_shannon(probabilities, people)
+            curves["human", f"{prefix}js"] = mean_curve(weights, apart)
+        else:
+            for path, chosen in known.parts(kind).items():
+                part = np.where(chosen, of_truth, np.nan)
+                curves[*path, f"{kind}_log_score_truth"] = mean_curve(weights, part)
+    if known.world == PHASE:
+        curves["human", "relation_r_given_truth"] = _r(
+            weights,
+            model.probabilities["relation"],
+            known.people["relation"],
+            same_truth(known.truth["relation"][:, 0], len(RELATIONS)),
         )
-        logs = log_probabilities(probabilities)
-        of_truth = np.take_along_axis(logs, np.maximum(truth, 0)[..., None], axis=-1)[..., 0]
-        of_truth = np.where(truth < 0, np.nan, of_truth)
-        curves[f"{kind}_log_score_truth",] = mean(of_truth)
-        if elsewhere:
-            for place, part in enumerate(_parts(kind, known.world)):
-                right = model.right[kind][:, [place]]
-                curves[*part, f"{kind}_accuracy"] = share_curve(weights, right)
-                curves[*part, f"{kind}_log_score_truth"] = mean(of_truth[:, [place]])
-            continue
-        curves["human", f"{kind}_r"] = _r(weights, probabilities, people)
-        curves["human", f"{prefix}log_score"] = mean(log_score(probabilities, people))
-        curves["human", f"{prefix}js"] = mean(jensen_shannon(probabilities, people))
-    if elsewhere:
-        return curves
-    true, n = known.truth["relation"], len(RELATIONS)
-    groups = np.where(true < 0, -1, true * n + np.arange(n))
-    curves["human", "relation_r_given_truth"] = _r(
-        weights, model.probabilities["relation"], known.people["relation"], groups
-    )
     return curves
 
 
-def _parts(kind: str, world: World) -> list[Path]:
-    """Return where the figures of each question of a kind are, in another world than PHASE."""
-    if kind == "goal":
-        return [("by_agent", agent) for agent in world.agents]
-    key = dict(zip(world.agents, world.keys, strict=True))
-    return [("by_pair", f"{key[one]} & {key[other]}") for one, other in pairs_of(world).values()]
+def at_truth(values: FloatArray, truth: IntArray) -> FloatArray:
+    """Return (event, question) the values (event, question, answer) of true answers, else NaN."""
+    of_truth = np.take_along_axis(values, np.maximum(truth, 0)[..., None], axis=-1)[..., 0]
+    return np.where(truth < 0, np.nan, of_truth)
 
 
 def _r(weights: FloatArray, x: FloatArray, y: FloatArray, groups: IntArray | None = None) -> Curve:
     flat = (x.shape[0], int(np.prod(x.shape[1:])))
     left, right = x.reshape(flat), y.reshape(flat)
     return Curve(correlation(weights, left, right, groups), events_with(left * right))
+
+
+def mean_curve(weights: FloatArray, values: FloatArray) -> Curve:
+    """Return the mean of (event, answer) values of any size."""
+    return Curve(weighted_mean(weights, values), events_with(values))
 
 
 def share_curve(weights: FloatArray, scores: FloatArray) -> Curve:
@@ -371,35 +346,26 @@ def share_curve(weights: FloatArray, scores: FloatArray) -> Curve:
 def people_curves(known: Facts, model: Said, weights: FloatArray) -> dict[Path, Curve]:
     """Return people's own log scores, on the events on which the model has one."""
     curves: dict[Path, Curve] = {}
-    if known.world != PHASE:
-        return curves
-    for kind, prefix in PREFIX.items():
+    for kind, prefix in PREFIX.items() if known.world == PHASE else ():
         people = np.where(np.isnan(model.probabilities[kind]), np.nan, known.people[kind])
-        bound = negative_entropy(people)
         path = ("human", f"{prefix}log_score_people")
-        curves[path] = Curve(weighted_mean(weights, bound), events_with(bound))
+        curves[path] = mean_curve(weights, negative_entropy(people))
     return curves
 
 
 def accuracy_curves(
-    right: Mapping[str, FloatArray],
-    scenario: IntArray,
-    weights: FloatArray,
-    *,
-    by_scenario: bool = True,
+    right: Mapping[str, FloatArray], known: Facts, weights: FloatArray
 ) -> dict[Path, Curve]:
-    """Return the accuracies, overall and by true scenario.
+    """Return the accuracies, overall and of each part (:meth:`~Facts.parts`).
 
-    From kind -> (event, question) how far the answer is right, 0 to 1, NaN unknown, and (event,)
-    index of the true scenario.
+    From kind -> (event, question) how far the answer is right, 0 to 1, NaN unknown.
     """
     curves: dict[Path, Curve] = {}
     for kind, values in right.items():
         curves[f"{kind}_accuracy",] = share_curve(weights, values)
-        for place, name in enumerate(SCENARIOS if by_scenario else ()):
-            part = np.where((scenario == place)[:, None], values, np.nan)
-            path = ("by_scenario", name, f"{kind}_accuracy")
-            curves[path] = share_curve(weights, part)
+        for path, chosen in known.parts(kind).items():
+            part = np.where(chosen, values, np.nan)
+            curves[*path, f"{kind}_accuracy"] = share_curve(weights, part)
     return curves
 
 
@@ -408,16 +374,15 @@ def events_with(values: FloatArray) -> int:
     return int((~np.isnan(values)).any(axis=tuple(range(1, values.ndim))).sum())
 
 
-def confusion(pairs: Iterable[tuple[int, int]]) -> dict[str, dict[str, int]] | None:
-    """Return true scenario -> other scenario -> number of pairs (true, other) of indices.
+def confusion(true: IntArray, other: IntArray) -> dict[str, dict[str, int]] | None:
+    """Return true scenario -> other scenario -> number of pairs, from indices (pair,) of both.
 
     Pairs with an unknown scenario (-1) do not count; None where all are unknown.
     """
     counts = np.zeros((len(SCENARIOS), len(SCENARIOS)), np.int64)
-    for true, other in pairs:
-        if true >= 0 and other >= 0:
-            counts[true, other] += 1
-    if not counts.any():
+    known = (true >= 0) & (other >= 0)
+    np.add.at(counts, (true[known], other[known]), 1)
+    if not known.any():
         return None
     return {
         name: dict(zip(SCENARIOS, row, strict=True))
@@ -514,14 +479,14 @@ def human_accuracy(
     majority: dict[str, FloatArray] = {}
     for kind, people in known.people.items():
         truth = known.truth[kind]
-        share[kind] = np.take_along_axis(people, truth[..., None], axis=-1)[..., 0]
+        share[kind] = at_truth(people, truth)
         # argmax takes NaN for the largest, and what nobody answered is left out here
         most = np.nan_to_num(people).argmax(axis=-1)
         majority[kind] = np.where(np.isnan(share[kind]), np.nan, most == truth)
     result: dict[str, Any] = {"n_events": len(chosen)}
     of_majority: dict[str, Any] = {}
     for place, right in ((result, share), (of_majority, majority)):
-        curves = accuracy_curves(right, known.scenario, weights)
+        curves = accuracy_curves(right, known, weights)
         put(place, {path: curve.figure() for path, curve in curves.items()})
         count_scenarios(place, known.scenario)
     result["majority"] = of_majority
@@ -529,13 +494,14 @@ def human_accuracy(
     result["by_participant"] = result["confusion"] = None
     if known.by_participant:
         result["by_participant"] = participant_accuracy(chosen, seed=seed, resamples=resamples)
-        result["confusion"] = confusion(
+        pairs = [
             (true, SCENARIOS.index(scenario(row[_RED], row[_GREEN])))
             for true, one in zip(known.scenario, known.judgments, strict=True)
             if one is not None
             for row in one.responses.values()
             if _RED in row and _GREEN in row
-        )
+        ]
+        result["confusion"] = confusion(*np.array(pairs, np.int64).reshape(-1, 2).T)
     return result
 
 

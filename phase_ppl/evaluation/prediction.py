@@ -17,21 +17,9 @@ from phase_ppl.dataset.documents import in_front, of_kind
 from phase_ppl.world.arrays import FloatArray
 from phase_ppl.world.errors import InvalidEventError, shown, unknown_name
 from phase_ppl.world.event import Event
-from phase_ppl.world.goals import GOALS
 from phase_ppl.world.hypothesis import RELATIONS, scenario
 from phase_ppl.world.names import AGENTS
 from phase_ppl.world.scene import PHASE, World
-
-QUESTIONS: Final[Mapping[str, tuple[str, ...]]] = {
-    "goal_red": GOALS,
-    "goal_green": GOALS,
-    "relation": RELATIONS,
-}
-"""What is asked about an event of PHASE -> the possible answers, in label order. Goals are
-effective."""
-
-GOAL_QUESTIONS: Final = dict(zip(AGENTS, ("goal_red", "goal_green"), strict=True))
-"""Agent -> the question about its goal."""
 
 _SUM_TOLERANCE: Final = 1e-3
 
@@ -40,24 +28,29 @@ _SUM_TOLERANCE: Final = 1e-3
 def questions_of(world: World) -> Mapping[str, tuple[str, ...]]:
     """Return what is asked about an event of a world -> the possible answers, in label order.
 
-    Of another world than PHASE ``goal_<agent>`` and ``relation_<one>_<other>``, with the agents'
-    ``world.keys``, as its posteriors call them.
+    ``goal_<agent>`` and ``relation_<one>_<other>``, with the agents' ``world.keys``, as its
+    posteriors call them; goals are effective. PHASE has one pair, whose question is ``relation``.
     """
-    if world == PHASE:
-        return QUESTIONS
     goals = {f"goal_{key}": world.goals for key in world.keys}
     return goals | dict.fromkeys(pairs_of(world), RELATIONS)
 
 
 @functools.lru_cache(16)
 def pairs_of(world: World) -> Mapping[str, tuple[str, str]]:
-    """Return the question about a relation -> the two agents, of another world than PHASE."""
+    """Return the question about a relation -> the two agents."""
     named = list(zip(world.keys, world.agents, strict=True))
     return {
-        f"relation_{one}_{other}": (agent, whom)
+        "relation" if world == PHASE else f"relation_{one}_{other}": (agent, whom)
         for place, (other, whom) in enumerate(named)
         for one, agent in named[:place]
     }
+
+
+QUESTIONS: Final = questions_of(PHASE)
+"""What is asked about an event of PHASE -> the possible answers, in label order."""
+
+GOAL_QUESTIONS: Final = dict(zip(AGENTS, QUESTIONS, strict=False))
+"""Agent of PHASE -> the question about its goal."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -8,33 +8,23 @@ from typing import Final
 
 import numpy as np
 
-from phase_ppl.evaluation.prediction import (
-    GOAL_QUESTIONS,
-    Prediction,
-    pairs_of,
-    questions_of,
-)
+from phase_ppl.evaluation.prediction import Prediction, pairs_of, questions_of
 from phase_ppl.evaluation.ratings import Judgments, event_judgments
-from phase_ppl.world.arrays import FloatArray, IntArray
+from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS, Roles
 from phase_ppl.world.scene import PHASE, World
-
-KINDS: Final[Mapping[str, tuple[str, ...]]] = {
-    "goal": tuple(GOAL_QUESTIONS.values()),
-    "relation": ("relation",),
-}
-"""What is measured together -> its questions, in PHASE."""
 
 TOP: Final = 3
 
 
 def kinds_of(world: World) -> Mapping[str, tuple[str, ...]]:
     """Return what is measured together -> its questions."""
-    if world == PHASE:
-        return KINDS
     return {"goal": tuple(f"goal_{key}" for key in world.keys), "relation": tuple(pairs_of(world))}
+
+
+KINDS: Final = kinds_of(PHASE)
 
 
 def world_of(events: Sequence[Event]) -> World:
@@ -61,13 +51,31 @@ class Facts:
     judgments: Sequence[Judgments | None]  # of each event
     # kind -> (event, question, answer) share of people, NaN where nobody answered
     people: Mapping[str, FloatArray]
-    world: World = PHASE  # of all events
+    world: World  # of all events
 
     @property
     def by_participant(self) -> bool:
         """Whether it is known, for all events that people judged, who gave which answer."""
         judged = [one for one in self.judgments if one is not None]
         return bool(judged) and all(one.responses for one in judged)
+
+    def parts(self, kind: str) -> dict[tuple[str, str], BoolArray]:
+        """Return where the metrics have a part of the answers -> which of (event, question) it is.
+
+        In PHASE those of a scenario; elsewhere goals of an agent, relations of a pair.
+        """
+        if self.world == PHASE:
+            return {
+                ("by_scenario", name): (self.scenario == place)[:, None]
+                for place, name in enumerate(SCENARIOS)
+            }
+        if kind == "goal":
+            paths = [("by_agent", agent) for agent in self.world.agents]
+        else:
+            key = dict(zip(self.world.agents, self.world.keys, strict=True))
+            pairs = pairs_of(self.world).values()
+            paths = [("by_pair", f"{key[one]} & {key[other]}") for one, other in pairs]
+        return dict(zip(paths, np.eye(len(paths), dtype=bool)[:, None], strict=True))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -86,16 +94,17 @@ class Said:
     def where_known(self, other: Said) -> Said:
         """Return it without what is unknown of ``other``."""
 
-        def common(
-            mine: Mapping[str, FloatArray], theirs: Mapping[str, FloatArray]
-        ) -> dict[str, FloatArray]:
-            return {k: np.where(np.isnan(theirs[k]), np.nan, mine[k]) for k in mine}
+        def common(mine: FloatArray, theirs: FloatArray) -> FloatArray:
+            return np.where(np.isnan(theirs), np.nan, mine)
 
         return dataclasses.replace(
             self,
-            right=common(self.right, other.right),
-            in_top=np.where(np.isnan(other.in_top), np.nan, self.in_top),
-            probabilities=common(self.probabilities, other.probabilities),
+            right={kind: common(mine, other.right[kind]) for kind, mine in self.right.items()},
+            in_top=common(self.in_top, other.in_top),
+            probabilities={
+                kind: common(mine, other.probabilities[kind])
+                for kind, mine in self.probabilities.items()
+            },
         )
 
     def unknown(self) -> bytes:
@@ -126,7 +135,7 @@ def facts(events: Sequence[Event]) -> Facts:
         truth={
             kind: _array(
                 [[_true_index(event, question) for question in questions] for event in events],
-                (len(events), len(questions)),
+                len(questions),
             ).astype(np.int64)
             for kind, questions in kinds_of(world).items()
         },
@@ -134,7 +143,7 @@ def facts(events: Sequence[Event]) -> Facts:
         judgments=judgments,
         people=_distributions(
             [
-                None if one is None else {q: one.distribution(q) for q in questions_of(world)}
+                {} if one is None else {q: one.distribution(q) for q in questions_of(world)}
                 for one in judgments
             ],
             world,
@@ -152,7 +161,7 @@ def said(events: Sequence[Event], predictions: Mapping[str, Prediction]) -> Said
     def asked(kind: str, check: Callable[[Event, Prediction, str], float]) -> FloatArray:
         pairs = zip(events, made, strict=True)
         rows = [[check(*pair, question) for question in kinds[kind]] for pair in pairs]
-        return _array(rows, (len(events), len(kinds[kind])))
+        return _array(rows, len(kinds[kind]))
 
     return Said(
         right={kind: asked(kind, _is_right) for kind in KINDS},
@@ -168,13 +177,13 @@ def said(events: Sequence[Event], predictions: Mapping[str, Prediction]) -> Said
 def true_answer(event: Event, question: str) -> str | None:
     """Return the true answer; None where the event has no truth."""
     truth = event.truth
-    if isinstance(truth, Roles):
-        pair = pairs_of(truth.world).get(question)
-        if pair is not None:
-            return truth.relation_between(*pair)
-        agents = zip(kinds_of(truth.world)["goal"], truth.goals.values(), strict=True)
-        return dict(agents)[question]
-    return None if truth is None else str(getattr(truth, question))
+    if not isinstance(truth, Roles):
+        return None if truth is None else str(getattr(truth, question))
+    pair = pairs_of(truth.world).get(question)
+    if pair is not None:
+        return truth.relation_between(*pair)
+    goals = kinds_of(truth.world)["goal"]
+    return truth.goals[truth.world.agents[goals.index(question)]]
 
 
 def _true_index(event: Event, question: str) -> int:
@@ -206,22 +215,21 @@ def _is_in_top(event: Event, prediction: Prediction, question: str) -> float:
 
 
 def _distributions(
-    given: Sequence[Mapping[str, FloatArray | None] | Mapping[str, FloatArray] | None],
-    world: World,
+    given: Sequence[Mapping[str, FloatArray | None] | Mapping[str, FloatArray]], world: World
 ) -> dict[str, FloatArray]:
     """Return kind -> (event, question, answer) from question -> distribution per event."""
     arrays = {}
-    n_answers = {"goal": len(world.goals), "relation": len(RELATIONS)}
     for kind, questions in kinds_of(world).items():
-        values = np.full((len(given), len(questions), n_answers[kind]), np.nan)
+        n_answers = len(questions_of(world)[questions[0]]) if questions else len(RELATIONS)
+        values = np.full((len(given), len(questions), n_answers), np.nan)
         for event, of_event in enumerate(given):
             for place, question in enumerate(questions):
-                shares = None if of_event is None else of_event.get(question)
+                shares = of_event.get(question)
                 if shares is not None:
                     values[event, place] = shares
         arrays[kind] = values
     return arrays
 
 
-def _array(rows: Sequence[Sequence[float]], shape: tuple[int, int]) -> FloatArray:
-    return np.array(rows, np.float64).reshape(shape)
+def _array(rows: Sequence[Sequence[float]], n_columns: int) -> FloatArray:
+    return np.array(rows, np.float64).reshape(len(rows), n_columns)
