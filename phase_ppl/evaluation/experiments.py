@@ -173,29 +173,27 @@ class Likeness:
         Raises:
             UnknownNameError: ``by`` is neither.
         """
+        found = self._means(by)
+        return {group: found[group].to_numpy(float) for group in self.groups}
+
+    def _means(self, by: By) -> pd.Series[float]:
         if by not in _COLUMN:
             raise unknown_name("by", by, _COLUMN)
-        found = self.table.groupby(["group", _COLUMN[by]])["rating"].mean()
-        return {group: found[group].to_numpy(float) for group in self.groups}
+        return self.table.groupby(["group", _COLUMN[by]])["rating"].mean()
 
     def summary(self) -> pd.DataFrame:
         """Return group -> mean rating, and its standard deviation over videos and participants.
 
         The paper does not say of which of them its standard deviations are.
         """
-        rows = {}
-        for group in self.groups:
-            ratings = self.table.loc[self.table["group"] == group, "rating"]
-            videos, people = (self.means(by)[group] for by in ("videos", "participants"))
-            rows[group] = {
-                "mean": videos.mean(),
-                "sd_videos": _sd(videos),
-                "sd_participants": _sd(people),
-                "videos": len(videos),
-                "participants": len(people),
-                "ratings": len(ratings),
-            }
-        return pd.DataFrame.from_dict(rows, orient="index")
+        found = pd.DataFrame(index=pd.Index(self.groups))
+        of_group = self.table.groupby("group")["rating"]
+        videos, people = (self._means(by).groupby("group") for by in ("videos", "participants"))
+        found["mean"] = videos.mean()
+        found["sd_videos"], found["sd_participants"] = videos.std(), people.std()
+        found["videos"], found["participants"] = videos.size(), people.size()
+        found["ratings"] = of_group.size()
+        return found
 
     def equivalence(self, margin: float = MARGIN, by: By = "participants") -> dict[str, Any]:
         """Test whether the mean ratings of the groups differ by less than a margin.
@@ -244,10 +242,6 @@ class Likeness:
 
     def __repr__(self) -> str:
         return f"<Likeness of {' and '.join(self.groups)}, {len(self.table)} ratings>"
-
-
-def _sd(values: FloatArray) -> float:
-    return float(values.std(ddof=1)) if len(values) > 1 else float("nan")
 
 
 def load_likeness(path: str | os.PathLike[str]) -> Likeness:

@@ -32,8 +32,8 @@ from phase_ppl.dataset.load import load_events
 from phase_ppl.evaluation.csv_file import read_rows
 from phase_ppl.evaluation.folder import EVENTS, SETTINGS
 from phase_ppl.evaluation.metrics import participant_accuracy
-from phase_ppl.evaluation.prediction import QUESTIONS, reference_predictions
-from phase_ppl.evaluation.ratings import Judgments, checked_answer, event_judgments
+from phase_ppl.evaluation.prediction import QUESTIONS, checked_answer, reference_predictions
+from phase_ppl.evaluation.ratings import Judgments, event_judgments
 from phase_ppl.world.checks import instance_of
 from phase_ppl.world.errors import InvalidEventError, shown, unknown_name
 from phase_ppl.world.event import Event

@@ -84,15 +84,14 @@ class Prediction:
     def __post_init__(self) -> None:
         given, questions = {**self.probabilities, **self.answers}, self.questions
         for question in {**given, **self.errors}:
-            if question not in questions:
-                raise unknown_name("question", question, questions)
+            labels_of(question, self.world)
         probabilities = {
             question: _distribution(question, self.probabilities[question], labels)
             for question, labels in questions.items()
             if question in self.probabilities
         }
         answers = {
-            question: _answer(question, self.answers[question], self.world)
+            question: checked_answer(question, self.answers[question], self.world)
             if question in self.answers
             else labels[int(probabilities[question].argmax())]
             for question, labels in questions.items()
@@ -180,14 +179,9 @@ class Prediction:
                 another type.
         """
         given = {**record, **{name: record.get(name) or {} for name in ("cost", "errors")}}
-        fields = {"event": str, "probabilities": dict, "errors": dict, "answers": dict}
-        fields["cost"] = dict
-        for name, kind in fields.items():
-            if not isinstance(given.get(name), kind):
-                raise InvalidEventError(
-                    f"{name} of a prediction is {shown(given.get(name))}, "
-                    f"expected {'text' if kind is str else 'an object'}"
-                )
+        fields = dict.fromkeys(("probabilities", "errors", "answers", "cost"), dict)
+        for name, kind in {"event": str, **fields}.items():
+            of_kind(f"{name} of a prediction", given.get(name), kind)
         return cls(
             event_id=record["event"],
             probabilities={
@@ -214,16 +208,13 @@ def as_prediction(given: object, event_id: str = "", world: World = PHASE) -> Pr
             )
         found = dataclasses.replace(given, event_id=event_id)
     elif isinstance(given, Mapping):
-        probabilities, labels = {}, {}
-        for question, answer in given.items():
-            if answer is None:
-                continue
-            if isinstance(answer, str):
-                labels[question] = answer
-            elif isinstance(answer, Mapping):
-                probabilities[question] = probabilities_of(question, answer, world)
-            else:
-                probabilities[question] = np.asarray(answer)
+        answered = {q: answer for q, answer in given.items() if answer is not None}
+        labels = {q: answer for q, answer in answered.items() if isinstance(answer, str)}
+        probabilities = {
+            q: probabilities_of(q, shares, world) if isinstance(shares, Mapping) else shares
+            for q, shares in answered.items()
+            if q not in labels
+        }
         found = Prediction(event_id, probabilities, labels, world=world)
     else:
         raise InvalidEventError(
@@ -247,28 +238,35 @@ def probabilities_of(question: str, shares: Mapping[str, Any], world: World = PH
 
 def _in_order(question: str, shares: Mapping[str, Any], default: float, world: World) -> FloatArray:
     """Return numbers in label order; ``default`` for answers that are left out, or null."""
-    questions = questions_of(world)
-    if question not in questions:
-        raise unknown_name("question", question, questions)
+    labels = labels_of(question, world)
     if not isinstance(shares, Mapping):
         raise InvalidEventError(f"{question} is {shown(shares)}, expected answers with numbers")
-    labels = questions[question]
     values = np.full(len(labels), default)
     for answer, share in shares.items():
         if share is None and math.isnan(default):
             continue
         if isinstance(share, bool) or not isinstance(share, numbers.Real):
             raise InvalidEventError(f"{question}: {answer!r} has {shown(share)}, expected a number")
-        values[labels.index(_answer(question, answer, world))] = share
+        values[labels.index(checked_answer(question, answer, world))] = share
     return values
 
 
-def _answer(question: str, answer: object, world: World) -> str:
-    if questions_of(world)[question] is RELATIONS:
-        if answer not in RELATIONS:
-            raise unknown_name("relation", answer, RELATIONS)
-        return str(answer)
-    return world.goals[world.goal_index(str(answer))]
+def labels_of(question: str, world: World = PHASE) -> tuple[str, ...]:
+    """Return the possible answers to a question (UnknownNameError: there is no such question)."""
+    questions = questions_of(world)
+    if question not in questions:
+        raise unknown_name("question", question, questions)
+    return questions[question]
+
+
+def checked_answer(question: str, answer: object, world: World = PHASE) -> str:
+    """Return ``answer`` as the labels of ``question`` spell it; case and spaces do not matter."""
+    if labels_of(question, world) is not RELATIONS:
+        return world.goals[world.goal_index(str(answer))]
+    relation = str(answer).strip().lower()
+    if relation not in RELATIONS:
+        raise unknown_name("relation", answer, RELATIONS)
+    return relation
 
 
 def _distribution(question: str, given: ArrayLike, labels: Sequence[str]) -> FloatArray:
@@ -342,8 +340,8 @@ def _prediction(event_id: str, record: object, world: World) -> Prediction:
         return Prediction.from_dict(
             {"answers": {}, "probabilities": {}, **given, "event": event_id}, world
         )
-    answers = _per_agent("goals", given.get("goals"))
-    shares = _per_agent("goal_probs", given.get("goal_probs"))
+    answers = per_agent("goals", given.get("goals"))
+    shares = per_agent("goal_probs", given.get("goal_probs"))
     if "relation" in given:
         answers["relation"] = given["relation"]
     if "relation_probs" in given:
@@ -355,7 +353,7 @@ def _prediction(event_id: str, record: object, world: World) -> Prediction:
     )
 
 
-def _per_agent(field: str, record: object) -> dict[str, Any]:
+def per_agent(field: str, record: object) -> dict[str, Any]:
     """Return question -> value from agent -> value, without those that are null."""
     values = {} if record is None else of_kind(field, record, dict)
     for agent in values:
