@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import numbers
 import os
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
@@ -17,7 +17,7 @@ from phase_ppl.dataset.documents import check_schema, of_kind, read_json
 from phase_ppl.dataset.load import load_events, save_events
 from phase_ppl.evaluation import differences
 from phase_ppl.evaluation.answer_sets import PEOPLE, AnswerSet, answer_sets, stored_label
-from phase_ppl.evaluation.bootstrap import Figure, figure, resampled, weighted_mean
+from phase_ppl.evaluation.bootstrap import resampled
 from phase_ppl.evaluation.cells import (
     INTERVALS,
     KIND_WORDS,
@@ -32,10 +32,10 @@ from phase_ppl.evaluation.cells import (
 from phase_ppl.evaluation.differences import LEAST_EVENTS
 from phase_ppl.evaluation.evaluation import Evaluation, evaluation_of
 from phase_ppl.evaluation.folder import COMPARISON, EVENTS, SETTINGS
-from phase_ppl.evaluation.metrics import at, events_with, human_accuracy, metrics_of_each
+from phase_ppl.evaluation.metrics import Scores, at, human_accuracy, mean_curve
 from phase_ppl.evaluation.prediction import Prediction, reference_predictions
 from phase_ppl.evaluation.tables import world_of
-from phase_ppl.world.checks import whole_number
+from phase_ppl.world.checks import number_or_nan, whole_number
 from phase_ppl.world.errors import (
     InvalidEventError,
     InvalidSettingError,
@@ -59,14 +59,12 @@ MARGIN: Final = 0.1
 RESAMPLES: Final = 10_000
 """Resamples for differences: with 1000 no p is below 0.002, which many pairs make useless."""
 
-_COSTS: Final = ("cpu_seconds", "seconds")
-
 _TABLE: Final = (
     *("goal_accuracy", "goal_top3_accuracy", "relation_accuracy"),
     *("goal_log_score_truth", "relation_log_score_truth", "human.goal_r", "human.goal_log_score"),
     *("human.goal_js", "human.relation_r", "human.relation_r_given_truth", "human.log_score"),
     *("human.js", "doubt.relation_r", "doubt.relation_r_given_truth", "doubt.log_score_gap"),
-    *("doubt.brier", *_COSTS),
+    *("doubt.brier", "cpu_seconds", "seconds"),
 )
 
 
@@ -116,12 +114,19 @@ class ModelComparison:
     def metrics(self) -> dict[str, dict[str, Any]]:
         """Model -> its metrics (:mod:`phase_ppl.evaluation.metrics`).
 
-        They come with ``cpu_seconds`` and ``seconds``, the means per event. Each is about the
-        events of which the model has a prediction.
+        They come with ``cpu_seconds`` and ``seconds``, the means per event; None where they are not
+        known. Each is about the events of which the model has a prediction.
         """
         seed = self.settings["seed"]
-        found = metrics_of_each(self.events, self._predictions, seed=seed)
-        return {one.name: {**found[one.name], **_costs(one, seed)} for one in self.entries}
+        scores, found = Scores(self.events, seed=seed), {}
+        for one in self.entries:
+            weights = resampled(len(one.predictions), seed)
+            costs = [prediction.cost for prediction in one.predictions.values()]
+            found[one.name] = scores.metrics(one.predictions)
+            for name in ("cpu_seconds", "seconds"):
+                spent = np.array([number_or_nan(cost.get(name)) for cost in costs])
+                found[one.name][name] = mean_curve(weights, spent[:, None]).figure()
+        return found
 
     @functools.cached_property
     def people(self) -> dict[str, Any]:
@@ -346,18 +351,6 @@ def _entry(record: object, world: World) -> Entry:
     return Entry(**{**fields, "predictions": by_id})
 
 
-def _costs(one: Entry, seed: int) -> dict[str, Figure | None]:
-    """Return the mean ``cpu_seconds`` and ``seconds`` per event; None where they are not known."""
-    found: dict[str, Figure | None] = {}
-    weights = resampled(len(one.predictions), seed)
-    for name in _COSTS:
-        given = [prediction.cost.get(name) for prediction in one.predictions.values()]
-        numbers = [value if isinstance(value, int | float) else np.nan for value in given]
-        values = np.array(numbers, np.float64).reshape(-1, 1)
-        found[name] = figure(weighted_mean(weights, values), events_with(values))
-    return found
-
-
 # --- who is compared ------------------------------------------------------------------------------
 
 
@@ -422,20 +415,19 @@ def shared_events(
     Events are the same if they have the same id and all that is seen of them is the same. Truth
     and judgments are those of the first evaluation.
     """
-    (first, evaluation), *others = found.items()
+    given = {name: {event.id: event for event in one.events} for name, one in found.items()}
+    digests = {name: {i: event_digest(e) for i, e in of.items()} for name, of in given.items()}
+    (first, chosen), *others = given.items()
     notes = []
-    chosen = {event.id: event for event in evaluation.events}
-    digests = {event.id: event_digest(event) for event in evaluation.events}
-    for name, other in others:
-        theirs = {event.id: event for event in other.events}
-        same = {i for i in digests if i in theirs and event_digest(theirs[i]) == digests[i]}
-        if not common and not len(same) == len(digests) == len(theirs):
+    for name, theirs in others:
+        if not common and digests[name] != digests[first]:
             raise InvalidEventError(
                 f"{first} and {name} were asked about different events: "
-                f"{_differences(first, digests, name, theirs, same)}; common=True (--common) "
-                "compares them on the events that all share"
+                f"{_differences(first, digests[first], name, digests[name])}; common=True "
+                "(--common) compares them on the events that all share"
             )
-        chosen = {i: event for i, event in chosen.items() if i in same}
+        same = digests[first].items() & digests[name].items()
+        chosen = {i: event for i, event in chosen.items() if (i, digests[first][i]) in same}
         changed = [
             i
             for i, e in chosen.items()
@@ -448,20 +440,19 @@ def shared_events(
             )
     if not chosen:
         raise InvalidEventError(f"there is no event that {', '.join(found)} share")
-    largest = max(len(one.events) for one in found.values())
+    largest = max(map(len, given.values()))
     if len(chosen) < largest:
         notes.insert(0, f"on the {len(chosen)} events that all share, of up to {largest}")
     return list(chosen.values()), notes
 
 
-def _differences(
-    first: str, mine: Iterable[str], name: str, theirs: Iterable[str], same: Collection[str]
-) -> str:
-    both = set(mine) & set(theirs)
+def _differences(first: str, mine: Mapping[str, str], name: str, theirs: Mapping[str, str]) -> str:
     groups = {
-        f"only in {first}": [i for i in mine if i not in both],
-        f"only in {name}": [i for i in theirs if i not in both],
-        "not the same in scene or observation": [i for i in mine if i in both and i not in same],
+        f"only in {first}": [i for i in mine if i not in theirs],
+        f"only in {name}": [i for i in theirs if i not in mine],
+        "not the same in scene or observation": [
+            i for i in mine if theirs.get(i, mine[i]) != mine[i]
+        ],
     }
     return ", ".join(
         f"{len(ids)} {what} (such as {ids[0]!r})" for what, ids in groups.items() if ids
@@ -526,10 +517,10 @@ def _text(c: ModelComparison) -> str:
     for note in c.notes:
         lines += wrapped(f"note: {note}")
     lines += metric_tables(list(c.metrics.items()), c.people)
-    return "\n".join([*lines, *_differences(c), *_equivalence(c)])
+    return "\n".join([*lines, *_difference_lines(c), *_equivalence_lines(c)])
 
 
-def _differences(c: ModelComparison) -> list[str]:
+def _difference_lines(c: ModelComparison) -> list[str]:
     """Return the tables of paired differences: in right answers, in log probabilities."""
     rows = [r for r in c.differences if r["scenario"] is None]
     found = {(r["one"], r["other"], r["measure"]): r for r in rows}
@@ -565,7 +556,7 @@ def _differences(c: ModelComparison) -> list[str]:
     return lines
 
 
-def _equivalence(c: ModelComparison) -> list[str]:
+def _equivalence_lines(c: ModelComparison) -> list[str]:
     rows = [row for row in c.equivalence if row["scenario"] is None]
     if not rows:
         return []

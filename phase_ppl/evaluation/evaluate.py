@@ -247,7 +247,7 @@ def _outcomes(
     with_artefacts: bool,
     workers: int | None,
     executor: Executor | None,
-) -> Generator[tuple[str, _Outcome]]:
+) -> Generator[tuple[str, _Outcome], None, None]:
     """Ask about the events, which begin in this order; yield what becomes of each, by its id."""
     seed, digests = settings["seed"], settings["events"]
     jobs = [

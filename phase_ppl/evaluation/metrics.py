@@ -142,22 +142,8 @@ def reference_models(
     Arguments and errors as for :func:`evaluate_predictions` and
     :func:`~phase_ppl.evaluation.prediction.reference_predictions`.
     """
-    return metrics_of_each(events, reference_predictions(events), seed=seed, resamples=resamples)
-
-
-def metrics_of_each(
-    events: Sequence[Event],
-    models: Mapping[str, Mapping[str, Prediction]],
-    *,
-    seed: int = 0,
-    resamples: int = 1000,
-) -> dict[str, dict[str, Any]]:
-    """Return name -> metrics of several models, from name -> event id -> prediction.
-
-    Arguments and errors as for :func:`evaluate_predictions`.
-    """
     scores = Scores(events, seed=seed, resamples=resamples)
-    return {name: scores.metrics(predictions) for name, predictions in models.items()}
+    return {name: scores.metrics(given) for name, given in reference_predictions(events).items()}
 
 
 def paired_difference(
