@@ -129,7 +129,9 @@ def _tables(
         yield f"{word} right, {title}", columns, right
     for kind, word in KIND_WORDS.items():
         sure = dict.fromkeys(p for _, m in models for p in at(m, ("calibration", kind)) or ())
-        of_sure: dict[str, Path] = {f"p >= {p}": ("calibration", kind, p) for p in sure}
+        of_sure: dict[str, Path] = {
+            f"p >= {p}": ("calibration", kind, p) for p in sure if float(p) > 0
+        }
         yield f"{word} right, by the least probability of the answer", of_sure, models
     yield (
         "mean log probability of the true answer, nats",

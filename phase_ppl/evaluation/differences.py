@@ -14,7 +14,7 @@ import numpy as np
 
 from phase_ppl.evaluation import tables
 from phase_ppl.evaluation.bootstrap import LEVEL, difference, interval, resampled, weighted_mean
-from phase_ppl.evaluation.metrics import Scores, at_truth, events_with
+from phase_ppl.evaluation.metrics import Scores, events_with
 from phase_ppl.evaluation.prediction import Prediction
 from phase_ppl.evaluation.tables import KINDS
 from phase_ppl.world.arrays import FloatArray
@@ -115,7 +115,7 @@ def equivalence(
         known, said = tables.facts(chosen), tables.said(chosen, predictions)
         weights = resampled(len(chosen), seed, resamples)
         for kind in KINDS:
-            more = said.right[kind] - at_truth(known.people[kind], known.truth[kind])
+            more = said.right[kind] - tables.at_truth(known.people[kind], known.truth[kind])
             parts = {name: chosen for (_, name), chosen in known.parts(kind).items()}
             for scenario, chosen_rows in {None: True, **parts}.items():
                 part = np.where(chosen_rows, more, np.nan)

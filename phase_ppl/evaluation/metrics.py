@@ -96,7 +96,7 @@ from phase_ppl.evaluation.prediction import (
     reference_predictions,
 )
 from phase_ppl.evaluation.ratings import Judgments, event_judgments
-from phase_ppl.evaluation.tables import KINDS, Facts, Said, true_answer
+from phase_ppl.evaluation.tables import KINDS, Facts, Said, at_truth, true_answer
 from phase_ppl.world.arrays import FloatArray, IntArray
 from phase_ppl.world.event import Event
 from phase_ppl.world.hypothesis import RELATIONS, SCENARIOS, scenario
@@ -307,12 +307,6 @@ def model_curves(known: Facts, model: Said, weights: FloatArray) -> dict[Path, C
     return curves
 
 
-def at_truth(values: FloatArray, truth: IntArray) -> FloatArray:
-    """Return (event, question) the values (event, question, answer) of true answers, else NaN."""
-    of_truth = np.take_along_axis(values, np.maximum(truth, 0)[..., None], axis=-1)[..., 0]
-    return np.where(truth < 0, np.nan, of_truth)
-
-
 def _r(weights: FloatArray, x: FloatArray, y: FloatArray, groups: IntArray | None = None) -> Curve:
     flat = (x.shape[0], int(np.prod(x.shape[1:])))
     left, right = x.reshape(flat), y.reshape(flat)
@@ -432,7 +426,6 @@ def at(metrics: Mapping[str, Any], path: Path) -> Any:
 # --- what people got right ------------------------------------------------------------------------
 
 _RED, _GREEN = GOAL_QUESTIONS.values()
-_ALL: Final = ""  # stands for all scenarios together
 
 
 def human_accuracy(
@@ -507,26 +500,28 @@ def participant_accuracy(
         scenario -> both, of what participants said about its events, and ``n``, the participants
         who said anything.
     """
-    tally: dict[str, dict[tuple[str, str], list[bool]]] = {}
-    for event in events:
-        judgments = event_judgments(event)
-        if event.truth is None or judgments is None:
-            continue
-        for who, row in judgments.responses.items():
-            mine = tally.setdefault(who, {})
-            for kind, questions in KINDS.items():
-                right = [row[q] == true_answer(event, q) for q in questions if q in row]
-                for scope in (_ALL, event.truth.scenario) if right else ():
-                    mine.setdefault((kind, scope), []).extend(right)
-    weights = resampled(len(tally), seed, resamples)
-    result: dict[str, Any] = {"n_participants": len(tally)}
-    by_scenario: dict[str, dict[str, Any]] = {name: {} for name in SCENARIOS}
-    for scope, place in {_ALL: result, **by_scenario}.items():
+    import pandas as pd
+
+    rows = [
+        (who, kind, event.truth.scenario, float(row[question] == true_answer(event, question)))
+        for event in events
+        if event.truth is not None and (judgments := event_judgments(event)) is not None
+        for who, row in judgments.responses.items()
+        for kind, questions in KINDS.items()
+        for question in questions
+        if question in row
+    ]
+    table = pd.DataFrame(rows, columns=["who", "kind", "scenario", "right"])
+    people = table["who"].unique()
+    weights = resampled(len(people), seed, resamples)
+    result: dict[str, Any] = {"n_participants": len(people)}
+    by_scenario: dict[str, dict[str, Any]] = {
+        name: {"n": table["who"][table["scenario"] == name].nunique()} for name in SCENARIOS
+    }
+    for scope, place in {None: result, **by_scenario}.items():
+        part = table if scope is None else table[table["scenario"] == scope]
         for kind in KINDS:
-            shares = np.array([np.mean(mine.get((kind, scope), np.nan)) for mine in tally.values()])
-            n = int((~np.isnan(shares)).sum())
-            place[f"{kind}_accuracy"] = figure(weighted_mean(weights, shares), n)
-        if scope != _ALL:
-            said = [mine for mine in tally.values() if any((kind, scope) in mine for kind in KINDS)]
-            place["n"] = len(said)
+            each = part[part["kind"] == kind].groupby("who")["right"].mean().reindex(people)
+            values = weighted_mean(weights, each.to_numpy(float))
+            place[f"{kind}_accuracy"] = figure(values, int(each.notna().sum()))
     return {**result, "by_scenario": by_scenario}

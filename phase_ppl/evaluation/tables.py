@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
 
-from phase_ppl.evaluation.prediction import Prediction, pairs_of, questions_of
+from phase_ppl.evaluation.prediction import QUESTIONS, Prediction, pairs_of, questions_of
 from phase_ppl.evaluation.ratings import Judgments, event_judgments
 from phase_ppl.world.arrays import BoolArray, FloatArray, IntArray
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown
@@ -132,13 +132,7 @@ def facts(events: Sequence[Event]) -> Facts:
     judgments = [event_judgments(event) for event in events]
     world = world_of(events)
     return Facts(
-        truth={
-            kind: _array(
-                [[_true_index(event, question) for question in questions] for event in events],
-                len(questions),
-            ).astype(np.int64)
-            for kind, questions in kinds_of(world).items()
-        },
+        truth=_places([true_answers(event) for event in events], world),
         scenario=np.array([_true_scenario(event) for event in events], np.int64),
         judgments=judgments,
         people=_distributions(
@@ -156,17 +150,16 @@ def said(events: Sequence[Event], predictions: Mapping[str, Prediction]) -> Said
     """Collect what the predictions say about the events, each of which has one."""
     made = [predictions[event.id] for event in events]
     world = world_of(events)
-    kinds = kinds_of(world)
-
-    def asked(kind: str, check: Callable[[Event, Prediction, str], float]) -> FloatArray:
-        pairs = zip(events, made, strict=True)
-        rows = [[check(*pair, question) for question in kinds[kind]] for pair in pairs]
-        return _array(rows, len(kinds[kind]))
-
+    truth = _places([true_answers(event) for event in events], world)
+    answered = _places([one.answers for one in made], world)
+    probabilities = _distributions([one.probabilities for one in made], world)
     return Said(
-        right={kind: asked(kind, _is_right) for kind in KINDS},
-        in_top=asked("goal", _is_in_top),
-        probabilities=_distributions([one.probabilities for one in made], world),
+        right={
+            kind: np.where((true < 0) | (answered[kind] < 0), np.nan, true == answered[kind])
+            for kind, true in truth.items()
+        },
+        in_top=_in_top(probabilities["goal"], truth["goal"]),
+        probabilities=probabilities,
         scenario=np.array(
             [-1 if one.scenario is None else SCENARIOS.index(one.scenario) for one in made],
             np.int64,
@@ -176,20 +169,25 @@ def said(events: Sequence[Event], predictions: Mapping[str, Prediction]) -> Said
 
 def true_answer(event: Event, question: str) -> str | None:
     """Return the true answer; None where the event has no truth."""
+    return true_answers(event).get(question)
+
+
+def true_answers(event: Event) -> dict[str, str]:
+    """Return question -> true answer; empty where the event has no truth."""
     truth = event.truth
+    if truth is None:
+        return {}
     if not isinstance(truth, Roles):
-        return None if truth is None else str(getattr(truth, question))
-    pair = pairs_of(truth.world).get(question)
-    if pair is not None:
-        return truth.relation_between(*pair)
-    goals = kinds_of(truth.world)["goal"]
-    return truth.goals[truth.world.agents[goals.index(question)]]
+        return {question: str(getattr(truth, question)) for question in QUESTIONS}
+    goals = zip(kinds_of(truth.world)["goal"], truth.goals.values(), strict=True)
+    pairs = pairs_of(truth.world).items()
+    return dict(goals) | {q: truth.relation_between(*pair) for q, pair in pairs}
 
 
-def _true_index(event: Event, question: str) -> int:
-    answer = true_answer(event, question)
-    labels = questions_of(event.scene.world)[question]
-    return -1 if answer is None else labels.index(answer)
+def at_truth(values: FloatArray, truth: IntArray) -> FloatArray:
+    """Return (event, question) the values (event, question, answer) of true answers, else NaN."""
+    of_truth = np.take_along_axis(values, np.maximum(truth, 0)[..., None], axis=-1)[..., 0]
+    return np.where(truth < 0, np.nan, of_truth)
 
 
 def _true_scenario(event: Event) -> int:
@@ -198,20 +196,28 @@ def _true_scenario(event: Event) -> int:
     return SCENARIOS.index(event.truth.scenario) if known else -1
 
 
-def _is_right(event: Event, prediction: Prediction, question: str) -> float:
-    true = true_answer(event, question)
-    if true is None or question not in prediction.answers:
-        return np.nan
-    return float(prediction.answers[question] == true)
-
-
-def _is_in_top(event: Event, prediction: Prediction, question: str) -> float:
-    true, top = true_answer(event, question), prediction.top(question, TOP)
-    if true is None or top is None:
-        return np.nan
+def _in_top(probabilities: FloatArray, truth: IntArray) -> FloatArray:
+    """Return ``in_top`` of :class:`Said`."""
+    of_truth = at_truth(probabilities, truth)
+    # of equals, the first in label order is the more probable
+    before = np.arange(probabilities.shape[-1]) < truth[..., None]
+    more = probabilities > of_truth[..., None]
+    equal = probabilities == of_truth[..., None]
     # of the answers that a sampler never met, the first in label order are no better than others
-    probability = prediction.probabilities[question][prediction.questions[question].index(true)]
-    return float(true in top and probability > 0)
+    found = ((more | (equal & before)).sum(axis=-1) < TOP) & (of_truth > 0)
+    return np.where(np.isnan(of_truth), np.nan, found)
+
+
+def _places(given: Sequence[Mapping[str, str]], world: World) -> dict[str, IntArray]:
+    """Return kind -> (event, question) index of the answer, -1 where there is none."""
+    found = {}
+    for kind, questions in kinds_of(world).items():
+        rows = [
+            [questions_of(world)[q].index(one[q]) if q in one else -1 for q in questions]
+            for one in given
+        ]
+        found[kind] = np.array(rows, np.int64).reshape(len(given), len(questions))
+    return found
 
 
 def _distributions(
@@ -229,7 +235,3 @@ def _distributions(
                     values[event, place] = shares
         arrays[kind] = values
     return arrays
-
-
-def _array(rows: Sequence[Sequence[float]], n_columns: int) -> FloatArray:
-    return np.array(rows, np.float64).reshape(len(rows), n_columns)
