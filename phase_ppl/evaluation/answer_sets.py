@@ -64,10 +64,6 @@ class AnswerSet:
     # of them, where they were asked for
     metrics: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
-    def has(self, question: str) -> bool:
-        """Whether the question was answered about any event."""
-        return any(question in given.answers for given in self.predictions.values())
-
 
 def answer_sets(
     events: Sequence[Event],

@@ -78,10 +78,11 @@ def correlation(
         of_events = values.sum(axis=-1)
         return weights @ of_events if of_events.ndim == 1 else (weights * of_events).sum(axis=1)
 
-    n, of_left, of_right, both = map(total, (1.0 * known, left**2, right**2, left * right))
+    n, both = total(known.astype(np.float64)), total(left * right)
+    of_left, of_right = total(left**2), total(right**2)
     for number in np.unique(group[known]):
         chosen = known & (group == number)
-        count = total(1.0 * chosen)
+        count = total(chosen.astype(np.float64))
         sum_left, sum_right = total(left * chosen), total(right * chosen)
         of_left = of_left - np.nan_to_num(divided(sum_left**2, count))
         of_right = of_right - np.nan_to_num(divided(sum_right**2, count))

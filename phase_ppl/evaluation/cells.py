@@ -110,10 +110,11 @@ def _tables(
 ) -> Iterator[tuple[str, _Columns, Sequence[Row]]]:
     """Yield title, columns and rows of the tables."""
     right = [*models]
-    if people:
+    judged = people is not None and people["n_events"] > 0
+    if people is not None and judged:
         right += [(PEOPLE, people), (MAJORITY, people["majority"])]
     yield (
-        "right answers" + (" (people: share of people who are right)" if people else ""),
+        "right answers" + (" (people: share of people who are right)" if judged else ""),
         {
             "goals": "goal_accuracy",
             "goal in top 3": "goal_top3_accuracy",

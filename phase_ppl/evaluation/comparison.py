@@ -47,7 +47,7 @@ from phase_ppl.world.event import Event
 from phase_ppl.world.files import writable_folder, write_json
 from phase_ppl.world.identity import event_digest
 from phase_ppl.world.picture import preformatted
-from phase_ppl.world.scene import PHASE, World, check_phase
+from phase_ppl.world.scene import World, check_phase
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -130,12 +130,8 @@ class ModelComparison:
 
     @functools.cached_property
     def people(self) -> dict[str, Any]:
-        """What people got right (:func:`~phase_ppl.evaluation.metrics.human_accuracy`).
-
-        Empty in another world than PHASE, of which no judgments are read.
-        """
-        known = self.world == PHASE
-        return human_accuracy(self.events, seed=self.settings["seed"]) if known else {}
+        """What people got right (:func:`~phase_ppl.evaluation.metrics.human_accuracy`)."""
+        return human_accuracy(self.events, seed=self.settings["seed"])
 
     @functools.cached_property
     def differences(self) -> list[dict[str, Any]]:
@@ -153,8 +149,6 @@ class ModelComparison:
 
         Empty where no judged event has truth.
         """
-        if not self.people:
-            return []
         return differences.equivalence(
             self.events, self._predictions, margin=self.settings["margin"], **self._drawn
         )
@@ -509,7 +503,7 @@ _DIFFERENCES: Final = {
 
 def _text(c: ModelComparison) -> str:
     """Return all tables of a comparison."""
-    models, judged = len(c.models), c.people.get("n_events", 0)
+    models, judged = len(c.models), c.people["n_events"]
     head = f"{models} model{'s' * (models > 1)} on {len(c.events)} event{'s' * (len(c.events) > 1)}"
     if judged:
         head += f", {judged} of them with truth and people's judgments"

@@ -116,8 +116,8 @@ def equivalence(
         weights = resampled(len(chosen), seed, resamples)
         for kind in KINDS:
             more = said.right[kind] - tables.at_truth(known.people[kind], known.truth[kind])
-            parts = {name: chosen for (_, name), chosen in known.parts(kind).items()}
-            for scenario, chosen_rows in {None: True, **parts}.items():
+            for path, chosen_rows in known.parts(kind).items():
+                scenario = path[-1] if path else None
                 part = np.where(chosen_rows, more, np.nan)
                 found = _tested(weighted_mean(weights, part), events_with(part), margin)
                 if found is not None:

@@ -74,6 +74,8 @@ def doubt(
     known: Facts, model: Said, ids: Sequence[str], seed: int, resamples: int
 ) -> dict[str, Any] | None:
     """Return what the module describes, of events as arrays."""
+    if not any(known.judgments):
+        return None
     p, people = model.probabilities["relation"][:, 0], known.people["relation"][:, 0]
     there = ~np.isnan(p[:, 0]) & ~np.isnan(people[:, 0])
     if not there.any():
@@ -111,13 +113,13 @@ def doubt(
 
 
 def same_truth(truth: IntArray, n_answers: int) -> IntArray:
-    """Return (event, answer) numbers of groups of the same true answer, -1 where it is unknown.
+    """Return (..., answer) numbers of groups of the same true answer (...), -1 where it is unknown.
 
     Deviations from the means of these groups are what is left of probabilities, and of the shares
     of people, when it does not help to be right.
     """
-    groups = truth[:, None] * n_answers + np.arange(n_answers)
-    return np.where(truth[:, None] < 0, -1, groups)
+    groups = truth[..., None] * n_answers + np.arange(n_answers)
+    return np.where(truth[..., None] < 0, -1, groups)
 
 
 def people_drawn(

@@ -20,12 +20,11 @@ from phase_ppl.evaluation.metrics import (
     reference_models,
 )
 from phase_ppl.evaluation.prediction import Prediction, reference_predictions
-from phase_ppl.evaluation.tables import world_of
 from phase_ppl.world.errors import InvalidEventError, InvalidSettingError, shown, unknown_name
 from phase_ppl.world.event import Event
 from phase_ppl.world.identity import event_digest
 from phase_ppl.world.picture import preformatted
-from phase_ppl.world.scene import PHASE, check_phase
+from phase_ppl.world.scene import check_phase
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -61,10 +60,9 @@ class Evaluation:
         (:func:`~phase_ppl.evaluation.metrics.human_accuracy`); ``reference_models``, the metrics
         of the models whose predictions the events carry; ``failures``, ``settings``, ``cost``.
         """
-        of_phase = world_of(self.events) == PHASE
         found = {
             **evaluate_predictions(self.events, self.predictions),
-            "people": human_accuracy(self.events) if of_phase else None,
+            "people": human_accuracy(self.events),
             "reference_models": reference_models(self.events),
             "failures": self.failures,
             "settings": self.settings,

@@ -19,25 +19,22 @@ per question.
 ``relation_accuracy``          share of relations whose answer is true
 ``goal_log_score_truth``       mean log probability of the true answer [nats], with a lapse as
 ``relation_log_score_truth``   below
-``by_scenario``                true scenario -> ``goal_accuracy``, ``relation_accuracy``, ``n``
-``confusion``                  true scenario -> scenario of the two goals answered -> events
+``by_scenario``                in PHASE: true scenario -> ``goal_accuracy``, ``relation_accuracy``,
+                               both log scores of the truth, ``n``
+``by_agent``                   in other worlds: agent -> ``goal_accuracy``,
+                               ``goal_log_score_truth``
+``by_pair``                    in other worlds: "red & green" -> ``relation_accuracy``,
+                               ``relation_log_score_truth``
+``calibration``                "goal" and "relation" -> "0", "0.5", "0.8" and "0.95" -> of the
+                               answers of at least that probability ``n``, ``probability``, its
+                               mean, and ``accuracy``, the share that is true
+``confusion``                  true scenario -> scenario of the two goals answered -> events; None
+                               in other worlds than PHASE, of which no judgments are read either
 ``human``                      see below
 ``doubt``                      whether the model doubts where people do:
                                :mod:`phase_ppl.evaluation.doubt`
 ``ties``                       question -> events in which several answers are the most probable;
                                None where there are no probabilities
-=============================  ===================================================================
-
-Of events of another world than PHASE there are no ``by_scenario``, ``confusion``, ``human`` and
-``doubt``, but:
-
-=============================  ===================================================================
-``by_agent``                   agent -> ``goal_accuracy``, ``goal_log_score_truth``
-``by_pair``                    "red & green" -> ``relation_accuracy``,
-                               ``relation_log_score_truth``
-``calibration``                "goal" and "relation" -> "0", "0.5", "0.8" and "0.95" -> of the
-                               answers of at least that probability ``n``, ``probability``, its
-                               mean, and ``accuracy``, the share that is true
 =============================  ===================================================================
 
 ``human`` is about people's answers, of which each event has a distribution per question; names
@@ -195,15 +192,13 @@ class Scores:
         }
         curves = model_curves(known, model, weights) | people_curves(known, model, weights)
         put(result, {path: curve.figure() for path, curve in curves.items()})
-        if known.world == PHASE:
-            if ids not in self._among_people:
-                self._among_people[ids] = _among_people(known, weights, self._seed)
-            put(result, self._among_people[ids])
-            count_scenarios(result, known.scenario)
-            result["confusion"] = confusion(known.scenario, model.scenario)
-            result["doubt"] = doubt(known, model, ids, self._seed, self._resamples)
-        else:
-            result["calibration"] = calibration(model)
+        if ids not in self._among_people:
+            self._among_people[ids] = _among_people(known, weights, self._seed)
+        put(result, self._among_people[ids])
+        count_scenarios(result, known.scenario)
+        result["calibration"] = calibration(model)
+        result["confusion"] = confusion(known.scenario, model.scenario)
+        result["doubt"] = doubt(known, model, ids, self._seed, self._resamples)
         result["ties"] = count_ties([predictions[name] for name in ids], known.world)
         return result
 
@@ -221,8 +216,7 @@ class Scores:
             for path, curve in of_one.items()
         }
         put(result, differences)
-        if known.world == PHASE:
-            count_scenarios(result, known.scenario)
+        count_scenarios(result, known.scenario)
         return result
 
     def _of_events(
@@ -286,31 +280,27 @@ def model_curves(known: Facts, model: Said, weights: FloatArray) -> dict[Path, C
     for kind, prefix in PREFIX.items():
         probabilities, people = model.probabilities[kind], known.people[kind]
         of_truth = at_truth(log_probabilities(probabilities), known.truth[kind])
-        curves[f"{kind}_log_score_truth",] = mean_curve(weights, of_truth)
-        if known.world == PHASE:
-            curves["human", f"{kind}_r"] = _r(weights, probabilities, people)
-            agreed = log_score(probabilities, people)
-            curves["human", f"{prefix}log_score"] = mean_curve(weights, agreed)
-            apart = jensen_shannon(probabilities, people)
-            curves["human", f"{prefix}js"] = mean_curve(weights, apart)
-        else:
-            for path, chosen in known.parts(kind).items():
-                part = np.where(chosen, of_truth, np.nan)
-                curves[*path, f"{kind}_log_score_truth"] = mean_curve(weights, part)
-    if known.world == PHASE:
-        curves["human", "relation_r_given_truth"] = _r(
-            weights,
-            model.probabilities["relation"],
-            known.people["relation"],
-            same_truth(known.truth["relation"][:, 0], len(RELATIONS)),
-        )
+        for path, chosen in known.parts(kind).items():
+            part = np.where(chosen, of_truth, np.nan)
+            curves[*path, f"{kind}_log_score_truth"] = mean_curve(weights, part)
+        curves["human", f"{kind}_r"] = _r(weights, probabilities, people)
+        agreed, apart = log_score(probabilities, people), jensen_shannon(probabilities, people)
+        curves["human", f"{prefix}log_score"] = mean_curve(weights, agreed)
+        curves["human", f"{prefix}js"] = mean_curve(weights, apart)
+    curves["human", "relation_r_given_truth"] = _r(
+        weights,
+        model.probabilities["relation"],
+        known.people["relation"],
+        same_truth(known.truth["relation"], len(RELATIONS)),
+    )
     return curves
 
 
 def _r(weights: FloatArray, x: FloatArray, y: FloatArray, groups: IntArray | None = None) -> Curve:
     flat = (x.shape[0], int(np.prod(x.shape[1:])))
     left, right = x.reshape(flat), y.reshape(flat)
-    return Curve(correlation(weights, left, right, groups), events_with(left * right))
+    of_groups = None if groups is None else groups.reshape(flat)
+    return Curve(correlation(weights, left, right, of_groups), events_with(left * right))
 
 
 def mean_curve(weights: FloatArray, values: FloatArray) -> Curve:
@@ -326,7 +316,7 @@ def share_curve(weights: FloatArray, scores: FloatArray) -> Curve:
 def people_curves(known: Facts, model: Said, weights: FloatArray) -> dict[Path, Curve]:
     """Return people's own log scores, on the events on which the model has one."""
     curves: dict[Path, Curve] = {}
-    for kind, prefix in PREFIX.items() if known.world == PHASE else ():
+    for kind, prefix in PREFIX.items():
         people = np.where(np.isnan(model.probabilities[kind]), np.nan, known.people[kind])
         path = ("human", f"{prefix}log_score_people")
         curves[path] = mean_curve(weights, negative_entropy(people))
@@ -342,7 +332,6 @@ def accuracy_curves(
     """
     curves: dict[Path, Curve] = {}
     for kind, values in right.items():
-        curves[f"{kind}_accuracy",] = share_curve(weights, values)
         for path, chosen in known.parts(kind).items():
             part = np.where(chosen, values, np.nan)
             curves[*path, f"{kind}_accuracy"] = share_curve(weights, part)
@@ -402,8 +391,8 @@ def count_ties(
 
 def count_scenarios(result: dict[str, Any], scenario: IntArray) -> None:
     """Put the number of events of each true scenario into ``by_scenario``."""
-    for place, name in enumerate(SCENARIOS):
-        result["by_scenario"][name]["n"] = int((scenario == place).sum())
+    for name, part in result.get("by_scenario", {}).items():
+        part["n"] = int((scenario == SCENARIOS.index(name)).sum())
 
 
 def put(result: dict[str, Any], entries: Mapping[Path, Any]) -> None:

@@ -179,9 +179,9 @@ class Prediction:
                 another type.
         """
         given = {**record, **{name: record.get(name) or {} for name in ("cost", "errors")}}
-        fields = dict.fromkeys(("probabilities", "errors", "answers", "cost"), dict)
-        for name, kind in {"event": str, **fields}.items():
-            of_kind(f"{name} of a prediction", given.get(name), kind)
+        of_kind("event of a prediction", given.get("event"), str)
+        for name in ("probabilities", "errors", "answers", "cost"):
+            of_kind(f"{name} of a prediction", given.get(name), dict)
         return cls(
             event_id=record["event"],
             probabilities={

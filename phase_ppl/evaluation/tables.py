@@ -59,13 +59,15 @@ class Facts:
         judged = [one for one in self.judgments if one is not None]
         return bool(judged) and all(one.responses for one in judged)
 
-    def parts(self, kind: str) -> dict[tuple[str, str], BoolArray]:
+    def parts(self, kind: str) -> dict[tuple[str, ...], BoolArray]:
         """Return where the metrics have a part of the answers -> which of (event, question) it is.
 
-        In PHASE those of a scenario; elsewhere goals of an agent, relations of a pair.
+        The whole comes first, at (). In PHASE parts are those of a scenario; elsewhere goals of an
+        agent, relations of a pair.
         """
+        whole: dict[tuple[str, ...], BoolArray] = {(): np.ones((1, 1), bool)}
         if self.world == PHASE:
-            return {
+            return whole | {
                 ("by_scenario", name): (self.scenario == place)[:, None]
                 for place, name in enumerate(SCENARIOS)
             }
@@ -75,7 +77,7 @@ class Facts:
             key = dict(zip(self.world.agents, self.world.keys, strict=True))
             pairs = pairs_of(self.world).values()
             paths = [("by_pair", f"{key[one]} & {key[other]}") for one, other in pairs]
-        return dict(zip(paths, np.eye(len(paths), dtype=bool)[:, None], strict=True))
+        return whole | dict(zip(paths, np.eye(len(paths), dtype=bool)[:, None], strict=True))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -70,7 +70,7 @@ def test_goals_and_relations_are_scored_by_agent_and_pair_and_together(
     with_lapse = 0.99 * np.array([1.0, 1.0, 0.9, 0.0, 0.6, 0.6]) + 0.01 / len(TRIO.goals)
     assert metrics["goal_log_score_truth"]["value"] == pytest.approx(np.log(with_lapse).mean())
     assert metrics["relation_log_score_truth"] is None
-    assert "human" not in metrics
+    assert metrics["human"]["goal_r"] is metrics["confusion"] is metrics["doubt"] is None
     assert "by_scenario" not in metrics
     text = str(found)
     for word in ("purple agent", "red & purple", "0.75 [0.19, 0.99] of 4"):
@@ -161,7 +161,7 @@ def test_models_are_compared_by_agent_and_pair(events: list[ppl.Event], tmp_path
         "last": ppl.evaluate(events, "last_frame", **ONE_PROCESS),
     }
     compared = ppl.compare_models(sources, resamples=100)
-    assert compared.people == {}
+    assert compared.people["n_events"] == 0
     assert compared.equivalence == []
     rows = {row["measure"]: row for row in compared.differences}
     alone = sources["home"].against(sources["last"])
