@@ -7,7 +7,7 @@ other runs of the models.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -56,33 +56,30 @@ def differences(
     rows: list[Row] = []
     for one, other in pairs:
         found = paired.difference(models[one], models[other])
-        counts = {name: part["n"] for name, part in found.get("by_scenario", {}).items()}
-        for scenario, measure, value in _figures(found):
+        for path, value in _figures(found):
+            scenario = path[1] if path[0] == "by_scenario" else None
             rows.append(
                 {
                     **{"one": one, "other": other},
-                    **{"measure": measure, "scenario": scenario},
+                    **{"measure": ".".join(path[2:] if scenario else path), "scenario": scenario},
                     **value,
-                    "n_events": found["n_events"] if scenario is None else counts[scenario],
+                    "n_events": found["by_scenario"][scenario]["n"]
+                    if scenario
+                    else found["n_events"],
                 }
             )
     return _corrected(rows, "p")
 
 
-def _figures(found: Mapping[str, Any]) -> list[tuple[str | None, str, dict[str, Any]]]:
-    """Return scenario, measure and figure of all that :class:`Scores` found."""
-    flat: list[tuple[str | None, str, Any]] = []
+def _figures(
+    found: Mapping[str, Any], above: tuple[str, ...] = ()
+) -> Iterator[tuple[tuple[str, ...], dict[str, Any]]]:
+    """Yield path and figure of all that :class:`Scores` found."""
     for name, value in found.items():
-        if name == "by_scenario":
-            flat += [(s, kind, v) for s, part in value.items() for kind, v in part.items()]
-        elif name == "human":
-            flat += [(None, f"human.{inner}", v) for inner, v in value.items()]
-        elif name in ("by_agent", "by_pair"):
-            for part, measures in value.items():
-                flat += [(None, f"{name}.{part}.{inner}", v) for inner, v in measures.items()]
-        else:
-            flat.append((None, name, value))
-    return [(scenario, name, v) for scenario, name, v in flat if isinstance(v, dict)]
+        if isinstance(value, dict) and "value" in value:
+            yield (*above, name), value
+        elif isinstance(value, dict):
+            yield from _figures(value, (*above, name))
 
 
 def equivalence(
