@@ -20,15 +20,15 @@ import pytest
 import phase_ppl as ppl
 from phase_ppl.evaluation.evaluate import COMPILED_OF
 from phase_ppl.world.errors import InvalidSettingError
-from tests.evaluation.toys import Counted, FailsAt, guesses, right, several, still
+from tests.evaluation import toys
+from tests.evaluation.toys import EVENTS, Counted, FailsAt, guesses, right, several, still
 
 ROOT = Path(ppl.__file__).parents[1]
 PATIENCE = 60.0
-EVENTS = several(4)
 
 
 def evaluate(model: Any, events: Any = EVENTS, **more: Any) -> ppl.Evaluation:
-    return ppl.evaluate(events, model, **{"workers": 2, "progress": False, **more})
+    return toys.evaluate(events, model, **{"workers": 2, **more})
 
 
 def test_the_result_is_the_same_for_any_number_of_workers() -> None:
