@@ -44,17 +44,17 @@ def p_text(value: float | None) -> str:
     return "<0.001" if value < 0.001 else f"{value:.3f}"
 
 
-def aligned(table: Sequence[Sequence[str]]) -> list[str]:
+def aligned(table: Sequence[Sequence[str]], width: int | None = WIDTH) -> list[str]:
     """Return the lines of a table: names on the left, figures on the right of their columns.
 
-    The first row has the headings; columns beyond the width of a terminal come below.
+    The first row has the headings; columns beyond the width come below.
     """
     import pandas as pd
 
     (corner, *headings), *rows = table
     names = pd.Index([name for name, *_ in rows])
     shown = pd.DataFrame([cells for _, *cells in rows], names, headings)
-    return shown.rename_axis(columns=corner).to_string(line_width=WIDTH).splitlines()
+    return shown.rename_axis(columns=corner).to_string(line_width=width).splitlines()
 
 
 def short(name: str, most: int) -> str:
