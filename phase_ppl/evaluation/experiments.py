@@ -128,16 +128,11 @@ def load_tags(path: str | os.PathLike[str]) -> Tags:
     """
     names = ("participant", "video", "label")
     spelled = {label.lower(): label for label in LABELS}
-    seen: set[tuple[str, str, str | None]] = set()
 
     def check(row: dict[str, Any]) -> None:
         row["label"] = spelled.get(row["label"].lower(), row["label"]) or None
-        choice = row["participant"], row["video"], row["label"]
-        if choice in seen:
-            raise InvalidEventError(f"the same label for the same video as before: {shown(choice)}")
-        seen.add(choice)
 
-    rows = read_columns(path, names, check, names[:2])
+    rows = read_columns(path, names, check, required=names[:2], once=names)
     return Tags(pd.DataFrame(rows, columns=list(names), dtype=object))
 
 
@@ -251,22 +246,18 @@ def load_likeness(path: str | os.PathLike[str]) -> Likeness:
         InvalidEventError: there is no such file, it is no such table, a rating is not 1 to 5,
             there are not two groups, or somebody rates a video twice or sees both groups.
     """
-    seen: set[tuple[str, str]] = set()
+    names = ("participant", "video", "group", "rating")
     group_of: dict[str, str] = {}
 
     def check(row: dict[str, Any]) -> None:
-        who, video, group, rating = (row[name] for name in names)
-        if rating not in map(str, RATINGS):
-            raise InvalidEventError(f"rating is {shown(rating)}, expected 1 to 5")
-        row["rating"] = int(rating)
-        if (who, video) in seen:
-            raise InvalidEventError(f"participant {shown(who)} rates {shown(video)} a second time")
-        seen.add((who, video))
-        if group_of.setdefault(who, group) != group:
+        if row["rating"] not in map(str, RATINGS):
+            raise InvalidEventError(f"rating is {shown(row['rating'])}, expected 1 to 5")
+        row["rating"] = int(row["rating"])
+        who = row["participant"]
+        if group_of.setdefault(who, row["group"]) != row["group"]:
             raise InvalidEventError(f"participant {shown(who)} is in two groups")
 
-    names = ("participant", "video", "group", "rating")
-    rows = read_columns(path, names, check, names)
+    rows = read_columns(path, names, check, required=names, once=names[:2])
     if len({row["group"] for row in rows}) != 2:
         found = sorted({row["group"] for row in rows})
         raise InvalidEventError(f"{path}: groups are {shown(found)}, expected two")

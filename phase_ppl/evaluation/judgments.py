@@ -107,22 +107,14 @@ def load_judgments(path: str | os.PathLike[str], events: Sequence[Event] | None 
             matches. Messages begin with the file, and the line where it is one.
     """
     videos = None if events is None else [event.id for event in events]
-    first: dict[tuple[str, str], int] = {}
 
-    def check(cells: dict[str, str], line: int) -> dict[str, Any]:
+    def check(cells: dict[str, str]) -> dict[str, Any]:
         row = _row(cells)
-        who, video = row["participant"], row["video"]
-        if videos is not None and video not in videos:
-            raise unknown_name("video", video, videos)
-        if (who, video) in first:
-            raise InvalidEventError(
-                f"participant {shown(who)} judges video {shown(video)} a second time, after line "
-                f"{first[who, video]}"
-            )
-        first[who, video] = line
+        if videos is not None and row["video"] not in videos:
+            raise unknown_name("video", row["video"], videos)
         return row
 
-    rows = read_rows(path, check, _check_header)
+    rows = read_rows(path, check, _check_header, once=("participant", "video"))
     if not any(row[question] for row in rows for question in QUESTIONS):
         raise InvalidEventError(f"{path}: holds no judgments")
     # plain objects: pandas' own text would make NaN of None

@@ -123,7 +123,7 @@ ROW = f"p01,a,{BLUE_TO_RED},{BLUE_TO_RED},friendly,12.4"
             "line 3: goal_green: unknown goal.*did you mean 'Get blue item to red lm'",
         ),
         (f"{HEADER}\np02,a,,,freindly,", "line 2: relation: .*did you mean 'friendly'"),
-        (f"{HEADER}\n{ROW}\n{ROW}", "line 3: participant 'p01' judges video 'a' a second time"),
+        (f"{HEADER}\n{ROW}\n{ROW}", "line 3: has participant 'p01', video 'a' a second time"),
         (f"{HEADER}\n{ROW}\np02,a,,,friendly", "line 3: has 5 cells, expected 6"),
         (f"{HEADER}\n{ROW},", "line 2: has 7 cells, expected 6"),
         (f"{HEADER}\n,a,,,friendly,", "line 2: participant is '', expected printable text"),
