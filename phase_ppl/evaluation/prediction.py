@@ -148,24 +148,22 @@ class Prediction:
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain data, fit for JSON; :meth:`from_dict` gives it back."""
+        errors = {
+            question: {
+                label: None if math.isnan(error) else error
+                for label, error in zip(self.questions[question], values.tolist(), strict=True)
+            }
+            for question, values in self.errors.items()
+        }
         return {
             "event": self.event_id,
             "probabilities": {
                 question: dict(zip(self.questions[question], values.tolist(), strict=True))
                 for question, values in self.probabilities.items()
             },
-            **({"errors": self._plain_errors()} if self.errors else {}),
+            **({"errors": errors} if errors else {}),
             "answers": dict(self.answers),
             "cost": dict(self.cost),
-        }
-
-    def _plain_errors(self) -> dict[str, dict[str, float | None]]:
-        return {
-            question: {
-                label: None if math.isnan(error) else error
-                for label, error in zip(self.questions[question], errors.tolist(), strict=True)
-            }
-            for question, errors in self.errors.items()
         }
 
     @classmethod

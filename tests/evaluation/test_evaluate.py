@@ -254,7 +254,8 @@ def test_metrics_hold_what_is_promised_as_plain_json(tmp_path: Path) -> None:
     assert (again.metrics, str(again)) == (kept, str(found))
     assert set(kept) >= {
         *("n_events", "goal_accuracy", "goal_top3_accuracy", "relation_accuracy", "by_scenario"),
-        *("confusion", "human", "people", "reference_models", "failures", "settings", "cost"),
+        *("calibration", "confusion", "human", "people", "reference_models", "failures"),
+        *("settings", "cost"),
     }
     assert kept["goal_accuracy"]["value"] == kept["relation_accuracy"]["value"] == 1
     assert kept["reference_models"]["rival"]["relation_accuracy"]["value"] == 0

@@ -200,6 +200,16 @@ def test_log_score_of_the_truth_has_a_lapse_of_one_in_a_hundred() -> None:
     goal = (np.log(0.99 + 0.01 / 36) + np.log(0.99 * 0.25 + 0.01 / 36)) / 2
     assert metrics["relation_log_score_truth"]["value"] == pytest.approx(relation, abs=1e-12)
     assert metrics["goal_log_score_truth"]["value"] == pytest.approx(goal, abs=1e-12)
+    competing = metrics["by_scenario"]["competing"]["relation_log_score_truth"]
+    assert competing == {"value": pytest.approx(np.log(0.01 / 3)), "ci_low": None, "ci_high": None}
+    sure = metrics["calibration"]["relation"]
+    assert {least: one["n"] for least, one in sure.items()} == {
+        "0": 2,
+        "0.5": 2,
+        "0.8": 1,
+        "0.95": 1,
+    }
+    assert sure["0.8"]["accuracy"]["value"] == 0
 
 
 def test_only_events_with_a_prediction_count() -> None:
