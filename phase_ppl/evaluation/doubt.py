@@ -32,8 +32,8 @@ else:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, TypeAlias
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final
 
 import numpy as np
 
@@ -259,10 +259,6 @@ SPLITS: Final = 1000
 """Random halves of the raters over which the split-half correlation is averaged."""
 
 
-_Halves: TypeAlias = Callable[[Judgments, str], tuple[IntArray, IntArray]]
-"""Returns the ratings (split, answer) of two halves of the raters of a question."""
-
-
 def log_probabilities(probabilities: FloatArray) -> FloatArray:
     """Return log((1 - lapse) p + lapse / K), in nats, over the K answers of the last axis."""
     logs = np.log((1 - LAPSE) * probabilities + LAPSE / probabilities.shape[-1])
@@ -314,14 +310,10 @@ def split_half(
     ):
         return np.full(len(weights), np.nan), 0
     rng = np.random.default_rng([seed, 1])
-    halves = _of_participants(judged, rng, splits) if by_participant else _of_ratings(rng, splits)
     sums = np.zeros((6, splits, len(judged)))
-    for place, judgments in enumerate(judged):
-        for question in questions:
-            if judgments is not None and question in judgments.counts:
-                one, other = halves(judgments, question)
-                both = (one.sum(axis=1) > 0) & (other.sum(axis=1) > 0)
-                sums[:, both, place] += _sums(one[both], other[both])
+    for place, one, other in _halves(judged, questions, by_participant, rng, splits):
+        both = (one.sum(axis=1) > 0) & (other.sum(axis=1) > 0)
+        sums[:, both, place] += _sums(one[both], other[both])
     n, x, y, xx, yy, xy = (weights @ part.T for part in sums)
     r = r_of_sums(
         n,
@@ -334,39 +326,40 @@ def split_half(
     return mean, int(sums[0].any(axis=0).sum())
 
 
-def _of_ratings(rng: np.random.Generator, splits: int) -> _Halves:
-    """Halve the ratings of each question on their own, without replacement."""
+def _halves(
+    judged: Sequence[Judgments | None],
+    questions: Sequence[str],
+    by_participant: bool,
+    rng: np.random.Generator,
+    splits: int,
+) -> Iterator[tuple[int, IntArray, IntArray]]:
+    """Yield the place of an event and the ratings (split, answer) of both halves of its raters.
 
-    def halves(judgments: Judgments, question: str) -> tuple[IntArray, IntArray]:
-        ratings = judgments.counts[question]
-        given = np.flatnonzero(ratings)
-        one = np.zeros((splits, len(ratings)), np.int64)
-        one[:, given] = rng.multivariate_hypergeometric(
-            ratings[given], int(ratings.sum()) // 2, size=splits, method="marginals"
-        )
-        return one, ratings - one
-
-    return halves
-
-
-def _of_participants(
-    judged: Sequence[Judgments | None], rng: np.random.Generator, splits: int
-) -> _Halves:
-    """Halve the participants of all events together."""
-    names = {who: None for one in judged if one is not None for who in one.responses}
+    Participants are halved for all events at once, ratings without replacement.
+    """
+    names = dict.fromkeys(who for one in judged if one is not None for who in one.responses)
     places = {who: place for place, who in enumerate(names)}
-    first = np.arange(len(names)) < len(names) // 2
-    in_one = rng.permuted(np.tile(first, (splits, 1)), axis=1)
-
-    def halves(judgments: Judgments, question: str) -> tuple[IntArray, IntArray]:
-        labels = QUESTIONS[question]
-        rows = [(who, row[question]) for who, row in judgments.responses.items() if question in row]
-        answers = np.zeros((len(rows), len(labels)), np.int64)
-        answers[np.arange(len(rows)), [labels.index(answer) for _, answer in rows]] = 1
-        one = in_one[:, [places[who] for who, _ in rows]] @ answers
-        return one, judgments.counts[question] - one
-
-    return halves
+    if by_participant:
+        first = np.arange(len(names)) < len(names) // 2
+        in_one = rng.permuted(np.tile(first, (splits, 1)), axis=1)
+    for place, judgments in enumerate(judged):
+        for question in questions:
+            if judgments is None or question not in judgments.counts:
+                continue
+            ratings = judgments.counts[question]
+            if by_participant:
+                answers = np.zeros((len(names), len(ratings)), np.int64)
+                for who, row in judgments.responses.items():
+                    if question in row:
+                        answers[places[who], QUESTIONS[question].index(row[question])] = 1
+                one = in_one @ answers
+            else:
+                given = np.flatnonzero(ratings)
+                one = np.zeros((splits, len(ratings)), np.int64)
+                one[:, given] = rng.multivariate_hypergeometric(
+                    ratings[given], int(ratings.sum()) // 2, size=splits, method="marginals"
+                )
+            yield place, one, ratings - one
 
 
 def _sums(one: IntArray, other: IntArray) -> FloatArray:
