@@ -291,7 +291,7 @@ def _distribution(question: str, given: ArrayLike, labels: Sequence[str]) -> Flo
 # --- of other models, as files of events carry them -----------------------------------------------
 
 _FIELDS: Final = ("goals", "relation", "goal_probs", "relation_probs")
-_OWN_FIELDS: Final = ("event", "probabilities", "answers", "cost")
+_OWN_FIELDS: Final = ("event", "probabilities", "errors", "answers", "cost")
 
 
 def reference_predictions(events: Sequence[Event]) -> dict[str, dict[str, Prediction]]:
@@ -332,22 +332,18 @@ def _prediction(event_id: str, record: object, world: World) -> Prediction:
     for name in given:
         if name not in allowed:
             raise unknown_name("field", name, allowed)
-    if own:
-        if given.get("event", event_id) != event_id:
-            raise InvalidEventError(f"is of the event {shown(given['event'])}")
-        return Prediction.from_dict(
-            {"answers": {}, "probabilities": {}, **given, "event": event_id}, world
-        )
-    answers = per_agent("goals", given.get("goals"))
-    shares = per_agent("goal_probs", given.get("goal_probs"))
-    if "relation" in given:
-        answers["relation"] = given["relation"]
-    if "relation_probs" in given:
-        shares["relation"] = given["relation_probs"]
-    return Prediction(
-        event_id,
-        {question: probabilities_of(question, values) for question, values in shares.items()},
-        answers,
+    if given.get("event", event_id) != event_id:
+        raise InvalidEventError(f"is of the event {shown(given['event'])}")
+    if not own:
+        answers = per_agent("goals", given.get("goals"))
+        shares = per_agent("goal_probs", given.get("goal_probs"))
+        if "relation" in given:
+            answers["relation"] = given["relation"]
+        if "relation_probs" in given:
+            shares["relation"] = given["relation_probs"]
+        given = {"answers": answers, "probabilities": shares}
+    return Prediction.from_dict(
+        {"answers": {}, "probabilities": {}, **given, "event": event_id}, world
     )
 
 
