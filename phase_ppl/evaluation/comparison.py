@@ -118,7 +118,8 @@ class ModelComparison:
         known. Each is about the events of which the model has a prediction.
         """
         seed = self.settings["seed"]
-        scores, found = Scores(self.events, seed=seed), {}
+        scores = Scores(self.events, seed=seed)
+        found: dict[str, dict[str, Any]] = {}
         for one in self.entries:
             weights = resampled(len(one.predictions), seed)
             costs = [prediction.cost for prediction in one.predictions.values()]

@@ -507,7 +507,8 @@ def participant_accuracy(
     by_scenario: dict[str, dict[str, Any]] = {
         name: {"n": table["who"][table["scenario"] == name].nunique()} for name in SCENARIOS
     }
-    for scope, place in {None: result, **by_scenario}.items():
+    scopes: list[tuple[str | None, dict[str, Any]]] = [(None, result), *by_scenario.items()]
+    for scope, place in scopes:
         part = table if scope is None else table[table["scenario"] == scope]
         for kind in KINDS:
             each = part[part["kind"] == kind].groupby("who")["right"].mean().reindex(people)

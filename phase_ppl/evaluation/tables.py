@@ -65,19 +65,20 @@ class Facts:
         The whole comes first, at (). In PHASE parts are those of a scenario; elsewhere goals of an
         agent, relations of a pair.
         """
-        whole: dict[tuple[str, ...], BoolArray] = {(): np.ones((1, 1), bool)}
+        parts: dict[tuple[str, ...], BoolArray] = {(): np.ones((1, 1), bool)}
         if self.world == PHASE:
-            return whole | {
-                ("by_scenario", name): (self.scenario == place)[:, None]
-                for place, name in enumerate(SCENARIOS)
-            }
+            for place, name in enumerate(SCENARIOS):
+                parts["by_scenario", name] = (self.scenario == place)[:, None]
+            return parts
         if kind == "goal":
             paths = [("by_agent", agent) for agent in self.world.agents]
         else:
             key = dict(zip(self.world.agents, self.world.keys, strict=True))
             pairs = pairs_of(self.world).values()
             paths = [("by_pair", f"{key[one]} & {key[other]}") for one, other in pairs]
-        return whole | dict(zip(paths, np.eye(len(paths), dtype=bool)[:, None], strict=True))
+        for place, path in enumerate(paths):
+            parts[path] = np.arange(len(paths))[None] == place
+        return parts
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
